@@ -1,0 +1,45 @@
+# `make demo` and `make test` work on a fresh machine: the first of them sets .venv up (see bootstrap.py) and compiles.
+
+PYTHON ?= python3
+VENV_PYTHON := .venv/bin/python
+# The two steps leave a stamp each, so that they run again only when their inputs have changed.
+ENVIRONMENT := .venv/pgccd-environment
+EXTENSION := build/pgccd-extension
+# Folders are listed along with files, so that a removed source is noticed too.
+EXTENSION_INPUTS := setup.py $(wildcard build_support/*.py) $(shell find csrc)
+CPP_FILES = find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cuh' -o -name '*.cu'
+# xdist may be missing where there is no network.
+PARALLEL = $$($(VENV_PYTHON) -c "import xdist" 2>/dev/null && echo "-n 2")
+
+.PHONY: demo test lint bench build clean
+
+demo: $(EXTENSION)
+	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 20 --world random --out out/demo
+
+test: $(EXTENSION)
+	$(VENV_PYTHON) -m pytest -q $(PARALLEL)
+
+lint: $(ENVIRONMENT)
+	$(VENV_PYTHON) -m ruff check .
+	$(VENV_PYTHON) -m ruff format --check .
+	$(CPP_FILES) | xargs -r $(VENV_PYTHON) -c 'import clang_format; clang_format.clang_format()' --dry-run -Werror
+	$(VENV_PYTHON) -m mypy
+
+bench: $(EXTENSION)
+	for script in $(sort $(wildcard bench/bench_*.py)); do $(VENV_PYTHON) $$script || exit; done
+
+build: $(ENVIRONMENT)
+	$(VENV_PYTHON) setup.py --quiet build_ext --inplace
+	@touch $(EXTENSION)
+
+clean:
+	rm -rf build out pgccd/*.so *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
+
+$(ENVIRONMENT): bootstrap.py pyproject.toml
+	$(PYTHON) bootstrap.py
+	@touch $@ $(EXTENSION)
+
+$(EXTENSION): $(ENVIRONMENT) $(EXTENSION_INPUTS)
+	$(VENV_PYTHON) setup.py --quiet build_ext --inplace
+	@touch $@

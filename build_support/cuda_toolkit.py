@@ -1,0 +1,66 @@
+"""Find a CUDA compiler that fits the installed torch. Standard library only."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+
+class CudaToolkit(NamedTuple):
+    """A folder that holds bin/nvcc, and the release that nvcc reports, such as "13.0"."""
+
+    home: Path
+    version: str
+
+
+def find_cuda_toolkit(torch_cuda_version: str) -> CudaToolkit | None:
+    """The first toolkit with the major version that torch was built with (torch refuses to build with another)."""
+    for home in _candidate_homes():
+        version = _nvcc_release(home / "bin" / "nvcc")
+        if version and version.split(".")[0] == torch_cuda_version.split(".")[0]:
+            return CudaToolkit(home, version)
+    return None
+
+
+def cudart_link_directory(toolkit: CudaToolkit, scratch: Path) -> Path:
+    """A folder in which the linker finds `libcudart.so`.
+
+    The PyPI wheels ship only the versioned name, `libcudart.so.13`; for them a link is made in `scratch`.
+    """
+    library_directories = [toolkit.home / name for name in ("lib64", "lib")]
+    for directory in library_directories:
+        if (directory / "libcudart.so").exists():
+            return directory
+    versioned = sorted(path for directory in library_directories for path in directory.glob("libcudart.so.*"))
+    if not versioned:
+        raise FileNotFoundError(f"no libcudart.so under {toolkit.home}: install the CUDA runtime, or set PGCCD_CUDA=0")
+    scratch.mkdir(parents=True, exist_ok=True)
+    link = scratch / "libcudart.so"
+    link.unlink(missing_ok=True)
+    link.symlink_to(versioned[-1])
+    return scratch
+
+
+def _candidate_homes() -> Iterator[Path]:
+    for variable in ("CUDA_HOME", "CUDA_PATH"):
+        if os.environ.get(variable):
+            yield Path(os.environ[variable])
+    if compiler := shutil.which("nvcc"):
+        yield Path(compiler).resolve().parents[1]
+    yield Path("/usr/local/cuda")
+    # The wheels nvidia-cuda-nvcc, nvidia-nvvm, ... unpack into one folder of site-packages.
+    for entry in sys.path:
+        yield from sorted(Path(entry, "nvidia").glob("cu[0-9]*"))
+
+
+def _nvcc_release(compiler: Path) -> str | None:
+    try:
+        answer = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=True, timeout=60)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    release = re.search(r"release (\d+\.\d+)", answer.stdout)
+    return release[1] if release else None

@@ -1,0 +1,131 @@
+// From tensors to the views the kernels read, with every assumption checked. Tensor lists keep the schemas readable;
+// their order is the order of the fields in core/mesh_set.h and core/bodies.h.
+#pragma once
+
+#include <torch/csrc/stable/library.h>
+#include <torch/csrc/stable/ops.h>
+#include <torch/csrc/stable/tensor.h>
+#include <torch/headeronly/util/Exception.h>
+
+#include <initializer_list>
+#include <optional>
+#include <vector>
+
+#include "core/bodies.h"
+#include "kernels/bounds/bounds.h"
+#include "kernels/broad/body_volumes.h"
+
+namespace pgccd::bind {
+
+using torch::headeronly::ScalarType;
+using torch::stable::Tensor;
+
+constexpr int64_t kAnySize = -1;
+
+template <class T>
+constexpr ScalarType scalar_type_of();
+template <>
+constexpr ScalarType scalar_type_of<double>() {
+  return ScalarType::Double;
+}
+template <>
+constexpr ScalarType scalar_type_of<float>() {
+  return ScalarType::Float;
+}
+template <>
+constexpr ScalarType scalar_type_of<int64_t>() {
+  return ScalarType::Long;
+}
+template <>
+constexpr ScalarType scalar_type_of<int32_t>() {
+  return ScalarType::Int;
+}
+template <>
+constexpr ScalarType scalar_type_of<uint8_t>() {
+  return ScalarType::Byte;
+}
+
+// Data of a contiguous tensor of that element type and shape, seen as rows of `Row`.
+template <class Element, class Row = Element>
+const Row* rows(const Tensor& tensor, const char* name, std::initializer_list<int64_t> shape) {
+  STD_TORCH_CHECK(tensor.scalar_type() == scalar_type_of<Element>(), name, ": wrong dtype");
+  STD_TORCH_CHECK(tensor.dim() == static_cast<int64_t>(shape.size()), name, ": expected ", shape.size(),
+                  " dimensions, got ", tensor.dim());
+  int64_t axis = 0;
+  for (const int64_t size : shape) {
+    STD_TORCH_CHECK(size == kAnySize || tensor.size(axis) == size, name, ": expected size ", size, " in dimension ",
+                    axis, ", got ", tensor.size(axis));
+    ++axis;
+  }
+  STD_TORCH_CHECK(tensor.is_contiguous(), name, ": expected a contiguous tensor");
+  return static_cast<const Row*>(tensor.data_ptr());
+}
+
+template <class Element>
+const Element* optional_column(const std::optional<Tensor>& tensor, const char* name, int64_t count) {
+  return tensor ? rows<Element>(*tensor, name, {count}) : nullptr;
+}
+
+inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
+  STD_TORCH_CHECK(t.size() == 7, "mesh_set: expected 7 tensors, got ", t.size());
+  MeshSetView view;
+  view.vertices = rows<double>(t[0], "mesh_set.vertices", {kAnySize, 3});
+  view.faces = rows<int32_t>(t[1], "mesh_set.faces", {kAnySize, 3});
+  view.edges = rows<int32_t>(t[2], "mesh_set.edges", {kAnySize, 2});
+  view.triangles = rows<int32_t, Triangle>(t[3], "mesh_set.triangles", {t[1].size(0), 8});
+  view.node_spheres = rows<float, NodeSphere>(t[4], "mesh_set.node_spheres", {kAnySize, 4});
+  view.node_links = rows<int32_t, NodeLink>(t[5], "mesh_set.node_links", {t[4].size(0), 2});
+  view.offsets = rows<int64_t, MeshOffsets>(t[6], "mesh_set.offsets", {kAnySize, 4});
+  return view;
+}
+
+inline RigidBodies rigid_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t, bool linear_path) {
+  STD_TORCH_CHECK(t.size() == 6, "bodies: expected 6 tensors, got ", t.size());
+  RigidBodies view;
+  view.meshes = mesh_set_view(mesh_set);
+  view.mesh_index = rows<int32_t>(t[0], "bodies.mesh_index", {kAnySize});
+  const int64_t count = t[0].size(0);
+  view.centres = {rows<double>(t[1], "bodies.position_t0", {count, 3}),
+                  rows<double>(t[2], "bodies.position_t1", {count, 3}), rows<double>(t[3], "bodies.radius", {count})};
+  view.orientation = rows<double>(t[4], "bodies.orientation", {count, 4});
+  view.rotation = rows<double>(t[5], "bodies.rotation", {count, 3});
+  view.linear_path = linear_path;
+  return view;
+}
+
+inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t) {
+  STD_TORCH_CHECK(t.size() == 10, "bodies: expected 10 tensors, got ", t.size());
+  DeformingBodies view;
+  view.meshes = mesh_set_view(mesh_set);
+  view.mesh_index = rows<int32_t>(t[0], "bodies.mesh_index", {kAnySize});
+  const int64_t count = t[0].size(0);
+  view.centres = {rows<double>(t[1], "bodies.position_t0", {count, 3}),
+                  rows<double>(t[2], "bodies.position_t1", {count, 3}), rows<double>(t[3], "bodies.radius", {count})};
+  view.vertices_t0 = rows<double>(t[4], "bodies.vertices_t0", {kAnySize, 3});
+  view.vertices_t1 = rows<double>(t[5], "bodies.vertices_t1", {t[4].size(0), 3});
+  view.spheres_t0 = rows<float, NodeSphere>(t[6], "bodies.spheres_t0", {kAnySize, 4});
+  view.spheres_t1 = rows<float, NodeSphere>(t[7], "bodies.spheres_t1", {t[6].size(0), 4});
+  view.vertex_begin = rows<int64_t>(t[8], "bodies.vertex_begin", {count});
+  view.node_begin = rows<int64_t>(t[9], "bodies.node_begin", {count});
+  return view;
+}
+
+inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
+                              const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
+                              const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
+                              double separation) {
+  const int64_t count = radius.size(0);
+  STD_TORCH_CHECK(count < (int64_t{1} << 31), "radius: more than 2^31 - 1 bodies on one device");
+  BroadBodies view;
+  view.count = count;
+  view.centres = {rows<double>(position_t0, "position_t0", {count, 3}),
+                  rows<double>(position_t1, "position_t1", {count, 3}), rows<double>(radius, "radius", {count})};
+  view.group = optional_column<int64_t>(group, "group", count);
+  view.mask = optional_column<int64_t>(mask, "mask", count);
+  view.world = optional_column<int32_t>(world, "world", count);
+  view.is_static = optional_column<uint8_t>(is_static, "is_static", count);
+  view.separation = separation;
+  return view;
+}
+
+}  // namespace pgccd::bind

@@ -1,0 +1,34 @@
+// Torch's thread pool as the kernels' executor: follows torch.set_num_threads.
+#pragma once
+
+#include <torch/csrc/stable/ops.h>
+
+#include <exception>
+#include <mutex>
+
+#include "kernels/executor.h"
+
+namespace pgccd::bind {
+
+class TorchExecutor final : public Executor {
+ public:
+  int worker_count() const override { return static_cast<int>(torch::stable::get_num_threads()); }
+
+  void run(int workers, const std::function<void(int)>& work) const override {
+    if (workers == 1) return work(0);
+    // An exception inside parallel_for loses its message, so it is carried around it.
+    std::exception_ptr failure;
+    std::mutex failure_mutex;
+    torch::stable::parallel_for(0, workers, 1, [&](int64_t begin, int64_t end) {
+      try {
+        for (int64_t worker = begin; worker < end; ++worker) work(static_cast<int>(worker));
+      } catch (...) {
+        const std::lock_guard lock(failure_mutex);
+        failure = std::current_exception();
+      }
+    });
+    if (failure) std::rethrow_exception(failure);
+  }
+};
+
+}  // namespace pgccd::bind

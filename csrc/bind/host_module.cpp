@@ -1,0 +1,83 @@
+// pgccd._host: work on numpy arrays that needs no torch (mesh preparation), and what this build is.
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+
+#include <cstring>
+#include <vector>
+
+#include "mesh/hierarchy.h"
+#include "mesh/topology.h"
+
+namespace py = pybind11;
+
+namespace {
+
+using pgccd::Face;
+
+template <class T>
+using Array = py::array_t<T, py::array::c_style | py::array::forcecast>;
+
+// Rows of `Row`, seen as a numpy matrix of its `Element`s.
+template <class Element, class Row>
+py::array_t<Element> to_matrix(const std::vector<Row>& rows) {
+  static_assert(sizeof(Row) % sizeof(Element) == 0);
+  const auto columns = static_cast<py::ssize_t>(sizeof(Row) / sizeof(Element));
+  py::array_t<Element> out({static_cast<py::ssize_t>(rows.size()), columns});
+  if (!rows.empty()) std::memcpy(out.mutable_data(), rows.data(), rows.size() * sizeof(Row));
+  return out;
+}
+
+py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces, int leaf_size) {
+  std::vector<Face> rows(faces.shape(0));
+  if (!rows.empty()) std::memcpy(rows.data(), faces.data(), rows.size() * sizeof(Face));
+  pgccd::Topology topology;
+  pgccd::Hierarchy tree;
+  std::vector<pgccd::Triangle> triangles;
+  {
+    py::gil_scoped_release unlocked;
+    topology = pgccd::make_topology(rows);
+    tree = pgccd::build_hierarchy(vertices.data(), rows, leaf_size);
+    const std::vector<int32_t> represented =
+        pgccd::representatives(rows, topology, tree.triangle_order, vertices.shape(0));
+    for (size_t k = 0; k < rows.size(); ++k) {
+      const int32_t f = tree.triangle_order[k];
+      const Face &v = rows[f], &e = topology.face_edges[f];
+      triangles.push_back({{v[0], v[1], v[2]}, {e[0], e[1], e[2]}, f, represented[k]});
+    }
+  }
+  py::dict out;
+  out["edges"] = to_matrix<int32_t>(topology.edges);
+  out["triangles"] = to_matrix<int32_t>(triangles);
+  out["node_spheres"] = to_matrix<float>(tree.spheres);
+  out["node_links"] = to_matrix<int32_t>(tree.links);
+  return out;
+}
+
+#ifndef PGCCD_BUILD_COMMIT
+#define PGCCD_BUILD_COMMIT ""
+#endif
+#ifndef PGCCD_BUILD_CUDA
+#define PGCCD_BUILD_CUDA ""
+#endif
+#ifndef PGCCD_BUILD_CUDA_ARCHITECTURES
+#define PGCCD_BUILD_CUDA_ARCHITECTURES ""
+#endif
+
+py::dict build_information() {
+  py::dict out;
+  out["version"] = PGCCD_VERSION;
+  out["commit"] = PGCCD_BUILD_COMMIT;
+  out["compiler"] = __VERSION__;
+  out["cuda"] = PGCCD_BUILD_CUDA;
+  out["cuda_architectures"] = PGCCD_BUILD_CUDA_ARCHITECTURES;
+  return out;
+}
+
+}  // namespace
+
+PYBIND11_MODULE(_host, module) {
+  module.def("prepare_mesh", &prepare_mesh, py::arg("vertices"), py::arg("faces"), py::arg("leaf_size"),
+             "Edges, triangles in leaf order with their represented features, and the sphere hierarchy of a mesh. "
+             "vertices (V, 3) float64, faces (F, 3) int32, valid and not empty.");
+  module.def("build_information", &build_information, "Version, commit, compiler and CUDA of this build.");
+}

@@ -1,0 +1,53 @@
+// Where bodies are during one step. Two models, one interface: a body's centre moves on the straight line from
+// position_t0 to position_t1; around it, a point has an offset from the centre that turns at a constant rate (rigid
+// arcs) or is the blend of two end offsets (linear paths).
+#pragma once
+
+#include <cstdint>
+
+#include "core/mesh_set.h"
+#include "core/rotation.h"
+
+namespace pgccd {
+
+struct BodyCentres {
+  const double* position_t0;  // (bodies, 3), world
+  const double* position_t1;  // (bodies, 3), world
+  const double* radius;       // (bodies,) SBV radius
+};
+
+struct RigidBodies {
+  MeshSetView meshes;
+  const int32_t* mesh_index;  // (bodies,)
+  BodyCentres centres;
+  const double* orientation;  // (bodies, 4) unit quaternions at t0
+  const double* rotation;     // (bodies, 3) rotation vector of the step, world frame, radians
+  bool linear_path;           // vertices on straight lines between their end positions instead of arcs
+};
+
+// Every body brings its own vertices and hierarchy volumes: rows of body b start at vertex_begin[b] and node_begin[b].
+struct DeformingBodies {
+  MeshSetView meshes;  // topology; `vertices` and `node_spheres` are not read
+  const int32_t* mesh_index;
+  BodyCentres centres;
+  const double* vertices_t0;     // (all vertices, 3), world
+  const double* vertices_t1;     // (all vertices, 3), world
+  const NodeSphere* spheres_t0;  // (all nodes) relative to the body's centre at t0
+  const NodeSphere* spheres_t1;  // (all nodes) relative to the body's centre at t1, same radius
+  const int64_t* vertex_begin;   // (bodies,)
+  const int64_t* node_begin;     // (bodies,)
+};
+
+// Offset of body j's centre from body i's: exact up to one rounding each, however far the pair is from the world's
+// origin.
+struct RelativeCentre {
+  Vec3<double> at_t0;
+  Vec3<double> at_t1;
+};
+
+PGCCD_HD RelativeCentre relative_centre(const BodyCentres& centres, int64_t i, int64_t j) {
+  return {load_vec3(centres.position_t0 + 3 * j) - load_vec3(centres.position_t0 + 3 * i),
+          load_vec3(centres.position_t1 + 3 * j) - load_vec3(centres.position_t1 + 3 * i)};
+}
+
+}  // namespace pgccd

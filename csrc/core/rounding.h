@@ -1,0 +1,44 @@
+// Forward error bounds shared by the stages.
+#pragma once
+
+#include <cfloat>
+#include <cmath>
+
+#include "core/platform.h"
+
+namespace pgccd {
+
+template <class T>
+struct Precision;
+template <>
+struct Precision<double> {
+  static constexpr double unit = 0x1p-53;
+};
+template <>
+struct Precision<float> {
+  static constexpr float unit = 0x1p-24f;
+};
+
+// Computed offsets of mesh points from their body's centre differ from the exact path by at most this many units of the
+// SBV radius: rotation matrix of a quaternion (8 units an entry), one product (5), axis (3), two cross products and the
+// Rodrigues sum (60 in all at worst, versine <= 2), sine and versine (4 each), and a rotation vector taken from two
+// orientations (16).
+constexpr double kRigidPointUnits = 256.0;
+
+// Largest power of two not above 1 / x, for x > 0: scaling by it is exact.
+PGCCD_HD double inverse_power_of_two(double x) {
+  int exponent = 0;
+  std::frexp(x, &exponent);
+  return std::ldexp(1.0, -exponent);
+}
+
+// a + b rounded towards minus infinity (the error of a sum is itself a double: Knuth 1969, TwoSum).
+template <class T>
+PGCCD_HD T add_down(T a, T b) {
+  const T sum = a + b;
+  const T b_part = sum - a;
+  const T error = (a - (sum - b_part)) + (b - b_part);
+  return error < T(0) ? std::nextafter(sum, -static_cast<T>(INFINITY)) : sum;
+}
+
+}  // namespace pgccd

@@ -1,0 +1,78 @@
+// Three-component vectors and 3 x 3 matrices. Evaluation order is part of the contract: the same bits on every backend.
+#pragma once
+
+#include <cmath>
+
+#include "core/platform.h"
+
+namespace pgccd {
+
+template <class T>
+struct Vec3 {
+  T x, y, z;
+};
+
+template <class T>
+PGCCD_HD Vec3<T> operator+(Vec3<T> a, Vec3<T> b) {
+  return {a.x + b.x, a.y + b.y, a.z + b.z};
+}
+template <class T>
+PGCCD_HD Vec3<T> operator-(Vec3<T> a, Vec3<T> b) {
+  return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+template <class T>
+PGCCD_HD Vec3<T> operator-(Vec3<T> a) {
+  return {-a.x, -a.y, -a.z};
+}
+template <class T>
+PGCCD_HD Vec3<T> operator*(T s, Vec3<T> a) {
+  return {s * a.x, s * a.y, s * a.z};
+}
+template <class T>
+PGCCD_HD T dot(Vec3<T> a, Vec3<T> b) {
+  return (a.x * b.x + a.y * b.y) + a.z * b.z;
+}
+template <class T>
+PGCCD_HD Vec3<T> cross(Vec3<T> a, Vec3<T> b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+template <class T>
+PGCCD_HD T norm_squared(Vec3<T> a) {
+  return dot(a, a);
+}
+template <class T>
+PGCCD_HD T norm(Vec3<T> a) {
+  return std::sqrt(dot(a, a));
+}
+template <class T>
+PGCCD_HD T max_abs(Vec3<T> a) {
+  return std::fmax(std::fmax(std::fabs(a.x), std::fabs(a.y)), std::fabs(a.z));
+}
+
+template <class To, class From>
+PGCCD_HD Vec3<To> cast(Vec3<From> a) {
+  return {static_cast<To>(a.x), static_cast<To>(a.y), static_cast<To>(a.z)};
+}
+
+template <class T>
+PGCCD_HD Vec3<T> load_vec3(const T* row) {
+  return {row[0], row[1], row[2]};
+}
+
+// Row-major 3 x 3 matrix, stored by rows.
+template <class T>
+struct Mat3 {
+  Vec3<T> r0, r1, r2;
+};
+
+template <class T>
+PGCCD_HD Vec3<T> operator*(const Mat3<T>& m, Vec3<T> v) {
+  return {dot(m.r0, v), dot(m.r1, v), dot(m.r2, v)};
+}
+
+template <class T>
+PGCCD_HD Mat3<T> identity() {
+  return {{T(1), T(0), T(0)}, {T(0), T(1), T(0)}, {T(0), T(0), T(1)}};
+}
+
+}  // namespace pgccd

@@ -1,0 +1,36 @@
+// Bounds: what moves, in the form that the later stages read.
+#pragma once
+
+#include <cstdint>
+
+#include "core/bodies.h"
+#include "kernels/executor.h"
+
+namespace pgccd {
+
+// Rotation vectors of the turns between two orientations, (count, 4) each -> (count, 3), world frame, the shorter way.
+void rotations_between_cpu(const Executor& executor, const double* orientation_t0, const double* orientation_t1,
+                           int64_t count, double* rotation);
+
+struct DeformingInput {
+  MeshSetView meshes;
+  const int32_t* mesh_index;  // (bodies,)
+  int64_t body_count;
+  const double* vertices_t0;
+  const double* vertices_t1;
+  const int64_t* vertex_begin;  // (bodies,)
+  const int64_t* node_begin;    // (bodies,)
+};
+
+// Everything of DeformingBodies that depends on where the vertices are.
+struct DeformingBounds {
+  double* position_t0;  // (bodies, 3)
+  double* position_t1;  // (bodies, 3)
+  double* radius;       // (bodies,)
+  NodeSphere* spheres_t0;
+  NodeSphere* spheres_t1;
+};
+
+void refit_cpu(const Executor& executor, const DeformingInput& input, const DeformingBounds& bounds);
+
+}  // namespace pgccd

@@ -1,0 +1,76 @@
+// Continuous bounding volumes as the broad phase sees them. Which pairs belong to the PCS is decided by one predicate,
+// `is_potentially_colliding`; every broad phase may only skip pairs for which it is certainly false, so all of them
+// agree.
+#pragma once
+
+#include <cstdint>
+
+#include "core/bodies.h"
+#include "core/rounding.h"
+
+namespace pgccd {
+
+struct BroadBodies {
+  int64_t count;
+  BodyCentres centres;
+  const int64_t* group;      // (count,) bits, or null: all bits
+  const int64_t* mask;       // (count,) bits, or null: all bits
+  const int32_t* world;      // (count,) or null: one world
+  const uint8_t* is_static;  // (count,) 0 or 1, or null: none
+  double separation;
+};
+
+PGCCD_HD bool may_collide(const BroadBodies& bodies, int64_t i, int64_t j) {
+  if (bodies.world && bodies.world[i] != bodies.world[j]) return false;
+  if (bodies.is_static && bodies.is_static[i] && bodies.is_static[j]) return false;
+  const int64_t all = ~int64_t{0};
+  const int64_t group_i = bodies.group ? bodies.group[i] : all, group_j = bodies.group ? bodies.group[j] : all;
+  const int64_t mask_i = bodies.mask ? bodies.mask[i] : all, mask_j = bodies.mask ? bodies.mask[j] : all;
+  return (group_i & mask_j) != 0 && (group_j & mask_i) != 0;
+}
+
+// Do the capsules' moving spheres come within the separation at some time of the step? Never false when they do in
+// exact arithmetic. Order matters to the last bit: i < j.
+PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int64_t j) {
+  if (!may_collide(bodies, i, j)) return false;
+  const RelativeCentre offset = relative_centre(bodies.centres, i, j);
+  const Vec3<double> travel = offset.at_t1 - offset.at_t0;
+  const double length_squared = norm_squared(travel);
+  double nearest = 0.0;
+  if (length_squared > 0.0) nearest = std::fmin(std::fmax(-dot(offset.at_t0, travel) / length_squared, 0.0), 1.0);
+  // Offsets, travel and the point at `nearest` are each off by a few roundings of the larger offset; a wrong `nearest`
+  // by second order only.
+  const double rounding = 0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1));
+  const double reach =
+      (bodies.centres.radius[i] + bodies.centres.radius[j] + bodies.separation) * (1.0 + 0x1p-48) + rounding;
+  return norm_squared(offset.at_t0 + nearest * travel) <= reach * reach;
+}
+
+// Box of a CBV with half the separation, wide enough for the roundings of the predicate.
+struct SweptBox {
+  Vec3<double> lower, upper;
+};
+
+PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
+  const Vec3<double> p0 = load_vec3(bodies.centres.position_t0 + 3 * body);
+  const Vec3<double> p1 = load_vec3(bodies.centres.position_t1 + 3 * body);
+  const double travel = max_abs(p1 - p0);
+  const double reach = (bodies.centres.radius[body] + 0.5 * bodies.separation) * (1.0 + 0x1p-40) + 0x1p-40 * travel;
+  const Vec3<double> r{reach, reach, reach};
+  return {Vec3<double>{std::fmin(p0.x, p1.x), std::fmin(p0.y, p1.y), std::fmin(p0.z, p1.z)} - r,
+          Vec3<double>{std::fmax(p0.x, p1.x), std::fmax(p0.y, p1.y), std::fmax(p0.z, p1.z)} + r};
+}
+
+PGCCD_HD double component(Vec3<double> v, int axis) { return axis == 0 ? v.x : (axis == 1 ? v.y : v.z); }
+
+// Float32 bounds measured from the scene's lower corner, rounded outward (subtraction and conversion).
+PGCCD_HD float float_below(double x) {
+  const float rounded = static_cast<float>(x);
+  return std::nextafter(rounded, -static_cast<float>(INFINITY));
+}
+PGCCD_HD float float_above(double x) {
+  const float rounded = static_cast<float>(x);
+  return std::nextafter(rounded, static_cast<float>(INFINITY));
+}
+
+}  // namespace pgccd

@@ -1,0 +1,35 @@
+// How CPU kernels get their threads. The kernels know no threading library; the binding lends them torch's pool.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <functional>
+
+namespace pgccd {
+
+class Executor {
+ public:
+  virtual ~Executor() = default;
+  virtual int worker_count() const = 0;
+  // Calls work(worker) once for every worker in [0, workers), workers <= worker_count(), perhaps concurrently; returns
+  // when all are done.
+  virtual void run(int workers, const std::function<void(int)>& work) const = 0;
+};
+
+// Calls fn(worker, begin, end) on chunks of [0, count). Workers draw the next chunk when they are free, so items may
+// differ in cost by orders of magnitude. Which worker gets which chunk must not matter to the caller.
+template <class Fn>
+void parallel_chunks(const Executor& executor, int64_t count, int64_t grain, Fn&& fn) {
+  if (count <= 0) return;
+  const int64_t chunks = (count + grain - 1) / grain;
+  const int workers = static_cast<int>(std::min<int64_t>(chunks, executor.worker_count()));
+  std::atomic<int64_t> next{0};
+  executor.run(workers, [&](int worker) {
+    for (int64_t chunk = next.fetch_add(1); chunk < chunks; chunk = next.fetch_add(1)) {
+      fn(worker, chunk * grain, std::min(count, (chunk + 1) * grain));
+    }
+  });
+}
+
+}  // namespace pgccd

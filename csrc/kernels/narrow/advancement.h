@@ -1,0 +1,85 @@
+// Certified advancement: the interval iteration of the narrow phase. At time t the nearest points propose directions;
+// each direction certifies a further stretch of time as free; t moves to its end, and so on, until the primitives are
+// within tolerance, or the step is over. Every advance is proven, so the reported time of impact is never late; nothing
+// else in the loop can affect safety.
+#pragma once
+
+#include <cstdint>
+
+#include "kernels/narrow/certificates.h"
+
+namespace pgccd {
+
+// Values of the `status` tensor.
+enum class Status : int8_t {
+  kFree = 0,
+  kTouch = 1,
+  kUnresolved = 2,  // iteration budget spent: counts as a contact
+  kPruned = 3,      // certainly later than the limit given; never leaves the kernels
+};
+
+template <class T>
+struct SearchSettings {
+  T separation;
+  T tolerance;       // a contact comes at least this close, beyond the separation
+  T latest;          // give up (kPruned) once free beyond this time
+  bool nonzero_toi;  // shrink the tolerance rather than answer toi = 0 for a pair that starts further apart than the
+                     // separation
+};
+
+template <class T>
+struct Outcome {
+  Status status;
+  T toi;  // free before it
+  T u, v;
+};
+
+constexpr int kMaxAdvances = 1024;
+
+template <bool kEdgeEdge, class T, class Path>
+PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings) {
+  constexpr T unit = Precision<T>::unit;
+  const PairError<T> error = path.error();
+  // A sixteenth of what the caller tolerates leaves few near misses; below the noise of the distance itself nothing can
+  // be told.
+  const T noise = T(4) * error.point + T(64) * unit * error.extent;
+  T tolerance = std::fmax(settings.tolerance * T(0.0625), noise);
+
+  T t = T(0);
+  FeaturePair<T> now = path.at(t);
+  Nearest<T> nearest = nearest_points<kEdgeEdge>(now);
+  T distance = norm(nearest.offset);
+  if (settings.nonzero_toi && distance > settings.separation + noise) {
+    tolerance = std::fmin(tolerance, T(0.5) * (distance - settings.separation));
+  }
+  for (int advance = 0; advance < kMaxAdvances; ++advance) {
+    if (!(distance > settings.separation + tolerance)) return {Status::kTouch, t, nearest.u, nearest.v};
+    if (t > settings.latest) return {Status::kPruned, t, T(0), T(0)};
+
+    const T remaining = T(1) - t;
+    const T window = path.window(distance - settings.separation, remaining);
+    T t_end = t + window;
+    if (!(window < remaining) || !(t_end < T(1))) t_end = T(1);
+    const FeaturePair<T> end = path.at(t_end);
+    const T duration = t_end - t;
+    const T keep_apart = settings.separation + path.deviation(duration) * (T(1) + T(16) * unit);
+    T prefix = fixed_direction<kEdgeEdge>(now, end, (T(1) / distance) * nearest.offset, keep_apart, error);
+    if (prefix < T(1)) prefix = std::fmax(prefix, moving_normal(now, end, keep_apart, error));
+
+    if (!(prefix < T(1))) {
+      if (t_end == T(1)) return {Status::kFree, static_cast<T>(INFINITY), T(0), T(0)};
+      t = t_end;
+      now = end;
+    } else {
+      const T next = add_down(t, prefix * duration * (T(1) - T(4) * unit));
+      if (!(next > t)) break;
+      t = next;
+      now = path.at(t);
+    }
+    nearest = nearest_points<kEdgeEdge>(now);
+    distance = norm(nearest.offset);
+  }
+  return {Status::kUnresolved, t, nearest.u, nearest.v};
+}
+
+}  // namespace pgccd

@@ -1,0 +1,127 @@
+// Certificates of freedom: proofs that two primitives stay further apart than a threshold over the first part of a time
+// window. Vertices move on chords from `start` to `end`; the window's own time s runs from 0 to 1. Each function
+// returns s such that [0, s] is certainly free: 0 when nothing is proven, 1 when the whole window is (its end
+// included).
+#pragma once
+
+#include "kernels/narrow/feature_pair.h"
+
+namespace pgccd {
+
+// What rounding may have done to the difference vectors of this pair, over the whole step.
+template <class T>
+struct PairError {
+  T point;   // each point, absolute
+  T extent;  // upper bound of `extent(pair)` at any time
+};
+
+namespace certificate_detail {
+
+template <class T>
+PGCCD_HD T prefix_of_line(T from, T to, T threshold) {
+  if (to > threshold) return T(1);
+  return (from - threshold) / (from - to);
+}
+
+}  // namespace certificate_detail
+
+// A fixed direction: along it, the gap of two straight-moving convex sets is a minimum of linear functions of time, so
+// the moment it falls to the threshold is known in closed form. `direction` has unit length to within 4 roundings.
+template <bool kEdgeEdge, class T>
+PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& end, Vec3<T> direction, T distance,
+                           PairError<T> error) {
+  using certificate_detail::prefix_of_line;
+  constexpr T u = Precision<T>::unit;
+  // Rounding of a projected gap: differences (1), dot products (3 each of three vectors), sums (2), and the threshold's
+  // own.
+  const T threshold = distance * (T(1) + T(16) * u) + (T(2) * error.point + T(32) * u * error.extent);
+  const T r0 = dot(direction, start.r), a0 = dot(direction, start.a), b0 = dot(direction, start.b);
+  const T r1 = dot(direction, end.r), a1 = dot(direction, end.a), b1 = dot(direction, end.b);
+  T gap0[4], gap1[4];
+  constexpr int count = kEdgeEdge ? 4 : 3;
+  gap0[0] = r0;
+  gap1[0] = r1;
+  gap0[1] = r0 + b0;
+  gap1[1] = r1 + b1;
+  if constexpr (kEdgeEdge) {
+    gap0[2] = r0 - a0;
+    gap1[2] = r1 - a1;
+    gap0[3] = (r0 - a0) + b0;
+    gap1[3] = (r1 - a1) + b1;
+  } else {
+    gap0[2] = r0 + a0;
+    gap1[2] = r1 + a1;
+  }
+  T prefix = T(1);
+  for (int k = 0; k < count; ++k) {
+    if (!(gap0[k] > threshold)) return T(0);
+    prefix = std::fmin(prefix, prefix_of_line(gap0[k], gap1[k], threshold));
+  }
+  return prefix;
+}
+
+// The direction that moves with the features, n(s) = a(s) x b(s): the gap along it is the coplanarity cubic r . (a x
+// b), taken in Bernstein form, where the control polygon bounds it. Its first root is bracketed from the left by
+// repeated clipping.
+template <class T>
+PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end, T distance, PairError<T> error) {
+  constexpr T u = Precision<T>::unit;
+  const Vec3<T> n0 = cross(start.a, start.b);
+  const Vec3<T> n1 = cross(start.a, end.b) + cross(end.a, start.b);  // twice the middle control point
+  const Vec3<T> n2 = cross(end.a, end.b);
+  T c0 = dot(start.r, n0);
+  T c1 = (dot(end.r, n0) + dot(start.r, n1)) / T(3);
+  T c2 = (dot(start.r, n2) + dot(end.r, n1)) / T(3);
+  T c3 = dot(end.r, n2);
+  if (c0 < T(0)) {
+    c0 = -c0;
+    c1 = -c1;
+    c2 = -c2;
+    c3 = -c3;
+  }
+  const T longest = std::sqrt(std::fmax(std::fmax(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2)));
+  // |x| <= sqrt(3) max_abs(x); the products of three bound both the rounding of the determinants and of the clipping
+  // below.
+  const T r = T(1.7320509) * std::fmax(max_abs(start.r), max_abs(end.r));
+  const T a = T(1.7320509) * std::fmax(max_abs(start.a), max_abs(end.a));
+  const T b = T(1.7320509) * std::fmax(max_abs(start.b), max_abs(end.b));
+  const T point = T(2) * error.point + T(8) * u * error.extent;
+  const T rounding = T(128) * u * (a * b * r) + T(1.01) * point * (a * b + r * (a + b));
+  const T threshold = distance * longest * (T(1) + T(16) * u) + rounding;
+  if (!(c0 > threshold)) return T(0);
+
+  T prefix = T(0);
+  constexpr int kMaxClips = 8;
+  for (int clip = 0; clip < kMaxClips; ++clip) {
+    // The polynomial on [prefix, 1] has control points c0 .. c3; c0 is above the threshold.
+    if (c1 > threshold && c2 > threshold && c3 > threshold) return T(1);
+    // A window of one and a half Newton steps hugs the curve; no wider than what is left.
+    const T fall = T(3) * (c0 - c1);
+    const T reach = fall > T(0) ? std::fmin(T(1.5) * (c0 - threshold) / fall, T(1)) : T(1);
+    const T d01 = c0 + reach * (c1 - c0), d12 = c1 + reach * (c2 - c1), d23 = c2 + reach * (c3 - c2);
+    const T d012 = d01 + reach * (d12 - d01), d123 = d12 + reach * (d23 - d12);
+    const T w3 = d012 + reach * (d123 - d012);
+    // Lower hull of (0, c0), (1/3, d01), (2/3, d012), (1, w3) seen from its first point.
+    T inner = T(1);
+    if (!(d01 > threshold)) inner = std::fmin(inner, (c0 - threshold) / (T(3) * (c0 - d01)));
+    if (!(d012 > threshold)) inner = std::fmin(inner, T(2) * (c0 - threshold) / (T(3) * (c0 - d012)));
+    if (!(w3 > threshold)) inner = std::fmin(inner, (c0 - threshold) / (c0 - w3));
+    const T step = inner * reach;
+    const T advanced = prefix + step * (T(1) - prefix) * (T(1) - T(4) * u);
+    if (!(advanced > prefix * (T(1) + T(0x1p-20)))) {
+      prefix = std::fmax(advanced, prefix);
+      break;
+    }
+    prefix = advanced;
+    // Restrict to what lies beyond.
+    const T e01 = c0 + step * (c1 - c0), e12 = c1 + step * (c2 - c1), e23 = c2 + step * (c3 - c2);
+    const T e012 = e01 + step * (e12 - e01), e123 = e12 + step * (e23 - e12);
+    c0 = e012 + step * (e123 - e012);
+    c1 = e123;
+    c2 = e23;
+    if (!(c0 > threshold)) break;
+  }
+  return prefix;
+}
+
+}  // namespace pgccd

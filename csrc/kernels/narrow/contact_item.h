@@ -1,0 +1,79 @@
+// Where a contact is and how the bodies face each other there.
+#pragma once
+
+#include <type_traits>
+
+#include "kernels/narrow/candidate_item.h"
+
+namespace pgccd {
+
+struct ContactPlace {
+  Vec3<double> point;   // world, halfway between the nearest points at toi
+  Vec3<double> normal;  // unit, from body i towards body j
+};
+
+namespace contact_detail {
+
+template <bool kEdgeEdge, class Bodies, class Pair>
+PGCCD_HD void positions_at(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double t,
+                           Vec3<double> x[4]) {
+  if constexpr (std::is_same_v<Bodies, RigidBodies>) {
+    if (uses_arcs(bodies)) {
+      pair.template arc_path<kEdgeEdge>(bodies, f).positions(t, x);
+      return;
+    }
+  }
+  Vec3<double> t0[4], t1[4];
+  pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
+  for (int k = 0; k < 4; ++k) x[k] = (1.0 - t) * t0[k] + t * t1[k];
+}
+
+// Origin of the coordinates in which `positions_at` answers.
+PGCCD_HD Vec3<double> frame_origin(const RigidBodies& bodies, const RigidPair& pair, const FeatureVertices& f,
+                                   double t) {
+  const int64_t body = pair.body[f.swapped ? 1 : 0];
+  return (1.0 - t) * load_vec3(bodies.centres.position_t0 + 3 * body) +
+         t * load_vec3(bodies.centres.position_t1 + 3 * body);
+}
+PGCCD_HD Vec3<double> frame_origin(const DeformingBodies&, const DeformingPair&, const FeatureVertices&, double) {
+  return {0.0, 0.0, 0.0};
+}
+
+template <bool kEdgeEdge, class Bodies, class Pair>
+PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double toi, double u,
+                            double v) {
+  Vec3<double> x[4];
+  positions_at<kEdgeEdge>(bodies, pair, f, toi, x);
+  const FeaturePair<double> features = feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
+  const Vec3<double> on_first = kEdgeEdge ? x[0] + u * features.a : x[0];
+  const Vec3<double> on_second = kEdgeEdge ? x[2] + v * features.b : x[1] + (u * features.a + v * features.b);
+  const Vec3<double> middle = frame_origin(bodies, pair, f, toi) + 0.5 * (on_first + on_second);
+
+  // The gap gives the normal unless rounding drowns it; then the features' own normal does, turned to lead from centre
+  // to centre.
+  Vec3<double> normal = nearest_points<kEdgeEdge>(features).offset;
+  if (!(norm(normal) > 0x1p-40 * extent(features))) {
+    normal = cross(features.a, features.b);
+    const RelativeCentre centre = relative_centre(bodies.centres, pair.body[0], pair.body[1]);
+    const double along = dot(normal, (1.0 - toi) * centre.at_t0 + toi * centre.at_t1);
+    if ((along < 0.0) != f.swapped) normal = -normal;
+  }
+  if (f.swapped) normal = -normal;
+  const double length = norm(normal);
+  if (!(length > 0.0)) return {middle, {0.0, 0.0, 0.0}};
+  return {middle, (1.0 / length) * normal};
+}
+
+}  // namespace contact_detail
+
+template <class Bodies, class Pair>
+PGCCD_HD ContactPlace contact_place(const Bodies& bodies, const Pair& pair, const Candidate& candidate, double toi,
+                                    double u, double v) {
+  const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
+  if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
+    return contact_detail::place<true>(bodies, pair, f, toi, u, v);
+  }
+  return contact_detail::place<false>(bodies, pair, f, toi, u, v);
+}
+
+}  // namespace pgccd

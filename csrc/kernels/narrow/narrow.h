@@ -1,0 +1,48 @@
+// Narrow phase: candidates in, contacts out.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "kernels/executor.h"
+#include "kernels/narrow/candidate_item.h"
+
+namespace pgccd {
+
+enum class Report : int32_t {
+  kAny = 0,       // which pairs touch; feature and toi are those of some contact
+  kFirst = 1,     // earliest contact of each pair
+  kAll = 2,       // every touching feature pair
+  kEarliest = 3,  // the one first contact of all
+};
+
+struct NarrowInput {
+  const Candidate* candidates;  // (candidate_count)
+  int64_t candidate_count;
+  const int64_t* pairs;  // (pair_count, 2) body indices
+  int64_t pair_count;
+  NarrowSettings settings;
+  Report report;
+};
+
+// Rows in canonical order: by pair, then kind and features (all), one row a pair (any, first), or one row (earliest).
+struct ContactRows {
+  std::vector<int32_t> pair;  // row in `pairs`
+  std::vector<int8_t> kind;
+  std::vector<int32_t> features;  // (rows, 2)
+  std::vector<int8_t> status;
+  std::vector<double> toi;
+  std::vector<double> coordinates;  // (rows, 2)
+  std::vector<double> point;        // (rows, 3)
+  std::vector<double> normal;       // (rows, 3)
+};
+
+template <class Bodies>
+ContactRows narrow_phase_cpu(const Executor& executor, const Bodies& bodies, const NarrowInput& input);
+
+// Elementary tests on straight paths. points_*: (count, 4, 3). kEdgeEdge false: vertex, face x 3; true: edge, edge.
+template <bool kEdgeEdge>
+void elementary_cpu(const Executor& executor, const double* points_t0, const double* points_t1, int64_t count,
+                    const NarrowSettings& settings, int8_t* status, double* toi, double* coordinates);
+
+}  // namespace pgccd

@@ -1,0 +1,160 @@
+#include <atomic>
+#include <cmath>
+#include <limits>
+#include <tuple>
+
+#include "kernels/narrow/contact_item.h"
+#include "kernels/narrow/elementary_item.h"
+#include "kernels/narrow/narrow.h"
+
+namespace pgccd {
+namespace {
+
+constexpr int64_t kCandidateGrain = 256;
+constexpr double kNever = std::numeric_limits<double>::infinity();
+
+struct FoundContact {
+  int64_t candidate;
+  Outcome<double> outcome;
+};
+
+bool is_contact(Status status) { return status == Status::kTouch || status == Status::kUnresolved; }
+
+void lower_to(double& target, double value) {
+  std::atomic_ref<double> shared(target);
+  double seen = shared.load(std::memory_order_relaxed);
+  while (value < seen && !shared.compare_exchange_weak(seen, value, std::memory_order_relaxed)) {
+  }
+}
+
+double latest_useful(Report report, const double& best) {
+  const double seen = std::atomic_ref<double>(const_cast<double&>(best)).load(std::memory_order_relaxed);
+  if (report == Report::kAny) return seen < kNever ? -kNever : kNever;
+  return seen;
+}
+
+// Every contact that was not certainly later than another of its group (pair, or everything). Which losers are cut off
+// early depends on timing; the winner does not: it is never later than any bound.
+template <class Bodies>
+std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& bodies, const NarrowInput& input) {
+  const bool bounded = input.report != Report::kAll;
+  const int64_t groups = input.report == Report::kEarliest ? 1 : input.pair_count;
+  std::vector<double> best(bounded ? groups : 0, kNever);
+  std::vector<std::vector<FoundContact>> found(executor.worker_count());
+  parallel_chunks(executor, input.candidate_count, kCandidateGrain, [&](int worker, int64_t begin, int64_t end) {
+    int64_t c = begin;
+    while (c < end) {
+      const int32_t row = input.candidates[c].pair;
+      const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * row], input.pairs[2 * row + 1]);
+      for (; c < end && input.candidates[c].pair == row; ++c) {
+        double* group_best = bounded ? &best[groups == 1 ? 0 : row] : nullptr;
+        const double latest = bounded ? latest_useful(input.report, *group_best) : kNever;
+        const Outcome<double> outcome = solve_candidate(bodies, pair, input.candidates[c], input.settings, latest);
+        if (!is_contact(outcome.status)) continue;
+        found[worker].push_back({c, outcome});
+        if (bounded) lower_to(*group_best, outcome.toi);
+      }
+    }
+  });
+  std::vector<FoundContact> all;
+  for (const auto& part : found) all.insert(all.end(), part.begin(), part.end());
+  return all;
+}
+
+// Canonical order, then one row a group where the report asks for that.
+void select(std::vector<FoundContact>& found, const NarrowInput& input) {
+  const auto features = [&](const FoundContact& f) {
+    const Candidate& c = input.candidates[f.candidate];
+    return std::make_tuple(c.kind, c.feature_i, c.feature_j);
+  };
+  const auto pair = [&](const FoundContact& f) { return input.candidates[f.candidate].pair; };
+  if (input.report == Report::kEarliest) {
+    const auto first = std::min_element(found.begin(), found.end(), [&](const FoundContact& a, const FoundContact& b) {
+      return std::make_tuple(a.outcome.toi, pair(a), features(a)) <
+             std::make_tuple(b.outcome.toi, pair(b), features(b));
+    });
+    if (first != found.end()) found = {*first};
+    return;
+  }
+  const bool by_toi = input.report == Report::kFirst;
+  std::sort(found.begin(), found.end(), [&](const FoundContact& a, const FoundContact& b) {
+    const double toi_a = by_toi ? a.outcome.toi : 0.0, toi_b = by_toi ? b.outcome.toi : 0.0;
+    return std::make_tuple(pair(a), toi_a, features(a)) < std::make_tuple(pair(b), toi_b, features(b));
+  });
+  if (input.report == Report::kAll) return;
+  found.erase(std::unique(found.begin(), found.end(),
+                          [&](const FoundContact& a, const FoundContact& b) { return pair(a) == pair(b); }),
+              found.end());
+}
+
+template <class Bodies>
+ContactRows to_rows(const Executor& executor, const Bodies& bodies, const NarrowInput& input,
+                    const std::vector<FoundContact>& found) {
+  const int64_t rows = static_cast<int64_t>(found.size());
+  ContactRows out;
+  out.pair.resize(rows);
+  out.kind.resize(rows);
+  out.features.resize(2 * rows);
+  out.status.resize(rows);
+  out.toi.resize(rows);
+  out.coordinates.resize(2 * rows);
+  out.point.resize(3 * rows);
+  out.normal.resize(3 * rows);
+  parallel_chunks(executor, rows, kCandidateGrain, [&](int, int64_t begin, int64_t end) {
+    for (int64_t row = begin; row < end; ++row) {
+      const Candidate& c = input.candidates[found[row].candidate];
+      const Outcome<double>& outcome = found[row].outcome;
+      const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * c.pair], input.pairs[2 * c.pair + 1]);
+      const ContactPlace at = contact_place(bodies, pair, c, outcome.toi, outcome.u, outcome.v);
+      out.pair[row] = c.pair;
+      out.kind[row] = static_cast<int8_t>(c.kind);
+      out.features[2 * row] = c.feature_i;
+      out.features[2 * row + 1] = c.feature_j;
+      out.status[row] = static_cast<int8_t>(outcome.status);
+      out.toi[row] = outcome.toi;
+      out.coordinates[2 * row] = outcome.u;
+      out.coordinates[2 * row + 1] = outcome.v;
+      const Vec3<double> vectors[2] = {at.point, at.normal};
+      double* targets[2] = {&out.point[3 * row], &out.normal[3 * row]};
+      for (int k = 0; k < 2; ++k) {
+        targets[k][0] = vectors[k].x;
+        targets[k][1] = vectors[k].y;
+        targets[k][2] = vectors[k].z;
+      }
+    }
+  });
+  return out;
+}
+
+}  // namespace
+
+template <class Bodies>
+ContactRows narrow_phase_cpu(const Executor& executor, const Bodies& bodies, const NarrowInput& input) {
+  std::vector<FoundContact> found = find_contacts(executor, bodies, input);
+  select(found, input);
+  return to_rows(executor, bodies, input, found);
+}
+
+template ContactRows narrow_phase_cpu(const Executor&, const RigidBodies&, const NarrowInput&);
+template ContactRows narrow_phase_cpu(const Executor&, const DeformingBodies&, const NarrowInput&);
+
+template <bool kEdgeEdge>
+void elementary_cpu(const Executor& executor, const double* points_t0, const double* points_t1, int64_t count,
+                    const NarrowSettings& settings, int8_t* status, double* toi, double* coordinates) {
+  parallel_chunks(executor, count, kCandidateGrain, [&](int, int64_t begin, int64_t end) {
+    for (int64_t q = begin; q < end; ++q) {
+      const Outcome<double> outcome = solve_elementary<kEdgeEdge>(points_t0 + 12 * q, points_t1 + 12 * q, settings);
+      status[q] = static_cast<int8_t>(outcome.status);
+      toi[q] = outcome.toi;
+      coordinates[2 * q] = outcome.u;
+      coordinates[2 * q + 1] = outcome.v;
+    }
+  });
+}
+
+template void elementary_cpu<false>(const Executor&, const double*, const double*, int64_t, const NarrowSettings&,
+                                    int8_t*, double*, double*);
+template void elementary_cpu<true>(const Executor&, const double*, const double*, int64_t, const NarrowSettings&,
+                                   int8_t*, double*, double*);
+
+}  // namespace pgccd

@@ -1,0 +1,111 @@
+// How the four points of a feature pair move through the step. A path gives the pair at any time, and how far the
+// points may stray from the chord between two times.
+#pragma once
+
+#include "core/bodies.h"
+#include "kernels/narrow/certificates.h"
+
+namespace pgccd {
+
+// Which of the points x0 .. x3 belong to the second-named body: the face's three, or the second edge's two.
+template <bool kEdgeEdge>
+struct PointSplit {
+  static constexpr int first_count = kEdgeEdge ? 2 : 1;
+};
+
+// Straight vertex paths: differences of linear functions are linear, so the differences themselves are blended.
+template <bool kEdgeEdge, class T>
+class LinearPath {
+ public:
+  // `point_error`: by how much a given point may differ from the intended one (0 when the given points are the truth).
+  PGCCD_HD LinearPath(const Vec3<T> t0[4], const Vec3<T> t1[4], T point_error)
+      : t0_(feature_pair<kEdgeEdge>(t0[0], t0[1], t0[2], t0[3])),
+        t1_(feature_pair<kEdgeEdge>(t1[0], t1[1], t1[2], t1[3])) {
+    error_ = {point_error, std::fmax(extent(t0_), extent(t1_))};
+  }
+
+  PGCCD_HD FeaturePair<T> at(T t) const {
+    const T s = T(1) - t;
+    return {s * t0_.r + t * t1_.r, s * t0_.a + t * t1_.a, s * t0_.b + t * t1_.b};
+  }
+  PGCCD_HD T window(T /*gap*/, T remaining) const { return remaining; }
+  PGCCD_HD T deviation(T /*duration*/) const { return T(0); }
+  PGCCD_HD PairError<T> error() const { return error_; }
+
+ private:
+  FeaturePair<T> t0_, t1_;
+  PairError<T> error_;
+};
+
+// A mesh point turning about its body's centre: base + sin(angle t) quarter + versin(angle t) inward (Rodrigues).
+struct ArcPoint {
+  Vec3<double> base;
+  Vec3<double> quarter;  // axis x base; its length is the distance from the axis
+  Vec3<double> inward;   // axis x quarter
+};
+
+PGCCD_HD ArcPoint arc_point(const Spin& spin, Vec3<double> base) {
+  const Vec3<double> quarter = cross(spin.axis, base);
+  return {base, quarter, cross(spin.axis, quarter)};
+}
+
+PGCCD_HD Vec3<double> arc_position(const ArcPoint& p, const SineCosine& at) {
+  return p.base + (at.sine * p.quarter + at.versine * p.inward);
+}
+
+// Rigid arcs, relative to the centre of the first-named body.
+template <bool kEdgeEdge>
+class ArcPath {
+ public:
+  PGCCD_HD ArcPath(const Vec3<double> bases[4], const Spin& first, const Spin& second, const RelativeCentre& centre,
+                   double point_error)
+      : first_angle_(first.angle), second_angle_(second.angle), centre_(centre) {
+    double first_radius = 0.0, second_radius = 0.0;
+    for (int k = 0; k < 4; ++k) {
+      const bool is_first = k < PointSplit<kEdgeEdge>::first_count;
+      points_[k] = arc_point(is_first ? first : second, bases[k]);
+      double& radius = is_first ? first_radius : second_radius;
+      radius = std::fmax(radius, norm(points_[k].quarter));
+    }
+    // |x''| <= angle^2 radius for each body; the factor covers the rounding of this very expression.
+    curvature_ =
+        (1.0 + 0x1p-40) * (first.angle * first.angle * first_radius + second.angle * second.angle * second_radius);
+    double reach = 0.0;
+    for (int k = 0; k < 4; ++k) reach = std::fmax(reach, 3.0 * max_abs(bases[k]));
+    error_ = {point_error, 6.0 * (reach + std::fmax(max_abs(centre.at_t0), max_abs(centre.at_t1)))};
+  }
+
+  PGCCD_HD FeaturePair<double> at(double t) const {
+    Vec3<double> x[4];
+    positions(t, x);
+    return feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
+  }
+  // Relative to the first-named body's centre at t.
+  PGCCD_HD void positions(double t, Vec3<double> x[4]) const {
+    const SineCosine first = sine_cosine(first_angle_ * t);
+    const SineCosine second = sine_cosine(second_angle_ * t);
+    const Vec3<double> shift = (1.0 - t) * centre_.at_t0 + t * centre_.at_t1;
+    for (int k = 0; k < 4; ++k) {
+      const bool is_first = k < PointSplit<kEdgeEdge>::first_count;
+      x[k] = arc_position(points_[k], is_first ? first : second);
+      if (!is_first) x[k] = shift + x[k];
+    }
+  }
+  // A window over which the chords stray by no more than a quarter of the gap.
+  PGCCD_HD double window(double gap, double remaining) const {
+    if (!(curvature_ * remaining * remaining > 2.0 * gap)) return remaining;
+    return std::sqrt(2.0 * gap / curvature_);
+  }
+  // Linear interpolation of a curve strays by at most max |x''| duration^2 / 8, for the two bodies together.
+  PGCCD_HD double deviation(double duration) const { return curvature_ * duration * duration * 0.125; }
+  PGCCD_HD PairError<double> error() const { return error_; }
+
+ private:
+  ArcPoint points_[4];
+  double first_angle_, second_angle_;
+  double curvature_;
+  RelativeCentre centre_;
+  PairError<double> error_;
+};
+
+}  // namespace pgccd

@@ -1,0 +1,22 @@
+// Bounding volume hierarchy of a mesh: a binary tree of spheres over its triangles, built once, in the body frame.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "core/mesh_set.h"
+#include "mesh/topology.h"
+
+namespace pgccd {
+
+struct Hierarchy {
+  std::vector<NodeSphere> spheres;
+  std::vector<NodeLink> links;          // node 0 is the root; siblings are neighbours, parents precede children
+  std::vector<int32_t> triangle_order;  // faces in the order of the leaves
+};
+
+// `vertices`: x, y, z rows. Splits where the surface area heuristic (Goldsmith & Salmon 1987) is least; in the middle
+// once the tree grows deep, so that depth stays within kMaxTreeDepth.
+Hierarchy build_hierarchy(const double* vertices, const std::vector<Face>& faces, int leaf_size);
+
+}  // namespace pgccd

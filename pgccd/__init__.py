@@ -1,0 +1,39 @@
+"""Continuous collision detection for very many moving meshes, as a PyTorch extension."""
+
+from pgccd import broad, narrow, traverse
+from pgccd._host import build_information as _build_information
+from pgccd.bodies import MovingBodies
+from pgccd.contacts import Contacts, Stats
+from pgccd.detect import detect
+from pgccd.mesh import Mesh, MeshSet
+from pgccd.motion import RigidMotion, VertexMotion
+from pgccd.narrow import Kind, Status
+from pgccd.scene import Scene
+
+__version__: str = _build_information()["version"]
+
+FREE, TOUCH, UNRESOLVED = Status.FREE, Status.TOUCH, Status.UNRESOLVED
+VF_AB, VF_BA, EE = Kind.VF_AB, Kind.VF_BA, Kind.EE
+
+__all__ = [
+    "EE",
+    "FREE",
+    "TOUCH",
+    "UNRESOLVED",
+    "VF_AB",
+    "VF_BA",
+    "Contacts",
+    "Kind",
+    "Mesh",
+    "MeshSet",
+    "MovingBodies",
+    "RigidMotion",
+    "Scene",
+    "Stats",
+    "Status",
+    "VertexMotion",
+    "broad",
+    "detect",
+    "narrow",
+    "traverse",
+]

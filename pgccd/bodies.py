@@ -1,0 +1,97 @@
+"""A scene in motion: what the stages work on."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pgccd import ops
+from pgccd.motion import RigidMotion, VertexMotion
+from pgccd.scene import Scene
+
+
+class MovingBodies:
+    """The bodies of `scene` during one step of `motion`, in the form the operators read.
+
+    For deforming bodies this computes each body's bounds (refit of its hierarchy), once for all stages.
+
+    Raises:
+        ValueError: if scene and motion disagree in number or device, or a pose is invalid.
+
+    Example:
+        >>> bodies = pgccd.MovingBodies(scene, motion)
+        >>> pairs = pgccd.broad.sweep(bodies)
+    """
+
+    def __init__(self, scene: Scene, motion: RigidMotion | VertexMotion) -> None:
+        if scene.device != motion.device:
+            raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
+        motion.check()
+        self.scene = scene
+        self.motion = motion
+        #: True if vertices move on straight lines instead of arcs.
+        self.linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
+        #: True for explicit vertex streams.
+        self.deforming = isinstance(motion, VertexMotion)
+        #: The operators' `bodies` argument; rows 1 to 3 are centres at t0 and t1 (N, 3) and radius (N,).
+        self.tensors = _deforming(scene, motion) if isinstance(motion, VertexMotion) else _rigid(scene, motion)
+
+    @property
+    def device(self) -> torch.device:
+        return self.scene.device
+
+    @property
+    def mesh_set(self) -> list[Tensor]:
+        """The operators' `mesh_set` argument."""
+        return self.scene.meshes.tensors
+
+    @property
+    def position_t0(self) -> Tensor:
+        return self.tensors[1]
+
+    @property
+    def position_t1(self) -> Tensor:
+        return self.tensors[2]
+
+    @property
+    def radius(self) -> Tensor:
+        return self.tensors[3]
+
+
+def _rigid(scene: Scene, motion: RigidMotion) -> list[Tensor]:
+    if motion.body_count != scene.body_count:
+        raise ValueError(f"motion: has {motion.body_count} bodies, the scene {scene.body_count}")
+    return [
+        scene.mesh_index,
+        motion.position_t0,
+        motion.position_t1,
+        scene.radius,
+        motion.orientation_t0,
+        motion.rotation,
+    ]
+
+
+def _deforming(scene: Scene, motion: VertexMotion) -> list[Tensor]:
+    offsets = scene.meshes.offsets
+    counts = (offsets[1:] - offsets[:-1])[scene.mesh_index.cpu().long()]
+    totals = counts.sum(0)
+    vertex_count, node_count = int(totals[0]), int(totals[3])
+    if motion.x_t0.shape[0] != vertex_count:
+        raise ValueError(f"motion: x_t0 has {motion.x_t0.shape[0]} vertices, the scene's bodies have {vertex_count}")
+    begin = (counts.cumsum(0) - counts).to(scene.device)
+    vertex_begin, node_begin = begin[:, 0].contiguous(), begin[:, 3].contiguous()
+    position_t0, position_t1, radius, spheres_t0, spheres_t1 = ops.refit(
+        scene.meshes.tensors, scene.mesh_index, motion.x_t0, motion.x_t1, vertex_begin, node_begin, node_count
+    )
+    return [
+        scene.mesh_index,
+        position_t0,
+        position_t1,
+        radius,
+        motion.x_t0,
+        motion.x_t1,
+        spheres_t0,
+        spheres_t1,
+        vertex_begin,
+        node_begin,
+    ]

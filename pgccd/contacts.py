@@ -1,0 +1,47 @@
+"""The result of `detect`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from torch import Tensor
+
+
+@dataclass
+class Stats:
+    """What one call of `detect` did. `seconds` has one entry a stage: bounds, broad, traverse, narrow."""
+
+    bodies: int = 0
+    pcs: int = 0  #: potentially colliding body pairs
+    node_tests: int = 0  #: node pairs tested while traversing
+    candidates: int = 0  #: feature pairs that survived it
+    contacts: int = 0  #: rows reported
+    unresolved: int = 0  #: rows reported because the iteration budget was spent
+    broad_phase: str = ""
+    chunks: int = 0  #: pieces in which the PCS was streamed
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class Contacts:
+    """K contacts, sorted by pair, then kind and features.
+
+    With report="any" only `pairs` is meaningful (which contact proves a pair colliding depends on the order of work), and all other
+    fields are None.
+    """
+
+    pairs: Tensor  #: (K, 2) int64 body indices, i < j
+    toi: Tensor | None  #: (K,) float64 in [0, 1]: no contact of these features happens before it; 0: touching at t0 already
+    kind: Tensor | None  #: (K,) int8, see `Kind`
+    features: Tensor | None  #: (K, 2) int32: vertex or face or edge of i, then of j, as numbered in their meshes
+    coordinates: Tensor | None  #: (K, 2): face point f0 + u (f1 - f0) + v (f2 - f0), or parameters along i's and j's edge
+    point: Tensor | None  #: (K, 3) world: halfway between the nearest points at toi
+    normal: Tensor | None  #: (K, 3) unit vector from i towards j at toi (zero if degenerate features coincide)
+    status: Tensor | None  #: (K,) int8, see `Status`
+    stats: Stats
+
+    def __len__(self) -> int:
+        return self.pairs.shape[0]
+
+    def __repr__(self) -> str:
+        return f"Contacts(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"

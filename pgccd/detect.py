@@ -1,0 +1,103 @@
+"""One step of continuous collision detection, from poses to contacts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor
+
+from pgccd import broad, narrow, traverse
+from pgccd.bodies import MovingBodies
+from pgccd.contacts import Contacts, Stats
+from pgccd.motion import RigidMotion, VertexMotion
+from pgccd.scene import Scene
+
+# What one pair of the PCS may need while it is traversed and solved, on the standard scene with room to spare.
+_BYTES_PER_PAIR = 16 * 1024
+_DEFAULT_BUDGET = 1 << 30
+
+
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.Report = "first",
+    min_separation: float = 0.0,
+    *,
+    tolerance: float | None = None,
+    nonzero_toi: bool = False,
+    broad_phase: broad.BroadPhase = "sweep",
+    memory_budget: int | None = None,
+) -> Contacts:
+    """Finds the collisions that happen during one step.
+
+    Nothing is missed: if two primitives of different bodies touch (distance <= min_separation) at some t in [0, 1] on the paths the
+    motion defines, a contact is reported, and its toi is not later than that t.
+
+    Args:
+        scene: the bodies.
+        motion: where they go.
+        report: "any": which body pairs collide (Alg. 2 of Du, Liu & Suzumura 2017). "first": the earliest contact of each pair (of
+            equal toi the smallest kind and features). "all": every touching feature pair. "earliest": the one first contact of
+            the scene; its toi is the largest collision-free fraction of the step.
+        min_separation: length >= 0.
+        tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
+            SBV radius of each pair.
+        nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
+        broad_phase: how the PCS is found. The result does not depend on it.
+        memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB.
+            The result does not depend on it.
+
+    Returns:
+        Contacts, on the scene's device.
+
+    Raises:
+        ValueError, TypeError: naming the argument.
+
+    Example:
+        >>> hits = pgccd.detect(scene, pgccd.RigidMotion(x0, q0, x1, q1))
+        >>> x0 + hits.toi.min() * (x1 - x0)
+    """
+    if report not in narrow.REPORTS:
+        raise ValueError(f"report: expected one of {list(narrow.REPORTS)}, got {report!r}")
+    broad.check_separation(min_separation)
+    budget = _DEFAULT_BUDGET if memory_budget is None else memory_budget
+    if budget <= 0:
+        raise ValueError(f"memory_budget: expected a number of bytes > 0, got {memory_budget}")
+    stats = Stats(bodies=scene.body_count, broad_phase=broad_phase)
+
+    with _timed(stats, "bounds"):
+        bodies = MovingBodies(scene, motion)
+    with _timed(stats, "broad"):
+        pairs = broad.find_pairs(bodies, min_separation, broad_phase)
+    stats.pcs = pairs.shape[0]
+
+    found = []
+    for chunk in pairs.split(max(1, budget // _BYTES_PER_PAIR)):
+        with _timed(stats, "traverse"):
+            candidates, node_tests = traverse.bvtt(bodies, chunk, min_separation)
+        with _timed(stats, "narrow"):
+            rows = narrow.contacts(bodies, chunk, candidates, report, min_separation, tolerance, nonzero_toi)
+        stats.chunks += 1
+        stats.node_tests += int(node_tests)
+        stats.candidates += candidates.shape[0]
+        found.append((chunk[rows[0].long()], *rows[1:]))
+    pair, kind, features, status, toi, coordinates, point, normal = (torch.cat(column) for column in zip(*found, strict=True))
+    if report == "earliest" and len(toi) > 1:
+        first = int(torch.argmin(toi))  # of equal ones the first: chunks come in canonical order
+        columns = (pair, kind, features, status, toi, coordinates, point, normal)
+        pair, kind, features, status, toi, coordinates, point, normal = (column[first : first + 1] for column in columns)
+    stats.contacts = pair.shape[0]
+    stats.unresolved = int((status == narrow.Status.UNRESOLVED).sum())
+    if report == "any":
+        return Contacts(pair, None, None, None, None, None, None, None, stats)
+    return Contacts(pair, toi, kind, features, coordinates, point, normal, status, stats)
+
+
+@contextmanager
+def _timed(stats: Stats, stage: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    stats.seconds[stage] = stats.seconds.get(stage, 0.0) + time.perf_counter() - start

@@ -1,0 +1,186 @@
+"""Meshes: triangles in a body frame, prepared once and shared by any number of bodies."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from pgccd import _host
+
+# Triangles a leaf of the hierarchy holds at most; measured in bench/ (small leaves cull more, large ones cost less memory).
+LEAF_SIZE = 2
+
+# Beyond these the float32 hierarchy would overflow or vanish.
+_SMALLEST_RADIUS, _LARGEST_RADIUS = 1e-30, 1e30
+
+
+class Mesh:
+    """A triangle mesh with its sphere bounding volume (SBV) and hierarchy.
+
+    The body frame has its origin at the SBV centre, the mean of the corner coordinates over all triangles (Du, Liu &
+    Suzumura 2017, Eq. 1); `centre` says where that is in the coordinates given, so that a body placed with its
+    position at `centre` and no rotation lies exactly where the input did.
+
+    Args:
+        vertices: (V, 3) array or tensor of finite numbers, in scene length units.
+        faces: (F, 3) integers, each face three different rows of `vertices`. Open, non-manifold and multi-component
+            meshes are fine, and so are faces without area.
+
+    Raises:
+        ValueError: naming the first offending vertex or face, or when the mesh has no faces or no extent.
+
+    Example:
+        >>> tetrahedron = pgccd.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+        >>> tetrahedron.edges.shape
+        torch.Size([6, 2])
+    """
+
+    def __init__(self, vertices: npt.ArrayLike | Tensor, faces: npt.ArrayLike | Tensor) -> None:
+        points = _as_array(vertices, np.float64, "vertices")
+        triangles = _as_array(faces, np.int64, "faces")
+        _check_faces(points, triangles)
+
+        corners = points[triangles]
+        # From the first corner, so that a mesh far from the origin keeps its digits.
+        centre = corners[0, 0] + (corners - corners[0, 0]).reshape(-1, 3).mean(axis=0)
+        local = points - centre
+        radius = float(np.sqrt((local[triangles.ravel()] ** 2).sum(axis=1).max()))
+        if not _SMALLEST_RADIUS <= radius <= _LARGEST_RADIUS:
+            raise ValueError(
+                f"vertices: the mesh has SBV radius {radius:g}; it must lie in [{_SMALLEST_RADIUS:g}, {_LARGEST_RADIUS:g}]"
+            )
+        prepared = _host.prepare_mesh(local, triangles.astype(np.int32), LEAF_SIZE)
+        #: (3,) float64: the body frame's origin in the coordinates given.
+        self.centre = torch.from_numpy(centre)
+        #: SBV radius: the largest distance of a used vertex from the centre (Eq. 2), rounded up.
+        self.radius = radius * (1.0 + 2.0**-50)
+        #: (V, 3) float64, body frame.
+        self.vertices = torch.from_numpy(local)
+        #: (F, 3) int32.
+        self.faces = torch.from_numpy(triangles.astype(np.int32))
+        #: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Contacts name edges by these rows.
+        self.edges = torch.from_numpy(prepared["edges"])
+        self._triangles = torch.from_numpy(prepared["triangles"])
+        self._node_spheres = torch.from_numpy(prepared["node_spheres"])
+        self._node_links = torch.from_numpy(prepared["node_links"])
+
+    @classmethod
+    def from_trimesh(cls, mesh: Any) -> Mesh:
+        """From a `trimesh.Trimesh`, or a `trimesh.Scene` (its geometry is joined).
+
+        Raises:
+            ValueError: if it holds no triangles, or as the constructor.
+
+        Example:
+            >>> robot = pgccd.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=3))
+        """
+        if hasattr(mesh, "to_mesh"):  # a scene
+            mesh = mesh.to_mesh()
+        faces = getattr(mesh, "faces", None)
+        if faces is None or len(faces) == 0:
+            raise ValueError(f"mesh: {type(mesh).__name__} holds no triangles")
+        return cls(np.asarray(mesh.vertices), np.asarray(faces))
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Mesh:
+        """From any mesh file that trimesh loads (ply, stl, obj, off, glb, ...). Faces that repeat a vertex are dropped.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: the file cannot be read as a mesh, or holds no triangles.
+            ImportError: trimesh is not installed.
+
+        Example:
+            >>> rock = pgccd.Mesh.load("rock.ply")
+        """
+        try:
+            import trimesh
+        except ImportError as error:
+            raise ImportError("Mesh.load reads files through trimesh: pip install trimesh") from error
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"path: no mesh file at {path}")
+        try:
+            loaded = trimesh.load(path, process=False)
+            mesh = loaded.to_mesh() if hasattr(loaded, "to_mesh") else loaded
+            faces = np.asarray(getattr(mesh, "faces", np.empty((0, 3))))
+            vertices = np.asarray(mesh.vertices, dtype=np.float64)
+        except Exception as error:
+            raise ValueError(f"path: {path} cannot be read as a mesh: {error}") from error
+        if len(faces) == 0:
+            raise ValueError(f"path: {path} holds no triangles")
+        if Path(path).suffix.lower() == ".stl":  # lists every triangle's corners anew; connectivity is by equal coordinates
+            vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
+            faces = inverse.reshape(-1)[faces]
+        repeats = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+        if repeats.all():
+            raise ValueError(f"path: {path} holds no triangles with three different corners")
+        try:
+            return cls(vertices, faces[~repeats])
+        except ValueError as error:
+            raise ValueError(f"path: {path}: {error}") from error
+
+    def __repr__(self) -> str:
+        return f"Mesh(vertices={len(self.vertices)}, faces={len(self.faces)}, edges={len(self.edges)}, radius={self.radius:g})"
+
+
+class MeshSet:
+    """Meshes concatenated for the kernels, on one device. `tensors` is the operators' `mesh_set` argument.
+
+    Args:
+        meshes: one or more `Mesh`.
+        device: where the tensors live.
+    """
+
+    def __init__(self, meshes: list[Mesh], device: torch.device | str = "cpu") -> None:
+        if not meshes:
+            raise ValueError("meshes: expected at least one Mesh")
+        for index, mesh in enumerate(meshes):
+            if not isinstance(mesh, Mesh):
+                raise TypeError(f"meshes[{index}]: expected a pgccd.Mesh, got {type(mesh).__name__}")
+        self.meshes = list(meshes)
+        self.device = torch.device(device)
+        counts = torch.tensor(
+            [[len(m.vertices), len(m.faces), len(m.edges), len(m._node_links)] for m in meshes], dtype=torch.int64
+        )
+        #: (meshes + 1, 4) int64: first rows of each mesh's vertices, faces, edges and nodes; the last row closes.
+        self.offsets = torch.cat([torch.zeros((1, 4), dtype=torch.int64), counts.cumsum(0)])
+        #: (meshes,) float64.
+        self.radius = torch.tensor([m.radius for m in meshes], dtype=torch.float64, device=device)
+        columns = ("vertices", "faces", "edges", "_triangles", "_node_spheres", "_node_links")
+        joined = [torch.cat([getattr(m, column) for m in meshes]) for column in columns]
+        self.tensors = [tensor.contiguous().to(device) for tensor in (*joined, self.offsets)]
+
+    def __len__(self) -> int:
+        return len(self.meshes)
+
+
+def _as_array(values: npt.ArrayLike | Tensor, dtype: type, name: str) -> np.ndarray:
+    raw = values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
+    if raw.ndim != 2 or raw.shape[1] != 3:
+        raise ValueError(f"{name}: expected shape (n, 3), got {raw.shape}")
+    if dtype is np.int64 and raw.size and not np.issubdtype(raw.dtype, np.integer):
+        raise ValueError(f"{name}: expected integers, got {raw.dtype}")
+    return np.ascontiguousarray(raw, dtype=dtype)
+
+
+def _check_faces(points: np.ndarray, faces: np.ndarray) -> None:
+    if len(faces) == 0:
+        raise ValueError("faces: the mesh holds no triangles")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        first = int(np.argmin(finite))
+        raise ValueError(f"vertices: vertex {first} is not finite: {points[first].tolist()}")
+    out_of_range = ((faces < 0) | (faces >= len(points))).any(axis=1)
+    if out_of_range.any():
+        first = int(np.argmax(out_of_range))
+        raise ValueError(f"faces: face {first} is {faces[first].tolist()}, but there are {len(points)} vertices")
+    repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    if repeats.any():
+        first = int(np.argmax(repeats))
+        raise ValueError(f"faces: face {first} repeats a vertex: {faces[first].tolist()}")

@@ -1,0 +1,136 @@
+"""Narrow phase: from candidate feature pairs to contacts; and the elementary tests on points, for those with own candidates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from pgccd import ops
+from pgccd.bodies import MovingBodies
+from pgccd.broad import check_separation
+from pgccd.traverse import check_pairs
+
+Report = Literal["any", "first", "all", "earliest"]
+REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 3}
+
+#: The default tolerance, relative to the smaller SBV radius of a pair.
+RELATIVE_TOLERANCE = 1e-6
+
+
+class Kind(IntEnum):
+    """Values of `kind`: which features of a pair (i, j) touch."""
+
+    VF_AB = 0  #: vertex of i, face of j
+    VF_BA = 1  #: vertex of j, face of i; `features` still lists i's first
+    EE = 2  #: edge of i, edge of j
+
+
+class Status(IntEnum):
+    """Values of `status`: how a test ended."""
+
+    FREE = 0  #: certainly no contact
+    TOUCH = 1  #: the primitives come within min_separation + tolerance
+    UNRESOLVED = 2  #: iteration budget spent; counts as a contact
+
+
+@dataclass(frozen=True)
+class ElementaryResult:
+    """Outcomes of elementary tests: `status` (n,) int8, `toi` (n,) float64 (inf when free), `coordinates` (n, 2).
+
+    Coordinates: of the face point f0 + u (f1 - f0) + v (f2 - f0), or along the edges ea0 + u (ea1 - ea0), eb0 + v (eb1 - eb0).
+    """
+
+    status: Tensor
+    toi: Tensor
+    coordinates: Tensor
+
+
+def vertex_face(
+    points_t0: Tensor, points_t1: Tensor, min_separation: float = 0.0, tolerance: float = 1e-6, nonzero_toi: bool = False
+) -> ElementaryResult:
+    """Vertex against face, all four points on straight lines over the step. The points given are the truth.
+
+    Args:
+        points_t0, points_t1: (n, 4, 3) positions of v, f0, f1, f2 at both ends, any one length unit.
+        min_separation: touching means a distance of at most this.
+        tolerance: a contact comes within min_separation + tolerance (length).
+        nonzero_toi: never answer toi = 0 unless the pair starts within the separation (to rounding).
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+
+    Example:
+        >>> hit = pgccd.narrow.vertex_face(x0, x1)
+        >>> colliding = hit.status != pgccd.FREE
+    """
+    return ElementaryResult(*ops.vertex_face(*_queries(points_t0, points_t1), *_settings(min_separation, tolerance), nonzero_toi))
+
+
+def edge_edge(
+    points_t0: Tensor, points_t1: Tensor, min_separation: float = 0.0, tolerance: float = 1e-6, nonzero_toi: bool = False
+) -> ElementaryResult:
+    """Edge against edge; points ea0, ea1, eb0, eb1. See `vertex_face`.
+
+    Example:
+        >>> hit = pgccd.narrow.edge_edge(x0, x1, min_separation=1e-3)
+    """
+    return ElementaryResult(*ops.edge_edge(*_queries(points_t0, points_t1), *_settings(min_separation, tolerance), nonzero_toi))
+
+
+def contacts(
+    bodies: MovingBodies,
+    pairs: Tensor,
+    candidates: Tensor,
+    report: Report = "first",
+    min_separation: float = 0.0,
+    tolerance: float | None = None,
+    nonzero_toi: bool = False,
+) -> ops.ContactRows:
+    """Solves candidates and keeps what `report` asks for; see `pgccd.detect` for the options.
+
+    Args:
+        bodies, pairs: as for `pgccd.traverse.bvtt`.
+        candidates: (C, 4) int32, as from there.
+
+    Returns:
+        Rows in canonical order: row of `pairs` (K,), kind (K,), features (K, 2), status (K,), toi (K,), coordinates (K, 2), point (K, 3),
+        normal (K, 3).
+
+    Example:
+        >>> rows = pgccd.narrow.contacts(bodies, pairs, candidates, report="all")
+    """
+    if report not in REPORTS:
+        raise ValueError(f"report: expected one of {list(REPORTS)}, got {report!r}")
+    pairs = check_pairs(pairs, bodies)
+    if candidates.dtype != torch.int32 or candidates.dim() != 2 or candidates.shape[1] != 4:
+        raise ValueError(f"candidates: expected (C, 4) int32, got {tuple(candidates.shape)} {candidates.dtype}")
+    # The operators take a negative tolerance as relative to the smaller radius.
+    settings = _settings(min_separation, 0.0 if tolerance is None else tolerance)
+    absolute = -RELATIVE_TOLERANCE if tolerance is None else settings[1]
+    rest = (pairs, candidates.contiguous(), settings[0], absolute, nonzero_toi, REPORTS[report])
+    if bodies.deforming:
+        return ops.narrow_deforming(bodies.mesh_set, bodies.tensors, *rest)
+    return ops.narrow_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
+
+
+def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:
+    for name, points in (("points_t0", points_t0), ("points_t1", points_t1)):
+        if not isinstance(points, Tensor) or points.dtype != torch.float64:
+            raise TypeError(f"{name}: expected a float64 tensor, got {getattr(points, 'dtype', type(points).__name__)}")
+        if points.dim() != 3 or points.shape[1:] != (4, 3):
+            raise ValueError(f"{name}: expected shape (n, 4, 3), got {tuple(points.shape)}")
+    if points_t0.shape != points_t1.shape:
+        raise ValueError(f"points_t1: expected shape {tuple(points_t0.shape)}, got {tuple(points_t1.shape)}")
+    if points_t0.device != points_t1.device:
+        raise ValueError(f"points_t1: expected device {points_t0.device}, got {points_t1.device}")
+    return points_t0.contiguous(), points_t1.contiguous()
+
+
+def _settings(min_separation: float, tolerance: float) -> tuple[float, float]:
+    if not 0.0 <= tolerance < float("inf"):
+        raise ValueError(f"tolerance: expected a finite length >= 0, got {tolerance}")
+    return check_separation(min_separation), float(tolerance)

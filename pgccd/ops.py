@@ -1,0 +1,199 @@
+"""One-to-one wrappers of the operators `torch.ops.pgccd.*`, and their fake kernels for `torch.compile` and `torch.export`.
+
+Thin on purpose: shapes and dtypes are checked by the operators, meaning and units are documented by the stage modules that call these.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from pgccd import _C  # noqa: F401  (importing it registers the operators)
+
+_ops = torch.ops.pgccd
+
+ContactRows = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
+
+
+def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
+    """Rotation vectors (N, 3) of the turns between two orientations (N, 4)."""
+    return _ops.rotations_between(orientation_t0.contiguous(), orientation_t1.contiguous())
+
+
+def refit(
+    mesh_set: Sequence[Tensor],
+    mesh_index: Tensor,
+    vertices_t0: Tensor,
+    vertices_t1: Tensor,
+    vertex_begin: Tensor,
+    node_begin: Tensor,
+    node_count: int,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Centres at t0 and t1 (N, 3), radius (N,), and node spheres (Y, 4) at t0 and t1 of deforming bodies."""
+    return _ops.refit(list(mesh_set), mesh_index, vertices_t0, vertices_t1, vertex_begin, node_begin, node_count)
+
+
+def sweep(
+    position_t0: Tensor,
+    position_t1: Tensor,
+    radius: Tensor,
+    group: Tensor | None,
+    mask: Tensor | None,
+    world: Tensor | None,
+    is_static: Tensor | None,
+    min_separation: float,
+    axis: int,
+) -> Tensor:
+    """Sorted pairs (P, 2) int64 of swept spheres that meet."""
+    return _ops.sweep(position_t0, position_t1, radius, group, mask, world, is_static, min_separation, axis)
+
+
+def traverse_rigid(
+    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool, pairs: Tensor, min_separation: float
+) -> tuple[Tensor, Tensor]:
+    """Candidates (C, 4) int32 of rigid body pairs, and the number of node tests (1,)."""
+    return _ops.traverse_rigid(list(mesh_set), list(bodies), linear_path, pairs, min_separation)
+
+
+def traverse_deforming(
+    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], pairs: Tensor, min_separation: float
+) -> tuple[Tensor, Tensor]:
+    """Candidates (C, 4) int32 of deforming body pairs, and the number of node tests (1,)."""
+    return _ops.traverse_deforming(list(mesh_set), list(bodies), pairs, min_separation)
+
+
+def narrow_rigid(
+    mesh_set: Sequence[Tensor],
+    bodies: Sequence[Tensor],
+    linear_path: bool,
+    pairs: Tensor,
+    candidates: Tensor,
+    min_separation: float,
+    tolerance: float,
+    nonzero_toi: bool,
+    report: int,
+) -> ContactRows:
+    """Contact rows of the candidates of rigid body pairs."""
+    return _ops.narrow_rigid(
+        list(mesh_set), list(bodies), linear_path, pairs, candidates, min_separation, tolerance, nonzero_toi, report
+    )
+
+
+def narrow_deforming(
+    mesh_set: Sequence[Tensor],
+    bodies: Sequence[Tensor],
+    pairs: Tensor,
+    candidates: Tensor,
+    min_separation: float,
+    tolerance: float,
+    nonzero_toi: bool,
+    report: int,
+) -> ContactRows:
+    """Contact rows of the candidates of deforming body pairs."""
+    return _ops.narrow_deforming(
+        list(mesh_set), list(bodies), pairs, candidates, min_separation, tolerance, nonzero_toi, report
+    )
+
+
+def vertex_face(
+    points_t0: Tensor, points_t1: Tensor, min_separation: float, tolerance: float, nonzero_toi: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Status (n,), toi (n,) and coordinates (n, 2) of vertex-face queries (n, 4, 3)."""
+    return _ops.vertex_face(points_t0, points_t1, min_separation, tolerance, nonzero_toi)
+
+
+def edge_edge(
+    points_t0: Tensor, points_t1: Tensor, min_separation: float, tolerance: float, nonzero_toi: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Status (n,), toi (n,) and coordinates (n, 2) of edge-edge queries (n, 4, 3)."""
+    return _ops.edge_edge(points_t0, points_t1, min_separation, tolerance, nonzero_toi)
+
+
+def _unknown_count() -> torch.SymInt:
+    return torch.library.get_ctx().new_dynamic_size(min=0)
+
+
+@torch.library.register_fake("pgccd::rotations_between")
+def _(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
+    return orientation_t0.new_empty((orientation_t0.shape[0], 3))
+
+
+@torch.library.register_fake("pgccd::refit")
+def _(
+    mesh_set: list[Tensor],
+    mesh_index: Tensor,
+    vertices_t0: Tensor,
+    vertices_t1: Tensor,
+    vertex_begin: Tensor,
+    node_begin: Tensor,
+    node_count: int,
+) -> tuple[Tensor, ...]:
+    bodies = mesh_index.shape[0]
+    centres = [vertices_t0.new_empty((bodies, 3)) for _ in range(2)]
+    spheres = [vertices_t0.new_empty((node_count, 4), dtype=torch.float32) for _ in range(2)]
+    return (*centres, vertices_t0.new_empty((bodies,)), *spheres)
+
+
+@torch.library.register_fake("pgccd::sweep")
+def _(position_t0: Tensor, *_rest: object) -> Tensor:
+    return position_t0.new_empty((_unknown_count(), 2), dtype=torch.int64)
+
+
+def _fake_candidates(pairs: Tensor) -> tuple[Tensor, Tensor]:
+    return pairs.new_empty((_unknown_count(), 4), dtype=torch.int32), pairs.new_empty((1,))
+
+
+@torch.library.register_fake("pgccd::traverse_rigid")
+def _(
+    mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, min_separation: float
+) -> tuple[Tensor, Tensor]:
+    return _fake_candidates(pairs)
+
+
+@torch.library.register_fake("pgccd::traverse_deforming")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, min_separation: float) -> tuple[Tensor, Tensor]:
+    return _fake_candidates(pairs)
+
+
+def _fake_contact_rows(pairs: Tensor) -> ContactRows:
+    count = _unknown_count()
+
+    def column(dtype: torch.dtype, *width: int) -> Tensor:
+        return pairs.new_empty((count, *width), dtype=dtype)
+
+    return (
+        column(torch.int32),
+        column(torch.int8),
+        column(torch.int32, 2),
+        column(torch.int8),
+        column(torch.float64),
+        column(torch.float64, 2),
+        column(torch.float64, 3),
+        column(torch.float64, 3),
+    )
+
+
+@torch.library.register_fake("pgccd::narrow_rigid")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, *_rest: object) -> ContactRows:
+    return _fake_contact_rows(pairs)
+
+
+@torch.library.register_fake("pgccd::narrow_deforming")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *_rest: object) -> ContactRows:
+    return _fake_contact_rows(pairs)
+
+
+def _fake_elementary(points_t0: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    count = points_t0.shape[0]
+    status = points_t0.new_empty((count,), dtype=torch.int8)
+    return status, points_t0.new_empty((count,)), points_t0.new_empty((count, 2))
+
+
+@torch.library.register_fake("pgccd::vertex_face")
+def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor]:
+    return _fake_elementary(points_t0)
+
+
+@torch.library.register_fake("pgccd::edge_edge")
+def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor]:
+    return _fake_elementary(points_t0)

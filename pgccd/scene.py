@@ -1,0 +1,110 @@
+"""Scenes: which bodies there are, and which of them may collide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from pgccd.mesh import Mesh, MeshSet
+
+
+class Scene:
+    """N bodies, each an instance of one of a few meshes. Positions are not part of it: see `pgccd.motion`.
+
+    Filters are implicit, never stored as pair lists. A pair of bodies is tested if both are in the same `world`, at least
+    one is not `static`, and each one's `group` has a bit in common with the other's `mask`.
+
+    Args:
+        meshes: the meshes, or a `MeshSet` already on `device`.
+        mesh_index: (N,) integers: which mesh each body is. Default: one body a mesh.
+        device: where everything lives; default the MeshSet's, else mesh_index's if it is a tensor, else the CPU.
+        group, mask: (N,) int64 bit sets; default all bits.
+        world: (N,) integers; default all in one.
+        static: (N,) bool; default none.
+
+    Raises:
+        ValueError, TypeError: naming the argument.
+
+    Example:
+        >>> scene = pgccd.Scene([robot, rock], mesh_index=[0, 0, 1])
+        >>> scene.body_count
+        3
+    """
+
+    def __init__(
+        self,
+        meshes: Sequence[Mesh] | MeshSet,
+        mesh_index: Tensor | Sequence[int] | None = None,
+        device: torch.device | str | None = None,
+        *,
+        group: Tensor | Sequence[int] | None = None,
+        mask: Tensor | Sequence[int] | None = None,
+        world: Tensor | Sequence[int] | None = None,
+        static: Tensor | Sequence[bool] | None = None,
+    ) -> None:
+        if device is None:
+            if isinstance(meshes, MeshSet):
+                device = meshes.device
+            else:
+                device = mesh_index.device if isinstance(mesh_index, Tensor) else "cpu"
+        if not isinstance(meshes, MeshSet):
+            meshes = MeshSet(list(meshes), device)
+        #: The meshes, concatenated.
+        self.meshes = meshes
+        self.device = meshes.device
+        if torch.device(device).type != self.device.type:
+            raise ValueError(f"device: the MeshSet is on {self.device}, not {device}")
+        if mesh_index is None:
+            mesh_index = list(range(len(meshes)))
+        #: (N,) int32.
+        self.mesh_index = _integer_column(mesh_index, "mesh_index", None, self.device).to(torch.int32)
+        #: Number of bodies N.
+        self.body_count = len(self.mesh_index)
+        if self.body_count:
+            low, high = (int(x) for x in torch.aminmax(self.mesh_index))
+            if low < 0 or high >= len(meshes):
+                raise ValueError(f"mesh_index: values in [{low}, {high}], but there are {len(meshes)} meshes")
+        count = self.body_count
+        self.group = None if group is None else _integer_column(group, "group", count, self.device)
+        self.mask = None if mask is None else _integer_column(mask, "mask", count, self.device)
+        self.world = None if world is None else _world_column(world, count, self.device)
+        self.static = None if static is None else _static_column(static, count, self.device)
+
+    @property
+    def radius(self) -> Tensor:
+        """SBV radius of each body's mesh, (N,) float64."""
+        return self.meshes.radius[self.mesh_index.long()]
+
+    def __repr__(self) -> str:
+        return f"Scene(bodies={self.body_count}, meshes={len(self.meshes)}, device={self.device})"
+
+
+def _integer_column(values: Tensor | Sequence[int], name: str, count: int | None, device: torch.device) -> Tensor:
+    column = torch.as_tensor(values)
+    if column.numel() == 0:
+        column = column.to(torch.int64)
+    if column.dtype.is_floating_point or column.dtype.is_complex or column.dtype == torch.bool:
+        raise TypeError(f"{name}: expected integers, got {column.dtype}")
+    if column.dim() != 1:
+        raise ValueError(f"{name}: expected shape (N,), got {tuple(column.shape)}")
+    if count is not None and len(column) != count:
+        raise ValueError(f"{name}: expected {count} values, one a body, got {len(column)}")
+    return column.to(device=device, dtype=torch.int64).contiguous()
+
+
+def _world_column(values: Tensor | Sequence[int], count: int, device: torch.device) -> Tensor:
+    column = _integer_column(values, "world", count, device)
+    if count and (int(column.min()) < 0 or int(column.max()) >= 2**31):
+        raise ValueError("world: ids must lie in [0, 2^31)")
+    return column.to(torch.int32)
+
+
+def _static_column(values: Tensor | Sequence[bool], count: int, device: torch.device) -> Tensor:
+    column = torch.as_tensor(values)
+    if column.numel() and column.dtype != torch.bool:
+        raise TypeError(f"static: expected bool, got {column.dtype}")
+    if column.shape != (count,):
+        raise ValueError(f"static: expected shape ({count},), got {tuple(column.shape)}")
+    return column.to(device=device, dtype=torch.uint8).contiguous()

@@ -1,0 +1,198 @@
+"""Rigorous branch and bound over time: when do two primitives on smooth paths come within a separation, and how close.
+
+Of each of the four points the path is known by enclosures of x(m), x'(m), x''(m) and by a bound J >= |x'''| on [0, 1].
+By Taylor's theorem x(m + s) = x + s x' + s^2 x'' / 2 + r with |r| <= J |s|^3 / 6. Along a fixed direction n the distance
+of two convex sets is at least the least gap between a point of each, over |n|; so over |s| <= h it is at least
+min(g - h |g'| + h^2 min(g'', 0) / 2) / |n| less the remainders, where g are the projected differences. The direction is a
+guess in floats: any gives a valid bound. What remains undecided is halved. All bounds are rounded outward (`interval`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from .distance import closest_coordinates, gap_vector
+from .filters import FIRST, SECOND
+from .interval import Interval, cross, dot, norm, up
+
+Taylor = tuple[Interval, Interval, Interval]
+NO, YES, CLOSE = 0, 1, 2
+NAMES = ("no", "yes", "too close to call")
+MOST_INTERVALS = 256  # kept per query, the earliest ones; a query that needs more can no longer be answered "no"
+
+
+class Paths(Protocol):
+    """n queries, each with four moving points in one frame (any, as long as all four share it)."""
+
+    jerk: np.ndarray  # (n, 4): J
+    is_face: bool
+
+    def derivatives(self, query: np.ndarray, t: np.ndarray) -> tuple[Interval, Interval, Interval]:
+        """Enclosures (k, 4, 3) of x, x', x'' of queries (k,) at exactly the times (k,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """Per query (n,): status NO, YES or CLOSE, and a bracket of the first time within the separation.
+
+    Before `toi_lower` the primitives certainly stay apart; by `toi_upper` they certainly have come within the
+    separation (inf unless YES). For NO both are inf.
+    """
+
+    status: np.ndarray
+    toi_lower: np.ndarray
+    toi_upper: np.ndarray
+
+    def name(self, query: int) -> str:
+        """'yes', 'no' or 'too close to call'."""
+        return NAMES[int(self.status[query])]
+
+
+def _guessed_directions(points: np.ndarray, is_face: bool) -> list[np.ndarray]:
+    p, q, r, s = (points[:, k] for k in range(4))
+    with np.errstate(all="ignore"):
+        between = gap_vector(points, closest_coordinates(points, is_face), is_face)
+        normal = np.cross(r - q, s - q) if is_face else np.cross(q - p, s - r)
+        normal = np.where((normal * between).sum(axis=1, keepdims=True) < 0, -normal, normal)
+        scaled = [d / np.abs(d).max(axis=1, keepdims=True) for d in (between, normal)]
+    return [np.where(np.isfinite(d), d, 0.0) for d in scaled]
+
+
+def lower_bound(taylor: Taylor, jerk: np.ndarray, half: np.ndarray, is_face: bool) -> np.ndarray:
+    """(k,): proven lower bound of the distance over [m - half, m + half]; below zero where nothing is proven."""
+    x, v, c = taylor
+    best = np.full(len(half), -1.0)
+    h = Interval(half)
+    first, second = FIRST[is_face], SECOND[is_face]
+    rest = (Interval(jerk[:, first].max(axis=1)) + jerk[:, second].max(axis=1)) * h * h.square() * up(np.array(1 / 6))
+    for n in _guessed_directions(x.middle(), is_face):
+        # (k, first, second) differences of projections
+        g, g1, g2 = (
+            p[:, second][:, None, :] - p[:, first][:, :, None] for p in (dot(y, n[:, None]) for y in (x, v, c))
+        )
+        steps = h[:, None, None]
+        change = steps * g1.magnitude() - steps.square() * Interval(np.minimum(g2.lo, 0.0)) * 0.5
+        gap = (g - change).lo.min(axis=(1, 2))
+        proven = (Interval(gap) / norm(Interval(n)) - rest).lo
+        # A negative gap over |n| is only ever used as "nothing proven".
+        best = np.where((gap > 0) & np.isfinite(proven), np.maximum(best, proven), best)
+    return best
+
+
+def upper_bound(x: Interval, is_face: bool) -> np.ndarray:
+    """(k,): proven upper bound of the distance at the time of x: that of two points of the primitives."""
+    coordinates = closest_coordinates(0.5 * (x.lo + x.hi), is_face)
+    return norm(gap_vector(x, Interval(coordinates), is_face)).hi
+
+
+def _volume(x: Interval, is_face: bool) -> Interval:
+    p, q, r, s = (x[:, k] for k in range(4))
+    return dot(p - q, cross(r - q, s - q)) if is_face else dot(r - p, cross(q - p, s - r))
+
+
+def _crosses(paths: Paths, query: np.ndarray, a: np.ndarray, b: np.ndarray, taylor: Taylor) -> np.ndarray:
+    """(k,) bool: certain that the primitives touch at some time in [a, b].
+
+    The volume of the four points has certain and opposite signs at a and b, so it vanishes between (it is continuous); and
+    all over [a, b] the inside conditions hold strictly, so that wherever it vanishes the primitives touch.
+    """
+    ends = [_volume(paths.derivatives(query, t)[0], paths.is_face) for t in (a, b)]
+    opposite = ((ends[0].hi < 0) & (ends[1].lo > 0)) | ((ends[0].lo > 0) & (ends[1].hi < 0))
+    x, v, c = taylor
+    h = Interval(_midpoints(a, b)[1])[:, None, None]
+    rest = (Interval(paths.jerk[query])[:, :, None] * h * h.square() * up(np.array(1 / 6))).hi
+    box = (
+        x + v * Interval(-h.hi, h.hi) + c * Interval(np.zeros_like(h.hi), (h.square() * 0.5).hi) + Interval(-rest, rest)
+    )
+    p, q, r, s = (box[:, k] for k in range(4))
+    if paths.is_face:
+        n = cross(r - q, s - q)
+        sides = [dot(cross(f - e, p - e), n) for e, f in ((q, r), (r, s), (s, q))]
+    else:
+        n = cross(q - p, s - r)
+        sides = [dot(cross(s - r, p - r), n), -dot(cross(s - r, q - r), n)]
+        sides += [-dot(cross(q - p, r - p), n), dot(cross(q - p, s - p), n)]
+    return opposite & np.all([side.lo > 0 for side in sides], axis=0)
+
+
+def _midpoints(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    middle = 0.5 * (a + b)
+    return middle, up(np.maximum(b - middle, middle - a))
+
+
+def first_within(paths: Paths, separation: float, width: float = 1e-9, levels: int = 48) -> Decisions:
+    """Decide every query, and bracket the first time to `width` where the numbers allow it."""
+    count = len(paths.jerk)
+    status = np.full(count, CLOSE)
+    lower, upper = np.zeros(count), np.full(count, np.inf)
+    cut_at = np.full(count, np.inf)  # start of the first interval that was dropped without an answer
+    query, a, b = np.arange(count), np.zeros(count), np.ones(count)
+    for level in range(levels + 1):
+        middle, half = _midpoints(a, b)
+        taylor = paths.derivatives(query, middle)
+        keep = ~(lower_bound(taylor, paths.jerk[query], half, paths.is_face) > separation)
+        query, a, b, middle = query[keep], a[keep], b[keep], middle[keep]
+        taylor = taylor[0][keep], taylor[1][keep], taylor[2][keep]
+        certain = upper_bound(taylor[0], paths.is_face) <= separation
+        np.minimum.at(upper, query[certain], middle[certain])
+        if separation == 0.0:
+            certain = _crosses(paths, query, a, b, taylor)
+            np.minimum.at(upper, query[certain], b[certain])
+        keep = a < upper[query]
+        query, a, b = query[keep], a[keep], b[keep]
+        start = np.flatnonzero(np.diff(query, prepend=-1))
+        rank = np.arange(len(query)) - np.repeat(start, np.diff(start, append=len(query)))
+        excess = rank >= MOST_INTERVALS
+        np.minimum.at(cut_at, query[excess], a[excess])
+        query, a, b = query[~excess], a[~excess], b[~excess]
+        earliest = cut_at.copy()
+        np.minimum.at(earliest, query, a)
+        lower = np.maximum(lower, np.minimum(earliest, upper))
+        settled = (upper <= lower + width) | ~np.isin(np.arange(count), query)
+        status[np.isfinite(upper)] = YES
+        status[np.isinf(upper) & np.isinf(earliest)] = NO
+        keep = ~settled[query]
+        query, a, b = query[keep], a[keep], b[keep]
+        if not len(query) or level == levels:
+            break
+        middle, _ = _midpoints(a, b)
+        query = np.repeat(query, 2)
+        a, b = np.stack([a, middle], axis=1).ravel(), np.stack([middle, b], axis=1).ravel()
+    return Decisions(status, np.where(status == NO, np.inf, lower), upper)
+
+
+def least_distance(
+    paths: Paths, t_from: float = 0.0, t_to: float = 1.0, width: float = 1e-10, levels: int = 48
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(lower, upper, time), each (n,): bracket of the least distance over [t_from, t_to], and a time with <= upper."""
+    count = len(paths.jerk)
+    best, at = np.full(count, np.inf), np.full(count, t_from)
+    query, a, b = np.arange(count), np.full(count, float(t_from)), np.full(count, float(t_to))
+    for t in (a, b):
+        value = upper_bound(paths.derivatives(query, t)[0], paths.is_face)
+        best, at = np.minimum(best, value), np.where(value < best, t, at)
+    lower = np.zeros(count)
+    for level in range(levels + 1):
+        middle, half = _midpoints(a, b)
+        taylor = paths.derivatives(query, middle)
+        bound = np.maximum(lower_bound(taylor, paths.jerk[query], half, paths.is_face), 0.0)
+        value = upper_bound(taylor[0], paths.is_face)
+        order = np.argsort(-value, kind="stable")  # the smallest value of a query is written last
+        better = order[value[order] < best[query[order]]]
+        best[query[better]], at[query[better]] = value[better], middle[better]
+        least = best.copy()
+        np.minimum.at(least, query, bound)
+        # What was discarded was above `best` as it stood then, hence above `best` now.
+        lower = np.maximum(lower, least)
+        keep = (bound < best[query]) & (best - lower > width)[query]
+        query, a, b, bound = query[keep], a[keep], b[keep], bound[keep]
+        if not len(query) or level == levels or len(query) > 200 * max(count, 50):
+            break
+        middle, _ = _midpoints(a, b)
+        query = np.repeat(query, 2)
+        a, b = np.stack([a, middle], axis=1).ravel(), np.stack([middle, b], axis=1).ravel()
+    return lower, best, at
