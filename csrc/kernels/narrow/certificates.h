@@ -101,11 +101,9 @@ PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end,
     const T d01 = c0 + reach * (c1 - c0), d12 = c1 + reach * (c2 - c1), d23 = c2 + reach * (c3 - c2);
     const T d012 = d01 + reach * (d12 - d01), d123 = d12 + reach * (d23 - d12);
     const T w3 = d012 + reach * (d123 - d012);
-    // Lower hull of (0, c0), (1/3, d01), (2/3, d012), (1, w3) seen from its first point.
-    T inner = T(1);
-    if (!(d01 > threshold)) inner = std::fmin(inner, (c0 - threshold) / (T(3) * (c0 - d01)));
-    if (!(d012 > threshold)) inner = std::fmin(inner, T(2) * (c0 - threshold) / (T(3) * (c0 - d012)));
-    if (!(w3 > threshold)) inner = std::fmin(inner, (c0 - threshold) / (c0 - w3));
+    // All of (1/3, d01), (2/3, d012), (1, w3) lie above the steepest line to one of them from (0, c0), hence so does the curve.
+    const T steepest = std::fmin(std::fmin(T(3) * (d01 - c0), T(1.5) * (d012 - c0)), w3 - c0);
+    const T inner = threshold - c0 > steepest ? (threshold - c0) / steepest : T(1);
     const T step = inner * reach;
     const T advanced = prefix + step * (T(1) - prefix) * (T(1) - T(4) * u);
     if (!(advanced > prefix * (T(1) + T(0x1p-20)))) {
