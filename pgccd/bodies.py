@@ -75,13 +75,13 @@ def _deforming(scene: Scene, motion: VertexMotion) -> list[Tensor]:
     offsets = scene.meshes.offsets
     counts = (offsets[1:] - offsets[:-1])[scene.mesh_index.cpu().long()]
     totals = counts.sum(0)
-    vertex_count, node_count = int(totals[0]), int(totals[3])
+    vertex_count, block_count = int(totals[0]), int(totals[3])
     if motion.x_t0.shape[0] != vertex_count:
         raise ValueError(f"motion: x_t0 has {motion.x_t0.shape[0]} vertices, the scene's bodies have {vertex_count}")
     begin = (counts.cumsum(0) - counts).to(scene.device)
-    vertex_begin, node_begin = begin[:, 0].contiguous(), begin[:, 3].contiguous()
-    position_t0, position_t1, radius, spheres_t0, spheres_t1 = ops.refit(
-        scene.meshes.tensors, scene.mesh_index, motion.x_t0, motion.x_t1, vertex_begin, node_begin, node_count
+    vertex_begin, block_begin = begin[:, 0].contiguous(), begin[:, 3].contiguous()
+    position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
+        scene.meshes.tensors, scene.mesh_index, motion.x_t0, motion.x_t1, vertex_begin, block_begin, block_count
     )
     return [
         scene.mesh_index,
@@ -90,8 +90,8 @@ def _deforming(scene: Scene, motion: VertexMotion) -> list[Tensor]:
         radius,
         motion.x_t0,
         motion.x_t1,
-        spheres_t0,
-        spheres_t1,
+        blocks_t0,
+        blocks_t1,
         vertex_begin,
-        node_begin,
+        block_begin,
     ]

@@ -14,9 +14,7 @@ BroadPhase = Literal["sweep"]
 _AXES = {"auto": -1, "x": 0, "y": 1, "z": 2}
 
 
-def sweep(
-    bodies: MovingBodies, min_separation: float = 0.0, axis: Literal["auto", "x", "y", "z"] = "auto"
-) -> Tensor:
+def sweep(bodies: MovingBodies, min_separation: float = 0.0, axis: Literal["auto", "x", "y", "z"] = "auto") -> Tensor:
     """Sweep and prune along one axis by radix sort, then a test of moving spheres (Du, Liu & Suzumura 2017, 3.3).
 
     Args:

@@ -31,10 +31,14 @@ class Contacts:
     """
 
     pairs: Tensor  #: (K, 2) int64 body indices, i < j
-    toi: Tensor | None  #: (K,) float64 in [0, 1]: no contact of these features happens before it; 0: touching at t0 already
+    toi: (
+        Tensor | None
+    )  #: (K,) float64 in [0, 1]: no contact of these features happens before it; 0: touching at t0 already
     kind: Tensor | None  #: (K,) int8, see `Kind`
     features: Tensor | None  #: (K, 2) int32: vertex or face or edge of i, then of j, as numbered in their meshes
-    coordinates: Tensor | None  #: (K, 2): face point f0 + u (f1 - f0) + v (f2 - f0), or parameters along i's and j's edge
+    coordinates: (
+        Tensor | None
+    )  #: (K, 2): face point f0 + u (f1 - f0) + v (f2 - f0), or parameters along i's and j's edge
     point: Tensor | None  #: (K, 3) world: halfway between the nearest points at toi
     normal: Tensor | None  #: (K, 3) unit vector from i towards j at toi (zero if degenerate features coincide)
     status: Tensor | None  #: (K,) int8, see `Status`

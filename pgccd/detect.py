@@ -84,11 +84,15 @@ def detect(
         stats.node_tests += int(node_tests)
         stats.candidates += candidates.shape[0]
         found.append((chunk[rows[0].long()], *rows[1:]))
-    pair, kind, features, status, toi, coordinates, point, normal = (torch.cat(column) for column in zip(*found, strict=True))
+    pair, kind, features, status, toi, coordinates, point, normal = (
+        torch.cat(column) for column in zip(*found, strict=True)
+    )
     if report == "earliest" and len(toi) > 1:
         first = int(torch.argmin(toi))  # of equal ones the first: chunks come in canonical order
         columns = (pair, kind, features, status, toi, coordinates, point, normal)
-        pair, kind, features, status, toi, coordinates, point, normal = (column[first : first + 1] for column in columns)
+        pair, kind, features, status, toi, coordinates, point, normal = (
+            column[first : first + 1] for column in columns
+        )
     stats.contacts = pair.shape[0]
     stats.unresolved = int((status == narrow.Status.UNRESOLVED).sum())
     if report == "any":

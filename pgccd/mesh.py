@@ -67,8 +67,8 @@ class Mesh:
         #: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Contacts name edges by these rows.
         self.edges = torch.from_numpy(prepared["edges"])
         self._triangles = torch.from_numpy(prepared["triangles"])
-        self._node_spheres = torch.from_numpy(prepared["node_spheres"])
-        self._node_links = torch.from_numpy(prepared["node_links"])
+        self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 4, 8)
+        self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 2)
 
     @classmethod
     def from_trimesh(cls, mesh: Any) -> Mesh:
@@ -114,7 +114,9 @@ class Mesh:
             raise ValueError(f"path: {path} cannot be read as a mesh: {error}") from error
         if len(faces) == 0:
             raise ValueError(f"path: {path} holds no triangles")
-        if Path(path).suffix.lower() == ".stl":  # lists every triangle's corners anew; connectivity is by equal coordinates
+        if (
+            Path(path).suffix.lower() == ".stl"
+        ):  # lists every triangle's corners anew; connectivity is by equal coordinates
             vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
             faces = inverse.reshape(-1)[faces]
         repeats = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
@@ -148,11 +150,11 @@ class MeshSet:
         counts = torch.tensor(
             [[len(m.vertices), len(m.faces), len(m.edges), len(m._node_links)] for m in meshes], dtype=torch.int64
         )
-        #: (meshes + 1, 4) int64: first rows of each mesh's vertices, faces, edges and nodes; the last row closes.
+        #: (meshes + 1, 4) int64: first rows of each mesh's vertices, faces, edges and node blocks; the last row closes.
         self.offsets = torch.cat([torch.zeros((1, 4), dtype=torch.int64), counts.cumsum(0)])
         #: (meshes,) float64.
         self.radius = torch.tensor([m.radius for m in meshes], dtype=torch.float64, device=device)
-        columns = ("vertices", "faces", "edges", "_triangles", "_node_spheres", "_node_links")
+        columns = ("vertices", "faces", "edges", "_triangles", "_node_blocks", "_node_links")
         joined = [torch.cat([getattr(m, column) for m in meshes]) for column in columns]
         self.tensors = [tensor.contiguous().to(device) for tensor in (*joined, self.offsets)]
 

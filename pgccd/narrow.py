@@ -50,7 +50,11 @@ class ElementaryResult:
 
 
 def vertex_face(
-    points_t0: Tensor, points_t1: Tensor, min_separation: float = 0.0, tolerance: float = 1e-6, nonzero_toi: bool = False
+    points_t0: Tensor,
+    points_t1: Tensor,
+    min_separation: float = 0.0,
+    tolerance: float = 1e-6,
+    nonzero_toi: bool = False,
 ) -> ElementaryResult:
     """Vertex against face, all four points on straight lines over the step. The points given are the truth.
 
@@ -67,18 +71,26 @@ def vertex_face(
         >>> hit = pgccd.narrow.vertex_face(x0, x1)
         >>> colliding = hit.status != pgccd.FREE
     """
-    return ElementaryResult(*ops.vertex_face(*_queries(points_t0, points_t1), *_settings(min_separation, tolerance), nonzero_toi))
+    return ElementaryResult(
+        *ops.vertex_face(*_queries(points_t0, points_t1), *_settings(min_separation, tolerance), nonzero_toi)
+    )
 
 
 def edge_edge(
-    points_t0: Tensor, points_t1: Tensor, min_separation: float = 0.0, tolerance: float = 1e-6, nonzero_toi: bool = False
+    points_t0: Tensor,
+    points_t1: Tensor,
+    min_separation: float = 0.0,
+    tolerance: float = 1e-6,
+    nonzero_toi: bool = False,
 ) -> ElementaryResult:
     """Edge against edge; points ea0, ea1, eb0, eb1. See `vertex_face`.
 
     Example:
         >>> hit = pgccd.narrow.edge_edge(x0, x1, min_separation=1e-3)
     """
-    return ElementaryResult(*ops.edge_edge(*_queries(points_t0, points_t1), *_settings(min_separation, tolerance), nonzero_toi))
+    return ElementaryResult(
+        *ops.edge_edge(*_queries(points_t0, points_t1), *_settings(min_separation, tolerance), nonzero_toi)
+    )
 
 
 def contacts(

@@ -26,11 +26,11 @@ def refit(
     vertices_t0: Tensor,
     vertices_t1: Tensor,
     vertex_begin: Tensor,
-    node_begin: Tensor,
-    node_count: int,
+    block_begin: Tensor,
+    block_count: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Centres at t0 and t1 (N, 3), radius (N,), and node spheres (Y, 4) at t0 and t1 of deforming bodies."""
-    return _ops.refit(list(mesh_set), mesh_index, vertices_t0, vertices_t1, vertex_begin, node_begin, node_count)
+    """Centres at t0 and t1 (N, 3), radius (N,), and node blocks (Y, 4, 8) at t0 and t1 of deforming bodies."""
+    return _ops.refit(list(mesh_set), mesh_index, vertices_t0, vertices_t1, vertex_begin, block_begin, block_count)
 
 
 def sweep(
@@ -125,13 +125,13 @@ def _(
     vertices_t0: Tensor,
     vertices_t1: Tensor,
     vertex_begin: Tensor,
-    node_begin: Tensor,
-    node_count: int,
+    block_begin: Tensor,
+    block_count: int,
 ) -> tuple[Tensor, ...]:
     bodies = mesh_index.shape[0]
     centres = [vertices_t0.new_empty((bodies, 3)) for _ in range(2)]
-    spheres = [vertices_t0.new_empty((node_count, 4), dtype=torch.float32) for _ in range(2)]
-    return (*centres, vertices_t0.new_empty((bodies,)), *spheres)
+    blocks = [vertices_t0.new_empty((block_count, 4, 8), dtype=torch.float32) for _ in range(2)]
+    return (*centres, vertices_t0.new_empty((bodies,)), *blocks)
 
 
 @torch.library.register_fake("pgccd::sweep")
@@ -197,3 +197,51 @@ def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor]:
 @torch.library.register_fake("pgccd::edge_edge")
 def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor]:
     return _fake_elementary(points_t0)
+
+
+def simulate_start(id: Tensor, integers: Sequence[int], scales: Sequence[float]) -> tuple[Tensor, ...]:
+    """Position, orientation, velocity, angular velocity, target and stay of the robots `id` (N,) at the start of a world."""
+    return _ops.simulate_start(id, list(integers), list(scales))
+
+
+def simulate_plan(
+    state: Sequence[Tensor], step: int, integers: Sequence[int], scales: Sequence[float]
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Velocity, angular velocity, target and stay of robots for the step to come."""
+    return _ops.simulate_plan(list(state), step, list(integers), list(scales))
+
+
+def simulate_respond(state: Sequence[Tensor], toi: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Position, orientation, velocity and angular velocity of robots after a step with first collisions `toi` (N,)."""
+    return _ops.simulate_respond(list(state), toi)
+
+
+def random_uniforms(id: Tensor, seed: int, step: int, stream: int) -> Tensor:
+    """Numbers (N, 4) in (0, 1) of the counters (id, step, stream): Philox4x32-10, key `seed` (any int64)."""
+    return _ops.random_uniforms(id.contiguous(), seed, step, stream)
+
+
+def _fake_robots(like: Tensor, count: int | torch.SymInt, *widths: int) -> tuple[Tensor, ...]:
+    return tuple(like.new_empty((count, width), dtype=torch.float64) for width in widths)
+
+
+@torch.library.register_fake("pgccd::simulate_start")
+def _(id: Tensor, integers: list[int], scales: list[float]) -> tuple[Tensor, ...]:
+    count = id.shape[0]
+    return (*_fake_robots(id, count, 3, 4, 3, 3), id.new_empty((count,)), id.new_empty((count,)))
+
+
+@torch.library.register_fake("pgccd::simulate_plan")
+def _(state: list[Tensor], step: int, integers: list[int], scales: list[float]) -> tuple[Tensor, ...]:
+    id = state[0]
+    return (*_fake_robots(id, id.shape[0], 3, 3), id.new_empty((id.shape[0],)), id.new_empty((id.shape[0],)))
+
+
+@torch.library.register_fake("pgccd::simulate_respond")
+def _(state: list[Tensor], toi: Tensor) -> tuple[Tensor, ...]:
+    return _fake_robots(toi, toi.shape[0], 3, 4, 3, 3)
+
+
+@torch.library.register_fake("pgccd::random_uniforms")
+def _(id: Tensor, seed: int, step: int, stream: int) -> Tensor:
+    return _fake_robots(id, id.shape[0], 4)[0]

@@ -48,7 +48,7 @@ py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces
   py::dict out;
   out["edges"] = to_matrix<int32_t>(topology.edges);
   out["triangles"] = to_matrix<int32_t>(triangles);
-  out["node_spheres"] = to_matrix<float>(tree.spheres);
+  out["node_blocks"] = to_matrix<float>(tree.blocks);
   out["node_links"] = to_matrix<int32_t>(tree.links);
   return out;
 }
@@ -77,7 +77,7 @@ py::dict build_information() {
 
 PYBIND11_MODULE(_host, module) {
   module.def("prepare_mesh", &prepare_mesh, py::arg("vertices"), py::arg("faces"), py::arg("leaf_size"),
-             "Edges, triangles in leaf order with their represented features, and the sphere hierarchy of a mesh. "
+             "Edges, triangles in leaf order with their represented features, and the hierarchy of a mesh. "
              "vertices (V, 3) float64, faces (F, 3) int32, valid and not empty.");
   module.def("build_information", &build_information, "Version, commit, compiler and CUDA of this build.");
 }

@@ -42,8 +42,8 @@ Tensor rotations_between(const Tensor& orientation_t0, const Tensor& orientation
 
 std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> refit(const TensorList& mesh_set, const Tensor& mesh_index,
                                                          const Tensor& vertices_t0, const Tensor& vertices_t1,
-                                                         const Tensor& vertex_begin, const Tensor& node_begin,
-                                                         int64_t node_count) {
+                                                         const Tensor& vertex_begin, const Tensor& block_begin,
+                                                         int64_t block_count) {
   DeformingInput input;
   input.meshes = mesh_set_view(mesh_set);
   input.mesh_index = rows<int32_t>(mesh_index, "mesh_index", {kAnySize});
@@ -51,16 +51,16 @@ std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> refit(const TensorList& mesh_
   input.vertices_t0 = rows<double>(vertices_t0, "vertices_t0", {kAnySize, 3});
   input.vertices_t1 = rows<double>(vertices_t1, "vertices_t1", {vertices_t0.size(0), 3});
   input.vertex_begin = rows<int64_t>(vertex_begin, "vertex_begin", {input.body_count});
-  input.node_begin = rows<int64_t>(node_begin, "node_begin", {input.body_count});
+  input.block_begin = rows<int64_t>(block_begin, "block_begin", {input.body_count});
   Tensor position_t0 = new_tensor<double>(vertices_t0, {input.body_count, 3});
   Tensor position_t1 = new_tensor<double>(vertices_t0, {input.body_count, 3});
   Tensor radius = new_tensor<double>(vertices_t0, {input.body_count});
-  Tensor spheres_t0 = new_tensor<float>(vertices_t0, {node_count, 4});
-  Tensor spheres_t1 = new_tensor<float>(vertices_t0, {node_count, 4});
+  Tensor blocks_t0 = new_tensor<float>(vertices_t0, {block_count, 4, kBlockWidth});
+  Tensor blocks_t1 = new_tensor<float>(vertices_t0, {block_count, 4, kBlockWidth});
   refit_cpu(TorchExecutor(), input,
-            {data<double>(position_t0), data<double>(position_t1), data<double>(radius), data<NodeSphere>(spheres_t0),
-             data<NodeSphere>(spheres_t1)});
-  return {position_t0, position_t1, radius, spheres_t0, spheres_t1};
+            {data<double>(position_t0), data<double>(position_t1), data<double>(radius), data<NodeBlock>(blocks_t0),
+             data<NodeBlock>(blocks_t1)});
+  return {position_t0, position_t1, radius, blocks_t0, blocks_t1};
 }
 
 Tensor sweep(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,

@@ -1,12 +1,12 @@
 // Every operator of pgccd, on one page. pgccd/ops.py documents them: shapes, units and errors.
 //
-// mesh_set = [vertices (V, 3) f64, faces (F, 3) i32, edges (E, 2) i32, triangles (F, 8) i32, node_spheres (n, 4) f32,
-//             node_links (n, 2) i32, offsets (meshes + 1, 4) i64]                                        see
+// mesh_set = [vertices (V, 3) f64, faces (F, 3) i32, edges (E, 2) i32, triangles (F, 8) i32, node_blocks (n, 4, 8) f32,
+//             node_links (n, 8, 2) i32, offsets (meshes + 1, 4) i64]                                        see
 //             core/mesh_set.h
 // rigid bodies = [mesh_index (N,) i32, position_t0 (N, 3), position_t1 (N, 3), radius (N,), orientation (N, 4),
 // rotation (N, 3)] deforming bodies = [mesh_index (N,) i32, position_t0, position_t1, radius, vertices_t0 (X, 3),
 // vertices_t1 (X, 3),
-//                     spheres_t0 (Y, 4) f32, spheres_t1 (Y, 4) f32, vertex_begin (N,) i64, node_begin (N,) i64] see
+//                     blocks_t0 (Y, 4, 8) f32, blocks_t1 (Y, 4, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64] see
 //                     core/bodies.h
 // contact rows = (pair i32, kind i8, features (., 2) i32, status i8, toi f64, coordinates (., 2), point (., 3), normal
 // (., 3))
@@ -17,9 +17,9 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def("rotations_between(Tensor orientation_t0, Tensor orientation_t1) -> Tensor");
   library.def(
       "refit(Tensor[] mesh_set, Tensor mesh_index, Tensor vertices_t0, Tensor vertices_t1, Tensor vertex_begin, "
-      "Tensor node_begin, int node_count) -> (Tensor position_t0, Tensor position_t1, Tensor radius, Tensor "
+      "Tensor block_begin, int block_count) -> (Tensor position_t0, Tensor position_t1, Tensor radius, Tensor "
       "spheres_t0, "
-      "Tensor spheres_t1)");
+      "Tensor blocks_t1)");
   library.def(
       "sweep(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, float min_separation, int axis) -> Tensor");

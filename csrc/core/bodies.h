@@ -25,17 +25,17 @@ struct RigidBodies {
   bool linear_path;           // vertices on straight lines between their end positions instead of arcs
 };
 
-// Every body brings its own vertices and hierarchy volumes: rows of body b start at vertex_begin[b] and node_begin[b].
+// Every body brings its own vertices and hierarchy volumes: rows of body b start at vertex_begin[b] and block_begin[b].
 struct DeformingBodies {
-  MeshSetView meshes;  // topology; `vertices` and `node_spheres` are not read
+  MeshSetView meshes;  // topology; `vertices` and `node_blocks` are not read
   const int32_t* mesh_index;
   BodyCentres centres;
   const double* vertices_t0;     // (all vertices, 3), world
   const double* vertices_t1;     // (all vertices, 3), world
-  const NodeSphere* spheres_t0;  // (all nodes) relative to the body's centre at t0
-  const NodeSphere* spheres_t1;  // (all nodes) relative to the body's centre at t1, same radius
+  const NodeBlock* blocks_t0;    // (all blocks) relative to the body's centre at t0
+  const NodeBlock* blocks_t1;    // (all blocks) relative to the body's centre at t1, same radii
   const int64_t* vertex_begin;   // (bodies,)
-  const int64_t* node_begin;     // (bodies,)
+  const int64_t* block_begin;   // (bodies,)
 };
 
 // Offset of body j's centre from body i's: exact up to one rounding each, however far the pair is from the world's

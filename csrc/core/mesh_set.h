@@ -18,19 +18,22 @@ struct Triangle {
   int32_t represented;  // bits 0-2: vertices, bits 3-5: edges
 };
 
-// Children of an inner node are `first` and `first + 1`; a leaf holds triangles first .. first + triangle_count - 1.
-struct NodeLink {
-  int32_t first;
-  int32_t triangle_count;  // 0 for inner nodes
+// The hierarchy is a tree of blocks of up to eight sibling nodes, so that one node is tested against eight at a time. Node n is slot
+// n % 8 of block n / 8; the root is node 0, alone in block 0. Blocks of parents precede those of their children.
+constexpr int kBlockWidth = 8;
+
+// Spheres around all vertices of the nodes' triangles. Empty slots hold NaN, which meets nothing.
+struct NodeBlock {
+  float x[kBlockWidth], y[kBlockWidth], z[kBlockWidth], radius[kBlockWidth];
 };
 
-// Sphere around all vertices of the node's triangles.
-struct NodeSphere {
-  float x, y, z, radius;
+struct NodeLink {
+  int32_t first;           // inner node: the block of its children; leaf: its first triangle
+  int32_t triangle_count;  // 0 for inner nodes and empty slots
 };
 
 struct MeshOffsets {
-  int64_t vertex, face, edge, node;
+  int64_t vertex, face, edge, block;
 };
 
 struct MeshSetView {
@@ -38,12 +41,12 @@ struct MeshSetView {
   const int32_t* faces;            // (faces, 3)
   const int32_t* edges;            // (edges, 2)
   const Triangle* triangles;       // (faces), leaf order
-  const NodeSphere* node_spheres;  // (nodes)
-  const NodeLink* node_links;      // (nodes)
+  const NodeBlock* node_blocks;    // (blocks)
+  const NodeLink* node_links;      // (blocks, 8)
   const MeshOffsets* offsets;      // (meshes + 1): the next row ends a mesh's rows
 };
 
-// The hierarchy builder keeps every tree within this depth, so a fixed traversal stack cannot overflow.
+// The hierarchy builder keeps every path from the root within this many nodes, so a fixed traversal stack cannot overflow.
 constexpr int kMaxTreeDepth = 48;
 
 }  // namespace pgccd

@@ -3,7 +3,7 @@
 
 #include <cmath>
 
-#include "core/platform.h"
+#include "core/scalar.h"
 
 namespace pgccd {
 
@@ -46,7 +46,7 @@ PGCCD_HD T norm(Vec3<T> a) {
 }
 template <class T>
 PGCCD_HD T max_abs(Vec3<T> a) {
-  return std::fmax(std::fmax(std::fabs(a.x), std::fabs(a.y)), std::fabs(a.z));
+  return larger(larger(std::fabs(a.x), std::fabs(a.y)), std::fabs(a.z));
 }
 
 template <class To, class From>

@@ -29,6 +29,10 @@ struct Box {
   }
 };
 
+struct NodeSphere {
+  float x, y, z, radius;
+};
+
 class Builder {
  public:
   Builder(const double* vertices, const std::vector<Face>& faces, int leaf_size)
@@ -44,32 +48,96 @@ class Builder {
   }
 
   Hierarchy build() {
-    struct Task {
-      int32_t node, begin, end, depth;
-    };
-    tree_.links.push_back({});
-    tree_.spheres.push_back({});
-    std::vector<Task> tasks{{0, 0, static_cast<int32_t>(faces_.size()), 1}};
-    while (!tasks.empty()) {
-      const Task task = tasks.back();
-      tasks.pop_back();
-      tree_.spheres[task.node] = bounding_sphere(task.begin, task.end);
-      if (task.end - task.begin <= leaf_size_) {
-        tree_.links[task.node] = {task.begin, task.end - task.begin};
-        continue;
-      }
-      const int32_t middle = split(task.begin, task.end, task.depth);
-      const int32_t child = static_cast<int32_t>(tree_.links.size());
-      tree_.links[task.node] = {child, 0};
-      tree_.links.resize(child + 2);
-      tree_.spheres.resize(child + 2);
-      tasks.push_back({child + 1, middle, task.end, task.depth + 1});
-      tasks.push_back({child, task.begin, middle, task.depth + 1});
-    }
+    split_all();
+    fold();
     return std::move(tree_);
   }
 
  private:
+  struct BinaryNode {
+    int32_t begin, end;  // triangles
+    int32_t child;       // first of two neighbours, or -1
+    NodeSphere sphere;
+  };
+
+  void split_all() {
+    struct Task {
+      int32_t node, depth;
+    };
+    binary_.push_back({0, static_cast<int32_t>(faces_.size()), -1, {}});
+    std::vector<Task> tasks{{0, 1}};
+    while (!tasks.empty()) {
+      const Task task = tasks.back();
+      tasks.pop_back();
+      const int32_t begin = binary_[task.node].begin, end = binary_[task.node].end;
+      binary_[task.node].sphere = bounding_sphere(begin, end);
+      if (end - begin <= leaf_size_) continue;
+      const int32_t middle = split(begin, end, task.depth);
+      const int32_t child = static_cast<int32_t>(binary_.size());
+      binary_[task.node].child = child;
+      binary_.push_back({begin, middle, -1, {}});
+      binary_.push_back({middle, end, -1, {}});
+      tasks.push_back({child + 1, task.depth + 1});
+      tasks.push_back({child, task.depth + 1});
+    }
+  }
+
+  // Each block takes the grandchildren of its largest nodes until it is full.
+  void fold() {
+    struct Task {
+      std::vector<int32_t> nodes;  // of the binary tree
+      int32_t block;
+    };
+    tree_.blocks.emplace_back();
+    tree_.links.emplace_back();
+    std::vector<Task> tasks{{{0}, 0}};
+    for (size_t next = 0; next < tasks.size(); ++next) {  // breadth first: parents precede children
+      const Task task = tasks[next];
+      for (int slot = 0; slot < kBlockWidth; ++slot) {
+        if (slot >= static_cast<int>(task.nodes.size())) {
+          set_sphere(task.block, slot, {NAN, NAN, NAN, NAN});
+          tree_.links[task.block][slot] = {0, 0};
+          continue;
+        }
+        const BinaryNode& node = binary_[task.nodes[slot]];
+        set_sphere(task.block, slot, node.sphere);
+        if (node.child < 0) {
+          tree_.links[task.block][slot] = {node.begin, node.end - node.begin};
+          continue;
+        }
+        tree_.links[task.block][slot] = {static_cast<int32_t>(tree_.blocks.size()), 0};
+        tasks.push_back({widen(node.child), static_cast<int32_t>(tree_.blocks.size())});
+        tree_.blocks.emplace_back();
+        tree_.links.emplace_back();
+      }
+    }
+  }
+
+  // Up to eight descendants that together cover the two siblings starting at `child`.
+  std::vector<int32_t> widen(int32_t child) const {
+    std::vector<int32_t> nodes{child, child + 1};
+    while (nodes.size() < kBlockWidth) {
+      int largest = -1;
+      for (size_t k = 0; k < nodes.size(); ++k) {
+        const bool is_larger = largest < 0 || binary_[nodes[k]].sphere.radius > binary_[nodes[largest]].sphere.radius;
+        if (binary_[nodes[k]].child >= 0 && is_larger) largest = static_cast<int>(k);
+      }
+      if (largest < 0) break;
+      const int32_t opened = binary_[nodes[largest]].child;
+      nodes[largest] = opened;
+      nodes.insert(nodes.begin() + largest + 1, opened + 1);
+    }
+    return nodes;
+  }
+
+  void set_sphere(int32_t block, int slot, NodeSphere s) {
+    NodeBlock& b = tree_.blocks[block];
+    b.x[slot] = s.x;
+    b.y[slot] = s.y;
+    b.z[slot] = s.z;
+    b.radius[slot] = s.radius;
+  }
+
   // Below this depth the tree halves: 31-bit counts then need at most kMaxTreeDepth levels in all.
   static constexpr int kFreeDepth = kMaxTreeDepth - 32;
 
@@ -140,6 +208,7 @@ class Builder {
   const std::vector<Face>& faces_;
   int leaf_size_;
   std::vector<Box> boxes_;
+  std::vector<BinaryNode> binary_;
   Hierarchy tree_;
 };
 

@@ -1,6 +1,7 @@
-// Bounding volume hierarchy of a mesh: a binary tree of spheres over its triangles, built once, in the body frame.
+// Bounding volume hierarchy of a mesh: a tree of spheres, eight siblings to a block, over its triangles; built once, in the body frame.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -10,8 +11,8 @@
 namespace pgccd {
 
 struct Hierarchy {
-  std::vector<NodeSphere> spheres;
-  std::vector<NodeLink> links;          // node 0 is the root; siblings are neighbours, parents precede children
+  std::vector<NodeBlock> blocks;
+  std::vector<std::array<NodeLink, kBlockWidth>> links;
   std::vector<int32_t> triangle_order;  // faces in the order of the leaves
 };
 

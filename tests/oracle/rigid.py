@@ -82,47 +82,55 @@ def rotate(q: np.ndarray, r: Interval) -> Interval:
     return r + (once * s[..., None] + cross(u, once)) * 2.0 / size[..., None]
 
 
+def turn(arm: Interval, spin: Interval, t: Interval) -> tuple[Interval, Interval, Interval]:
+    """exp(t [w]x) arm and its first two derivatives; arm, spin = w (…, 3), t (…).
+
+    Rodrigues: exp(t [w]x) r = r + t sinc(t |w|) w x r + t^2 cosc(t |w|) w x (w x r).
+    """
+    sinc, cosc = sinc_cosc(norm(spin) * t)
+    once = cross(spin, arm)
+    turned = arm + once * (sinc * t)[..., None] + cross(spin, once) * (cosc * t.square())[..., None]
+    rate = cross(spin, turned)
+    return turned, rate, cross(spin, rate)
+
+
+def jerk_bound(arm: Interval, spin: Interval) -> np.ndarray:
+    """(…): |x'''| = |w|^2 |w x x| at all times, since the turn about w keeps the angle to w."""
+    return (norm(spin).square() * norm(cross(spin, arm))).hi
+
+
 class RigidPaths:
     """Four points (n, 4, 3) each, the first ones in the body frame of A and the others in that of B, in world axes
     relative to the moving origin of A, a frame in which nothing far from the world's origin loses digits."""
 
     def __init__(self, points: np.ndarray, first: BodyMotion, second: BodyMotion, is_face: bool) -> None:
         self.is_face = is_face
-        count = len(points)
-        owner = [first, second, second, second] if is_face else [first, first, second, second]
+        of_first = np.array([True, not is_face, False, False])[:, None]
 
-        def stack(of: Any) -> Interval:
-            lo = [np.broadcast_to(of(body).lo, (count, of(body).lo.shape[-1])) for body in owner]
-            hi = [np.broadcast_to(of(body).hi, (count, of(body).hi.shape[-1])) for body in owner]
-            return Interval(np.stack(lo, axis=1), np.stack(hi, axis=1))
+        def choose(a: Any, b: Any) -> Interval:  # (n, 4, …) from the value of each body, (…) or (n, …)
+            a, b = Interval.of(a), Interval.of(b)
+            bounds = [np.where(of_first, x[..., None, :], y[..., None, :]) for x, y in ((a.lo, b.lo), (a.hi, b.hi))]
+            return Interval(*(np.broadcast_to(x, (len(points), 4, x.shape[-1])) for x in bounds))
 
-        self.spin = stack(lambda body: body.rotation)
-        orientation = stack(lambda body: Interval(body.orientation_t0)).lo
-        self.arm = rotate(orientation, Interval(np.asarray(points, dtype=np.float64)))
-        origin, end = Interval(first.position_t0), Interval(first.position_t1)
-        self.offset = stack(lambda body: Interval(body.position_t0) - origin)
-        step = Interval(second.position_t1) - second.position_t0 - (end - origin)
-        still = Interval(np.zeros(3))
-        self.step = stack(lambda body: still if body is first else step)
-        if first is second:
-            raise ValueError("give each body its own motion")
-        for k, body in enumerate(owner):  # the first body's own offset is exactly zero
-            if body is first:
-                self.offset.lo[:, k] = self.offset.hi[:, k] = 0.0
-        self.angle = norm(self.spin)
-        # |x'''| = |w|^2 |w x R r|, the same at all times: the turn about w keeps the angle to w.
-        self.jerk = (self.angle.square() * norm(cross(self.spin, self.arm))).hi
+        self.spin = choose(first.rotation, second.rotation)
+        orientation = choose(first.orientation_t0, second.orientation_t0).lo
+        self.arm = rotate(orientation, Interval(points))
+        offset, step = relative_path(first, second)
+        self.offset, self.step = choose(np.zeros(3), offset), choose(np.zeros(3), step)
+        self.jerk = jerk_bound(self.arm, self.spin)
 
     def derivatives(self, query: np.ndarray, t: np.ndarray) -> tuple[Interval, Interval, Interval]:
         """Enclosures (k, 4, 3) of positions, velocities and accelerations of queries (k,) at the times (k,)."""
         time = Interval(t)[:, None]
-        spin, arm, step = self.spin[query], self.arm[query], self.step[query]
-        sinc, cosc = sinc_cosc(self.angle[query] * time)
-        once = cross(spin, arm)
-        # Rodrigues: exp(t [w]x) r = r + t sinc(t |w|) w x r + t^2 cosc(t |w|) w x (w x r)
-        turned = arm + once * (sinc * time)[..., None] + cross(spin, once) * (cosc * time.square())[..., None]
-        rate = cross(spin, turned)
-        return self.offset[query] + step * time[..., None] + turned, step + rate, cross(spin, rate)
+        turned, rate, bend = turn(self.arm[query], self.spin[query], time)
+        step = self.step[query]
+        return self.offset[query] + step * time[..., None] + turned, step + rate, bend
+
+
+def relative_path(first: BodyMotion, second: BodyMotion) -> tuple[Interval, Interval]:
+    """Origin of the second body relative to that of the first: at t = 0, and its straight way from there to t = 1."""
+    offset = Interval(second.position_t0) - first.position_t0
+    return offset, (Interval(second.position_t1) - first.position_t1) - offset
 
 
 def vertex_face(

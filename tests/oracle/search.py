@@ -2,9 +2,8 @@
 
 Of each of the four points the path is known by enclosures of x(m), x'(m), x''(m) and by a bound J >= |x'''| on [0, 1].
 By Taylor's theorem x(m + s) = x + s x' + s^2 x'' / 2 + r with |r| <= J |s|^3 / 6. Along a fixed direction n the distance
-of two convex sets is at least the least gap between a point of each, over |n|; so over |s| <= h it is at least
-min(g - h |g'| + h^2 min(g'', 0) / 2) / |n| less the remainders, where g are the projected differences. The direction is a
-guess in floats: any gives a valid bound. What remains undecided is halved. All bounds are rounded outward (`interval`).
+of two convex sets is at least the least gap between a point of each, over |n|. The direction, here n + s n', is a guess in
+floats: any gives a valid bound. What remains undecided is halved. All bounds are rounded outward (`interval`).
 """
 
 from __future__ import annotations
@@ -58,8 +57,22 @@ def _guessed_directions(points: np.ndarray, is_face: bool) -> list[np.ndarray]:
         between = gap_vector(points, closest_coordinates(points, is_face), is_face)
         normal = np.cross(r - q, s - q) if is_face else np.cross(q - p, s - r)
         normal = np.where((normal * between).sum(axis=1, keepdims=True) < 0, -normal, normal)
-        scaled = [d / np.abs(d).max(axis=1, keepdims=True) for d in (between, normal)]
+        scaled = [d / np.linalg.norm(d, axis=1, keepdims=True) for d in (between, normal)]
     return [np.where(np.isfinite(d), d, 0.0) for d in scaled]
+
+
+def _turning_directions(taylor: Taylor, half: np.ndarray, is_face: bool) -> list[tuple[np.ndarray, np.ndarray]]:
+    # n(s) = n + s n' through the good directions at both ends, so that a turning face is followed. (With a fixed one the
+    # bound would be off by h |n'| times the size of the face, and some sqrt(1 / h) intervals would stay open.)
+    x, v, c = (y.middle() for y in taylor)
+    h = half[:, None, None]
+    ends = [_guessed_directions(x + e * h * v + 0.5 * h * h * c, is_face) for e in (-1.0, 1.0)]
+    found = []
+    for back, ahead in zip(*ends, strict=True):
+        with np.errstate(all="ignore"):
+            ahead = np.where((back * ahead).sum(axis=1, keepdims=True) < 0, -ahead, ahead)
+            found.append((0.5 * (ahead + back), (ahead - back) / (2.0 * half[:, None])))
+    return found
 
 
 def lower_bound(taylor: Taylor, jerk: np.ndarray, half: np.ndarray, is_face: bool) -> np.ndarray:
@@ -69,18 +82,30 @@ def lower_bound(taylor: Taylor, jerk: np.ndarray, half: np.ndarray, is_face: boo
     h = Interval(half)
     first, second = FIRST[is_face], SECOND[is_face]
     rest = (Interval(jerk[:, first].max(axis=1)) + jerk[:, second].max(axis=1)) * h * h.square() * up(np.array(1 / 6))
-    for n in _guessed_directions(x.middle(), is_face):
-        # (k, first, second) differences of projections
-        g, g1, g2 = (
-            p[:, second][:, None, :] - p[:, first][:, :, None] for p in (dot(y, n[:, None]) for y in (x, v, c))
-        )
-        steps = h[:, None, None]
-        change = steps * g1.magnitude() - steps.square() * Interval(np.minimum(g2.lo, 0.0)) * 0.5
+    for direction, turn in _turning_directions(taylor, half, is_face):
+        n, m = direction[:, None], turn[:, None]
+        # Coefficients (k, 4) of n(s) . x(s) in s, then their differences (k, first, second).
+        powers = [dot(x, n), dot(v, n) + dot(x, m), dot(c, n) * 0.5 + dot(v, m), dot(c, m) * 0.5]
+        g, g1, g2, g3 = (p[:, second][:, None, :] - p[:, first][:, :, None] for p in powers)
+        e = h[:, None, None]
+        change = e * g1.magnitude() + e.square() * np.maximum(-g2.lo, 0.0) + e * e.square() * g3.magnitude()
         gap = (g - change).lo.min(axis=(1, 2))
-        proven = (Interval(gap) / norm(Interval(n)) - rest).lo
+        # |n(s)|^2 at most, n and n' being nearly perpendicular
+        along = dot(Interval(direction), turn).magnitude()
+        square = norm(Interval(direction)).square() + h * along * 2.0 + (h * norm(Interval(turn))).square()
+        proven = (Interval(gap) / square.sqrt() - rest).lo
         # A negative gap over |n| is only ever used as "nothing proven".
         best = np.where((gap > 0) & np.isfinite(proven), np.maximum(best, proven), best)
     return best
+
+
+def swept_box(taylor: Taylor, jerk: np.ndarray, half: np.ndarray) -> Interval:
+    """(k, p, 3): boxes that hold the paths of points over [m - half, m + half]; jerk (k, p)."""
+    x, v, c = taylor
+    h = Interval(half)[:, None, None]
+    rest = (Interval(jerk)[:, :, None] * h * h.square() * up(np.array(1 / 6))).hi
+    bend = Interval(np.zeros_like(h.hi), (h.square() * 0.5).hi)
+    return x + v * Interval(-h.hi, h.hi) + c * bend + Interval(-rest, rest)
 
 
 def upper_bound(x: Interval, is_face: bool) -> np.ndarray:
@@ -102,12 +127,7 @@ def _crosses(paths: Paths, query: np.ndarray, a: np.ndarray, b: np.ndarray, tayl
     """
     ends = [_volume(paths.derivatives(query, t)[0], paths.is_face) for t in (a, b)]
     opposite = ((ends[0].hi < 0) & (ends[1].lo > 0)) | ((ends[0].lo > 0) & (ends[1].hi < 0))
-    x, v, c = taylor
-    h = Interval(_midpoints(a, b)[1])[:, None, None]
-    rest = (Interval(paths.jerk[query])[:, :, None] * h * h.square() * up(np.array(1 / 6))).hi
-    box = (
-        x + v * Interval(-h.hi, h.hi) + c * Interval(np.zeros_like(h.hi), (h.square() * 0.5).hi) + Interval(-rest, rest)
-    )
+    box = swept_box(taylor, paths.jerk[query], _midpoints(a, b)[1])
     p, q, r, s = (box[:, k] for k in range(4))
     if paths.is_face:
         n = cross(r - q, s - q)
@@ -130,6 +150,7 @@ def first_within(paths: Paths, separation: float, width: float = 1e-9, levels: i
     status = np.full(count, CLOSE)
     lower, upper = np.zeros(count), np.full(count, np.inf)
     cut_at = np.full(count, np.inf)  # start of the first interval that was dropped without an answer
+    settled = np.zeros(count, dtype=bool)  # and so out of the list, which then says nothing more about it
     query, a, b = np.arange(count), np.zeros(count), np.ones(count)
     for level in range(levels + 1):
         middle, half = _midpoints(a, b)
@@ -151,10 +172,10 @@ def first_within(paths: Paths, separation: float, width: float = 1e-9, levels: i
         query, a, b = query[~excess], a[~excess], b[~excess]
         earliest = cut_at.copy()
         np.minimum.at(earliest, query, a)
-        lower = np.maximum(lower, np.minimum(earliest, upper))
-        settled = (upper <= lower + width) | ~np.isin(np.arange(count), query)
+        lower = np.where(settled, lower, np.minimum(earliest, upper))
         status[np.isfinite(upper)] = YES
-        status[np.isinf(upper) & np.isinf(earliest)] = NO
+        status[~settled & np.isinf(upper) & np.isinf(earliest)] = NO
+        settled |= (upper <= lower + width) | ~np.isin(np.arange(count), query)
         keep = ~settled[query]
         query, a, b = query[keep], a[keep], b[keep]
         if not len(query) or level == levels:
@@ -175,7 +196,7 @@ def least_distance(
     for t in (a, b):
         value = upper_bound(paths.derivatives(query, t)[0], paths.is_face)
         best, at = np.minimum(best, value), np.where(value < best, t, at)
-    lower = np.zeros(count)
+    lower, settled = np.zeros(count), np.zeros(count, dtype=bool)
     for level in range(levels + 1):
         middle, half = _midpoints(a, b)
         taylor = paths.derivatives(query, middle)
@@ -187,8 +208,9 @@ def least_distance(
         least = best.copy()
         np.minimum.at(least, query, bound)
         # What was discarded was above `best` as it stood then, hence above `best` now.
-        lower = np.maximum(lower, least)
-        keep = (bound < best[query]) & (best - lower > width)[query]
+        lower = np.where(settled, lower, np.maximum(lower, least))
+        settled |= best <= lower + width
+        keep = (bound < best[query]) & ~settled[query]
         query, a, b, bound = query[keep], a[keep], b[keep], bound[keep]
         if not len(query) or level == levels or len(query) > 200 * max(count, 50):
             break

@@ -19,8 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import filters
+from .interval import Interval
 from .linear import WIDTH, ZERO_TIME, Condition, Hit, Vector, cross, dot, earliest, integer_paths, minus
 from .polynomial import Polynomial, Root, mul, roots_in_unit_interval, sub
+from .search import least_distance
 
 
 @dataclass(frozen=True)
@@ -118,3 +120,34 @@ def within_many(
 def touches_within(points_t0: ArrayLike, points_t1: ArrayLike, separation: float, is_face: bool) -> str:
     """'yes' or 'no', exactly; the answer 'too close to call' that `rigid` may give does not occur on straight paths."""
     return "no" if _first_within(points_t0, points_t1, separation, is_face, WIDTH) is None else "yes"
+
+
+class LinearPaths:
+    """Points (n, 4, 3) on straight paths, relative to the second point as it moves, for `search`."""
+
+    def __init__(self, points_t0: np.ndarray, points_t1: np.ndarray, is_face: bool) -> None:
+        self.is_face = is_face
+        start, end = (np.asarray(x, dtype=np.float64).reshape(-1, 4, 3) for x in (points_t0, points_t1))
+        self.offset = Interval(start) - start[:, 1:2]
+        self.step = (Interval(end) - end[:, 1:2]) - self.offset
+        self.jerk = np.zeros(start.shape[:2])
+
+    def derivatives(self, query: np.ndarray, t: np.ndarray) -> tuple[Interval, Interval, Interval]:
+        """Enclosures (k, 4, 3) of positions, velocities and accelerations of queries (k,) at the times (k,)."""
+        step = self.step[query]
+        return self.offset[query] + step * t[:, None, None], step, Interval(np.zeros_like(step.lo))
+
+
+def closest_approach(
+    points_t0: np.ndarray,
+    points_t1: np.ndarray,
+    is_face: bool,
+    t_from: float = 0.0,
+    t_to: float = 1.0,
+    width: float = 1e-12,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(lower, upper, time), each (n,): proven bracket of the least distance over [t_from, t_to] and where it is attained.
+
+    Points (n, 4, 3) or (4, 3). `width` is what the bracket aims at; rounding or a limit of effort may leave it wider.
+    """
+    return least_distance(LinearPaths(points_t0, points_t1, is_face), t_from, t_to, width)

@@ -19,7 +19,7 @@ struct DeformingInput {
   const double* vertices_t0;
   const double* vertices_t1;
   const int64_t* vertex_begin;  // (bodies,)
-  const int64_t* node_begin;    // (bodies,)
+  const int64_t* block_begin;    // (bodies,)
 };
 
 // Everything of DeformingBodies that depends on where the vertices are.
@@ -27,8 +27,8 @@ struct DeformingBounds {
   double* position_t0;  // (bodies, 3)
   double* position_t1;  // (bodies, 3)
   double* radius;       // (bodies,)
-  NodeSphere* spheres_t0;
-  NodeSphere* spheres_t1;
+  NodeBlock* blocks_t0;
+  NodeBlock* blocks_t1;
 };
 
 void refit_cpu(const Executor& executor, const DeformingInput& input, const DeformingBounds& bounds);

@@ -16,7 +16,7 @@ void refit_body(const DeformingInput& input, const DeformingBounds& bounds, int6
   const int32_t mesh = input.mesh_index[body];
   const MeshOffsets& offsets = input.meshes.offsets[mesh];
   const MeshOffsets& next = input.meshes.offsets[mesh + 1];
-  const int64_t face_count = next.face - offsets.face, node_count = next.node - offsets.node;
+  const int64_t face_count = next.face - offsets.face, block_count = next.block - offsets.block;
   const int32_t* faces = input.meshes.faces + 3 * offsets.face;
   BodyShape shape;
   shape.vertices[0] = input.vertices_t0 + 3 * input.vertex_begin[body];
@@ -27,20 +27,36 @@ void refit_body(const DeformingInput& input, const DeformingBounds& bounds, int6
 
   double squared = 0.0;
   for (int64_t corner = 0; corner < 3 * face_count; ++corner) {
-    for (int end = 0; end < 2; ++end) squared = std::fmax(squared, norm_squared(shape.local(end, faces[corner])));
+    for (int end = 0; end < 2; ++end) squared = larger(squared, norm_squared(shape.local(end, faces[corner])));
   }
   bounds.radius[body] = std::sqrt(squared) * (1.0 + 0x1p-40);
 
   const Triangle* triangles = input.meshes.triangles + offsets.face;
-  const NodeLink* links = input.meshes.node_links + offsets.node;
-  std::vector<NodeBounds> nodes(node_count);
-  // Parents precede their children, so backwards is bottom-up.
-  for (int64_t n = node_count - 1; n >= 0; --n) {
-    const NodeLink link = links[n];
-    nodes[n] = link.triangle_count > 0 ? leaf_bounds(shape, triangles, link)
-                                       : parent_bounds(shape, triangles, nodes[link.first], nodes[link.first + 1]);
-    bounds.spheres_t0[input.node_begin[body] + n] = node_sphere(nodes[n], 0);
-    bounds.spheres_t1[input.node_begin[body] + n] = node_sphere(nodes[n], 1);
+  const NodeLink* links = input.meshes.node_links + offsets.block * kBlockWidth;
+  std::vector<NodeBounds> nodes(block_count * kBlockWidth);
+  const auto occupied = [&](int64_t block) {
+    int count = 0;
+    while (count < kBlockWidth && (links[block * kBlockWidth + count].first | links[block * kBlockWidth + count].triangle_count)) {
+      ++count;
+    }
+    return count;
+  };
+  // Blocks of parents precede those of their children, so backwards is bottom-up.
+  for (int64_t block = block_count - 1; block >= 0; --block) {
+    NodeBlock* targets[2] = {bounds.blocks_t0 + input.block_begin[body] + block, bounds.blocks_t1 + input.block_begin[body] + block};
+    const int count = occupied(block);
+    for (int slot = 0; slot < kBlockWidth; ++slot) {
+      const int64_t n = block * kBlockWidth + slot;
+      if (slot < count) {
+        nodes[n] = links[n].triangle_count > 0
+                       ? leaf_bounds(shape, triangles, links[n])
+                       : parent_bounds(shape, triangles, &nodes[int64_t(links[n].first) * kBlockWidth], occupied(links[n].first));
+      }
+      for (int end = 0; end < 2; ++end) {
+        if (slot < count) store_node(nodes[n], end, slot, *targets[end]);
+        if (slot >= count) store_empty(slot, *targets[end]);
+      }
+    }
   }
 }
 

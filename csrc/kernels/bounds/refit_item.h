@@ -36,11 +36,11 @@ struct NodeBounds {
 
 namespace refit_detail {
 
-PGCCD_HD Vec3<double> smaller(Vec3<double> a, Vec3<double> b) {
-  return {std::fmin(a.x, b.x), std::fmin(a.y, b.y), std::fmin(a.z, b.z)};
+PGCCD_HD Vec3<double> lower_corner(Vec3<double> a, Vec3<double> b) {
+  return {smaller(a.x, b.x), smaller(a.y, b.y), smaller(a.z, b.z)};
 }
-PGCCD_HD Vec3<double> larger(Vec3<double> a, Vec3<double> b) {
-  return {std::fmax(a.x, b.x), std::fmax(a.y, b.y), std::fmax(a.z, b.z)};
+PGCCD_HD Vec3<double> upper_corner(Vec3<double> a, Vec3<double> b) {
+  return {larger(a.x, b.x), larger(a.y, b.y), larger(a.z, b.z)};
 }
 PGCCD_HD void place_centres(NodeBounds& node) {
   for (int end = 0; end < 2; ++end) node.centre[end] = cast<float>(0.5 * (node.lower[end] + node.upper[end]));
@@ -53,7 +53,7 @@ PGCCD_HD double exact_radius(const BodyShape& shape, const Triangle* triangles, 
     for (int corner = 0; corner < 3; ++corner) {
       for (int end = 0; end < 2; ++end) {
         const Vec3<double> x = shape.local(end, triangles[k].vertex[corner]);
-        squared = std::fmax(squared, norm_squared(x - cast<double>(node.centre[end])));
+        squared = larger(squared, norm_squared(x - cast<double>(node.centre[end])));
       }
     }
   }
@@ -71,8 +71,8 @@ PGCCD_HD NodeBounds leaf_bounds(const BodyShape& shape, const Triangle* triangle
     for (int32_t k = link.first; k < link.first + link.triangle_count; ++k) {
       for (int corner = 0; corner < 3; ++corner) {
         const Vec3<double> x = shape.local(end, triangles[k].vertex[corner]);
-        node.lower[end] = refit_detail::smaller(node.lower[end], x);
-        node.upper[end] = refit_detail::larger(node.upper[end], x);
+        node.lower[end] = refit_detail::lower_corner(node.lower[end], x);
+        node.upper[end] = refit_detail::upper_corner(node.upper[end], x);
       }
     }
   }
@@ -81,17 +81,16 @@ PGCCD_HD NodeBounds leaf_bounds(const BodyShape& shape, const Triangle* triangle
   return node;
 }
 
-// Small nodes measure their vertices; large ones take the better of two bounds, the box's corner and the children's
-// spheres.
-PGCCD_HD NodeBounds parent_bounds(const BodyShape& shape, const Triangle* triangles, const NodeBounds& left,
-                                  const NodeBounds& right) {
+// Small nodes measure their vertices; large ones take the better of two bounds, the box's corner and the children's spheres.
+PGCCD_HD NodeBounds parent_bounds(const BodyShape& shape, const Triangle* triangles, const NodeBounds* children, int count) {
   constexpr int32_t kMeasured = 32;
-  NodeBounds node{};
-  node.first_triangle = left.first_triangle;
-  node.triangle_count = left.triangle_count + right.triangle_count;
-  for (int end = 0; end < 2; ++end) {
-    node.lower[end] = refit_detail::smaller(left.lower[end], right.lower[end]);
-    node.upper[end] = refit_detail::larger(left.upper[end], right.upper[end]);
+  NodeBounds node = children[0];
+  for (int c = 1; c < count; ++c) {
+    node.triangle_count += children[c].triangle_count;
+    for (int end = 0; end < 2; ++end) {
+      node.lower[end] = refit_detail::lower_corner(node.lower[end], children[c].lower[end]);
+      node.upper[end] = refit_detail::upper_corner(node.upper[end], children[c].upper[end]);
+    }
   }
   refit_detail::place_centres(node);
   if (node.triangle_count <= kMeasured) {
@@ -101,17 +100,24 @@ PGCCD_HD NodeBounds parent_bounds(const BodyShape& shape, const Triangle* triang
   double by_children = 0.0, by_box = 0.0;
   for (int end = 0; end < 2; ++end) {
     const Vec3<double> centre = cast<double>(node.centre[end]);
-    by_children = std::fmax(by_children, norm(cast<double>(left.centre[end]) - centre) + left.radius);
-    by_children = std::fmax(by_children, norm(cast<double>(right.centre[end]) - centre) + right.radius);
-    by_box = std::fmax(by_box, norm(refit_detail::larger(node.upper[end] - centre, centre - node.lower[end])));
+    for (int c = 0; c < count; ++c) {
+      by_children = larger(by_children, norm(cast<double>(children[c].centre[end]) - centre) + children[c].radius);
+    }
+    by_box = larger(by_box, norm(refit_detail::upper_corner(node.upper[end] - centre, centre - node.lower[end])));
   }
-  node.radius = std::fmin(by_children, by_box);
+  node.radius = smaller(by_children, by_box);
   return node;
 }
 
-PGCCD_HD NodeSphere node_sphere(const NodeBounds& node, int end) {
-  const float radius = static_cast<float>(node.radius * (1.0 + 0x1p-40)) * (1.0f + 2.0f * Precision<float>::unit);
-  return {node.centre[end].x, node.centre[end].y, node.centre[end].z, radius};
+PGCCD_HD void store_node(const NodeBounds& node, int end, int slot, NodeBlock& block) {
+  block.x[slot] = node.centre[end].x;
+  block.y[slot] = node.centre[end].y;
+  block.z[slot] = node.centre[end].z;
+  block.radius[slot] = static_cast<float>(node.radius * (1.0 + 0x1p-40)) * (1.0f + 2.0f * Precision<float>::unit);
+}
+
+PGCCD_HD void store_empty(int slot, NodeBlock& block) {
+  block.x[slot] = block.y[slot] = block.z[slot] = block.radius[slot] = NAN;
 }
 
 }  // namespace pgccd

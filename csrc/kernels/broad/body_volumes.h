@@ -37,7 +37,7 @@ PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int
   const Vec3<double> travel = offset.at_t1 - offset.at_t0;
   const double length_squared = norm_squared(travel);
   double nearest = 0.0;
-  if (length_squared > 0.0) nearest = std::fmin(std::fmax(-dot(offset.at_t0, travel) / length_squared, 0.0), 1.0);
+  if (length_squared > 0.0) nearest = unit_clamp(-dot(offset.at_t0, travel) / length_squared);
   // Offsets, travel and the point at `nearest` are each off by a few roundings of the larger offset; a wrong `nearest`
   // by second order only.
   const double rounding = 0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1));
@@ -57,8 +57,8 @@ PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
   const double travel = max_abs(p1 - p0);
   const double reach = (bodies.centres.radius[body] + 0.5 * bodies.separation) * (1.0 + 0x1p-40) + 0x1p-40 * travel;
   const Vec3<double> r{reach, reach, reach};
-  return {Vec3<double>{std::fmin(p0.x, p1.x), std::fmin(p0.y, p1.y), std::fmin(p0.z, p1.z)} - r,
-          Vec3<double>{std::fmax(p0.x, p1.x), std::fmax(p0.y, p1.y), std::fmax(p0.z, p1.z)} + r};
+  return {Vec3<double>{smaller(p0.x, p1.x), smaller(p0.y, p1.y), smaller(p0.z, p1.z)} - r,
+          Vec3<double>{larger(p0.x, p1.x), larger(p0.y, p1.y), larger(p0.z, p1.z)} + r};
 }
 
 PGCCD_HD double component(Vec3<double> v, int axis) { return axis == 0 ? v.x : (axis == 1 ? v.y : v.z); }

@@ -74,7 +74,7 @@ SortedIntervals sort_intervals(const Executor& executor, const BroadBodies& bodi
   Vec3<double> origin{HUGE_VAL, HUGE_VAL, HUGE_VAL};
   for (int64_t b = 0; b < count; ++b) {
     const Vec3<double> lower = swept_box(bodies, b).lower;
-    origin = {std::fmin(origin.x, lower.x), std::fmin(origin.y, lower.y), std::fmin(origin.z, lower.z)};
+    origin = {smaller(origin.x, lower.x), smaller(origin.y, lower.y), smaller(origin.z, lower.z)};
   }
   const int second = (axis + 1) % 3, third = (axis + 2) % 3;
   std::vector<KeyedBody> keyed(count);

@@ -43,14 +43,14 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
   // A sixteenth of what the caller tolerates leaves few near misses; below the noise of the distance itself nothing can
   // be told.
   const T noise = T(4) * error.point + T(64) * unit * error.extent;
-  T tolerance = std::fmax(settings.tolerance * T(0.0625), noise);
+  T tolerance = larger(settings.tolerance * T(0.0625), noise);
 
   T t = T(0);
   FeaturePair<T> now = path.at(t);
   Nearest<T> nearest = nearest_points<kEdgeEdge>(now);
   T distance = norm(nearest.offset);
   if (settings.nonzero_toi && distance > settings.separation + noise) {
-    tolerance = std::fmin(tolerance, T(0.5) * (distance - settings.separation));
+    tolerance = smaller(tolerance, T(0.5) * (distance - settings.separation));
   }
   for (int advance = 0; advance < kMaxAdvances; ++advance) {
     if (!(distance > settings.separation + tolerance)) return {Status::kTouch, t, nearest.u, nearest.v};
@@ -64,7 +64,7 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     const T duration = t_end - t;
     const T keep_apart = settings.separation + path.deviation(duration) * (T(1) + T(16) * unit);
     T prefix = fixed_direction<kEdgeEdge>(now, end, (T(1) / distance) * nearest.offset, keep_apart, error);
-    if (prefix < T(1)) prefix = std::fmax(prefix, moving_normal(now, end, keep_apart, error));
+    if (prefix < T(1)) prefix = larger(prefix, moving_normal(now, end, keep_apart, error));
 
     if (!(prefix < T(1))) {
       if (t_end == T(1)) return {Status::kFree, static_cast<T>(INFINITY), T(0), T(0)};

@@ -41,7 +41,7 @@ PGCCD_HD FeatureVertices feature_vertices(const MeshSetView& meshes, int32_t mes
 
 // Relative error of the centre offset, and of adding it to a point.
 PGCCD_HD double centre_error(const RelativeCentre& centre) {
-  return 8.0 * Precision<double>::unit * std::fmax(max_abs(centre.at_t0), max_abs(centre.at_t1));
+  return 8.0 * Precision<double>::unit * larger(max_abs(centre.at_t0), max_abs(centre.at_t1));
 }
 
 // What all candidates of a body pair share.
@@ -158,8 +158,8 @@ PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, 
 template <class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_candidate(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
                                          const NarrowSettings& settings, double latest) {
-  const double smaller = std::fmin(bodies.centres.radius[pair.body[0]], bodies.centres.radius[pair.body[1]]);
-  const double tolerance = settings.tolerance < 0.0 ? -settings.tolerance * smaller : settings.tolerance;
+  const double least_radius = smaller(bodies.centres.radius[pair.body[0]], bodies.centres.radius[pair.body[1]]);
+  const double tolerance = settings.tolerance < 0.0 ? -settings.tolerance * least_radius : settings.tolerance;
   const SearchSettings<double> search{settings.separation, tolerance, latest, settings.nonzero_toi};
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {

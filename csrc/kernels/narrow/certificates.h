@@ -55,7 +55,7 @@ PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& en
   T prefix = T(1);
   for (int k = 0; k < count; ++k) {
     if (!(gap0[k] > threshold)) return T(0);
-    prefix = std::fmin(prefix, prefix_of_line(gap0[k], gap1[k], threshold));
+    prefix = smaller(prefix, prefix_of_line(gap0[k], gap1[k], threshold));
   }
   return prefix;
 }
@@ -79,12 +79,12 @@ PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end,
     c2 = -c2;
     c3 = -c3;
   }
-  const T longest = std::sqrt(std::fmax(std::fmax(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2)));
+  const T longest = std::sqrt(larger(larger(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2)));
   // |x| <= sqrt(3) max_abs(x); the products of three bound both the rounding of the determinants and of the clipping
   // below.
-  const T r = T(1.7320509) * std::fmax(max_abs(start.r), max_abs(end.r));
-  const T a = T(1.7320509) * std::fmax(max_abs(start.a), max_abs(end.a));
-  const T b = T(1.7320509) * std::fmax(max_abs(start.b), max_abs(end.b));
+  const T r = T(1.7320509) * larger(max_abs(start.r), max_abs(end.r));
+  const T a = T(1.7320509) * larger(max_abs(start.a), max_abs(end.a));
+  const T b = T(1.7320509) * larger(max_abs(start.b), max_abs(end.b));
   const T point = T(2) * error.point + T(8) * u * error.extent;
   const T rounding = T(128) * u * (a * b * r) + T(1.01) * point * (a * b + r * (a + b));
   const T threshold = distance * longest * (T(1) + T(16) * u) + rounding;
@@ -97,17 +97,17 @@ PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end,
     if (c1 > threshold && c2 > threshold && c3 > threshold) return T(1);
     // A window of one and a half Newton steps hugs the curve; no wider than what is left.
     const T fall = T(3) * (c0 - c1);
-    const T reach = fall > T(0) ? std::fmin(T(1.5) * (c0 - threshold) / fall, T(1)) : T(1);
+    const T reach = fall > T(0) ? smaller(T(1.5) * (c0 - threshold) / fall, T(1)) : T(1);
     const T d01 = c0 + reach * (c1 - c0), d12 = c1 + reach * (c2 - c1), d23 = c2 + reach * (c3 - c2);
     const T d012 = d01 + reach * (d12 - d01), d123 = d12 + reach * (d23 - d12);
     const T w3 = d012 + reach * (d123 - d012);
     // All of (1/3, d01), (2/3, d012), (1, w3) lie above the steepest line to one of them from (0, c0), hence so does the curve.
-    const T steepest = std::fmin(std::fmin(T(3) * (d01 - c0), T(1.5) * (d012 - c0)), w3 - c0);
+    const T steepest = smaller(smaller(T(3) * (d01 - c0), T(1.5) * (d012 - c0)), w3 - c0);
     const T inner = threshold - c0 > steepest ? (threshold - c0) / steepest : T(1);
     const T step = inner * reach;
     const T advanced = prefix + step * (T(1) - prefix) * (T(1) - T(4) * u);
     if (!(advanced > prefix * (T(1) + T(0x1p-20)))) {
-      prefix = std::fmax(advanced, prefix);
+      prefix = larger(advanced, prefix);
       break;
     }
     prefix = advanced;

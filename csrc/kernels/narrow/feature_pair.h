@@ -42,7 +42,7 @@ template <class T>
 PGCCD_HD T clamped_ratio(T numerator, T denominator) {
   // A degenerate edge has no direction: its start stands for all of it.
   if (!(denominator > T(0))) return T(0);
-  return std::fmin(std::fmax(numerator / denominator, T(0)), T(1));
+  return unit_clamp(numerator / denominator);
 }
 
 namespace nearest_detail {

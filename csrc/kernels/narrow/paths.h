@@ -21,7 +21,7 @@ class LinearPath {
   PGCCD_HD LinearPath(const Vec3<T> t0[4], const Vec3<T> t1[4], T point_error)
       : t0_(feature_pair<kEdgeEdge>(t0[0], t0[1], t0[2], t0[3])),
         t1_(feature_pair<kEdgeEdge>(t1[0], t1[1], t1[2], t1[3])) {
-    error_ = {point_error, std::fmax(extent(t0_), extent(t1_))};
+    error_ = {point_error, larger(extent(t0_), extent(t1_))};
   }
 
   PGCCD_HD FeaturePair<T> at(T t) const {
@@ -65,14 +65,14 @@ class ArcPath {
       const bool is_first = k < PointSplit<kEdgeEdge>::first_count;
       points_[k] = arc_point(is_first ? first : second, bases[k]);
       double& radius = is_first ? first_radius : second_radius;
-      radius = std::fmax(radius, norm(points_[k].quarter));
+      radius = larger(radius, norm(points_[k].quarter));
     }
     // |x''| <= angle^2 radius for each body; the factor covers the rounding of this very expression.
     curvature_ =
         (1.0 + 0x1p-40) * (first.angle * first.angle * first_radius + second.angle * second.angle * second_radius);
     double reach = 0.0;
-    for (int k = 0; k < 4; ++k) reach = std::fmax(reach, 3.0 * max_abs(bases[k]));
-    error_ = {point_error, 6.0 * (reach + std::fmax(max_abs(centre.at_t0), max_abs(centre.at_t1)))};
+    for (int k = 0; k < 4; ++k) reach = larger(reach, 3.0 * max_abs(bases[k]));
+    error_ = {point_error, 6.0 * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)))};
   }
 
   PGCCD_HD FeaturePair<double> at(double t) const {

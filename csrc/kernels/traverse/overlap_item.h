@@ -6,12 +6,11 @@
 
 namespace pgccd {
 
-// Offset of one centre from the other, at the start and the end of a segment, both moving straight.
+// Offset of one centre from the other, at the start and the end of a segment, both moving straight. Without branches, so that eight tests
+// fill the lanes of a vector unit; NaN (an empty slot) compares false.
 PGCCD_HD bool spheres_meet(Vec3<float> start, Vec3<float> end, float reach) {
   const Vec3<float> travel = end - start;
-  const float length_squared = norm_squared(travel);
-  float nearest = 0.0f;
-  if (length_squared > 0.0f) nearest = std::fmin(std::fmax(-dot(start, travel) / length_squared, 0.0f), 1.0f);
+  const float nearest = unit_clamp(-dot(start, travel) / norm_squared(travel));  // 0 / 0 becomes 0
   return norm_squared(start + nearest * travel) <= reach * reach;
 }
 
@@ -28,7 +27,7 @@ struct Range {
 
 PGCCD_HD Range project(const Vec3<float> x[3], Vec3<float> direction) {
   const float p = dot(direction, x[0]), q = dot(direction, x[1]), r = dot(direction, x[2]);
-  return {std::fmin(std::fmin(p, q), r), std::fmax(std::fmax(p, q), r)};
+  return {smaller(smaller(p, q), r), larger(larger(p, q), r)};
 }
 
 // Along a fixed direction the gap between straight-moving convex sets is concave in time: open at both ends, it is open

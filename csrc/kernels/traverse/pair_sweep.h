@@ -27,7 +27,7 @@ namespace sweep_detail {
 
 PGCCD_HD double local_scale(const BodyCentres& centres, int64_t i, int64_t j, const RelativeCentre& centre) {
   const double size =
-      2.0 * ((centres.radius[i] + centres.radius[j]) + std::fmax(max_abs(centre.at_t0), max_abs(centre.at_t1)));
+      2.0 * ((centres.radius[i] + centres.radius[j]) + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)));
   return inverse_power_of_two(size);
 }
 
@@ -59,7 +59,7 @@ struct RigidSweep {
                           0.125;
       // Chords may stray by a fiftieth of the smaller body; beyond the last segment count they stray further, and are
       // still covered.
-      const double wanted = std::sqrt(bend / (0.02 * std::fmin(ri, rj)));
+      const double wanted = std::sqrt(bend / (0.02 * smaller(ri, rj)));
       segment_count = wanted > kMaxSegments ? kMaxSegments : (wanted > 1.0 ? static_cast<int>(std::ceil(wanted)) : 1);
       deviation = bend / (static_cast<double>(segment_count) * segment_count);
     }
@@ -80,25 +80,19 @@ struct RigidSweep {
     return out;
   }
 
-  PGCCD_HD NodeSphere sphere(const RigidBodies& bodies, int side, int32_t node) const {
-    return bodies.meshes.node_spheres[bodies.meshes.offsets[mesh[side]].node + node];
+  // Centres of the eight nodes of a block are body-frame points; `end` (0 start, 1 end of the segment) does not change them.
+  PGCCD_HD const NodeBlock& block(const RigidBodies& bodies, int side, int32_t block, int /*end*/) const {
+    return bodies.meshes.node_blocks[bodies.meshes.offsets[mesh[side]].block + block];
   }
-  PGCCD_HD float local_radius(const NodeSphere& s) const { return static_cast<float>(scale) * s.radius; }
+  PGCCD_HD float node_scale() const { return static_cast<float>(scale); }
 
-  // Centre of a node at the boundary with pose p.
-  PGCCD_HD Vec3<float> centre(const RigidBodies& bodies, const LocalPose& p, int /*k*/, int side, int32_t node) const {
-    const NodeSphere s = sphere(bodies, side, node);
-    return place(p, side, {s.x, s.y, s.z});
+  // Body frame -> local frame, at the boundary with pose p.
+  PGCCD_HD static Vec3<float> place(const LocalPose& p, int side, Vec3<float> v) {
+    return side == 0 ? p.first * v : p.shift + p.second * v;
   }
   PGCCD_HD Vec3<float> vertex(const RigidBodies& bodies, const LocalPose& p, int /*k*/, int side, int32_t v) const {
-    return place(p, side,
-                 cast<float>(load_vec3(bodies.meshes.vertices + 3 * (bodies.meshes.offsets[mesh[side]].vertex + v))));
-  }
-
- private:
-  PGCCD_HD static Vec3<float> place(const LocalPose& p, int side, Vec3<float> v) {
-    if (side == 0) return p.first * v;
-    return p.shift + p.second * v;
+    const int64_t row = bodies.meshes.offsets[mesh[side]].vertex + v;
+    return place(p, side, cast<float>(load_vec3(bodies.meshes.vertices + 3 * row)));
   }
 };
 
@@ -118,28 +112,25 @@ struct DeformingSweep {
   PGCCD_HD LocalPose pose(const DeformingBodies& bodies, int k) const {
     const RelativeCentre centre = relative_centre(bodies.centres, body[0], body[1]);
     LocalPose out{};
+    out.first.r0.x = static_cast<float>(scale);  // no rotation: the scale is all there is
     out.shift = cast<float>(scale * (k == 0 ? centre.at_t0 : centre.at_t1));
     return out;
   }
-  PGCCD_HD NodeSphere sphere(const DeformingBodies& bodies, int side, int32_t node) const {
-    return bodies.spheres_t0[bodies.node_begin[body[side]] + node];
+  PGCCD_HD const NodeBlock& block(const DeformingBodies& bodies, int side, int32_t block, int end) const {
+    return (end == 0 ? bodies.blocks_t0 : bodies.blocks_t1)[bodies.block_begin[body[side]] + block];
   }
-  PGCCD_HD float local_radius(const NodeSphere& s) const { return static_cast<float>(scale) * s.radius; }
+  PGCCD_HD float node_scale() const { return static_cast<float>(scale); }
 
-  PGCCD_HD Vec3<float> centre(const DeformingBodies& bodies, const LocalPose& p, int k, int side, int32_t node) const {
-    const NodeSphere s = (k == 0 ? bodies.spheres_t0 : bodies.spheres_t1)[bodies.node_begin[body[side]] + node];
-    return place(p, side, static_cast<float>(scale) * Vec3<float>{s.x, s.y, s.z});
+  PGCCD_HD static Vec3<float> place(const LocalPose& p, int side, Vec3<float> v) {
+    return side == 0 ? p.first.r0.x * v : p.shift + p.first.r0.x * v;
   }
   PGCCD_HD Vec3<float> vertex(const DeformingBodies& bodies, const LocalPose& p, int k, int side, int32_t v) const {
     const BodyCentres& centres = bodies.centres;
-    const Vec3<double> x =
-        load_vec3((k == 0 ? bodies.vertices_t0 : bodies.vertices_t1) + 3 * (bodies.vertex_begin[body[side]] + v));
+    const int64_t row = bodies.vertex_begin[body[side]] + v;
+    const Vec3<double> x = load_vec3((k == 0 ? bodies.vertices_t0 : bodies.vertices_t1) + 3 * row);
     const Vec3<double> origin = load_vec3((k == 0 ? centres.position_t0 : centres.position_t1) + 3 * body[side]);
-    return place(p, side, cast<float>(scale * (x - origin)));
+    return place(p, side, cast<float>(x - origin));
   }
-
- private:
-  PGCCD_HD static Vec3<float> place(const LocalPose& p, int side, Vec3<float> v) { return side == 0 ? v : p.shift + v; }
 };
 
 template <class Bodies>

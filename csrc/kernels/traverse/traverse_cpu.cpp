@@ -1,6 +1,8 @@
 #include "kernels/traverse/pair_item.h"
 #include "kernels/traverse/traverse.h"
 
+#include <bit>
+
 namespace pgccd {
 namespace {
 
@@ -51,15 +53,14 @@ std::vector<Task> make_tasks(const Bodies& bodies, const int64_t* pairs, int64_t
     std::vector<Task> next;
     for (const Task& task : tasks) {
       const PairTree<Bodies> tree = cache.tree(task.pair);
-      NodePair children[2];
-      if (!tree.split(task.nodes, children)) {
+      if (tree.is_leaf_pair(task.nodes)) {
         next.push_back(task);
         continue;
       }
-      // The node pair itself is tested by whoever takes it; here only its children matter.
-      for (const NodePair child : children) {
-        ++node_tests;
-        if (tree.nodes_meet(child)) next.push_back({task.pair, child});
+      const SplitPair split = tree.split(task.nodes);
+      node_tests += kBlockWidth;
+      for (int slot = 0; slot < kBlockWidth; ++slot) {
+        if (split.mask & (1u << slot)) next.push_back({task.pair, split.child(slot)});
       }
     }
     tasks.swap(next);
@@ -73,21 +74,19 @@ int64_t descend(const PairTree<Bodies>& tree, const Task& task, std::vector<Cand
     out.push_back({task.pair, static_cast<int32_t>(kind), feature_i, feature_j});
   };
   int64_t tests = 0;
-  // Each split adds one entry net, and no path splits more often than both trees are deep.
-  NodePair stack[2 * kMaxTreeDepth + 2];
+  // A split takes one entry and adds at most eight, and no path splits more often than both trees are deep.
+  NodePair stack[2 * kMaxTreeDepth * (kBlockWidth - 1) + 1];
   int size = 0;
   stack[size++] = task.nodes;
   while (size > 0) {
     const NodePair nodes = stack[--size];
-    ++tests;
-    if (!tree.nodes_meet(nodes)) continue;
-    NodePair children[2];
-    if (!tree.split(nodes, children)) {
+    if (tree.is_leaf_pair(nodes)) {
       tree.leaf_candidates(nodes, emit);
       continue;
     }
-    stack[size++] = children[1];
-    stack[size++] = children[0];
+    const SplitPair split = tree.split(nodes);
+    tests += kBlockWidth;
+    for (uint32_t left = split.mask; left != 0; left &= left - 1) stack[size++] = split.child(std::countr_zero(left));
   }
   return tests;
 }

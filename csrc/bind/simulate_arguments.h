@@ -1,0 +1,52 @@
+// From the simulate operators' arguments to the views their kernels read; shared by the backends.
+#pragma once
+
+#include "bind/arguments.h"
+#include "kernels/simulate/world.h"
+
+namespace pgccd::bind {
+
+// integers and scales in the order of pgccd.sim.world.World.
+inline World world_view(const std::vector<int64_t>& integers, const std::vector<double>& scales) {
+  STD_TORCH_CHECK(integers.size() == 8, "world integers: expected 8 values, got ", integers.size());
+  STD_TORCH_CHECK(scales.size() == 8, "world scales: expected 8 values, got ", scales.size());
+  STD_TORCH_CHECK(integers[0] > 0 && integers[1] > 0 && integers[2] > 0 && integers[3] > 0,
+                  "world integers: expected at least one robot and one cell an axis");
+  STD_TORCH_CHECK(integers[4] == 0 || integers[4] == 1, "world integers: unknown movement pattern ", integers[4]);
+  return {integers[0],
+          {integers[1], integers[2], integers[3]},
+          static_cast<MovementPattern>(integers[4]),
+          static_cast<uint64_t>(integers[5]),
+          integers[6],
+          integers[7],
+          scales[0],
+          scales[1],
+          scales[2],
+          scales[3],
+          scales[4],
+          scales[5],
+          scales[6],
+          scales[7]};
+}
+
+inline RobotColumns robot_columns(const std::vector<Tensor>& t) {
+  STD_TORCH_CHECK(t.size() == 7, "state: expected 7 tensors, got ", t.size());
+  RobotColumns view;
+  view.id = rows<int64_t>(t[0], "state.id", {kAnySize});
+  view.count = t[0].size(0);
+  view.position = rows<double>(t[1], "state.position", {view.count, 3});
+  view.orientation = rows<double>(t[2], "state.orientation", {view.count, 4});
+  view.velocity = rows<double>(t[3], "state.velocity", {view.count, 3});
+  view.angular_velocity = rows<double>(t[4], "state.angular_velocity", {view.count, 3});
+  view.target = rows<int64_t>(t[5], "state.target", {view.count});
+  view.stay_until = rows<int64_t>(t[6], "state.stay_until", {view.count});
+  return view;
+}
+
+// Philox counts steps and streams in 32 bits.
+inline uint32_t counter_word(int64_t value, const char* name) {
+  STD_TORCH_CHECK(value >= 0 && value < (int64_t{1} << 32), name, ": expected a value in [0, 2^32), got ", value);
+  return static_cast<uint32_t>(value);
+}
+
+}  // namespace pgccd::bind

@@ -1,0 +1,19 @@
+// The nanorobot world's operators.
+//
+// state = [id (N,) i64, position (N, 3), orientation (N, 4), velocity (N, 3), angular_velocity (N, 3), target (N,) i64,
+//          stay_until (N,) i64], see kernels/simulate/world.h
+// world integers and scales: see bind/simulate_arguments.h
+#include <torch/csrc/stable/library.h>
+
+STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
+  library.def(
+      "simulate_start(Tensor id, int[] integers, float[] scales) -> (Tensor position, Tensor orientation, "
+      "Tensor velocity, Tensor angular_velocity, Tensor target, Tensor stay_until)");
+  library.def(
+      "simulate_plan(Tensor[] state, int step, int[] integers, float[] scales) -> (Tensor velocity, "
+      "Tensor angular_velocity, Tensor target, Tensor stay_until)");
+  library.def(
+      "simulate_respond(Tensor[] state, Tensor toi) -> (Tensor position, Tensor orientation, Tensor velocity, "
+      "Tensor angular_velocity)");
+  library.def("random_uniforms(Tensor id, int seed, int step, int stream) -> Tensor");
+}

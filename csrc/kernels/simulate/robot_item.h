@@ -1,0 +1,205 @@
+// One robot of the nanorobot world: how it starts, what it plans for a step, and how it answers a collision.
+#pragma once
+
+#include "core/random.h"
+#include "core/rotation.h"
+#include "kernels/simulate/world.h"
+
+namespace pgccd {
+
+struct Robot {
+  Vec3<double> position;
+  Quaternion orientation;
+  Vec3<double> velocity;
+  Vec3<double> angular_velocity;
+  int64_t target;
+  int64_t stay_until;
+};
+
+namespace robot_detail {
+
+enum Stream : uint32_t {
+  kPlaceStream,
+  kOrientationStream,
+  kCourseStream,
+  kSpinStream,
+  kDecisionStream,
+  kTargetStream,
+};
+
+constexpr double kTwoPi = 0x1.921fb54442d18p+2;
+// Of the gap between neighbouring spheres at the start; the rest keeps them apart for certain.
+constexpr double kJitter = 0.95;
+// A robot's heading strays from the straight way by about this angle.
+constexpr double kHeadingSpread = 0.3;
+// Robots that stay mill about at this fraction of their speed.
+constexpr double kStayingSpeed = 0.25;
+
+PGCCD_HD Uniforms draw(const World& world, int64_t id, int64_t step, Stream stream) {
+  return random_uniforms(world.seed, {id, static_cast<uint32_t>(step), stream});
+}
+
+// Uniform on the unit sphere: Archimedes' cylinder.
+PGCCD_HD Vec3<double> direction(double u, double v) {
+  const double z = 2.0 * u - 1.0;
+  const double r = std::sqrt(1.0 - z * z);
+  const SineCosine at = sine_cosine(kTwoPi * v);
+  return {r * at.cosine, r * at.sine, z};
+}
+
+// Uniform on the unit quaternions (Shoemake 1992).
+PGCCD_HD Quaternion random_orientation(const Uniforms& r) {
+  const SineCosine a = sine_cosine(kTwoPi * r.u[1]), b = sine_cosine(kTwoPi * r.u[2]);
+  const double s = std::sqrt(1.0 - r.u[0]), t = std::sqrt(r.u[0]);
+  return normalized({t * b.cosine, {s * a.sine, s * a.cosine, t * b.sine}});
+}
+
+PGCCD_HD double axis_component(Vec3<double> v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
+
+PGCCD_HD Vec3<double> corner(const World& world, int64_t target) {
+  const Vec3<double> half = world.half_extent();
+  const Vec3<double> reach = {half.x - world.radius, half.y - world.radius, half.z - world.radius};
+  return {(target & 1) ? reach.x : -reach.x, (target & 2) ? reach.y : -reach.y, (target & 4) ? reach.z : -reach.z};
+}
+
+PGCCD_HD void set_random_course(const World& world, int64_t id, int64_t step, double fraction, Robot& robot) {
+  const Uniforms course = draw(world, id, step, kCourseStream), spin = draw(world, id, step, kSpinStream);
+  const double speed = world.speed * world.radius * (0.5 + course.u[2]) * fraction;
+  robot.velocity = speed * direction(course.u[0], course.u[1]);
+  robot.angular_velocity = (world.spin * spin.u[2]) * direction(spin.u[0], spin.u[1]);
+}
+
+PGCCD_HD void set_course_to_target(const World& world, int64_t id, int64_t step, Robot& robot) {
+  set_random_course(world, id, step, 1.0, robot);
+  const double speed = norm(robot.velocity);
+  const Vec3<double> way = corner(world, robot.target) - robot.position;
+  const double distance = norm(way);
+  if (speed == 0.0 || distance == 0.0) return;
+  const Vec3<double> heading = (1.0 / distance) * way + (kHeadingSpread / speed) * robot.velocity;
+  robot.velocity = (speed / norm(heading)) * heading;  // |heading| >= 1 - kHeadingSpread
+}
+
+PGCCD_HD void plan_skewed(const World& world, int64_t id, int64_t step, Robot& robot) {
+  const Uniforms decision = draw(world, id, step, kDecisionStream);
+  if (robot.stay_until != kNotStaying) {
+    if (step >= robot.stay_until) {
+      const Uniforms choice = draw(world, id, step, kTargetStream);
+      robot.target = (robot.target + 1 + static_cast<int64_t>(7.0 * choice.u[0])) & 7;
+      robot.stay_until = kNotStaying;
+      set_course_to_target(world, id, step, robot);
+    } else if (decision.u[0] < world.course_change) {
+      set_random_course(world, id, step, kStayingSpeed, robot);
+    }
+    return;
+  }
+  const Vec3<double> half = world.half_extent();
+  const double edge = 2.0 * smaller(half.x, smaller(half.y, half.z));
+  const Vec3<double> way = corner(world, robot.target) - robot.position;
+  const double distance = norm(way);
+  const bool thrown_back = dot(way, robot.velocity) < 0.0;
+  if (distance <= world.arrival * edge || (thrown_back && distance <= world.crowd * edge)) {
+    const double choices = static_cast<double>(world.stay_longest - world.stay_shortest + 1);
+    robot.stay_until = step + world.stay_shortest + static_cast<int64_t>(choices * decision.u[1]);
+    set_random_course(world, id, step, kStayingSpeed, robot);
+  } else if (decision.u[0] < world.resumption) {
+    set_course_to_target(world, id, step, robot);
+  }
+}
+
+// Turns the velocity inwards where the step would take the SBV through a wall.
+PGCCD_HD double reflected(double position, double velocity, double reach) {
+  if (position + velocity > reach) return -std::fabs(velocity);
+  if (position + velocity < -reach) return std::fabs(velocity);
+  return velocity;
+}
+
+}  // namespace robot_detail
+
+// Cells are dealt out so that the empty ones, if any, are spread over the lattice. Below 2^31 robots no product
+// overflows.
+PGCCD_HD Robot start_robot(const World& world, int64_t id) {
+  using namespace robot_detail;
+  const uint64_t cell_count = static_cast<uint64_t>(world.cells[0] * world.cells[1] * world.cells[2]);
+  const int64_t cell =
+      static_cast<int64_t>(static_cast<uint64_t>(id) * cell_count / static_cast<uint64_t>(world.robot_count));
+  const int64_t column[3] = {cell % world.cells[0], cell / world.cells[0] % world.cells[1],
+                             cell / (world.cells[0] * world.cells[1])};
+  const Uniforms place = draw(world, id, 0, kPlaceStream);
+  double x[3];
+  for (int axis = 0; axis < 3; ++axis) {
+    const double centre =
+        static_cast<double>(column[axis]) + 0.5 - 0.5 * static_cast<double>(world.cells[axis]);  // exact
+    const double jitter = kJitter * (0.5 * world.spacing - 1.0) * (2.0 * place.u[axis] - 1.0);
+    x[axis] = (centre * world.spacing + jitter) * world.radius;
+  }
+  Robot robot;
+  robot.position = {x[0], x[1], x[2]};
+  robot.orientation = random_orientation(draw(world, id, 0, kOrientationStream));
+  robot.target = kNoTarget;
+  robot.stay_until = kNotStaying;
+  if (world.pattern == MovementPattern::kSkewed) {
+    robot.target = static_cast<int64_t>(8.0 * place.u[3]);
+    set_course_to_target(world, id, 0, robot);
+  } else {
+    set_random_course(world, id, 0, 1.0, robot);
+  }
+  return robot;
+}
+
+// Decides the velocities of the step. Step 0 keeps those of the start.
+PGCCD_HD void plan_robot(const World& world, int64_t id, int64_t step, Robot& robot) {
+  using namespace robot_detail;
+  if (step > 0) {
+    if (world.pattern == MovementPattern::kSkewed) {
+      plan_skewed(world, id, step, robot);
+    } else if (draw(world, id, step, kDecisionStream).u[0] < world.course_change) {
+      set_random_course(world, id, step, 1.0, robot);
+    }
+  }
+  const Vec3<double> half = world.half_extent();
+  robot.velocity = {reflected(robot.position.x, robot.velocity.x, half.x - world.radius),
+                    reflected(robot.position.y, robot.velocity.y, half.y - world.radius),
+                    reflected(robot.position.z, robot.velocity.z, half.z - world.radius)};
+}
+
+// The simple response of Du, Liu & Suzumura 2017: stop at the first collision of the step, then go back. A robot
+// without one (toi > 1) moves to the end of the step.
+PGCCD_HD void respond_robot(double toi, Robot& robot) {
+  const bool stopped = toi <= 1.0;
+  const double t = stopped ? toi : 1.0;
+  robot.position = robot.position + t * robot.velocity;
+  robot.orientation = normalized(exponential(t * robot.angular_velocity) * robot.orientation);
+  if (stopped) {
+    robot.velocity = -robot.velocity;
+    robot.angular_velocity = -robot.angular_velocity;
+  }
+}
+
+PGCCD_HD Robot load_robot(const RobotColumns& robots, int64_t row) {
+  return {load_vec3(robots.position + 3 * row),
+          load_quaternion(robots.orientation + 4 * row),
+          load_vec3(robots.velocity + 3 * row),
+          load_vec3(robots.angular_velocity + 3 * row),
+          robots.target[row],
+          robots.stay_until[row]};
+}
+
+PGCCD_HD void store_vec3(double* row, Vec3<double> v) {
+  row[0] = v.x;
+  row[1] = v.y;
+  row[2] = v.z;
+}
+
+PGCCD_HD void store_robot(const RobotResults& results, int64_t row, const Robot& robot) {
+  if (results.position) store_vec3(results.position + 3 * row, robot.position);
+  if (results.orientation) {
+    results.orientation[4 * row] = robot.orientation.w;
+    store_vec3(results.orientation + 4 * row + 1, robot.orientation.v);
+  }
+  if (results.velocity) store_vec3(results.velocity + 3 * row, robot.velocity);
+  if (results.angular_velocity) store_vec3(results.angular_velocity + 3 * row, robot.angular_velocity);
+  if (results.target) results.target[row] = robot.target;
+  if (results.stay_until) results.stay_until[row] = robot.stay_until;
+}
+
+}  // namespace pgccd

@@ -1,0 +1,46 @@
+#include "kernels/simulate/robot_item.h"
+#include "kernels/simulate/simulate.h"
+
+namespace pgccd {
+namespace {
+
+template <class Fn>
+void for_each_row(const Executor& executor, int64_t count, Fn&& fn) {
+  parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
+    for (int64_t row = begin; row < end; ++row) fn(row);
+  });
+}
+
+}  // namespace
+
+void start_cpu(const Executor& executor, const World& world, const int64_t* id, int64_t count,
+               const RobotResults& results) {
+  for_each_row(executor, count, [&](int64_t row) { store_robot(results, row, start_robot(world, id[row])); });
+}
+
+void plan_cpu(const Executor& executor, const World& world, const RobotColumns& robots, int64_t step,
+              const RobotResults& results) {
+  for_each_row(executor, robots.count, [&](int64_t row) {
+    Robot robot = load_robot(robots, row);
+    plan_robot(world, robots.id[row], step, robot);
+    store_robot(results, row, robot);
+  });
+}
+
+void respond_cpu(const Executor& executor, const RobotColumns& robots, const double* toi, const RobotResults& results) {
+  for_each_row(executor, robots.count, [&](int64_t row) {
+    Robot robot = load_robot(robots, row);
+    respond_robot(toi[row], robot);
+    store_robot(results, row, robot);
+  });
+}
+
+void random_uniforms_cpu(const Executor& executor, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
+                         uint32_t stream, double* uniforms) {
+  for_each_row(executor, count, [&](int64_t row) {
+    const Uniforms drawn = random_uniforms(seed, {id[row], step, stream});
+    for (int k = 0; k < 4; ++k) uniforms[4 * row + k] = drawn.u[k];
+  });
+}
+
+}  // namespace pgccd

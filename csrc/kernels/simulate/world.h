@@ -1,0 +1,63 @@
+// The nanorobot world: its fixed numbers, and its robots as columns.
+#pragma once
+
+#include <cstdint>
+
+#include "core/vec3.h"
+
+namespace pgccd {
+
+enum class MovementPattern : int64_t {
+  kRandom = 0,  // straight courses in uniformly random directions
+  kSkewed = 1,  // to one of the eight corners, there for a while, then to another
+};
+
+struct World {
+  int64_t robot_count;  // of the whole world; ids are 0 .. robot_count - 1
+  int64_t cells[3];     // of the start lattice
+  MovementPattern pattern;
+  uint64_t seed;
+  int64_t stay_shortest, stay_longest;  // steps
+  double radius;                        // largest SBV radius
+  double spacing;                       // of the start lattice, in radii, > 2
+  double speed;                         // mean displacement a step, in radii
+  double spin;                          // largest rotation a step, radians
+  double course_change;                 // chance of a new course, a step
+  double resumption;                    // chance that a robot (again) turns to its corner, a step
+  double arrival;                       // a robot this near to its corner has arrived; in smallest box edges
+  double crowd;                         // a robot that is thrown back this near to its corner stays too
+
+  // The box is centred on the origin.
+  PGCCD_HD Vec3<double> half_extent() const {
+    const double half_cell = 0.5 * (spacing * radius);
+    return {static_cast<double>(cells[0]) * half_cell, static_cast<double>(cells[1]) * half_cell,
+            static_cast<double>(cells[2]) * half_cell};
+  }
+};
+
+constexpr int64_t kNoTarget = -1;
+constexpr int64_t kNotStaying = -1;
+
+// Robots as columns; any subset of the world's robots in any order.
+struct RobotColumns {
+  const int64_t* id;
+  const double* position;          // (count, 3)
+  const double* orientation;       // (count, 4)
+  const double* velocity;          // (count, 3), length a step
+  const double* angular_velocity;  // (count, 3), radians a step, world frame
+  const int64_t* target;           // corner 0 .. 7, bit k set: upper end of axis k; or kNoTarget
+  const int64_t* stay_until;       // first step of the next journey, or kNotStaying
+  int64_t count;
+};
+
+// Where results go; the columns that an operation does not change stay null.
+struct RobotResults {
+  double* position = nullptr;
+  double* orientation = nullptr;
+  double* velocity = nullptr;
+  double* angular_velocity = nullptr;
+  int64_t* target = nullptr;
+  int64_t* stay_until = nullptr;
+};
+
+}  // namespace pgccd

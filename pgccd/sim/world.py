@@ -1,0 +1,182 @@
+"""The nanorobot world: its configuration, its robots' state, and how they start and move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Literal, get_args
+
+import torch
+from torch import Tensor
+
+from pgccd import ops
+from pgccd.mesh import Mesh, MeshSet
+from pgccd.motion import RigidMotion
+from pgccd.scene import Scene
+from pgccd.sim.robot import robot_mesh
+
+Pattern = Literal["random", "skewed"]
+PATTERNS: tuple[str, ...] = get_args(Pattern)
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """What a world is like. Lengths are in radii r: the largest SBV radius of its meshes.
+
+    Raises:
+        ValueError: naming the field.
+
+    Example:
+        >>> config = pgccd.sim.WorldConfig(robots=1000, pattern="skewed", seed=7)
+    """
+
+    robots: int = 10_000  #: below 2^31
+    #: "random": straight courses in random directions. "skewed": each robot heads for one of the eight corners of the box, stays
+    #: there a while, then heads for another.
+    pattern: Pattern = "random"
+    seed: int = 0  #: any int64
+    #: Of the lattice at the start, > 2. 2.56 makes the SBVs fill 25 % of the box.
+    spacing: float = 2.56
+    speed: float = 0.1  #: mean displacement a step; that of a robot lies between half of it and half as much again
+    spin: float = 0.1  #: largest rotation a step, radians
+    course_steps: float = 32.0  #: mean number of steps on one course (random, and while staying in a corner)
+    resume_steps: float = 8.0  #: mean number of steps after which a robot thrown back heads for its corner again
+    stay_steps: tuple[int, int] = (100, 300)  #: shortest and longest stay in a corner
+    arrival: float = 0.1  #: a robot this near to its corner has arrived; in smallest edges of the box
+    crowd: float = 0.35  #: a robot thrown back within this distance of its corner has met the crowd and stays too
+
+    def __post_init__(self) -> None:
+        if self.pattern not in PATTERNS:
+            raise ValueError(f"pattern: expected one of {list(PATTERNS)}, got {self.pattern!r}")
+        for name, low, high in (("robots", 1, 2**31 - 1), ("seed", -(2**63), 2**63 - 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or not low <= value <= high:
+                raise ValueError(f"{name}: expected an integer in [{low}, {high}], got {value!r}")
+        if not 2.0 < self.spacing <= 1e6:
+            raise ValueError(f"spacing: expected more than 2 radii (and at most 1e6), got {self.spacing}")
+        for name in ("speed", "spin", "arrival", "crowd"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)}")
+        for name in ("course_steps", "resume_steps"):
+            if not 1.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a finite number >= 1, got {getattr(self, name)}")
+        shortest, longest = self.stay_steps
+        if not 0 <= shortest <= longest < 2**31:
+            raise ValueError(f"stay_steps: expected 0 <= shortest <= longest, got {self.stay_steps}")
+        # Between walls twice as far apart as its step, a robot that turns at one does not reach the other.
+        fastest = 1.5 * self.speed
+        room = min(lattice_cells(self.robots)) * self.spacing - 2.0
+        if 2.0 * fastest > room:
+            raise ValueError(
+                f"speed: a box with {room:.3g} radii of room takes at most {room / 3.0:.3g}, got {self.speed}"
+            )
+
+
+def lattice_cells(robots: int) -> tuple[int, int, int]:
+    """Cells an axis of the smallest near-cubic lattice for so many robots."""
+
+    def first(enough: Any, guess: float) -> int:
+        cells = max(1, int(guess) - 1)
+        while not enough(cells):
+            cells += 1
+        return cells
+
+    x = first(lambda n: n**3 >= robots, robots ** (1 / 3))
+    y = first(lambda n: x * n**2 >= robots, (robots / x) ** (1 / 2))
+    return x, y, -(-robots // (x * y))
+
+
+@dataclass
+class RobotState:
+    """Robots as columns, all on one device: any subset of a world's robots, ids ascending."""
+
+    id: Tensor  #: (N,) int64, stable global ids
+    position: Tensor  #: (N, 3) float64, SBV centres, world frame, length units
+    orientation: Tensor  #: (N, 4) float64 unit quaternions (w, x, y, z)
+    velocity: Tensor  #: (N, 3) float64, length units a step
+    angular_velocity: Tensor  #: (N, 3) float64, world frame, radians a step
+    target: Tensor  #: (N,) int64: the corner 0 to 7 it belongs to (bit k: upper end of axis k), -1 if none
+    stay_until: Tensor  #: (N,) int64: the step in which its stay there ends, -1 if it is on its way
+
+    def __len__(self) -> int:
+        return self.id.shape[0]
+
+    @property
+    def columns(self) -> dict[str, Tensor]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def to(self, device: torch.device | str) -> RobotState:
+        return RobotState(**{name: column.to(device) for name, column in self.columns.items()})
+
+
+class World:
+    """A world on one device: its meshes, its box, and the rules by which its robots start and move.
+
+    All it decides is a function of (seed, id, step) and the state, in operators of ours: the same bits on every device,
+    with any number of threads or ranks.
+
+    Args:
+        config: what it is like.
+        meshes: the kinds of robots; the robot with id k is of kind k modulo their number. Default: `robot_mesh()`.
+        device: where states and scenes live.
+
+    Example:
+        >>> world = pgccd.sim.World(pgccd.sim.WorldConfig(robots=1000))
+        >>> state = world.plan(world.start(), step=0)
+        >>> hits = pgccd.detect(world.scene(state.id), world.motion(state))
+    """
+
+    def __init__(
+        self, config: WorldConfig, meshes: Sequence[Mesh] | None = None, device: torch.device | str = "cpu"
+    ) -> None:
+        self.config = config
+        self.meshes = MeshSet(list(meshes) if meshes is not None else [robot_mesh()], device)
+        self.device = self.meshes.device
+        #: Largest SBV radius, length units.
+        self.radius = max(mesh.radius for mesh in self.meshes.meshes)
+        self.cells = lattice_cells(config.robots)
+        #: Upper ends of the box, which is centred on the origin; the SBVs of robots stay inside.
+        self.half_extent = tuple(0.5 * (config.spacing * self.radius) * cells for cells in self.cells)
+        # In the order of world_view in csrc/bind/simulate_arguments.h.
+        self._integers = [config.robots, *self.cells, PATTERNS.index(config.pattern), config.seed, *config.stay_steps]
+        self._scales = [self.radius, config.spacing, config.speed, config.spin, 1.0 / config.course_steps]
+        self._scales += [1.0 / config.resume_steps, config.arrival, config.crowd]
+
+    def start(self, id: Tensor | None = None) -> RobotState:
+        """The state before step 0 of the robots `id` (N,) int64, ascending; default all. No two SBVs overlap."""
+        if id is None:
+            id = torch.arange(self.config.robots, device=self.device)
+        return RobotState(id, *ops.simulate_start(id, self._integers, self._scales))
+
+    def plan(self, state: RobotState, step: int) -> RobotState:
+        """The state with the velocities of step number `step` (from 0): new courses, and reflection at the walls."""
+        tensors = list(state.columns.values())
+        velocity, angular_velocity, target, stay_until = ops.simulate_plan(tensors, step, self._integers, self._scales)
+        return replace(
+            state, velocity=velocity, angular_velocity=angular_velocity, target=target, stay_until=stay_until
+        )
+
+    def motion(self, state: RobotState) -> RigidMotion:
+        """The step that a planned state is about to make."""
+        return RigidMotion.from_velocity(
+            state.position, state.orientation, state.velocity, state.angular_velocity, dt=1.0
+        )
+
+    def scene(self, id: Tensor) -> Scene:
+        """The scene of the robots `id` (N,) int64."""
+        return Scene(self.meshes, id % len(self.meshes))
+
+    def describe(self) -> dict[str, Any]:
+        """The configuration and what follows from it, in plain numbers."""
+        x, y, z = (2.0 * half for half in self.half_extent)
+        radii = torch.tensor([mesh.radius for mesh in self.meshes.meshes], dtype=torch.float64)
+        of_kind = torch.bincount(
+            torch.arange(len(radii)).repeat(-(-self.config.robots // len(radii)))[: self.config.robots]
+        )
+        filled = float((of_kind * 4.0 / 3.0 * math.pi * radii[: len(of_kind)] ** 3).sum())
+        return asdict(self.config) | {
+            "radius": self.radius,
+            "box": [x, y, z],
+            "sbv_volume_fraction": filled / (x * y * z),
+        }
