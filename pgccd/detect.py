@@ -13,6 +13,7 @@ from pgccd import broad, narrow, traverse
 from pgccd.bodies import MovingBodies
 from pgccd.contacts import Contacts, Stats
 from pgccd.motion import RigidMotion, VertexMotion
+from pgccd.ops import ContactRows
 from pgccd.scene import Scene
 
 # What one pair of the PCS may need while it is traversed and solved, on the standard scene with room to spare.
@@ -76,13 +77,18 @@ def detect(
 
     found = []
     for chunk in pairs.split(max(1, budget // _BYTES_PER_PAIR)):
-        with _timed(stats, "traverse"):
-            candidates, node_tests = traverse.bvtt(bodies, chunk, min_separation)
-        with _timed(stats, "narrow"):
-            rows = narrow.contacts(bodies, chunk, candidates, report, min_separation, tolerance, nonzero_toi)
         stats.chunks += 1
-        stats.node_tests += int(node_tests)
-        stats.candidates += candidates.shape[0]
+        horizon = None
+        if report in ("first", "earliest"):
+            # A good guess at each pair's first contact bounds how far the search for an earlier one need look.
+            candidates = _traverse(stats, bodies, chunk, min_separation, tolerance, None, leading=True)
+            rows = _narrow(stats, bodies, chunk, candidates, "first", min_separation, tolerance, nonzero_toi)
+            horizon = torch.ones(len(chunk), dtype=torch.float64, device=bodies.device)
+            horizon[rows[0].long()] = rows[4]
+            if report == "earliest" and len(horizon):
+                horizon = horizon.min().expand_as(horizon).contiguous()
+        candidates = _traverse(stats, bodies, chunk, min_separation, tolerance, horizon, leading=False)
+        rows = _narrow(stats, bodies, chunk, candidates, report, min_separation, tolerance, nonzero_toi)
         found.append((chunk[rows[0].long()], *rows[1:]))
     pair, kind, features, status, toi, coordinates, point, normal = (
         torch.cat(column) for column in zip(*found, strict=True)
@@ -98,6 +104,36 @@ def detect(
     if report == "any":
         return Contacts(pair, None, None, None, None, None, None, None, stats)
     return Contacts(pair, toi, kind, features, coordinates, point, normal, status, stats)
+
+
+def _traverse(
+    stats: Stats,
+    bodies: MovingBodies,
+    pairs: Tensor,
+    min_separation: float,
+    tolerance: float | None,
+    horizon: Tensor | None,
+    leading: bool,
+) -> Tensor:
+    with _timed(stats, "traverse"):
+        candidates, node_tests = traverse.bvtt(bodies, pairs, min_separation, tolerance, horizon, leading)
+        stats.node_tests += int(node_tests)
+        stats.candidates += candidates.shape[0]
+    return candidates
+
+
+def _narrow(
+    stats: Stats,
+    bodies: MovingBodies,
+    pairs: Tensor,
+    candidates: Tensor,
+    report: narrow.Report,
+    min_separation: float,
+    tolerance: float | None,
+    nonzero_toi: bool,
+) -> ContactRows:
+    with _timed(stats, "narrow"):
+        return narrow.contacts(bodies, pairs, candidates, report, min_separation, tolerance, nonzero_toi)
 
 
 @contextmanager

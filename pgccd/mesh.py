@@ -13,8 +13,8 @@ from torch import Tensor
 
 from pgccd import _host
 
-# Triangles a leaf of the hierarchy holds at most; measured in bench/ (small leaves cull more, large ones cost less memory).
-LEAF_SIZE = 2
+# Triangles a leaf of the hierarchy holds at most: one for each lane of a vector unit.
+LEAF_SIZE = 8
 
 # Beyond these the float32 hierarchy would overflow or vanish.
 _SMALLEST_RADIUS, _LARGEST_RADIUS = 1e-30, 1e30
@@ -67,6 +67,9 @@ class Mesh:
         #: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Contacts name edges by these rows.
         self.edges = torch.from_numpy(prepared["edges"])
         self._triangles = torch.from_numpy(prepared["triangles"])
+        in_leaf_order = self.faces[self._triangles[:, 6].long()].long()
+        # Corner coordinates as nine columns.
+        self._corners = self.vertices.float()[in_leaf_order].view(-1, 9).T.contiguous()
         self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 4, 8)
         self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 2)
 
@@ -156,7 +159,9 @@ class MeshSet:
         self.radius = torch.tensor([m.radius for m in meshes], dtype=torch.float64, device=device)
         columns = ("vertices", "faces", "edges", "_triangles", "_node_blocks", "_node_links")
         joined = [torch.cat([getattr(m, column) for m in meshes]) for column in columns]
-        self.tensors = [tensor.contiguous().to(device) for tensor in (*joined, self.offsets)]
+        # Padded, so that eight neighbours can be loaded at the last triangle too.
+        corners = torch.nn.functional.pad(torch.cat([m._corners for m in meshes], dim=1), (0, LEAF_SIZE))
+        self.tensors = [tensor.contiguous().to(device) for tensor in (*joined, corners, self.offsets)]
 
     def __len__(self) -> int:
         return len(self.meshes)

@@ -12,13 +12,10 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.bodies import MovingBodies
 from pgccd.broad import check_separation
-from pgccd.traverse import check_pairs
+from pgccd.traverse import check_pairs, operator_tolerance
 
 Report = Literal["any", "first", "all", "earliest"]
 REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 3}
-
-#: The default tolerance, relative to the smaller SBV radius of a pair.
-RELATIVE_TOLERANCE = 1e-6
 
 
 class Kind(IntEnum):
@@ -72,7 +69,12 @@ def vertex_face(
         >>> colliding = hit.status != pgccd.FREE
     """
     return ElementaryResult(
-        *ops.vertex_face(*_queries(points_t0, points_t1), *_settings(min_separation, tolerance), nonzero_toi)
+        *ops.vertex_face(
+            *_queries(points_t0, points_t1),
+            check_separation(min_separation),
+            operator_tolerance(tolerance),
+            nonzero_toi,
+        )
     )
 
 
@@ -89,7 +91,12 @@ def edge_edge(
         >>> hit = pgccd.narrow.edge_edge(x0, x1, min_separation=1e-3)
     """
     return ElementaryResult(
-        *ops.edge_edge(*_queries(points_t0, points_t1), *_settings(min_separation, tolerance), nonzero_toi)
+        *ops.edge_edge(
+            *_queries(points_t0, points_t1),
+            check_separation(min_separation),
+            operator_tolerance(tolerance),
+            nonzero_toi,
+        )
     )
 
 
@@ -120,10 +127,8 @@ def contacts(
     pairs = check_pairs(pairs, bodies)
     if candidates.dtype != torch.int32 or candidates.dim() != 2 or candidates.shape[1] != 4:
         raise ValueError(f"candidates: expected (C, 4) int32, got {tuple(candidates.shape)} {candidates.dtype}")
-    # The operators take a negative tolerance as relative to the smaller radius.
-    settings = _settings(min_separation, 0.0 if tolerance is None else tolerance)
-    absolute = -RELATIVE_TOLERANCE if tolerance is None else settings[1]
-    rest = (pairs, candidates.contiguous(), settings[0], absolute, nonzero_toi, REPORTS[report])
+    settings = (check_separation(min_separation), operator_tolerance(tolerance))
+    rest = (pairs, candidates.contiguous(), *settings, nonzero_toi, REPORTS[report])
     if bodies.deforming:
         return ops.narrow_deforming(bodies.mesh_set, bodies.tensors, *rest)
     return ops.narrow_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
@@ -140,9 +145,3 @@ def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:
     if points_t0.device != points_t1.device:
         raise ValueError(f"points_t1: expected device {points_t0.device}, got {points_t1.device}")
     return points_t0.contiguous(), points_t1.contiguous()
-
-
-def _settings(min_separation: float, tolerance: float) -> tuple[float, float]:
-    if not 0.0 <= tolerance < float("inf"):
-        raise ValueError(f"tolerance: expected a finite length >= 0, got {tolerance}")
-    return check_separation(min_separation), float(tolerance)

@@ -49,17 +49,32 @@ def sweep(
 
 
 def traverse_rigid(
-    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool, pairs: Tensor, min_separation: float
+    mesh_set: Sequence[Tensor],
+    bodies: Sequence[Tensor],
+    linear_path: bool,
+    pairs: Tensor,
+    horizon: Tensor | None,
+    min_separation: float,
+    tolerance: float,
+    leading: bool,
 ) -> tuple[Tensor, Tensor]:
     """Candidates (C, 4) int32 of rigid body pairs, and the number of node tests (1,)."""
-    return _ops.traverse_rigid(list(mesh_set), list(bodies), linear_path, pairs, min_separation)
+    return _ops.traverse_rigid(
+        list(mesh_set), list(bodies), linear_path, pairs, horizon, min_separation, tolerance, leading
+    )
 
 
 def traverse_deforming(
-    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], pairs: Tensor, min_separation: float
+    mesh_set: Sequence[Tensor],
+    bodies: Sequence[Tensor],
+    pairs: Tensor,
+    horizon: Tensor | None,
+    min_separation: float,
+    tolerance: float,
+    leading: bool,
 ) -> tuple[Tensor, Tensor]:
     """Candidates (C, 4) int32 of deforming body pairs, and the number of node tests (1,)."""
-    return _ops.traverse_deforming(list(mesh_set), list(bodies), pairs, min_separation)
+    return _ops.traverse_deforming(list(mesh_set), list(bodies), pairs, horizon, min_separation, tolerance, leading)
 
 
 def narrow_rigid(
@@ -145,13 +160,13 @@ def _fake_candidates(pairs: Tensor) -> tuple[Tensor, Tensor]:
 
 @torch.library.register_fake("pgccd::traverse_rigid")
 def _(
-    mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, min_separation: float
+    mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, *_rest: object
 ) -> tuple[Tensor, Tensor]:
     return _fake_candidates(pairs)
 
 
 @torch.library.register_fake("pgccd::traverse_deforming")
-def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, min_separation: float) -> tuple[Tensor, Tensor]:
+def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
     return _fake_candidates(pairs)
 
 
@@ -211,9 +226,9 @@ def simulate_plan(
     return _ops.simulate_plan(list(state), step, list(integers), list(scales))
 
 
-def simulate_respond(state: Sequence[Tensor], toi: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Position, orientation, velocity and angular velocity of robots after a step with first collisions `toi` (N,)."""
-    return _ops.simulate_respond(list(state), toi)
+def simulate_respond(state: Sequence[Tensor], fraction: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Position, orientation, velocity and angular velocity of robots that made `fraction` (N,) of a step."""
+    return _ops.simulate_respond(list(state), fraction)
 
 
 def random_uniforms(id: Tensor, seed: int, step: int, stream: int) -> Tensor:
@@ -238,8 +253,8 @@ def _(state: list[Tensor], step: int, integers: list[int], scales: list[float]) 
 
 
 @torch.library.register_fake("pgccd::simulate_respond")
-def _(state: list[Tensor], toi: Tensor) -> tuple[Tensor, ...]:
-    return _fake_robots(toi, toi.shape[0], 3, 4, 3, 3)
+def _(state: list[Tensor], fraction: Tensor) -> tuple[Tensor, ...]:
+    return _fake_robots(fraction, fraction.shape[0], 3, 4, 3, 3)
 
 
 @torch.library.register_fake("pgccd::random_uniforms")

@@ -9,28 +9,53 @@ from pgccd import ops
 from pgccd.bodies import MovingBodies
 from pgccd.broad import check_separation
 
+#: The default tolerance, relative to the smaller SBV radius of a pair.
+RELATIVE_TOLERANCE = 1e-6
 
-def bvtt(bodies: MovingBodies, pairs: Tensor, min_separation: float = 0.0) -> tuple[Tensor, Tensor]:
-    """Feature pairs that may come within the separation during the step.
+
+def bvtt(
+    bodies: MovingBodies,
+    pairs: Tensor,
+    min_separation: float = 0.0,
+    tolerance: float | None = None,
+    horizon: Tensor | None = None,
+    leading: bool = False,
+) -> tuple[Tensor, Tensor]:
+    """Feature pairs that may come within min_separation + tolerance during the step.
 
     Args:
         bodies: the scene in motion.
         pairs: (P, 2) int64 body pairs, i < j; P below 2^31.
         min_separation: length.
+        tolerance: length; default 1e-6 of the smaller SBV radius of each pair.
+        horizon: (P,) float64 in [0, 1]: look no further than this time in each pair. Default: the whole step.
+        leading: follow only the nodes that overlap most, down to one pair of leaves: few candidates, likely early contacts.
 
     Returns:
-        candidates (C, 4) int32: row of `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Every feature pair
-        that touches is listed, and none twice (representative triangles, Curtis et al. 2008). The order is not specified.
+        candidates (C, 4) int32: row of `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Unless `leading`, every
+        feature pair that may touch is listed, and none twice (representative triangles, Curtis et al. 2008). The order is
+        not specified.
         node_tests (1,) int64: how many node pairs were tested.
 
     Example:
         >>> candidates, node_tests = pgccd.traverse.bvtt(bodies, pgccd.broad.sweep(bodies))
     """
     pairs = check_pairs(pairs, bodies)
-    separation = check_separation(min_separation)
+    if horizon is not None and (horizon.shape != pairs.shape[:1] or horizon.dtype != torch.float64):
+        raise ValueError(f"horizon: expected ({len(pairs)},) float64, got {tuple(horizon.shape)} {horizon.dtype}")
+    rest = (pairs, horizon, check_separation(min_separation), operator_tolerance(tolerance), leading)
     if bodies.deforming:
-        return ops.traverse_deforming(bodies.mesh_set, bodies.tensors, pairs, separation)
-    return ops.traverse_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, pairs, separation)
+        return ops.traverse_deforming(bodies.mesh_set, bodies.tensors, *rest)
+    return ops.traverse_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
+
+
+def operator_tolerance(tolerance: float | None) -> float:
+    """The operators take a negative tolerance as relative to the smaller radius of each pair."""
+    if tolerance is None:
+        return -RELATIVE_TOLERANCE
+    if not 0.0 <= tolerance < float("inf"):
+        raise ValueError(f"tolerance: expected a finite length >= 0, got {tolerance}")
+    return float(tolerance)
 
 
 def check_pairs(pairs: Tensor, bodies: MovingBodies) -> Tensor:

@@ -67,7 +67,7 @@ const Element* optional_column(const std::optional<Tensor>& tensor, const char* 
 }
 
 inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
-  STD_TORCH_CHECK(t.size() == 7, "mesh_set: expected 7 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 8, "mesh_set: expected 8 tensors, got ", t.size());
   MeshSetView view;
   view.vertices = rows<double>(t[0], "mesh_set.vertices", {kAnySize, 3});
   view.faces = rows<int32_t>(t[1], "mesh_set.faces", {kAnySize, 3});
@@ -75,7 +75,9 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   view.triangles = rows<int32_t, Triangle>(t[3], "mesh_set.triangles", {t[1].size(0), 8});
   view.node_blocks = rows<float, NodeBlock>(t[4], "mesh_set.node_blocks", {kAnySize, 4, kBlockWidth});
   view.node_links = rows<int32_t, NodeLink>(t[5], "mesh_set.node_links", {t[4].size(0), kBlockWidth, 2});
-  view.offsets = rows<int64_t, MeshOffsets>(t[6], "mesh_set.offsets", {kAnySize, 4});
+  view.corners = {rows<float>(t[6], "mesh_set.corners", {9, kAnySize}), t[6].size(1)};
+  STD_TORCH_CHECK(t[6].size(1) >= t[1].size(0) + kMaxLeafTriangles, "mesh_set.corners: columns are not padded");
+  view.offsets = rows<int64_t, MeshOffsets>(t[7], "mesh_set.offsets", {kAnySize, 4});
   return view;
 }
 

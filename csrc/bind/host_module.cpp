@@ -30,6 +30,7 @@ py::array_t<Element> to_matrix(const std::vector<Row>& rows) {
 py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces, int leaf_size) {
   std::vector<Face> rows(faces.shape(0));
   if (!rows.empty()) std::memcpy(rows.data(), faces.data(), rows.size() * sizeof(Face));
+  if (leaf_size < 1 || leaf_size > pgccd::kMaxLeafTriangles) throw py::value_error("leaf_size: expected 1 to 8");
   pgccd::Topology topology;
   pgccd::Hierarchy tree;
   std::vector<pgccd::Triangle> triangles;

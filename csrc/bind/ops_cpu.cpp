@@ -73,10 +73,16 @@ Tensor sweep(const Tensor& position_t0, const Tensor& position_t1, const Tensor&
 }
 
 template <class Bodies>
-std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs, double min_separation) {
-  const int64_t* pair_rows = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
-  STD_TORCH_CHECK(pairs.size(0) < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
-  const CandidateList list = traverse_cpu(TorchExecutor(), bodies, pair_rows, pairs.size(0), min_separation);
+std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs, const std::optional<Tensor>& horizon,
+                                    double min_separation, double tolerance, bool leading) {
+  TraverseInput input;
+  input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
+  input.pair_count = pairs.size(0);
+  STD_TORCH_CHECK(input.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
+  input.horizon = optional_column<double>(horizon, "horizon", input.pair_count);
+  input.settings = {min_separation, tolerance};
+  input.leading = leading;
+  const CandidateList list = traverse_cpu(TorchExecutor(), bodies, input);
   Tensor candidates = new_tensor<int32_t>(pairs, {list.size(), 4});
   Candidate* out = data<Candidate>(candidates);
   for (const auto& part : list.parts) out = std::copy(part.begin(), part.end(), out);
@@ -86,13 +92,15 @@ std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs, d
 }
 
 std::tuple<Tensor, Tensor> traverse_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
-                                          const Tensor& pairs, double min_separation) {
-  return traverse(rigid_view(mesh_set, bodies, linear_path), pairs, min_separation);
+                                          const Tensor& pairs, const std::optional<Tensor>& horizon,
+                                          double min_separation, double tolerance, bool leading) {
+  return traverse(rigid_view(mesh_set, bodies, linear_path), pairs, horizon, min_separation, tolerance, leading);
 }
 
 std::tuple<Tensor, Tensor> traverse_deforming(const TensorList& mesh_set, const TensorList& bodies, const Tensor& pairs,
-                                              double min_separation) {
-  return traverse(deforming_view(mesh_set, bodies), pairs, min_separation);
+                                              const std::optional<Tensor>& horizon, double min_separation,
+                                              double tolerance, bool leading) {
+  return traverse(deforming_view(mesh_set, bodies), pairs, horizon, min_separation, tolerance, leading);
 }
 
 template <class Bodies>

@@ -1,7 +1,7 @@
 // Every operator of pgccd, on one page. pgccd/ops.py documents them: shapes, units and errors.
 //
 // mesh_set = [vertices (V, 3) f64, faces (F, 3) i32, edges (E, 2) i32, triangles (F, 8) i32, node_blocks (n, 4, 8) f32,
-//             node_links (n, 8, 2) i32, offsets (meshes + 1, 4) i64]                                        see
+//             node_links (n, 8, 2) i32, corners (9, F + padding) f32, offsets (meshes + 1, 4) i64]                                        see
 //             core/mesh_set.h
 // rigid bodies = [mesh_index (N,) i32, position_t0 (N, 3), position_t1 (N, 3), radius (N,), orientation (N, 4),
 // rotation (N, 3)] deforming bodies = [mesh_index (N,) i32, position_t0, position_t1, radius, vertices_t0 (X, 3),
@@ -24,10 +24,12 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "sweep(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, float min_separation, int axis) -> Tensor");
   library.def(
-      "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, float min_separation) "
+      "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
+      "float min_separation, float tolerance, bool leading) "
       "-> (Tensor candidates, Tensor node_tests)");
   library.def(
-      "traverse_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, float min_separation) "
+      "traverse_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor? horizon, "
+      "float min_separation, float tolerance, bool leading) "
       "-> (Tensor candidates, Tensor node_tests)");
   library.def(
       "narrow_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor candidates, "

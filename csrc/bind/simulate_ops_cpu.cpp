@@ -51,17 +51,17 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> simulate_plan(const TensorList& state
   return {velocity, angular_velocity, target, stay_until};
 }
 
-std::tuple<Tensor, Tensor, Tensor, Tensor> simulate_respond(const TensorList& state, const Tensor& toi) {
+std::tuple<Tensor, Tensor, Tensor, Tensor> simulate_respond(const TensorList& state, const Tensor& fraction) {
   const RobotColumns robots = robot_columns(state);
-  const double* first = rows<double>(toi, "toi", {robots.count});
-  Tensor position = new_rows(toi, robots.count, 3), orientation = new_rows(toi, robots.count, 4);
-  Tensor velocity = new_rows(toi, robots.count, 3), angular_velocity = new_rows(toi, robots.count, 3);
+  const double* made = rows<double>(fraction, "fraction", {robots.count});
+  Tensor position = new_rows(fraction, robots.count, 3), orientation = new_rows(fraction, robots.count, 4);
+  Tensor velocity = new_rows(fraction, robots.count, 3), angular_velocity = new_rows(fraction, robots.count, 3);
   RobotResults results;
   results.position = data<double>(position);
   results.orientation = data<double>(orientation);
   results.velocity = data<double>(velocity);
   results.angular_velocity = data<double>(angular_velocity);
-  respond_cpu(TorchExecutor(), robots, first, results);
+  respond_cpu(TorchExecutor(), robots, made, results);
   return {position, orientation, velocity, angular_velocity};
 }
 

@@ -13,7 +13,7 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "simulate_plan(Tensor[] state, int step, int[] integers, float[] scales) -> (Tensor velocity, "
       "Tensor angular_velocity, Tensor target, Tensor stay_until)");
   library.def(
-      "simulate_respond(Tensor[] state, Tensor toi) -> (Tensor position, Tensor orientation, Tensor velocity, "
+      "simulate_respond(Tensor[] state, Tensor fraction) -> (Tensor position, Tensor orientation, Tensor velocity, "
       "Tensor angular_velocity)");
   library.def("random_uniforms(Tensor id, int seed, int step, int stream) -> Tensor");
 }

@@ -38,6 +38,11 @@ struct DeformingBodies {
   const int64_t* block_begin;   // (bodies,)
 };
 
+// A negative tolerance is relative to the smaller SBV radius of the pair.
+PGCCD_HD double pair_tolerance(const BodyCentres& centres, int64_t i, int64_t j, double tolerance) {
+  return tolerance < 0.0 ? -tolerance * smaller(centres.radius[i], centres.radius[j]) : tolerance;
+}
+
 // Offset of body j's centre from body i's: exact up to one rounding each, however far the pair is from the world's
 // origin.
 struct RelativeCentre {

@@ -36,6 +36,13 @@ struct MeshOffsets {
   int64_t vertex, face, edge, block;
 };
 
+// Corners of the triangles in float32, as nine columns (corner 0 x, y, z, corner 1 x, ...) of `stride` values, so that eight
+// neighbouring triangles load as lanes; the columns are padded to allow that at their end.
+struct CornerColumns {
+  const float* first;
+  int64_t stride;
+};
+
 struct MeshSetView {
   const double* vertices;          // (vertices, 3)
   const int32_t* faces;            // (faces, 3)
@@ -43,8 +50,12 @@ struct MeshSetView {
   const Triangle* triangles;       // (faces), leaf order
   const NodeBlock* node_blocks;    // (blocks)
   const NodeLink* node_links;      // (blocks, 8)
+  CornerColumns corners;           // (9, stride), column entries in the order of `triangles`
   const MeshOffsets* offsets;      // (meshes + 1): the next row ends a mesh's rows
 };
+
+// Triangles a leaf holds at most: as many as there are lanes.
+constexpr int kMaxLeafTriangles = 8;
 
 // The hierarchy builder keeps every path from the root within this many nodes, so a fixed traversal stack cannot overflow.
 constexpr int kMaxTreeDepth = 48;

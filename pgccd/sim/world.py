@@ -157,26 +157,27 @@ class World:
             state, velocity=velocity, angular_velocity=angular_velocity, target=target, stay_until=stay_until
         )
 
-    def motion(self, state: RobotState) -> RigidMotion:
-        """The step that a planned state is about to make."""
-        return RigidMotion.from_velocity(
-            state.position, state.orientation, state.velocity, state.angular_velocity, dt=1.0
-        )
+    def motion(self, state: RobotState, fraction: Tensor | None = None) -> RigidMotion:
+        """The step that a planned state is about to make; or a `fraction` (N,) of it, at constant velocities."""
+        velocity, spin = state.velocity, state.angular_velocity
+        if fraction is not None:
+            velocity, spin = fraction[:, None] * velocity, fraction[:, None] * spin
+        return RigidMotion.from_velocity(state.position, state.orientation, velocity, spin, dt=1.0)
 
-    def scene(self, id: Tensor) -> Scene:
-        """The scene of the robots `id` (N,) int64."""
-        return Scene(self.meshes, id % len(self.meshes))
+    def scene(self, id: Tensor, changed: Tensor | None = None) -> Scene:
+        """The scene of the robots `id` (N,) int64. With `changed` (N,) bool, pairs of unchanged robots are left out."""
+        kind = id % len(self.meshes)
+        if changed is None:
+            return Scene(self.meshes, kind)
+        # Bit 0: changed, bit 1: not. The changed ones meet all, the others only them.
+        return Scene(self.meshes, kind, group=torch.where(changed, 1, 2), mask=torch.where(changed, 3, 1))
 
     def describe(self) -> dict[str, Any]:
         """The configuration and what follows from it, in plain numbers."""
-        x, y, z = (2.0 * half for half in self.half_extent)
-        radii = torch.tensor([mesh.radius for mesh in self.meshes.meshes], dtype=torch.float64)
-        of_kind = torch.bincount(
-            torch.arange(len(radii)).repeat(-(-self.config.robots // len(radii)))[: self.config.robots]
-        )
-        filled = float((of_kind * 4.0 / 3.0 * math.pi * radii[: len(of_kind)] ** 3).sum())
-        return asdict(self.config) | {
-            "radius": self.radius,
-            "box": [x, y, z],
-            "sbv_volume_fraction": filled / (x * y * z),
-        }
+        box = [2.0 * half for half in self.half_extent]
+        kinds = len(self.meshes)
+        counts = [(self.config.robots + kinds - 1 - kind) // kinds for kind in range(kinds)]
+        radii = [mesh.radius for mesh in self.meshes.meshes]
+        volume = sum(count * 4.0 / 3.0 * math.pi * r**3 for count, r in zip(counts, radii, strict=True))
+        derived = {"radius": self.radius, "box": box, "sbv_volume_fraction": volume / math.prod(box)}
+        return asdict(self.config) | derived

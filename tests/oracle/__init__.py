@@ -1,0 +1,7 @@
+"""Independent ground truth for the tests: exact rational arithmetic and rigorous intervals. Never imports pgccd.
+
+`linear`: exact first touch on straight paths. `separation`: the same with a minimum separation, and closest approach.
+`rigid`: rigorous decisions on rigid arcs. `broad`: exact pairs of moving spheres. `mesh`: edges, feature pairs, SBV.
+`detect`: all contacts of two bodies by brute force. `distance`: distances at one time. `adversarial`, `constructed`:
+queries. Beneath them: `polynomial`, `interval`, `search`, `filters`.
+"""

@@ -21,8 +21,8 @@ CHUNK = 20_000
 class Contact:
     """One feature pair that touches. VF_AB: vertex of A, face of B; VF_BA: face of A, vertex of B; EE: edges.
 
-    Edges are numbered as `mesh.unique_edges` lists them. The first touch is in [toi_lower, toi_upper]; a pair too close to
-    call (rigid arcs only) has `certain` False, and an infinite toi_upper.
+    Edges are numbered as `mesh.unique_edges` lists them. The first touch is in [toi_lower, toi_upper]; a pair too
+    close to call (rigid arcs only) has `certain` False, and an infinite toi_upper.
     """
 
     kind: int

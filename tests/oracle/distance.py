@@ -54,7 +54,7 @@ def closest_coordinates(points: np.ndarray, is_face: bool) -> np.ndarray:
     return coordinates[np.argmin(distances, axis=0), np.arange(len(points))]
 
 
-def gap_vector(points: Any, coordinates: np.ndarray, is_face: bool) -> Any:
+def gap_vector(points: Any, coordinates: Any, is_face: bool) -> Any:
     """(n, 3): from the point of the first primitive to that of the second at the coordinates (n, 2). Floats or
     Interval.
     """

@@ -78,7 +78,7 @@ def directions(start: np.ndarray, end: np.ndarray, is_face: bool) -> list[np.nda
 
 def _triple(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Determinant and permanent of the magnitudes.
-    value, size = 0.0, 0.0
+    value, size = np.zeros(len(a)), np.zeros(len(a))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         value = value + a[:, i] * (b[:, j] * c[:, k] - b[:, k] * c[:, j])
         size = size + np.abs(a[:, i]) * (np.abs(b[:, j] * c[:, k]) + np.abs(b[:, k] * c[:, j]))

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -173,7 +174,7 @@ def _first_touch(points_t0: ArrayLike, points_t1: ArrayLike, is_face: bool, widt
     condition = Condition(paths, is_face)
     touching = (root for root in condition.candidates() if condition.holds(root))
     if condition.volume:  # ascending: the first one is the earliest
-        touching = iter([root for root in [next(touching, None)] if root is not None])
+        return earliest(islice(touching, 1), width)
     return earliest(touching, width)
 
 

@@ -160,7 +160,10 @@ def closest_approach(
     t_to: float = 1.0,
     width: float = 1e-10,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(lower, upper, time), each (n,): proven bracket of the least distance over [t_from, t_to]."""
+    """(lower, upper, time), each (n,): proven bracket of the least distance over [t_from, t_to].
+
+    `width`, what the bracket aims at, is relative to the largest coordinate relative to the origin of the first body.
+    """
     return least_distance(RigidPaths(points, first, second, is_face), t_from, t_to, width)
 
 

@@ -1,9 +1,10 @@
 """Rigorous branch and bound over time: when do two primitives on smooth paths come within a separation, and how close.
 
 Of each of the four points the path is known by enclosures of x(m), x'(m), x''(m) and by a bound J >= |x'''| on [0, 1].
-By Taylor's theorem x(m + s) = x + s x' + s^2 x'' / 2 + r with |r| <= J |s|^3 / 6. Along a fixed direction n the distance
-of two convex sets is at least the least gap between a point of each, over |n|. The direction, here n + s n', is a guess in
-floats: any gives a valid bound. What remains undecided is halved. All bounds are rounded outward (`interval`).
+By Taylor's theorem x(m + s) = x + s x' + s^2 x'' / 2 + r with |r| <= J |s|^3 / 6. Along a fixed direction n the
+distance of two convex sets is at least the least gap between a point of each, over |n|. The direction, here n + s n',
+is a guess in floats: any gives a valid bound. What remains undecided is split. All bounds are rounded outward
+(`interval`).
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ def _guessed_directions(points: np.ndarray, is_face: bool) -> list[np.ndarray]:
 
 
 def _turning_directions(taylor: Taylor, half: np.ndarray, is_face: bool) -> list[tuple[np.ndarray, np.ndarray]]:
-    # n(s) = n + s n' through the good directions at both ends, so that a turning face is followed. (With a fixed one the
-    # bound would be off by h |n'| times the size of the face, and some sqrt(1 / h) intervals would stay open.)
+    # n(s) = n + s n' through the good directions at both ends, so that a turning face is followed. (With a fixed one
+    # the bound would be off by h |n'| times the size of the face, and some sqrt(1 / h) intervals would stay open.)
     x, v, c = (y.middle() for y in taylor)
     h = half[:, None, None]
     ends = [_guessed_directions(x + e * h * v + 0.5 * h * h * c, is_face) for e in (-1.0, 1.0)]
@@ -122,8 +123,9 @@ def _volume(x: Interval, is_face: bool) -> Interval:
 def _crosses(paths: Paths, query: np.ndarray, a: np.ndarray, b: np.ndarray, taylor: Taylor) -> np.ndarray:
     """(k,) bool: certain that the primitives touch at some time in [a, b].
 
-    The volume of the four points has certain and opposite signs at a and b, so it vanishes between (it is continuous); and
-    all over [a, b] the inside conditions hold strictly, so that wherever it vanishes the primitives touch.
+    The volume of the four points has certain and opposite signs at a and b, so it vanishes between (it is
+    continuous); and all over [a, b] the inside conditions hold strictly, so that wherever it vanishes the primitives
+    touch.
     """
     ends = [_volume(paths.derivatives(query, t)[0], paths.is_face) for t in (a, b)]
     opposite = ((ends[0].hi < 0) & (ends[1].lo > 0)) | ((ends[0].lo > 0) & (ends[1].hi < 0))
@@ -142,6 +144,18 @@ def _crosses(paths: Paths, query: np.ndarray, a: np.ndarray, b: np.ndarray, tayl
 def _midpoints(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     middle = 0.5 * (a + b)
     return middle, up(np.maximum(b - middle, middle - a))
+
+
+def _split(query: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    # Not in the middle: a touch at t = 1/2, say, would for ever sit at an end, where no sign is certain.
+    at = a + 0.4765 * (b - a)
+    return np.repeat(query, 2), np.stack([a, at], axis=1).ravel(), np.stack([at, b], axis=1).ravel()
+
+
+def _rank(query: np.ndarray) -> np.ndarray:
+    # Number of each entry among those of the same query; equal entries stand together.
+    start = np.flatnonzero(np.diff(query, prepend=-1))
+    return np.arange(len(query)) - np.repeat(start, np.diff(start, append=len(query)))
 
 
 def first_within(paths: Paths, separation: float, width: float = 1e-9, levels: int = 48) -> Decisions:
@@ -165,9 +179,7 @@ def first_within(paths: Paths, separation: float, width: float = 1e-9, levels: i
             np.minimum.at(upper, query[certain], b[certain])
         keep = a < upper[query]
         query, a, b = query[keep], a[keep], b[keep]
-        start = np.flatnonzero(np.diff(query, prepend=-1))
-        rank = np.arange(len(query)) - np.repeat(start, np.diff(start, append=len(query)))
-        excess = rank >= MOST_INTERVALS
+        excess = _rank(query) >= MOST_INTERVALS
         np.minimum.at(cut_at, query[excess], a[excess])
         query, a, b = query[~excess], a[~excess], b[~excess]
         earliest = cut_at.copy()
@@ -180,23 +192,29 @@ def first_within(paths: Paths, separation: float, width: float = 1e-9, levels: i
         query, a, b = query[keep], a[keep], b[keep]
         if not len(query) or level == levels:
             break
-        middle, _ = _midpoints(a, b)
-        query = np.repeat(query, 2)
-        a, b = np.stack([a, middle], axis=1).ravel(), np.stack([middle, b], axis=1).ravel()
+        query, a, b = _split(query, a, b)
     return Decisions(status, np.where(status == NO, np.inf, lower), upper)
 
 
 def least_distance(
     paths: Paths, t_from: float = 0.0, t_to: float = 1.0, width: float = 1e-10, levels: int = 48
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(lower, upper, time), each (n,): bracket of the least distance over [t_from, t_to], and a time with <= upper."""
+    """(lower, upper, time), each (n,): bracket of the least distance over [t_from, t_to], and a time with <= upper.
+
+    `width`, what the bracket aims at, is relative to the largest coordinate of the query in its own frame.
+    """
     count = len(paths.jerk)
     best, at = np.full(count, np.inf), np.full(count, t_from)
     query, a, b = np.arange(count), np.full(count, float(t_from)), np.full(count, float(t_to))
+    scale = np.zeros(count)
     for t in (a, b):
-        value = upper_bound(paths.derivatives(query, t)[0], paths.is_face)
+        x = paths.derivatives(query, t)[0]
+        value = upper_bound(x, paths.is_face)
         best, at = np.minimum(best, value), np.where(value < best, t, at)
+        scale = np.maximum(scale, x.magnitude().max(axis=(1, 2)))
+    goal = max(width, 2.0**-46) * scale  # rounding allows no better
     lower, settled = np.zeros(count), np.zeros(count, dtype=bool)
+    dropped = np.full(count, np.inf)  # least bound of the intervals dropped for their number
     for level in range(levels + 1):
         middle, half = _midpoints(a, b)
         taylor = paths.derivatives(query, middle)
@@ -205,16 +223,18 @@ def least_distance(
         order = np.argsort(-value, kind="stable")  # the smallest value of a query is written last
         better = order[value[order] < best[query[order]]]
         best[query[better]], at[query[better]] = value[better], middle[better]
-        least = best.copy()
-        np.minimum.at(least, query, bound)
         # What was discarded was above `best` as it stood then, hence above `best` now.
+        least = np.minimum(best, dropped)
+        np.minimum.at(least, query, bound)
         lower = np.where(settled, lower, np.maximum(lower, least))
-        settled |= best <= lower + width
+        settled |= best <= lower + goal
         keep = (bound < best[query]) & ~settled[query]
         query, a, b, bound = query[keep], a[keep], b[keep], bound[keep]
-        if not len(query) or level == levels or len(query) > 200 * max(count, 50):
+        if not len(query) or level == levels:
             break
-        middle, _ = _midpoints(a, b)
-        query = np.repeat(query, 2)
-        a, b = np.stack([a, middle], axis=1).ravel(), np.stack([middle, b], axis=1).ravel()
+        order = np.lexsort((bound, query))
+        excess = order[_rank(query[order]) >= MOST_INTERVALS]
+        np.minimum.at(dropped, query[excess], bound[excess])
+        query, a, b = (np.delete(y, excess) for y in (query, a, b))
+        query, a, b = _split(query, a, b)
     return lower, best, at

@@ -146,8 +146,10 @@ def closest_approach(
     t_to: float = 1.0,
     width: float = 1e-12,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(lower, upper, time), each (n,): proven bracket of the least distance over [t_from, t_to] and where it is attained.
+    """(lower, upper, time), each (n,): proven bracket of the least distance over [t_from, t_to] and where it is
+    attained.
 
-    Points (n, 4, 3) or (4, 3). `width` is what the bracket aims at; rounding or a limit of effort may leave it wider.
+    Points (n, 4, 3) or (4, 3). `width`, what the bracket aims at, is relative to the size of the query (its largest
+    coordinate relative to the second point); rounding or a limit of effort may leave it wider.
     """
     return least_distance(LinearPaths(points_t0, points_t1, is_face), t_from, t_to, width)

@@ -9,7 +9,7 @@
 
 namespace pgccd {
 
-// Caller's settings for a whole call. A negative tolerance is relative to the smaller SBV radius of each pair.
+// Caller's settings for a whole call; tolerance as in pair_tolerance.
 struct NarrowSettings {
   double separation;
   double tolerance;
@@ -158,8 +158,7 @@ PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, 
 template <class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_candidate(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
                                          const NarrowSettings& settings, double latest) {
-  const double least_radius = smaller(bodies.centres.radius[pair.body[0]], bodies.centres.radius[pair.body[1]]);
-  const double tolerance = settings.tolerance < 0.0 ? -settings.tolerance * least_radius : settings.tolerance;
+  const double tolerance = pair_tolerance(bodies.centres, pair.body[0], pair.body[1], settings.tolerance);
   const SearchSettings<double> search{settings.separation, tolerance, latest, settings.nonzero_toi};
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {

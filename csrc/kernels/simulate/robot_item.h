@@ -162,14 +162,12 @@ PGCCD_HD void plan_robot(const World& world, int64_t id, int64_t step, Robot& ro
                     reflected(robot.position.z, robot.velocity.z, half.z - world.radius)};
 }
 
-// The simple response of Du, Liu & Suzumura 2017: stop at the first collision of the step, then go back. A robot
-// without one (toi > 1) moves to the end of the step.
-PGCCD_HD void respond_robot(double toi, Robot& robot) {
-  const bool stopped = toi <= 1.0;
-  const double t = stopped ? toi : 1.0;
-  robot.position = robot.position + t * robot.velocity;
-  robot.orientation = normalized(exponential(t * robot.angular_velocity) * robot.orientation);
-  if (stopped) {
+// Makes `fraction` of the step, up to where the robot collides; a robot that does not make all of it turns round (the
+// simple response of Du, Liu & Suzumura 2017).
+PGCCD_HD void respond_robot(double fraction, Robot& robot) {
+  robot.position = robot.position + fraction * robot.velocity;
+  robot.orientation = normalized(exponential(fraction * robot.angular_velocity) * robot.orientation);
+  if (fraction < 1.0) {
     robot.velocity = -robot.velocity;
     robot.angular_velocity = -robot.angular_velocity;
   }

@@ -14,8 +14,9 @@ void start_cpu(const Executor& executor, const World& world, const int64_t* id, 
 void plan_cpu(const Executor& executor, const World& world, const RobotColumns& robots, int64_t step,
               const RobotResults& results);
 
-// Poses at the end of the step and velocities after it. toi (count,): first collision of each robot; > 1 if none.
-void respond_cpu(const Executor& executor, const RobotColumns& robots, const double* toi, const RobotResults& results);
+// Poses at the end of the step and velocities after it. fraction (count,): how much of the step each robot makes.
+void respond_cpu(const Executor& executor, const RobotColumns& robots, const double* fraction,
+                 const RobotResults& results);
 
 // (count, 4) uniforms in (0, 1) of the counters (id, step, stream).
 void random_uniforms_cpu(const Executor& executor, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,

@@ -27,10 +27,11 @@ void plan_cpu(const Executor& executor, const World& world, const RobotColumns& 
   });
 }
 
-void respond_cpu(const Executor& executor, const RobotColumns& robots, const double* toi, const RobotResults& results) {
+void respond_cpu(const Executor& executor, const RobotColumns& robots, const double* fraction,
+                 const RobotResults& results) {
   for_each_row(executor, robots.count, [&](int64_t row) {
     Robot robot = load_robot(robots, row);
-    respond_robot(toi[row], robot);
+    respond_robot(fraction[row], robot);
     store_robot(results, row, robot);
   });
 }

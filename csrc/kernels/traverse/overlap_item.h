@@ -1,68 +1,105 @@
-// Tests of the bounding volume test tree: do two moving spheres, or two moving triangles, certainly stay apart over a
-// segment?
+// Tests of the bounding volume test tree: do two moving spheres, triangles or features certainly stay apart over a segment?
+// Written for T = float and, on the host, for eight lanes of it.
 #pragma once
 
-#include "kernels/traverse/pair_sweep.h"
+#include "core/lanes.h"
+#include "core/rounding.h"
 
 namespace pgccd {
 
 // Offset of one centre from the other, at the start and the end of a segment, both moving straight. Without branches, so that eight tests
 // fill the lanes of a vector unit; NaN (an empty slot) compares false.
-PGCCD_HD bool spheres_meet(Vec3<float> start, Vec3<float> end, float reach) {
+PGCCD_HD Vec3<float> nearest_offset(Vec3<float> start, Vec3<float> end) {
   const Vec3<float> travel = end - start;
-  const float nearest = unit_clamp(-dot(start, travel) / norm_squared(travel));  // 0 / 0 becomes 0
-  return norm_squared(start + nearest * travel) <= reach * reach;
+  return start + unit_clamp(-dot(start, travel) / norm_squared(travel)) * travel;  // 0 / 0 becomes 0
 }
 
-struct MovingTriangle {
-  Vec3<float> start[3];
-  Vec3<float> end[3];
+// N points that move straight from start to end, and whose hull is meant.
+template <int N, class T>
+struct MovingPoints {
+  Vec3<T> start[N];
+  Vec3<T> end[N];
 };
 
 namespace overlap_detail {
 
+template <class T>
 struct Range {
-  float lower, upper;
+  T lower, upper;
 };
 
-PGCCD_HD Range project(const Vec3<float> x[3], Vec3<float> direction) {
-  const float p = dot(direction, x[0]), q = dot(direction, x[1]), r = dot(direction, x[2]);
-  return {smaller(smaller(p, q), r), larger(larger(p, q), r)};
+template <int N, class T>
+PGCCD_HD Range<T> project(const Vec3<T> (&x)[N], Vec3<T> direction) {
+  T first = dot(direction, x[0]);
+  Range<T> range{first, first};
+  for (int k = 1; k < N; ++k) {
+    const T p = dot(direction, x[k]);
+    range.lower = smaller(range.lower, p);
+    range.upper = larger(range.upper, p);
+  }
+  return range;
 }
 
-// Along a fixed direction the gap between straight-moving convex sets is concave in time: open at both ends, it is open
-// throughout.
-PGCCD_HD bool separates(const MovingTriangle& i, const MovingTriangle& j, Vec3<float> direction, float distance) {
-  const float length_squared = norm_squared(direction);
-  if (!(length_squared > 1e-30f)) return false;
-  const float gap = distance * std::sqrt(length_squared) * (1.0f + 8.0f * Precision<float>::unit);
-  const Range i0 = project(i.start, direction), j0 = project(j.start, direction);
-  const Range i1 = project(i.end, direction), j1 = project(j.end, direction);
-  return (j0.lower - i0.upper > gap && j1.lower - i1.upper > gap) ||
-         (i0.lower - j0.upper > gap && i1.lower - j1.upper > gap);
+template <int N, class T>
+PGCCD_HD Vec3<T> sum(const Vec3<T> (&x)[N]) {
+  Vec3<T> total = x[0];
+  for (int k = 1; k < N; ++k) total = total + x[k];
+  return total;
 }
 
-PGCCD_HD Vec3<float> mean_normal(const MovingTriangle& t) {
-  const Vec3<float> a = (t.start[1] - t.start[0]) + (t.end[1] - t.end[0]);
-  const Vec3<float> b = (t.start[2] - t.start[0]) + (t.end[2] - t.end[0]);
-  return cross(a, b);
+// Of the hull's two first edges, at the middle of the segment.
+template <int N, class T>
+PGCCD_HD Vec3<T> mean_edge(const MovingPoints<N, T>& p, int tip) {
+  return (p.start[tip] - p.start[0]) + (p.end[tip] - p.end[0]);
 }
-
-PGCCD_HD Vec3<float> corner_sum(const Vec3<float> x[3]) { return (x[0] + x[1]) + x[2]; }
 
 }  // namespace overlap_detail
 
-// False only if the triangles certainly stay further apart than `distance` over the whole segment.
-PGCCD_HD bool triangles_may_meet(const MovingTriangle& i, const MovingTriangle& j, float distance) {
+// Along a fixed direction the gap between straight-moving convex sets is concave in time: open at both ends, it is open throughout.
+template <int N, int M, class T>
+PGCCD_HD auto separates(const MovingPoints<N, T>& i, const MovingPoints<M, T>& j, Vec3<T> direction, float distance) {
   using namespace overlap_detail;
-  const Vec3<float> start = corner_sum(j.start) - corner_sum(i.start);
-  const Vec3<float> end = corner_sum(j.end) - corner_sum(i.end);
-  if (separates(i, j, start + end, distance)) return false;
-  if (separates(i, j, mean_normal(i), distance)) return false;
-  if (separates(i, j, mean_normal(j), distance)) return false;
-  if (separates(i, j, start, distance)) return false;
-  if (separates(i, j, end, distance)) return false;
-  return true;
+  const T length_squared = norm_squared(direction);
+  const T gap = square_root(length_squared) * (distance * (1.0f + 8.0f * Precision<float>::unit));
+  const Range<T> i0 = project(i.start, direction), j0 = project(j.start, direction);
+  const Range<T> i1 = project(i.end, direction), j1 = project(j.end, direction);
+  const auto j_above = (j0.lower - i0.upper > gap) & (j1.lower - i1.upper > gap);
+  const auto i_above = (i0.lower - j0.upper > gap) & (i1.lower - j1.upper > gap);
+  return (length_squared > 1e-30f) & (j_above | i_above);
+}
+
+// True where two triangles certainly stay further apart than `distance` over the whole segment.
+template <class T>
+PGCCD_HD auto triangles_stay_apart(const MovingPoints<3, T>& i, const MovingPoints<3, T>& j, float distance) {
+  using namespace overlap_detail;
+  const Vec3<T> start = sum(j.start) - sum(i.start);
+  const Vec3<T> end = sum(j.end) - sum(i.end);
+  auto apart = separates(i, j, start + end, distance);
+  if (all_lanes(apart)) return apart;
+  apart = apart | separates(i, j, cross(mean_edge(i, 1), mean_edge(i, 2)), distance);
+  if (all_lanes(apart)) return apart;
+  apart = apart | separates(i, j, cross(mean_edge(j, 1), mean_edge(j, 2)), distance);
+  if (all_lanes(apart)) return apart;
+  apart = apart | separates(i, j, start, distance);
+  if (all_lanes(apart)) return apart;
+  return apart | separates(i, j, end, distance);
+}
+
+// The same for a vertex and a triangle ...
+PGCCD_HD bool stay_apart(const MovingPoints<1, float>& vertex, const MovingPoints<3, float>& face, float distance) {
+  using namespace overlap_detail;
+  if (separates(vertex, face, cross(mean_edge(face, 1), mean_edge(face, 2)), distance)) return true;
+  const Vec3<float> start = sum(face.start) - 3.0f * vertex.start[0], end = sum(face.end) - 3.0f * vertex.end[0];
+  return separates(vertex, face, start + end, distance) || separates(vertex, face, start, distance) ||
+         separates(vertex, face, end, distance);
+}
+
+// ... and for two edges.
+PGCCD_HD bool stay_apart(const MovingPoints<2, float>& i, const MovingPoints<2, float>& j, float distance) {
+  using namespace overlap_detail;
+  if (separates(i, j, cross(mean_edge(i, 1), mean_edge(j, 1)), distance)) return true;
+  const Vec3<float> start = sum(j.start) - sum(i.start), end = sum(j.end) - sum(i.end);
+  return separates(i, j, start + end, distance) || separates(i, j, start, distance) || separates(i, j, end, distance);
 }
 
 }  // namespace pgccd

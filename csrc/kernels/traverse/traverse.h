@@ -10,6 +10,14 @@
 
 namespace pgccd {
 
+struct TraverseInput {
+  const int64_t* pairs;  // (pair_count, 2) body indices
+  int64_t pair_count;
+  const double* horizon;  // (pair_count,) look no further than this time, or null: the whole step
+  SweepSettings settings;
+  bool leading;  // only the leaf pair that overlaps most, found by greedy descent: where contact is likely first
+};
+
 struct CandidateList {
   std::vector<std::vector<Candidate>> parts;  // one after the other: by pair
   int64_t node_tests = 0;
@@ -21,9 +29,8 @@ struct CandidateList {
   }
 };
 
-// pairs: (pair_count, 2) body indices. Every feature pair that may touch within `separation` is listed exactly once.
+// Every feature pair that may come within separation + tolerance until the horizon is listed, and none twice; unless `leading`.
 template <class Bodies>
-CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const int64_t* pairs, int64_t pair_count,
-                           double separation);
+CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
 
 }  // namespace pgccd

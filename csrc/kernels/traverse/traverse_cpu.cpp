@@ -1,7 +1,7 @@
-#include "kernels/traverse/pair_item.h"
-#include "kernels/traverse/traverse.h"
-
 #include <bit>
+
+#include "kernels/traverse/leaf_item.h"
+#include "kernels/traverse/traverse.h"
 
 namespace pgccd {
 namespace {
@@ -19,36 +19,92 @@ class PairCache {
  public:
   using Sweep = typename SweepOf<Bodies>::type;
 
-  PairCache(const Bodies& bodies, const int64_t* pairs, double separation)
-      : bodies_(bodies), pairs_(pairs), separation_(separation), sweep_(bodies, pairs[0], pairs[1], separation) {}
+  PairCache(const Bodies& bodies, const TraverseInput& input)
+      : bodies_(bodies), input_(input), sweep_(make_sweep(0)) {}
 
   PairTree<Bodies> tree(int32_t pair) {
     if (pair != current_) {
       current_ = pair;
-      sweep_ = Sweep(bodies_, pairs_[2 * int64_t(pair)], pairs_[2 * int64_t(pair) + 1], separation_);
+      sweep_ = make_sweep(pair);
       for (int k = 0; k <= sweep_.segment_count; ++k) poses_[k] = sweep_.pose(bodies_, k);
     }
     return {bodies_, sweep_, poses_};
   }
 
  private:
+  Sweep make_sweep(int64_t pair) const {
+    return Sweep(bodies_, input_.pairs[2 * pair], input_.pairs[2 * pair + 1], input_.settings,
+                 input_.horizon ? input_.horizon[pair] : 1.0);
+  }
+
   const Bodies& bodies_;
-  const int64_t* pairs_;
-  double separation_;
+  const TraverseInput& input_;
   int32_t current_ = -1;
   Sweep sweep_;
   LocalPose poses_[kMaxSegments + 1]{};
 };
 
+template <class Visit>
+void for_each_bit(uint32_t bits, Visit&& visit) {
+  for (; bits != 0; bits &= bits - 1) visit(std::countr_zero(bits));
+}
+
+MovingPoints<3, float> one_lane(const MovingPoints<3, Float8>& points, int lane) {
+  MovingPoints<3, float> out;
+  for (int c = 0; c < 3; ++c) {
+    out.start[c] = {points.start[c].x[lane], points.start[c].y[lane], points.start[c].z[lane]};
+    out.end[c] = {points.end[c].x[lane], points.end[c].y[lane], points.end[c].z[lane]};
+  }
+  return out;
+}
+
+MovingPoints<3, Float8> in_all_lanes(const MovingPoints<3, float>& points) {
+  MovingPoints<3, Float8> out;
+  for (int c = 0; c < 3; ++c) {
+    out.start[c] = broadcast(points.start[c]);
+    out.end[c] = broadcast(points.end[c]);
+  }
+  return out;
+}
+
+// One triangle of the first leaf against all of the second's at a time.
+template <class Bodies, class Emit>
+void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
+  const NodeLink first = tree.link(0, leaves.first), second = tree.link(1, leaves.second);
+  const auto triangles = [&](int side) {
+    return tree.bodies().meshes.triangles + tree.bodies().meshes.offsets[tree.sweep().mesh[side]].face;
+  };
+  const Triangle *first_triangles = triangles(0) + first.first, *second_triangles = triangles(1) + second.first;
+  const uint32_t used_lanes = (1u << second.triangle_count) - 1u;
+  const float distance = tree.sweep().inflation;
+  uint32_t meeting[kMaxLeafTriangles][kLanes] = {};
+  for (int k = 1; k <= tree.sweep().segment_count; ++k) {
+    const MovingPoints<3, Float8> j = moving_triangles<Float8>(tree, 1, second.first, k);
+    for (int p = 0; p < first.triangle_count; ++p) {
+      const MovingPoints<3, float> i = moving_triangles<float>(tree, 0, first.first + p, k);
+      const uint32_t apart = lane_bits(triangles_stay_apart(in_all_lanes(i), j, distance));
+      for_each_bit(used_lanes & ~apart, [&](int lane) {
+        const uint32_t wanted =
+            represented_pairs(first_triangles[p], second_triangles[lane]) & ~meeting[p][lane];
+        if (wanted != 0) meeting[p][lane] |= pairs_meeting(i, one_lane(j, lane), wanted, distance);
+      });
+    }
+  }
+  for (int p = 0; p < first.triangle_count; ++p) {
+    for (int lane = 0; lane < second.triangle_count; ++lane) {
+      if (meeting[p][lane] != 0) emit_pairs(first_triangles[p], second_triangles[lane], meeting[p][lane], emit);
+    }
+  }
+}
+
 // A few large pairs are cut into many tasks, level by level, so that every worker has some; order is kept.
 template <class Bodies>
-std::vector<Task> make_tasks(const Bodies& bodies, const int64_t* pairs, int64_t pair_count, double separation,
-                             int workers, int64_t& node_tests) {
+std::vector<Task> make_tasks(const Bodies& bodies, const TraverseInput& input, int workers, int64_t& node_tests) {
   std::vector<Task> tasks;
-  tasks.reserve(pair_count);
-  for (int64_t pair = 0; pair < pair_count; ++pair) tasks.push_back({static_cast<int32_t>(pair), {0, 0}});
-  const size_t enough = static_cast<size_t>(workers > 1 ? 16 * workers : 0);
-  PairCache<Bodies> cache(bodies, pairs, separation);
+  tasks.reserve(input.pair_count);
+  for (int64_t pair = 0; pair < input.pair_count; ++pair) tasks.push_back({static_cast<int32_t>(pair), {0, 0}});
+  const size_t enough = static_cast<size_t>(workers > 1 && !input.leading ? 16 * workers : 0);
+  PairCache<Bodies> cache(bodies, input);
   for (int level = 0; level < 2 * kMaxTreeDepth && !tasks.empty() && tasks.size() < enough; ++level) {
     std::vector<Task> next;
     for (const Task& task : tasks) {
@@ -59,62 +115,77 @@ std::vector<Task> make_tasks(const Bodies& bodies, const int64_t* pairs, int64_t
       }
       const SplitPair split = tree.split(task.nodes);
       node_tests += kBlockWidth;
-      for (int slot = 0; slot < kBlockWidth; ++slot) {
-        if (split.mask & (1u << slot)) next.push_back({task.pair, split.child(slot)});
-      }
+      for_each_bit(tree.children_meeting(split), [&](int slot) { next.push_back({task.pair, split.child(slot)}); });
     }
     tasks.swap(next);
   }
   return tasks;
 }
 
-template <class Bodies>
-int64_t descend(const PairTree<Bodies>& tree, const Task& task, std::vector<Candidate>& out) {
-  const auto emit = [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
-    out.push_back({task.pair, static_cast<int32_t>(kind), feature_i, feature_j});
-  };
+// Both return the number of node tests.
+template <class Bodies, class Emit>
+int64_t descend(const PairTree<Bodies>& tree, NodePair start, Emit&& emit) {
   int64_t tests = 0;
   // A split takes one entry and adds at most eight, and no path splits more often than both trees are deep.
   NodePair stack[2 * kMaxTreeDepth * (kBlockWidth - 1) + 1];
   int size = 0;
-  stack[size++] = task.nodes;
+  stack[size++] = start;
   while (size > 0) {
     const NodePair nodes = stack[--size];
     if (tree.is_leaf_pair(nodes)) {
-      tree.leaf_candidates(nodes, emit);
+      visit_leaves(tree, nodes, emit);
       continue;
     }
     const SplitPair split = tree.split(nodes);
     tests += kBlockWidth;
-    for (uint32_t left = split.mask; left != 0; left &= left - 1) stack[size++] = split.child(std::countr_zero(left));
+    for_each_bit(tree.children_meeting(split), [&](int slot) { stack[size++] = split.child(slot); });
   }
+  return tests;
+}
+
+template <class Bodies, class Emit>
+int64_t descend_greedily(const PairTree<Bodies>& tree, NodePair nodes, Emit&& emit) {
+  int64_t tests = 0;
+  while (!tree.is_leaf_pair(nodes)) {
+    const SplitPair split = tree.split(nodes);
+    tests += kBlockWidth;
+    const int slot = tree.deepest_child(split);
+    if (slot < 0) return tests;
+    nodes = split.child(slot);
+  }
+  visit_leaves(tree, nodes, emit);
   return tests;
 }
 
 }  // namespace
 
 template <class Bodies>
-CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const int64_t* pairs, int64_t pair_count,
-                           double separation) {
+CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
   CandidateList list;
-  if (pair_count == 0) return list;
-  const std::vector<Task> tasks =
-      make_tasks(bodies, pairs, pair_count, separation, executor.worker_count(), list.node_tests);
+  if (input.pair_count == 0) return list;
+  const std::vector<Task> tasks = make_tasks(bodies, input, executor.worker_count(), list.node_tests);
   const int64_t count = static_cast<int64_t>(tasks.size());
   list.parts.resize((count + kTaskGrain - 1) / kTaskGrain);
   std::atomic<int64_t> node_tests{list.node_tests};
   parallel_chunks(executor, count, kTaskGrain, [&](int, int64_t begin, int64_t end) {
-    PairCache<Bodies> cache(bodies, pairs, separation);
+    PairCache<Bodies> cache(bodies, input);
+    std::vector<Candidate>& out = list.parts[begin / kTaskGrain];
     int64_t tests = 0;
-    for (int64_t k = begin; k < end; ++k)
-      tests += descend(cache.tree(tasks[k].pair), tasks[k], list.parts[begin / kTaskGrain]);
+    for (int64_t k = begin; k < end; ++k) {
+      const Task& task = tasks[k];
+      const auto emit = [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
+        out.push_back({task.pair, static_cast<int32_t>(kind), feature_i, feature_j});
+      };
+      const PairTree<Bodies> tree = cache.tree(task.pair);
+      tests += input.leading ? descend_greedily(tree, task.nodes, emit) : descend(tree, task.nodes, emit);
+    }
     node_tests.fetch_add(tests, std::memory_order_relaxed);
   });
   list.node_tests = node_tests;
   return list;
 }
 
-template CandidateList traverse_cpu(const Executor&, const RigidBodies&, const int64_t*, int64_t, double);
-template CandidateList traverse_cpu(const Executor&, const DeformingBodies&, const int64_t*, int64_t, double);
+template CandidateList traverse_cpu(const Executor&, const RigidBodies&, const TraverseInput&);
+template CandidateList traverse_cpu(const Executor&, const DeformingBodies&, const TraverseInput&);
 
 }  // namespace pgccd

@@ -1,0 +1,40 @@
+// Eight floats at a time, on the host: the compiler's vector types obey the same templates as a plain float, lane by lane with the same
+// bits. Devices run the float versions.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+#include "core/vec3.h"
+
+namespace pgccd {
+
+constexpr int kLanes = 8;
+
+using Float8 = float __attribute__((vector_size(32)));
+using Mask8 = int32_t __attribute__((vector_size(32)));
+
+inline Float8 load_lanes(const float* first) {
+  Float8 out;
+  __builtin_memcpy(&out, first, sizeof(out));
+  return out;
+}
+
+inline Float8 square_root(Float8 x) {
+  Float8 out;
+  for (int lane = 0; lane < kLanes; ++lane) out[lane] = std::sqrt(x[lane]);
+  return out;
+}
+PGCCD_HD float square_root(float x) { return std::sqrt(x); }
+
+inline Vec3<Float8> broadcast(Vec3<float> v) { return {v.x - Float8{}, v.y - Float8{}, v.z - Float8{}}; }
+
+inline uint32_t lane_bits(Mask8 mask) {
+  uint32_t bits = 0;
+  for (int lane = 0; lane < kLanes; ++lane) bits |= static_cast<uint32_t>(mask[lane] & 1) << lane;
+  return bits;
+}
+inline bool all_lanes(Mask8 mask) { return lane_bits(mask) == (1u << kLanes) - 1; }
+PGCCD_HD bool all_lanes(bool mask) { return mask; }
+
+}  // namespace pgccd

@@ -1,0 +1,36 @@
+"""Hypothesis strategies for meshes, motions and degenerate features."""
+
+from .features import degenerate_features, feature_motions
+from .meshes import (
+    TriMesh,
+    boxes,
+    bumpy_spheres,
+    flat_sheets,
+    meshes,
+    non_manifold,
+    several_components,
+    soups,
+    tetrahedra,
+    with_holes,
+)
+from .motions import Pose, PoseMotion, pose_motions, poses, unit_quaternions
+
+__all__ = [
+    "Pose",
+    "PoseMotion",
+    "TriMesh",
+    "boxes",
+    "bumpy_spheres",
+    "degenerate_features",
+    "feature_motions",
+    "flat_sheets",
+    "meshes",
+    "non_manifold",
+    "pose_motions",
+    "poses",
+    "several_components",
+    "soups",
+    "tetrahedra",
+    "unit_quaternions",
+    "with_holes",
+]
