@@ -30,9 +30,13 @@ PGCCD_HD float square_root(float x) { return std::sqrt(x); }
 inline Vec3<Float8> broadcast(Vec3<float> v) { return {v.x - Float8{}, v.y - Float8{}, v.z - Float8{}}; }
 
 inline uint32_t lane_bits(Mask8 mask) {
+#if defined(__AVX__)
+  return static_cast<uint32_t>(__builtin_ia32_movmskps256(__builtin_bit_cast(Float8, mask)));
+#else
   uint32_t bits = 0;
   for (int lane = 0; lane < kLanes; ++lane) bits |= static_cast<uint32_t>(mask[lane] & 1) << lane;
   return bits;
+#endif
 }
 inline bool all_lanes(Mask8 mask) { return lane_bits(mask) == (1u << kLanes) - 1; }
 PGCCD_HD bool all_lanes(bool mask) { return mask; }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cmath>
+#include <type_traits>
 
 #include "core/scalar.h"
 
@@ -26,6 +27,12 @@ PGCCD_HD Vec3<T> operator-(Vec3<T> a) {
 }
 template <class T>
 PGCCD_HD Vec3<T> operator*(T s, Vec3<T> a) {
+  return {s * a.x, s * a.y, s * a.z};
+}
+// Scaling lanes of vectors by one number.
+template <class T, class S>
+  requires(!std::is_same_v<T, S>)
+PGCCD_HD Vec3<T> operator*(S s, Vec3<T> a) {
   return {s * a.x, s * a.y, s * a.z};
 }
 template <class T>

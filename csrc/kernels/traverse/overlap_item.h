@@ -85,7 +85,17 @@ PGCCD_HD auto triangles_stay_apart(const MovingPoints<3, T>& i, const MovingPoin
   return apart | separates(i, j, end, distance);
 }
 
-// The same for a vertex and a triangle ...
+// True where a triangle certainly stays out of a moving ball. Cheap: it spares whole rows of triangle tests.
+template <class T>
+PGCCD_HD auto stays_out(const MovingPoints<3, T>& triangle, const MovingPoints<1, T>& centre, float reach) {
+  using namespace overlap_detail;
+  const Vec3<T> start = sum(triangle.start) - 3.0f * centre.start[0], end = sum(triangle.end) - 3.0f * centre.end[0];
+  auto out = separates(triangle, centre, start + end, reach);
+  if (all_lanes(out)) return out;
+  return out | separates(triangle, centre, cross(mean_edge(triangle, 1), mean_edge(triangle, 2)), reach);
+}
+
+// True if a vertex and a triangle certainly stay apart ...
 PGCCD_HD bool stay_apart(const MovingPoints<1, float>& vertex, const MovingPoints<3, float>& face, float distance) {
   using namespace overlap_detail;
   if (separates(vertex, face, cross(mean_edge(face, 1), mean_edge(face, 2)), distance)) return true;

@@ -76,6 +76,14 @@ class PairTree {
     return deepest;
   }
 
+  // Centre over segment k, and local radius.
+  PGCCD_HD MovingPoints<1, float> moving_centre(int side, int32_t node, int k) const {
+    const int block = node / kBlockWidth, slot = node % kBlockWidth;
+    return {{Sweep::place(poses_[k - 1], side, sweep_.node_centre(bodies_, side, block, slot, 0))},
+            {Sweep::place(poses_[k], side, sweep_.node_centre(bodies_, side, block, slot, 1))}};
+  }
+  PGCCD_HD float local_radius(int side, int32_t node) const { return static_cast<float>(sweep_.scale) * radius(side, node); }
+
  private:
   PGCCD_HD float radius(int side, int32_t node) const {
     return sweep_.block(bodies_, side, node / kBlockWidth).radius[node % kBlockWidth];
@@ -85,20 +93,16 @@ class PairTree {
   // plain arrays: compilers turn it into eight lanes.
   PGCCD_HD void clearances(const SplitPair& split, int k, float out[kBlockWidth]) const {
     const int side = split.first_is_split ? 0 : 1;
-    const int other_block = split.other / kBlockWidth, other_slot = split.other % kBlockWidth;
     const LocalPose pose_start = poses_[k - 1], pose_end = poses_[k];
-    const auto other_at = [&](const LocalPose& p, int end) {
-      return Sweep::place(p, 1 - side, sweep_.node_centre(bodies_, 1 - side, other_block, other_slot, end));
-    };
-    const Vec3<float> other_start = other_at(pose_start, 0), other_end = other_at(pose_end, 1);
+    const MovingPoints<1, float> other = moving_centre(1 - side, split.other, k);
     const float scale = static_cast<float>(sweep_.scale);
-    const float other_reach = scale * radius(1 - side, split.other) + sweep_.inflation;
+    const float other_reach = local_radius(1 - side, split.other) + sweep_.inflation;
     const NodeBlock& children = sweep_.block(bodies_, side, split.block);
     for (int slot = 0; slot < kBlockWidth; ++slot) {
       const Vec3<float> start = Sweep::place(pose_start, side, sweep_.node_centre(bodies_, side, split.block, slot, 0));
       const Vec3<float> end = Sweep::place(pose_end, side, sweep_.node_centre(bodies_, side, split.block, slot, 1));
       const float reach = scale * children.radius[slot] + other_reach;
-      out[slot] = norm_squared(nearest_offset(start - other_start, end - other_end)) - reach * reach;
+      out[slot] = norm_squared(nearest_offset(start - other.start[0], end - other.end[0])) - reach * reach;
     }
   }
 

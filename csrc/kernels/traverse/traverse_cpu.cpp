@@ -58,13 +58,23 @@ MovingPoints<3, float> one_lane(const MovingPoints<3, Float8>& points, int lane)
   return out;
 }
 
-MovingPoints<3, Float8> in_all_lanes(const MovingPoints<3, float>& points) {
-  MovingPoints<3, Float8> out;
-  for (int c = 0; c < 3; ++c) {
-    out.start[c] = broadcast(points.start[c]);
-    out.end[c] = broadcast(points.end[c]);
+template <int N>
+MovingPoints<N, Float8> in_all_lanes(const MovingPoints<N, float>& points) {
+  MovingPoints<N, Float8> out;
+  for (int k = 0; k < N; ++k) {
+    out.start[k] = broadcast(points.start[k]);
+    out.end[k] = broadcast(points.end[k]);
   }
   return out;
+}
+
+// Those of a leaf's triangles that may reach into the other leaf's sphere over segment k.
+template <class Bodies>
+uint32_t triangles_reaching(const PairTree<Bodies>& tree, const MovingPoints<3, Float8>& triangles, int count, int side,
+                            int32_t other_leaf, int k) {
+  const float reach = tree.local_radius(1 - side, other_leaf) + tree.sweep().inflation;
+  const MovingPoints<1, Float8> centre = in_all_lanes(tree.moving_centre(1 - side, other_leaf, k));
+  return ((1u << count) - 1u) & ~lane_bits(stays_out(triangles, centre, reach));
 }
 
 // One triangle of the first leaf against all of the second's at a time.
@@ -75,20 +85,23 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
     return tree.bodies().meshes.triangles + tree.bodies().meshes.offsets[tree.sweep().mesh[side]].face;
   };
   const Triangle *first_triangles = triangles(0) + first.first, *second_triangles = triangles(1) + second.first;
-  const uint32_t used_lanes = (1u << second.triangle_count) - 1u;
   const float distance = tree.sweep().inflation;
   uint32_t meeting[kMaxLeafTriangles][kLanes] = {};
   for (int k = 1; k <= tree.sweep().segment_count; ++k) {
+    const MovingPoints<3, Float8> i = moving_triangles<Float8>(tree, 0, first.first, k);
+    const uint32_t reaching_i = triangles_reaching(tree, i, first.triangle_count, 0, leaves.second, k);
+    if (reaching_i == 0) continue;
     const MovingPoints<3, Float8> j = moving_triangles<Float8>(tree, 1, second.first, k);
-    for (int p = 0; p < first.triangle_count; ++p) {
-      const MovingPoints<3, float> i = moving_triangles<float>(tree, 0, first.first + p, k);
-      const uint32_t apart = lane_bits(triangles_stay_apart(in_all_lanes(i), j, distance));
-      for_each_bit(used_lanes & ~apart, [&](int lane) {
-        const uint32_t wanted =
-            represented_pairs(first_triangles[p], second_triangles[lane]) & ~meeting[p][lane];
-        if (wanted != 0) meeting[p][lane] |= pairs_meeting(i, one_lane(j, lane), wanted, distance);
+    const uint32_t reaching_j = triangles_reaching(tree, j, second.triangle_count, 1, leaves.first, k);
+    if (reaching_j == 0) continue;
+    for_each_bit(reaching_i, [&](int p) {
+      const MovingPoints<3, float> one = one_lane(i, p);
+      const uint32_t apart = lane_bits(triangles_stay_apart(in_all_lanes(one), j, distance));
+      for_each_bit(reaching_j & ~apart, [&](int lane) {
+        const uint32_t wanted = represented_pairs(first_triangles[p], second_triangles[lane]) & ~meeting[p][lane];
+        if (wanted != 0) meeting[p][lane] |= pairs_meeting(one, one_lane(j, lane), wanted, distance);
       });
-    }
+    });
   }
   for (int p = 0; p < first.triangle_count; ++p) {
     for (int lane = 0; lane < second.triangle_count; ++lane) {

@@ -1,0 +1,155 @@
+"""What the pictures show: a world at the end of a step, and one collision of that step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pgccd.mesh import Mesh
+from pgccd.narrow import Kind
+from pgccd.sim import RobotState, Step, World
+from pgccd.sim.response import respond
+from pgccd.viz.raster import rotation_matrices
+
+
+@dataclass
+class Impact:
+    """One contact of two bodies, i and j, at its toi."""
+
+    ids: tuple[int, int]
+    kinds: tuple[int, int]  #: which meshes they are
+    toi: float
+    feature: str  #: what touches what
+    point: np.ndarray  #: (3,) world
+    normal: np.ndarray  #: (3,) unit, from i towards j
+    position: np.ndarray  #: (2, 3) at toi
+    orientation: np.ndarray  #: (2, 4) at toi
+    times: np.ndarray  #: (n,) in [0, 1]
+    gap: np.ndarray  #: (n,) between the two touching features along the normal, at those times
+
+
+@dataclass
+class Snapshot:
+    """A world at one moment, as numpy arrays."""
+
+    meshes: list[Mesh]
+    kind: np.ndarray  #: (N,) which mesh each body is
+    position: np.ndarray  #: (N, 3)
+    orientation: np.ndarray  #: (N, 4)
+    colliding: np.ndarray  #: (N,) bool
+    half_extent: np.ndarray  #: (3,) of the box, centred on the origin
+    impact: Impact | None = None
+    caption: list[str] = field(default_factory=list)  #: figures, one line each
+    velocity: np.ndarray | None = None  #: (N, 3) displacement of the step shown, before anyone stopped
+    angular_velocity: np.ndarray | None = None  #: (N, 3) its rotation vectors
+    fraction: np.ndarray | None = None  #: (N,) how much of that step each body made
+
+    @classmethod
+    def of_state(cls, world: World, state: RobotState, caption: list[str] | None = None) -> Snapshot:
+        """A world between two steps; nobody is marked."""
+        nobody = np.zeros(len(state), dtype=bool)
+        return cls._of(world, state, nobody, caption)
+
+    @classmethod
+    def of_step(cls, world: World, step: Step, caption: list[str] | None = None) -> Snapshot:
+        """A world after a step, with the robots that collided in it."""
+        stopped = step.settlement.stopped.cpu().numpy()
+        snapshot = cls._of(world, step.after, stopped, caption)
+        snapshot.impact = _impact(world, step)
+        snapshot.velocity = step.before.velocity.cpu().numpy()
+        snapshot.angular_velocity = step.before.angular_velocity.cpu().numpy()
+        snapshot.fraction = step.settlement.fraction.cpu().numpy()
+        return snapshot
+
+    @classmethod
+    def _of(cls, world: World, state: RobotState, colliding: np.ndarray, caption: list[str] | None) -> Snapshot:
+        return cls(
+            world.meshes.meshes,
+            (state.id % len(world.meshes)).cpu().numpy(),
+            state.position.cpu().numpy(),
+            state.orientation.cpu().numpy(),
+            colliding,
+            np.array(world.half_extent),
+            caption=caption or [],
+        )
+
+
+def _impact(world: World, step: Step) -> Impact | None:
+    """The contact whose toi is nearest the middle of the step: there is something to see before and after it."""
+    contacts = step.contacts
+    if len(contacts) == 0:
+        return None
+    row = int(torch.argmin((step.toi - 0.5).abs()))
+    pair = contacts.pairs[row]
+    toi = float(step.toi[row])
+    columns = {name: column[pair] for name, column in step.before.columns.items()}
+    at_toi = respond(RobotState(**columns), step.toi[row].repeat(2))
+    ids = (int(columns["id"][0]), int(columns["id"][1]))
+    kinds = (ids[0] % len(world.meshes), ids[1] % len(world.meshes))
+    meshes = [world.meshes.meshes[kind] for kind in kinds]
+    kind = Kind(int(_row(contacts.kind, row)))
+    features = _row(contacts.features, row).tolist()
+    normal = _row(contacts.normal, row).cpu().numpy()
+    coordinates = _row(contacts.coordinates, row).tolist()
+    times = np.linspace(0.0, 1.0, 401)
+    feature_points = _feature_points(meshes, kind, features, coordinates)
+    paths = [_path(columns, body, feature_points[body], times) for body in range(2)]
+    names = {
+        Kind.VF_AB: f"vertex {features[0]} on face {features[1]}",
+        Kind.VF_BA: f"face {features[0]} on vertex {features[1]}",
+        Kind.EE: f"edge {features[0]} on edge {features[1]}",
+    }
+    return Impact(
+        ids,
+        kinds,
+        toi,
+        names[kind],
+        _row(contacts.point, row).cpu().numpy(),
+        normal,
+        at_toi.position.cpu().numpy(),
+        at_toi.orientation.cpu().numpy(),
+        times,
+        (paths[1] - paths[0]) @ normal,
+    )
+
+
+def _row(column: Tensor | None, row: int) -> Tensor:
+    if column is None:
+        raise AssertionError("detect(report='first') gives all columns")
+    return column[row]
+
+
+def _feature_points(meshes: list[Mesh], kind: Kind, features: list[int], at: list[float]) -> list[np.ndarray]:
+    """The points of the two features that touch, in their body frames."""
+
+    def on_face(mesh: Mesh, face: int) -> np.ndarray:
+        a, b, c = mesh.vertices[mesh.faces[face].long()].numpy()
+        return a + at[0] * (b - a) + at[1] * (c - a)
+
+    def on_edge(mesh: Mesh, edge: int, parameter: float) -> np.ndarray:
+        a, b = mesh.vertices[mesh.edges[edge].long()].numpy()
+        return a + parameter * (b - a)
+
+    if kind == Kind.VF_AB:
+        return [meshes[0].vertices[features[0]].numpy(), on_face(meshes[1], features[1])]
+    if kind == Kind.VF_BA:
+        return [on_face(meshes[0], features[0]), meshes[1].vertices[features[1]].numpy()]
+    return [on_edge(meshes[body], features[body], at[body]) for body in range(2)]
+
+
+def _path(columns: dict[str, Tensor], body: int, local: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """(n, 3) world positions of a point of a body during the step (Rodrigues' formula)."""
+    position, velocity, spin = (columns[name][body].cpu().numpy() for name in ("position", "velocity", "angular_velocity"))
+    offset = rotation_matrices(columns["orientation"][body : body + 1].cpu().numpy())[0] @ local
+    rate = np.linalg.norm(spin)
+    axis = spin / rate if rate > 0.0 else np.array([0.0, 0.0, 1.0])
+    angle = rate * times[:, None]
+    turned = (
+        offset * np.cos(angle)
+        + np.cross(axis, offset) * np.sin(angle)
+        + axis * (axis @ offset) * (1.0 - np.cos(angle))
+    )
+    return position + times[:, None] * velocity + turned
