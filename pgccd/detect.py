@@ -90,15 +90,10 @@ def detect(
         candidates = _traverse(stats, bodies, chunk, min_separation, tolerance, horizon, leading=False)
         rows = _narrow(stats, bodies, chunk, candidates, report, min_separation, tolerance, nonzero_toi)
         found.append((chunk[rows[0].long()], *rows[1:]))
-    pair, kind, features, status, toi, coordinates, point, normal = (
-        torch.cat(column) for column in zip(*found, strict=True)
-    )
-    if report == "earliest" and len(toi) > 1:
-        first = int(torch.argmin(toi))  # of equal ones the first: chunks come in canonical order
-        columns = (pair, kind, features, status, toi, coordinates, point, normal)
-        pair, kind, features, status, toi, coordinates, point, normal = (
-            column[first : first + 1] for column in columns
-        )
+    rows = tuple(torch.cat(column) for column in zip(*found, strict=True))  # type: ignore[assignment]
+    if report == "earliest":  # of the chunks' earliest ones
+        rows = narrow.keep_earliest(rows)
+    pair, kind, features, status, toi, coordinates, point, normal = rows
     stats.contacts = pair.shape[0]
     stats.unresolved = int((status == narrow.Status.UNRESOLVED).sum())
     if report == "any":

@@ -15,7 +15,8 @@ from pgccd.broad import check_separation
 from pgccd.traverse import check_pairs, operator_tolerance
 
 Report = Literal["any", "first", "all", "earliest"]
-REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 3}
+# What the operators are asked for; "earliest" is then chosen from the first contacts.
+REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 1}
 
 
 class Kind(IntEnum):
@@ -130,8 +131,19 @@ def contacts(
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
     rest = (pairs, candidates.contiguous(), *settings, nonzero_toi, REPORTS[report])
     if bodies.deforming:
-        return ops.narrow_deforming(bodies.mesh_set, bodies.tensors, *rest)
-    return ops.narrow_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
+        rows = ops.narrow_deforming(bodies.mesh_set, bodies.tensors, *rest)
+    else:
+        rows = ops.narrow_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
+    return keep_earliest(rows) if report == "earliest" else rows
+
+
+def keep_earliest(rows: ops.ContactRows) -> ops.ContactRows:
+    """Of rows in canonical order, the one with the least toi, the first of equal ones."""
+    toi = rows[4]
+    if len(toi) < 2:
+        return rows
+    first = int(torch.nonzero(toi == toi.min())[0])
+    return tuple(column[first : first + 1] for column in rows)  # type: ignore[return-value]
 
 
 def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:

@@ -41,6 +41,10 @@ constexpr ScalarType scalar_type_of<int32_t>() {
   return ScalarType::Int;
 }
 template <>
+constexpr ScalarType scalar_type_of<int8_t>() {
+  return ScalarType::Char;
+}
+template <>
 constexpr ScalarType scalar_type_of<uint8_t>() {
   return ScalarType::Byte;
 }

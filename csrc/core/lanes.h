@@ -11,10 +11,21 @@ namespace pgccd {
 
 constexpr int kLanes = 8;
 
+PGCCD_HD float square_root(float x) { return std::sqrt(x); }
+PGCCD_HD bool all_lanes(bool mask) { return mask; }
+
+template <class T>
+PGCCD_HD T load(const float* first) {
+  return *first;
+}
+
+#if !defined(__CUDACC__)
+
 using Float8 = float __attribute__((vector_size(32)));
 using Mask8 = int32_t __attribute__((vector_size(32)));
 
-inline Float8 load_lanes(const float* first) {
+template <>
+inline Float8 load<Float8>(const float* first) {
   Float8 out;
   __builtin_memcpy(&out, first, sizeof(out));
   return out;
@@ -25,7 +36,6 @@ inline Float8 square_root(Float8 x) {
   for (int lane = 0; lane < kLanes; ++lane) out[lane] = std::sqrt(x[lane]);
   return out;
 }
-PGCCD_HD float square_root(float x) { return std::sqrt(x); }
 
 inline Vec3<Float8> broadcast(Vec3<float> v) { return {v.x - Float8{}, v.y - Float8{}, v.z - Float8{}}; }
 
@@ -39,6 +49,7 @@ inline uint32_t lane_bits(Mask8 mask) {
 #endif
 }
 inline bool all_lanes(Mask8 mask) { return lane_bits(mask) == (1u << kLanes) - 1; }
-PGCCD_HD bool all_lanes(bool mask) { return mask; }
+
+#endif
 
 }  // namespace pgccd

@@ -66,6 +66,13 @@ PGCCD_HD Vec3<T> load_vec3(const T* row) {
   return {row[0], row[1], row[2]};
 }
 
+template <class T>
+PGCCD_HD void store_vec3(T* row, Vec3<T> v) {
+  row[0] = v.x;
+  row[1] = v.y;
+  row[2] = v.z;
+}
+
 // Row-major 3 x 3 matrix, stored by rows.
 template <class T>
 struct Mat3 {

@@ -3,7 +3,7 @@
 A run is `run(WorldConfig(...), steps, folder)`. Its parts are here too, for worlds that are put together differently.
 """
 
-from pgccd.sim.files import Checkpoint, load_checkpoint, read_log, save_checkpoint
+from pgccd.sim.files import LOG_FILE, Checkpoint, load_checkpoint, read_log, save_checkpoint
 from pgccd.sim.hashing import contacts_hash, state_hash
 from pgccd.sim.response import Exchange, Settlement, first_collisions, respond, settle
 from pgccd.sim.robot import robot_mesh
@@ -12,6 +12,7 @@ from pgccd.sim.step import Step, make_step
 from pgccd.sim.world import PATTERNS, RobotState, World, WorldConfig
 
 __all__ = [
+    "LOG_FILE",
     "PATTERNS",
     "Checkpoint",
     "Exchange",

@@ -1,7 +1,7 @@
 """Order-independent hashes of contacts and states, so that runs can be compared by their logs alone.
 
-Each row is mixed to 64 bits; rows are summed modulo 2^64. Integer arithmetic only: the same on every device, for any order of rows,
-and the hash of a whole is the sum of the hashes of its parts (as ranks need).
+Each row is mixed to 64 bits; rows are summed modulo 2^64. Integer arithmetic only: the same on every device and for any
+order of rows, and the hash of a whole is the sum of the hashes of its parts (as ranks need).
 """
 
 from __future__ import annotations

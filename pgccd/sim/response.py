@@ -12,11 +12,11 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.sim.world import RobotState
 
-# A robot stops this much of the way short of its toi: at the toi itself it may be within the tolerance of contact, and would
-# be told so again.
+# A robot makes this much of the way to its toi: at the toi itself it may be within the tolerance of contact, and
+# would be told so again.
 _APPROACH = 0.99
-# A robot that could make less than this part of its step stays where it is. Otherwise the gap between robots that are pressed
-# together (by a wall, by a crowd) would shrink by the same factor in every step, until rounding closed it.
+# A robot that could make less than this part of its step stays where it is. Otherwise the gap between robots that are
+# pressed together (by a wall, by a crowd) would shrink by the same factor in every step, until rounding closed it.
 _SMALLEST_PART = 0.01
 # After so many rounds whoever still collides stays where it is, which ends the matter quickly.
 _ROUNDS = 4
@@ -81,15 +81,15 @@ def settle(
 ) -> Settlement:
     """Decides how much of the step each robot makes.
 
-    A robot stops (just before) its first toi. It then stands where others expected it to move on, so the slowed-down step is
-    tested again, among the robots that have just been slowed down and between them and all others, until nobody collides. In
-    the step that results no robot touches another, and the next one starts without contact.
+    A robot stops (just before) its first toi. It then stands where others expected it to move on, so the slowed-down
+    step is tested again, among the robots that have just been slowed down and between them and all others, until nobody
+    collides. In the step that results no robot touches another, and the next one starts without contact.
 
     Args:
         pairs, toi: the contacts (K, 2) and (K,) of the whole step.
         body_count: number of robots N.
-        find_contacts: takes (changed (N,) bool, fraction (N,)) and returns the pairs and toi of the contacts with at least one
-            changed robot in the step of which each robot makes that fraction, at constant velocities.
+        find_contacts: takes (changed (N,) bool, fraction (N,)) and returns the pairs and toi of the contacts with at
+            least one changed robot in the step of which each robot makes that fraction, at constant velocities.
         exchange: how ranks agree; default: there is one.
 
     Example:
@@ -100,8 +100,8 @@ def settle(
     rounds = secondary_contacts = 0
     while True:
         first = exchange.first_toi(first_collisions(pairs, toi, body_count))
-        # Robots that do not move at all can only touch where they did before: nothing is left to decide about them. So every
-        # round stops or slows somebody, and from round _ROUNDS on stops for good: the loop ends.
+        # Robots that do not move at all can only touch where they did before: nothing is left to decide about them. So
+        # every round stops or slows somebody, and from round _ROUNDS on stops for good: the loop ends.
         changed = (first <= 1.0) & (fraction > 0.0)
         if not exchange.any(bool(changed.any())):
             return Settlement(fraction, rounds, secondary_contacts)

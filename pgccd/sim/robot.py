@@ -11,7 +11,7 @@ RING_SIZE = 25
 VERTEX_COUNT = 2 + RING_COUNT * RING_SIZE  #: 352
 FACE_COUNT = 2 * RING_COUNT * RING_SIZE  #: 700
 
-_LEG_COUNT = 5
+_LIMB_COUNT = 5
 # Coordinates are rounded to a grid much coarser than the last bits in which mathematical libraries differ, so that the
 # robot is the same on every machine.
 _DECIMALS = 6
@@ -20,8 +20,8 @@ _DECIMALS = 6
 def robot_mesh() -> Mesh:
     """A round body with a head, five arms, five legs and a nozzle, SBV radius 1 (to 1e-6); always the same.
 
-    The surface is star-shaped (one distance in every direction from an inner point), so it does not cut itself. Its size,
-    352 vertices and 700 triangles, is that of the entities of Du, Liu & Suzumura 2017, section 5.
+    The surface is star-shaped (one distance in every direction from an inner point), so it does not cut itself. Its
+    size, 352 vertices and 700 triangles, is that of the entities of Du, Liu & Suzumura 2017, section 5.
 
     Example:
         >>> pgccd.sim.robot_mesh()
@@ -32,33 +32,29 @@ def robot_mesh() -> Mesh:
     theta, phi = np.meshgrid(polar, azimuth, indexing="ij")
     directions = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
     rings = _distance(theta, phi)[..., None] * directions
-    poles = (
-        [[0.0, 0.0, float(_distance(np.zeros(1), np.zeros(1))[0])]],
-        [[0.0, 0.0, -float(_distance(np.full(1, np.pi), 0.0)[0])]],
-    )
-    vertices = np.concatenate([poles[0], rings.reshape(-1, 3), poles[1]])
+    top, bottom = _distance(np.array([0.0, np.pi]), np.zeros(2))
+    vertices = np.concatenate([[[0.0, 0.0, top]], rings.reshape(-1, 3), [[0.0, 0.0, -bottom]]])
     faces = _faces()
     draft = Mesh(vertices, faces)
     return Mesh(np.round(draft.vertices.numpy() / draft.radius, _DECIMALS), faces)
 
 
-def _distance(theta: np.ndarray, phi: np.ndarray | float) -> np.ndarray:
+def _distance(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
     """Distance of the surface from the inner point; theta from the head, phi around the body (radians)."""
 
     def bump(centre: float, width: float) -> np.ndarray:
         return np.exp(-(((theta - centre) / width) ** 2))
 
     def limbs(shift: float) -> np.ndarray:
-        return np.maximum(0.0, np.cos(_LEG_COUNT * (phi - shift))) ** 2
+        return np.maximum(0.0, np.cos(_LIMB_COUNT * (phi - shift)))
 
-    half_turn = np.pi / _LEG_COUNT
-    body = 0.66 + 0.02 * np.cos(4.0 * theta)
-    legs = 0.42 * bump(2.1, 0.30) * limbs(0.0)
-    arms = 0.24 * bump(1.15, 0.24) * limbs(half_turn)
-    head = 0.30 * bump(0.0, 0.45)
-    eye = 0.12 * bump(0.55, 0.2) * np.maximum(0.0, np.cos(phi)) ** 8
-    nozzle = -0.22 * bump(np.pi, 0.40)
-    return body + legs + arms + head + eye + nozzle
+    body = 0.62 + 0.03 * np.cos(2.0 * theta)
+    legs = 0.46 * bump(2.15, 0.26) * limbs(0.0)
+    arms = 0.24 * bump(1.25, 0.22) * limbs(np.pi / _LIMB_COUNT)
+    head = 0.30 * bump(0.0, 0.34)
+    collar = -0.06 * bump(0.65, 0.16)
+    nozzle = -0.20 * bump(np.pi, 0.45)
+    return body + legs + arms + head + collar + nozzle
 
 
 def _faces() -> np.ndarray:

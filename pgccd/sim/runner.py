@@ -15,6 +15,7 @@ import torch
 
 from pgccd.mesh import Mesh
 from pgccd.sim.files import (
+    CHECKPOINT_FILE,
     WORLD_FILE,
     Checkpoint,
     StepLog,
@@ -76,6 +77,7 @@ def run(
         raise ValueError(f"steps: expected a number >= 0, got {steps}")
     world = World(config, meshes, device)
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / CHECKPOINT_FILE).unlink(missing_ok=True)  # an earlier run's would not fit the log that starts now
     write_json(folder / WORLD_FILE, world.describe())
     return _continue(world, world.start(), 0, steps, folder, checkpoint_every, progress)
 

@@ -95,7 +95,7 @@ def _column(contacts: Contacts) -> Tensor:
 def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
-    # Work still queued on a GPU belongs to the stage that queued it; every stage but the first waits for results anyway.
+    # Work still queued on a GPU belongs to the stage that queued it; all stages but the first wait for results anyway.
     if torch.cuda.is_initialized():
         torch.cuda.current_stream().synchronize()
     seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,15 +26,33 @@ class Impact:
     feature: str  #: what touches what
     point: np.ndarray  #: (3,) world
     normal: np.ndarray  #: (3,) unit, from i towards j
-    position: np.ndarray  #: (2, 3) at toi
-    orientation: np.ndarray  #: (2, 4) at toi
+    position: np.ndarray  #: (3, 2, 3) at t0, at toi, and at t1 if nobody stopped
+    orientation: np.ndarray  #: (3, 2, 4)
     times: np.ndarray  #: (n,) in [0, 1]
     gap: np.ndarray  #: (n,) between the two touching features along the normal, at those times
 
 
 @dataclass
+class Motion:
+    """The step that led to a snapshot, so that it can be played."""
+
+    position: np.ndarray  #: (N, 3) at t0
+    orientation: np.ndarray  #: (N, 4) at t0
+    velocity: np.ndarray  #: (N, 3) displacement of the whole step
+    angular_velocity: np.ndarray  #: (N, 3) rotation vector of the whole step
+    fraction: np.ndarray  #: (N,) how much of it each body made
+    contact_ids: np.ndarray  #: (K, 2) of all contacts
+    contact_toi: np.ndarray  #: (K,)
+    contact_point: np.ndarray  #: (K, 3)
+
+
+@dataclass
 class Snapshot:
-    """A world at one moment, as numpy arrays."""
+    """A world at one moment, as numpy arrays.
+
+    Example:
+        >>> pgccd.viz.world_picture("world.png", pgccd.viz.Snapshot.of_step(world, step, ["After step 7"]))
+    """
 
     meshes: list[Mesh]
     kind: np.ndarray  #: (N,) which mesh each body is
@@ -41,40 +60,35 @@ class Snapshot:
     orientation: np.ndarray  #: (N, 4)
     colliding: np.ndarray  #: (N,) bool
     half_extent: np.ndarray  #: (3,) of the box, centred on the origin
+    caption: list[str] = field(default_factory=list)  #: a title, then figures
+    motion: Motion | None = None
     impact: Impact | None = None
-    caption: list[str] = field(default_factory=list)  #: figures, one line each
-    velocity: np.ndarray | None = None  #: (N, 3) displacement of the step shown, before anyone stopped
-    angular_velocity: np.ndarray | None = None  #: (N, 3) its rotation vectors
-    fraction: np.ndarray | None = None  #: (N,) how much of that step each body made
 
     @classmethod
-    def of_state(cls, world: World, state: RobotState, caption: list[str] | None = None) -> Snapshot:
+    def of_state(cls, world: World, state: RobotState, caption: Sequence[str] = ()) -> Snapshot:
         """A world between two steps; nobody is marked."""
-        nobody = np.zeros(len(state), dtype=bool)
-        return cls._of(world, state, nobody, caption)
-
-    @classmethod
-    def of_step(cls, world: World, step: Step, caption: list[str] | None = None) -> Snapshot:
-        """A world after a step, with the robots that collided in it."""
-        stopped = step.settlement.stopped.cpu().numpy()
-        snapshot = cls._of(world, step.after, stopped, caption)
-        snapshot.impact = _impact(world, step)
-        snapshot.velocity = step.before.velocity.cpu().numpy()
-        snapshot.angular_velocity = step.before.angular_velocity.cpu().numpy()
-        snapshot.fraction = step.settlement.fraction.cpu().numpy()
-        return snapshot
-
-    @classmethod
-    def _of(cls, world: World, state: RobotState, colliding: np.ndarray, caption: list[str] | None) -> Snapshot:
         return cls(
             world.meshes.meshes,
             (state.id % len(world.meshes)).cpu().numpy(),
             state.position.cpu().numpy(),
             state.orientation.cpu().numpy(),
-            colliding,
+            np.zeros(len(state), dtype=bool),
             np.array(world.half_extent),
-            caption=caption or [],
+            list(caption),
         )
+
+    @classmethod
+    def of_step(cls, world: World, step: Step, caption: Sequence[str] = ()) -> Snapshot:
+        """A world after a step, with the robots that collided in it."""
+        snapshot = cls.of_state(world, step.after, caption)
+        snapshot.colliding = step.settlement.stopped.cpu().numpy()
+        before, contacts = step.before, step.contacts
+        point = torch.zeros((0, 3)) if contacts.point is None else contacts.point
+        columns = [before.position, before.orientation, before.velocity, before.angular_velocity]
+        columns += [step.settlement.fraction, before.id[contacts.pairs], step.toi, point]
+        snapshot.motion = Motion(*(column.cpu().numpy() for column in columns))
+        snapshot.impact = _impact(world, step)
+        return snapshot
 
 
 def _impact(world: World, step: Step) -> Impact | None:
@@ -86,7 +100,8 @@ def _impact(world: World, step: Step) -> Impact | None:
     pair = contacts.pairs[row]
     toi = float(step.toi[row])
     columns = {name: column[pair] for name, column in step.before.columns.items()}
-    at_toi = respond(RobotState(**columns), step.toi[row].repeat(2))
+    whole = torch.ones_like(step.toi[row])
+    moments = [respond(RobotState(**columns), part.repeat(2)) for part in (0.0 * whole, step.toi[row], whole)]
     ids = (int(columns["id"][0]), int(columns["id"][1]))
     kinds = (ids[0] % len(world.meshes), ids[1] % len(world.meshes))
     meshes = [world.meshes.meshes[kind] for kind in kinds]
@@ -98,9 +113,9 @@ def _impact(world: World, step: Step) -> Impact | None:
     feature_points = _feature_points(meshes, kind, features, coordinates)
     paths = [_path(columns, body, feature_points[body], times) for body in range(2)]
     names = {
-        Kind.VF_AB: f"vertex {features[0]} on face {features[1]}",
-        Kind.VF_BA: f"face {features[0]} on vertex {features[1]}",
-        Kind.EE: f"edge {features[0]} on edge {features[1]}",
+        Kind.VF_AB: f"vertex {features[0]} of {ids[0]} on face {features[1]} of {ids[1]}",
+        Kind.VF_BA: f"face {features[0]} of {ids[0]} on vertex {features[1]} of {ids[1]}",
+        Kind.EE: f"edge {features[0]} of {ids[0]} on edge {features[1]} of {ids[1]}",
     }
     return Impact(
         ids,
@@ -109,8 +124,8 @@ def _impact(world: World, step: Step) -> Impact | None:
         names[kind],
         _row(contacts.point, row).cpu().numpy(),
         normal,
-        at_toi.position.cpu().numpy(),
-        at_toi.orientation.cpu().numpy(),
+        torch.stack([at.position for at in moments]).cpu().numpy(),
+        torch.stack([at.orientation for at in moments]).cpu().numpy(),
         times,
         (paths[1] - paths[0]) @ normal,
     )
@@ -142,14 +157,14 @@ def _feature_points(meshes: list[Mesh], kind: Kind, features: list[int], at: lis
 
 def _path(columns: dict[str, Tensor], body: int, local: np.ndarray, times: np.ndarray) -> np.ndarray:
     """(n, 3) world positions of a point of a body during the step (Rodrigues' formula)."""
-    position, velocity, spin = (columns[name][body].cpu().numpy() for name in ("position", "velocity", "angular_velocity"))
+    position, velocity, spin = (
+        columns[name][body].cpu().numpy() for name in ("position", "velocity", "angular_velocity")
+    )
     offset = rotation_matrices(columns["orientation"][body : body + 1].cpu().numpy())[0] @ local
     rate = np.linalg.norm(spin)
     axis = spin / rate if rate > 0.0 else np.array([0.0, 0.0, 1.0])
     angle = rate * times[:, None]
     turned = (
-        offset * np.cos(angle)
-        + np.cross(axis, offset) * np.sin(angle)
-        + axis * (axis @ offset) * (1.0 - np.cos(angle))
+        offset * np.cos(angle) + np.cross(axis, offset) * np.sin(angle) + axis * (axis @ offset) * (1.0 - np.cos(angle))
     )
     return position + times[:, None] * velocity + turned

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import TriMesh, boxes, bumpy_spheres, meshes, pose_motions, tetrahedra
+from strategies import PoseMotion, TriMesh, boxes, bumpy_spheres, meshes, pose_motions, tetrahedra
 
 from . import broad, detect, linear, mesh, rigid
 
@@ -23,6 +23,10 @@ def test_moving_spheres_analytic() -> None:
     assert broad.spheres_meet(*pair, 1.0, 1.5, 0.5)
     assert broad.spheres_meet(*pair[:1], pair[0], 2.0, 3.0)  # at rest, 5 apart
     assert not broad.spheres_meet(*pair[:1], pair[0], 2.0, 2.999)
+    away = [[0.0, 0, 0], [5.0, 3, 0]]
+    for ends in ((pair[0], away), (away, pair[0])):  # 5 apart at one end only
+        assert broad.spheres_meet(*ends, 2.0, 3.0)
+        assert not broad.spheres_meet(*ends, 2.0, 3.0 - 2.0**-51)
 
 
 def test_sphere_pairs_are_all_pairs_and_no_others() -> None:
@@ -86,7 +90,9 @@ def test_faces_that_name_a_vertex_twice_are_refused() -> None:
         mesh.unique_edges([[0, 1, 1]])
 
 
-def every_pair(a: list[np.ndarray], b: list[np.ndarray], faces_a: np.ndarray, faces_b: np.ndarray) -> set[object]:
+def every_pair(
+    a: list[np.ndarray], b: list[np.ndarray], faces_a: np.ndarray, faces_b: np.ndarray
+) -> set[tuple[int, int, int]]:
     """Exact test of every pair, with no filter at all."""
     pairs = mesh.feature_pairs(faces_a, faces_b)
     edges = mesh.unique_edges(faces_a), mesh.unique_edges(faces_b)
@@ -138,7 +144,9 @@ def test_known_contacts_of_a_cube_and_a_wall() -> None:
 
 @given(bumpy_spheres(0), boxes(), pose_motions(scale=1.0), pose_motions(scale=1.0))
 @settings(max_examples=5, deadline=None)
-def test_rigid_detection_is_every_pair(first: TriMesh, second: TriMesh, motion_a: object, motion_b: object) -> None:
+def test_rigid_detection_is_every_pair(
+    first: TriMesh, second: TriMesh, motion_a: PoseMotion, motion_b: PoseMotion
+) -> None:
     arcs = [
         rigid.BodyMotion.from_rotation(m.start.position, m.start.orientation, m.end.position, m.rotation)
         for m in (motion_a, motion_b)

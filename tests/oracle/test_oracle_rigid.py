@@ -200,3 +200,46 @@ def test_against_dense_sampling(is_face: bool, separation: float) -> None:
         assert not (sampled[times < found.toi_lower[k] - 1e-9, k] <= separation - 1e-12).any()
         assert found.toi_upper[k] - found.toi_lower[k] <= 1e-8
     assert ((at >= 0) & (at <= 1)).all()
+
+
+@KINDS
+def test_bounds_over_long_intervals_hold_for_fast_turns(is_face: bool) -> None:
+    """|w| h is some 1: nothing here is small."""
+    rng = np.random.default_rng(5)
+    n, samples = 300, 201
+    points, ends = rng.normal(size=(n, 4, 3)), rng.normal(size=(2, 2, n, 3)) * 4
+    q, spin = rng.normal(size=(2, n, 4)), rng.normal(size=(2, n, 3)) * 3
+    q /= np.linalg.norm(q, axis=2, keepdims=True)
+    bodies = [rigid.BodyMotion.from_rotation(ends[0, k], q[k], ends[1, k], spin[k]) for k in (0, 1)]
+    paths = rigid.RigidPaths(points, bodies[0], bodies[1], is_face)
+    middle, half = rng.uniform(0.3, 0.7, n), rng.uniform(0.1, 0.3, n)
+    taylor = paths.derivatives(np.arange(n), middle)
+    bound = search.lower_bound(taylor, paths.jerk, half, is_face)
+    box = search.swept_box(taylor, paths.jerk, half)
+    least = np.full(n, np.inf)
+    for s in np.linspace(-1, 1, samples):
+        x = paths.derivatives(np.arange(n), middle + s * half)[0]
+        assert (box.lo <= x.hi).all() and (x.lo <= box.hi).all()
+        least = np.minimum(least, search.upper_bound(x, is_face))
+    assert (bound <= least).all()
+    assert (bound > 0).sum() > 5
+
+
+@KINDS
+def test_the_remainder_is_needed_and_is_tight(is_face: bool) -> None:
+    # An arm of length 1 points along x at t = 1/2 while its base moves back along y as fast as it swings: to second
+    # order it stands still, 0.2 below a wall, and in truth it was higher by x - sin x with x = 3 s before.
+    w, h = 3.0, 0.3
+    tip = [np.cos(-w / 2), np.sin(-w / 2)]
+    first = [[*tip, 0.0]] if is_face else [[*tip, -1.0], [*tip, 1.0]]
+    wall = [[-9, 0, -9], [9, 0, -9], [0, 0, 9]] if is_face else [[-9, 0, 0], [9, 0, 0]]
+    points = np.array([[*first, *(np.array(wall) + [0, 0.2 - w / 2, 0])]])
+    body = arc(ORIGIN, [0.0, 0, w], [0.0, -w, 0])
+    paths = rigid.RigidPaths(points, body, arc(ORIGIN, ORIGIN), is_face)
+    taylor = paths.derivatives(np.array([0]), np.array([0.5]))
+    least = 0.2 - (w * h - np.sin(w * h))
+    bound = search.lower_bound(taylor, paths.jerk, np.array([h]), is_face)[0]
+    assert least - 0.01 < bound <= least
+    assert search.lower_bound(taylor, 0 * paths.jerk, np.array([h]), is_face)[0] > least
+    method = rigid.vertex_face if is_face else rigid.edge_edge
+    assert method(points, body, arc(ORIGIN, ORIGIN), 0.0).name(0) == "yes"  # at t = 0 it was above

@@ -19,6 +19,7 @@ struct DeformingInput {
   const double* vertices_t0;
   const double* vertices_t1;
   const int64_t* vertex_begin;  // (bodies,)
+  int64_t block_count;          // of all bodies
   const int64_t* block_begin;    // (bodies,)
 };
 

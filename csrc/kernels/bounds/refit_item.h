@@ -17,13 +17,26 @@ struct BodyShape {
   }
 };
 
-// Mean of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1), summed in face order.
-PGCCD_HD Vec3<double> mean_corner(const int32_t* faces, int64_t face_count, const double* vertices) {
+// The mean of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1) is summed in chunks of so many faces, and then
+// over the chunks, always in order: the same bits however many threads share the work.
+constexpr int64_t kMeanChunk = 256;
+
+PGCCD_HD Vec3<double> corner_sum(const int32_t* faces, int64_t face_count, int64_t chunk, const double* vertices) {
   Vec3<double> sum{0.0, 0.0, 0.0};
-  for (int64_t f = 0; f < face_count; ++f) {
+  const int64_t end = smaller((chunk + 1) * kMeanChunk, face_count);
+  for (int64_t f = chunk * kMeanChunk; f < end; ++f) {
     for (int corner = 0; corner < 3; ++corner) sum = sum + load_vec3(vertices + 3 * int64_t(faces[3 * f + corner]));
   }
-  return (1.0 / (3.0 * static_cast<double>(face_count))) * sum;
+  return sum;
+}
+
+// Number of used slots: they come first.
+PGCCD_HD int used_slots(const NodeLink* links, int64_t block) {
+  int count = 0;
+  while (count < kBlockWidth && (links[block * kBlockWidth + count].first | links[block * kBlockWidth + count].triangle_count)) {
+    ++count;
+  }
+  return count;
 }
 
 // What a node covers, at both ends of the step, relative to the body's centre.
@@ -118,6 +131,26 @@ PGCCD_HD void store_node(const NodeBounds& node, int end, int slot, NodeBlock& b
 
 PGCCD_HD void store_empty(int slot, NodeBlock& block) {
   block.x[slot] = block.y[slot] = block.z[slot] = block.radius[slot] = NAN;
+}
+
+// The nodes of one block, once the blocks below it are done, and their spheres at both ends.
+PGCCD_HD void refit_block(const BodyShape& shape, const Triangle* triangles, const NodeLink* links, int64_t block,
+                          NodeBounds* nodes, NodeBlock* at_t0, NodeBlock* at_t1) {
+  const int count = used_slots(links, block);
+  for (int slot = 0; slot < kBlockWidth; ++slot) {
+    if (slot >= count) {
+      store_empty(slot, *at_t0);
+      store_empty(slot, *at_t1);
+      continue;
+    }
+    const int64_t n = block * kBlockWidth + slot;
+    const NodeLink link = links[n];
+    nodes[n] = link.triangle_count > 0 ? leaf_bounds(shape, triangles, link)
+                                       : parent_bounds(shape, triangles, nodes + int64_t(link.first) * kBlockWidth,
+                                                       used_slots(links, link.first));
+    store_node(nodes[n], 0, slot, *at_t0);
+    store_node(nodes[n], 1, slot, *at_t1);
+  }
 }
 
 }  // namespace pgccd

@@ -10,10 +10,9 @@
 namespace pgccd {
 
 enum class Report : int32_t {
-  kAny = 0,       // which pairs touch; feature and toi are those of some contact
-  kFirst = 1,     // earliest contact of each pair
-  kAll = 2,       // every touching feature pair
-  kEarliest = 3,  // the one first contact of all
+  kAny = 0,    // which pairs touch; feature and toi are those of some contact
+  kFirst = 1,  // earliest contact of each pair
+  kAll = 2,    // every touching feature pair
 };
 
 struct NarrowInput {
@@ -25,7 +24,7 @@ struct NarrowInput {
   Report report;
 };
 
-// Rows in canonical order: by pair, then kind and features (all), one row a pair (any, first), or one row (earliest).
+// Rows in canonical order: by pair, then kind and features (all), or one row a pair (any, first).
 struct ContactRows {
   std::vector<int32_t> pair;  // row in `pairs`
   std::vector<int8_t> kind;
@@ -35,6 +34,18 @@ struct ContactRows {
   std::vector<double> coordinates;  // (rows, 2)
   std::vector<double> point;        // (rows, 3)
   std::vector<double> normal;       // (rows, 3)
+};
+
+// Where contact rows go; columns as in ContactRows.
+struct ContactColumns {
+  int32_t* pair;
+  int8_t* kind;
+  int32_t* features;
+  int8_t* status;
+  double* toi;
+  double* coordinates;
+  double* point;
+  double* normal;
 };
 
 template <class Bodies>

@@ -33,13 +33,12 @@ double latest_useful(Report report, const double& best) {
   return seen;
 }
 
-// Every contact that was not certainly later than another of its group (pair, or everything). Which losers are cut off
+// Every contact that was not certainly later than another of its pair. Which losers are cut off
 // early depends on timing; the winner does not: it is never later than any bound.
 template <class Bodies>
 std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& bodies, const NarrowInput& input) {
   const bool bounded = input.report != Report::kAll;
-  const int64_t groups = input.report == Report::kEarliest ? 1 : input.pair_count;
-  std::vector<double> best(bounded ? groups : 0, kNever);
+  std::vector<double> best(bounded ? input.pair_count : 0, kNever);
   std::vector<std::vector<FoundContact>> found(executor.worker_count());
   parallel_chunks(executor, input.candidate_count, kCandidateGrain, [&](int worker, int64_t begin, int64_t end) {
     int64_t c = begin;
@@ -47,12 +46,12 @@ std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& 
       const int32_t row = input.candidates[c].pair;
       const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * row], input.pairs[2 * row + 1]);
       for (; c < end && input.candidates[c].pair == row; ++c) {
-        double* group_best = bounded ? &best[groups == 1 ? 0 : row] : nullptr;
-        const double latest = bounded ? latest_useful(input.report, *group_best) : kNever;
+        double* pair_best = bounded ? &best[row] : nullptr;
+        const double latest = bounded ? latest_useful(input.report, *pair_best) : kNever;
         const Outcome<double> outcome = solve_candidate(bodies, pair, input.candidates[c], input.settings, latest);
         if (!is_contact(outcome.status)) continue;
         found[worker].push_back({c, outcome});
-        if (bounded) lower_to(*group_best, outcome.toi);
+        if (bounded) lower_to(*pair_best, outcome.toi);
       }
     }
   });
@@ -61,21 +60,13 @@ std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& 
   return all;
 }
 
-// Canonical order, then one row a group where the report asks for that.
+// Canonical order, then one row a pair where the report asks for that.
 void select(std::vector<FoundContact>& found, const NarrowInput& input) {
   const auto features = [&](const FoundContact& f) {
     const Candidate& c = input.candidates[f.candidate];
     return std::make_tuple(c.kind, c.feature_i, c.feature_j);
   };
   const auto pair = [&](const FoundContact& f) { return input.candidates[f.candidate].pair; };
-  if (input.report == Report::kEarliest) {
-    const auto first = std::min_element(found.begin(), found.end(), [&](const FoundContact& a, const FoundContact& b) {
-      return std::make_tuple(a.outcome.toi, pair(a), features(a)) <
-             std::make_tuple(b.outcome.toi, pair(b), features(b));
-    });
-    if (first != found.end()) found = {*first};
-    return;
-  }
   const bool by_toi = input.report == Report::kFirst;
   std::sort(found.begin(), found.end(), [&](const FoundContact& a, const FoundContact& b) {
     const double toi_a = by_toi ? a.outcome.toi : 0.0, toi_b = by_toi ? b.outcome.toi : 0.0;

@@ -113,6 +113,12 @@ PGCCD_HD double reflected(double position, double velocity, double reach) {
   return velocity;
 }
 
+PGCCD_HD void store_row(double* row, Vec3<double> v) {
+  row[0] = v.x;
+  row[1] = v.y;
+  row[2] = v.z;
+}
+
 }  // namespace robot_detail
 
 // Cells are dealt out so that the empty ones, if any, are spread over the lattice. Below 2^31 robots no product
@@ -182,20 +188,14 @@ PGCCD_HD Robot load_robot(const RobotColumns& robots, int64_t row) {
           robots.stay_until[row]};
 }
 
-PGCCD_HD void store_vec3(double* row, Vec3<double> v) {
-  row[0] = v.x;
-  row[1] = v.y;
-  row[2] = v.z;
-}
-
 PGCCD_HD void store_robot(const RobotResults& results, int64_t row, const Robot& robot) {
-  if (results.position) store_vec3(results.position + 3 * row, robot.position);
+  if (results.position) robot_detail::store_row(results.position + 3 * row, robot.position);
   if (results.orientation) {
     results.orientation[4 * row] = robot.orientation.w;
-    store_vec3(results.orientation + 4 * row + 1, robot.orientation.v);
+    robot_detail::store_row(results.orientation + 4 * row + 1, robot.orientation.v);
   }
-  if (results.velocity) store_vec3(results.velocity + 3 * row, robot.velocity);
-  if (results.angular_velocity) store_vec3(results.angular_velocity + 3 * row, robot.angular_velocity);
+  if (results.velocity) robot_detail::store_row(results.velocity + 3 * row, robot.velocity);
+  if (results.angular_velocity) robot_detail::store_row(results.angular_velocity + 3 * row, robot.angular_velocity);
   if (results.target) results.target[row] = robot.target;
   if (results.stay_until) results.stay_until[row] = robot.stay_until;
 }

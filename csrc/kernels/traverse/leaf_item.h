@@ -42,31 +42,22 @@ PGCCD_HD uint32_t represented_pairs(const Triangle& ti, const Triangle& tj) {
   return bits;
 }
 
-// Of `wanted`, those that may meet over the segment.
-PGCCD_HD uint32_t pairs_meeting(const MovingPoints<3, float>& i, const MovingPoints<3, float>& j, uint32_t wanted,
-                                float distance) {
+// May the feature pair of that bit meet over the segment?
+PGCCD_HD bool pair_meets(const MovingPoints<3, float>& i, const MovingPoints<3, float>& j, int bit, float distance) {
   using namespace leaf_detail;
-  uint32_t meeting = 0;
-  for (int c = 0; c < 3; ++c) {
-    if ((wanted >> c & 1u) && !stay_apart(corner(i, c), j, distance)) meeting |= 1u << c;
-    if ((wanted >> (3 + c) & 1u) && !stay_apart(corner(j, c), i, distance)) meeting |= 8u << c;
-    for (int d = 0; d < 3; ++d) {
-      const uint32_t bit = 64u << (3 * c + d);
-      if ((wanted & bit) && !stay_apart(side(i, c), side(j, d), distance)) meeting |= bit;
-    }
-  }
-  return meeting;
+  if (bit < 3) return !stay_apart(corner(i, bit), j, distance);
+  if (bit < 6) return !stay_apart(corner(j, bit - 3), i, distance);
+  return !stay_apart(side(i, (bit - 6) / 3), side(j, (bit - 6) % 3), distance);
 }
 
+constexpr int kFeaturePairBits = 15;
+
+// Calls emit(kind, feature_i, feature_j) for the feature pair of that bit.
 template <class Emit>
-PGCCD_HD void emit_pairs(const Triangle& ti, const Triangle& tj, uint32_t pairs, Emit&& emit) {
-  for (int c = 0; c < 3; ++c) {
-    if (pairs >> c & 1u) emit(FeatureKind::kVertexFace, ti.vertex[c], tj.face);
-    if (pairs >> (3 + c) & 1u) emit(FeatureKind::kFaceVertex, ti.face, tj.vertex[c]);
-    for (int d = 0; d < 3; ++d) {
-      if (pairs & (64u << (3 * c + d))) emit(FeatureKind::kEdgeEdge, ti.edge[c], tj.edge[d]);
-    }
-  }
+PGCCD_HD void emit_pair(const Triangle& ti, const Triangle& tj, int bit, Emit&& emit) {
+  if (bit < 3) return emit(FeatureKind::kVertexFace, ti.vertex[bit], tj.face);
+  if (bit < 6) return emit(FeatureKind::kFaceVertex, ti.face, tj.vertex[bit - 3]);
+  emit(FeatureKind::kEdgeEdge, ti.edge[(bit - 6) / 3], tj.edge[(bit - 6) % 3]);
 }
 
 }  // namespace pgccd

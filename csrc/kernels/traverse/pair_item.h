@@ -76,6 +76,26 @@ class PairTree {
     return deepest;
   }
 
+  // The node that is not split, over segment k.
+  struct OtherNode {
+    MovingPoints<1, float> centre;
+    float reach;
+  };
+  PGCCD_HD OtherNode other_node(const SplitPair& split, int k) const {
+    const int side = split.first_is_split ? 1 : 0;
+    return {moving_centre(side, split.other, k), local_radius(side, split.other) + sweep_.inflation};
+  }
+
+  // Squared distance less squared reach of a child, at the nearest moment of segment k; NaN for an empty slot.
+  PGCCD_HD float clearance(const SplitPair& split, const OtherNode& other, int k, int slot) const {
+    const int side = split.first_is_split ? 0 : 1;
+    const Vec3<float> start = Sweep::place(poses_[k - 1], side, sweep_.node_centre(bodies_, side, split.block, slot, 0));
+    const Vec3<float> end = Sweep::place(poses_[k], side, sweep_.node_centre(bodies_, side, split.block, slot, 1));
+    const float radius = sweep_.block(bodies_, side, split.block).radius[slot];
+    const float reach = static_cast<float>(sweep_.scale) * radius + other.reach;
+    return norm_squared(nearest_offset(start - other.centre.start[0], end - other.centre.end[0])) - reach * reach;
+  }
+
   // Centre over segment k, and local radius.
   PGCCD_HD MovingPoints<1, float> moving_centre(int side, int32_t node, int k) const {
     const int block = node / kBlockWidth, slot = node % kBlockWidth;
@@ -89,21 +109,10 @@ class PairTree {
     return sweep_.block(bodies_, side, node / kBlockWidth).radius[node % kBlockWidth];
   }
 
-  // Squared distance less squared reach, at the nearest moment of segment k; NaN for an empty slot. A loop without branches over
-  // plain arrays: compilers turn it into eight lanes.
+  // Of all children. A loop without branches over plain arrays: compilers turn it into eight lanes.
   PGCCD_HD void clearances(const SplitPair& split, int k, float out[kBlockWidth]) const {
-    const int side = split.first_is_split ? 0 : 1;
-    const LocalPose pose_start = poses_[k - 1], pose_end = poses_[k];
-    const MovingPoints<1, float> other = moving_centre(1 - side, split.other, k);
-    const float scale = static_cast<float>(sweep_.scale);
-    const float other_reach = local_radius(1 - side, split.other) + sweep_.inflation;
-    const NodeBlock& children = sweep_.block(bodies_, side, split.block);
-    for (int slot = 0; slot < kBlockWidth; ++slot) {
-      const Vec3<float> start = Sweep::place(pose_start, side, sweep_.node_centre(bodies_, side, split.block, slot, 0));
-      const Vec3<float> end = Sweep::place(pose_end, side, sweep_.node_centre(bodies_, side, split.block, slot, 1));
-      const float reach = scale * children.radius[slot] + other_reach;
-      out[slot] = norm_squared(nearest_offset(start - other.start[0], end - other.end[0])) - reach * reach;
-    }
+    const OtherNode other = other_node(split, k);
+    for (int slot = 0; slot < kBlockWidth; ++slot) out[slot] = clearance(split, other, k, slot);
   }
 
   const Bodies& bodies_;

@@ -137,16 +137,9 @@ struct RigidSweep {
   PGCCD_HD Corners<T> corners(const RigidBodies& bodies, int side, int32_t triangle, int) const {
     const CornerColumns& columns = bodies.meshes.corners;
     const int64_t row = bodies.meshes.offsets[mesh[side]].face + triangle;
-    const auto load = [&](int column) {
-      const float* at = columns.first + column * columns.stride + row;
-      if constexpr (sizeof(T) == sizeof(float)) {
-        return *at;
-      } else {
-        return load_lanes(at);
-      }
-    };
+    const auto column = [&](int index) { return load<T>(columns.first + index * columns.stride + row); };
     Corners<T> out;
-    for (int c = 0; c < 3; ++c) out.corner[c] = {load(3 * c), load(3 * c + 1), load(3 * c + 2)};
+    for (int c = 0; c < 3; ++c) out.corner[c] = {column(3 * c), column(3 * c + 1), column(3 * c + 2)};
     return out;
   }
 };

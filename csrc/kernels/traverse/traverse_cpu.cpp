@@ -99,13 +99,17 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
       const uint32_t apart = lane_bits(triangles_stay_apart(in_all_lanes(one), j, distance));
       for_each_bit(reaching_j & ~apart, [&](int lane) {
         const uint32_t wanted = represented_pairs(first_triangles[p], second_triangles[lane]) & ~meeting[p][lane];
-        if (wanted != 0) meeting[p][lane] |= pairs_meeting(one, one_lane(j, lane), wanted, distance);
+        if (wanted == 0) return;
+        const MovingPoints<3, float> other = one_lane(j, lane);
+        for_each_bit(wanted, [&](int bit) {
+          if (pair_meets(one, other, bit, distance)) meeting[p][lane] |= 1u << bit;
+        });
       });
     });
   }
   for (int p = 0; p < first.triangle_count; ++p) {
     for (int lane = 0; lane < second.triangle_count; ++lane) {
-      if (meeting[p][lane] != 0) emit_pairs(first_triangles[p], second_triangles[lane], meeting[p][lane], emit);
+      for_each_bit(meeting[p][lane], [&](int bit) { emit_pair(first_triangles[p], second_triangles[lane], bit, emit); });
     }
   }
 }

@@ -1,0 +1,1 @@
+"""Shared parts of the benchmark scripts: timing, results, peers, scenes."""

@@ -1,0 +1,73 @@
+"""Other broad phases for swept spheres.
+
+A peer is given one scene in its own form; the call that this returns finds pairs (timed) and hands back how to read them as
+an array (not timed). Pairs in excess, whose boxes overlap but whose spheres do not meet, are for the caller to remove.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from support import peers
+from support.scenes import MovingSpheres
+
+ReadPairs = Callable[[], np.ndarray]
+Prepare = Callable[[MovingSpheres], Callable[[], ReadPairs]]
+
+
+def available() -> dict[str, Prepare]:
+    """The broad phases that can be used here, by name."""
+    found: dict[str, Prepare] = {}
+    ipctk = peers.load_ipctk()
+    if ipctk is not None:
+        # BruteForce is quadratic and left out.
+        for name in ("LBVH", "HashGrid", "SpatialHash", "SweepAndPrune"):
+            found[f"ipctk {name}"] = lambda scene, name=name: _ipctk(ipctk, getattr(ipctk, name), scene)
+    spatial = peers.load("scipy.spatial")
+    if spatial is not None:
+        found["SciPy cKDTree"] = lambda scene: _kd_tree(spatial, scene)
+    if peers.load("warp") is not None:
+        from support import warp_hash_grid
+
+        found["Warp HashGrid"] = lambda scene: _warp(warp_hash_grid.prepare(scene))
+    return found
+
+
+def _kd_tree(spatial: Any, scene: MovingSpheres) -> Callable[[], ReadPairs]:
+    def find() -> ReadPairs:
+        # At the middle of the step, centres are further apart than at their nearest by no more than half of both paths.
+        travel = scene.position_t1 - scene.position_t0
+        reach = 2.0 * scene.radius + np.sqrt((travel * travel).sum(1).max())
+        tree = spatial.cKDTree(scene.position_t0 + 0.5 * travel)
+        pairs = tree.query_pairs(reach, output_type="ndarray")
+        return lambda: pairs
+
+    return find
+
+
+def _ipctk(ipctk: Any, broad_phase: Any, scene: MovingSpheres) -> Callable[[], ReadPairs]:
+    start, end = np.asfortranarray(scene.position_t0), np.asfortranarray(scene.position_t1)
+    mesh = ipctk.CollisionMesh(start)
+
+    def find() -> ReadPairs:
+        candidates = ipctk.Candidates()
+        candidates.build(mesh, start, end, scene.radius, broad_phase())
+
+        def read() -> np.ndarray:
+            rows = [(c.vertex0_id, c.vertex1_id) for c in candidates.vv_candidates]
+            return np.sort(np.array(rows, dtype=np.int64).reshape(-1, 2), axis=1)
+
+        return read
+
+    return find
+
+
+def _warp(find_pairs: Callable[[], np.ndarray]) -> Callable[[], ReadPairs]:
+    def find() -> ReadPairs:
+        pairs = find_pairs()
+        return lambda: pairs.astype(np.int64)
+
+    return find

@@ -1,0 +1,138 @@
+"""Results: JSON with the machine, the versions and the command they came from, and a short table on stdout."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import pgccd
+from pgccd import _host
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "bench" / "results"
+_PEERS = ("ipctk", "python-fcl", "pybullet", "scipy", "warp-lang")
+
+
+def parser(description: str | None) -> argparse.ArgumentParser:
+    """A parser with what all scripts share."""
+    shared = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
+    shared.add_argument("--out", type=Path, help="file for the result (default: a name in bench/results)")
+    return shared
+
+
+def write(name: str, device: torch.device | str, content: dict[str, Any], out: Path | None = None) -> Path:
+    """Writes `content` with where it came from. The file is named after the script and the device."""
+    device_name = "cpu" if torch.device(device).type == "cpu" else torch.cuda.get_device_name(device)
+    path = out or FOLDER / f"{name}-{re.sub('[^a-z0-9]+', '-', device_name.lower()).strip('-')}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    made = {
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "command": command_line(),
+        "device": describe_device(device),
+        "versions": versions(),
+    }
+    path.write_text(json.dumps({"name": name, "made": made, **content}, indent=1) + "\n")
+    print(f"\nwritten: {path.name}")
+    return path
+
+
+def read_all(folder: Path = FOLDER) -> list[dict[str, Any]]:
+    """All results of a folder."""
+    return [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
+
+
+def command_line() -> str:
+    """The command, without the folders of the machine it ran on."""
+    words = [str(Path(word).resolve().relative_to(ROOT)) if _is_inside(word) else word for word in sys.argv[:1]]
+    words += [Path(word).name if os.path.isabs(word) else word for word in sys.argv[1:]]
+    return " ".join(["python", *words])
+
+
+def _is_inside(word: str) -> bool:
+    return Path(word).resolve().is_relative_to(ROOT)
+
+
+def describe_device(device: torch.device | str) -> dict[str, Any]:
+    """The processor, and the GPU if one was used."""
+    described: dict[str, Any] = {
+        "cpu": _cpu_model(),
+        "cores": len(os.sched_getaffinity(0)),
+        "threads": torch.get_num_threads(),
+    }
+    if torch.device(device).type == "cuda":
+        described["gpu"] = torch.cuda.get_device_name(device)
+    return described
+
+
+def _cpu_model() -> str:
+    fields = {}
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        key, _, value = line.partition(":")
+        fields.setdefault(key.strip(), value.strip())
+    # Virtual machines may shorten the name, but the numbers tell which one it is.
+    numbers = [f"{key} {fields[key]}" for key in ("cpu family", "model", "stepping") if key in fields]
+    return ", ".join([fields.get("model name", platform.machine()), *numbers])
+
+
+def versions() -> dict[str, str]:
+    """pgccd's commit, torch, and the peers that are installed."""
+    found = {
+        "pgccd": pgccd.__version__,
+        "commit": _commit(),
+        "extension": _host.build_information()["commit"],
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+    }
+    for peer in _PEERS:
+        try:
+            found[peer] = importlib.metadata.version(peer)
+        except importlib.metadata.PackageNotFoundError:
+            found[peer] = "not installed"
+    return found
+
+
+def _commit() -> str:
+    try:
+        # Of the package that was measured, wherever it was imported from.
+        git = ["git", "-C", str(Path(pgccd.__file__).parents[1])]
+        commit = subprocess.run([*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
+        # Only what is compiled or imported: results may be written while a page is being edited.
+        status = [*git, "status", "--porcelain", "--", "csrc", "pgccd", "setup.py"]
+        changed = subprocess.run(status, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return commit.stdout.strip() + ("-dirty" if changed.strip() else "")
+
+
+def table(rows: list[dict[str, Any]]) -> None:
+    """Prints rows with equal keys as aligned columns."""
+    if not rows:
+        return
+    columns = list(rows[0])
+    cells = [[_text(row.get(column)) for column in columns] for row in rows]
+    widths = [max(len(column), *(len(row[k]) for row in cells)) for k, column in enumerate(columns)]
+    for row in [columns, *cells]:
+        first, *rest = (
+            cell.ljust(width) if k == 0 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        print("  ".join([first, *rest]))
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

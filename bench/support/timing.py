@@ -1,0 +1,58 @@
+"""Timing: contenders take turns, every round on other input, so that a disturbed moment of the machine hits all of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+import torch
+
+
+def seconds(work: Callable[[], Any], device: torch.device | str = "cpu") -> tuple[float, Any]:
+    """Duration of one call and its result: device events on a GPU (the call's own work only), else the wall clock."""
+    if torch.device(device).type != "cuda":
+        start = time.perf_counter()
+        result = work()
+        return time.perf_counter() - start, result
+    torch.cuda.synchronize()
+    begin, end = torch.cuda.Event(enable_timing=True), torch.cuda.Event(enable_timing=True)
+    begin.record()
+    result = work()
+    end.record()
+    torch.cuda.synchronize()
+    return begin.elapsed_time(end) * 1e-3, result
+
+
+def in_turn(
+    contenders: dict[str, Callable[[Any], Any]], inputs: Iterable[Any], warm_up: int = 3
+) -> dict[str, list[float]]:
+    """Seconds of every contender on every input but the first `warm_up`; who goes first changes from round to round."""
+    spent: dict[str, list[float]] = {name: [] for name in contenders}
+    names = list(contenders)
+    for round_index, value in enumerate(inputs):
+        shift = round_index % len(names)
+        for name in names[shift:] + names[:shift]:
+            duration, _ = seconds(lambda work=contenders[name], value=value: work(value))
+            if round_index >= warm_up:
+                spent[name].append(duration)
+    return spent
+
+
+def summary(samples: list[float], unit: float = 1e3) -> dict[str, float]:
+    """Median and spread of durations in seconds, as milliseconds (or 1 / `unit` seconds)."""
+    values = np.array(samples) * unit
+    low, median, high = np.percentile(values, [10, 50, 90])
+    return {
+        "median": rounded(median),
+        "low10": rounded(low),
+        "high90": rounded(high),
+        "mean": rounded(values.mean()),
+        "samples": len(values),
+    }
+
+
+def rounded(value: float) -> float:
+    """Four significant digits: more would be noise."""
+    return float(f"{value:.4g}")

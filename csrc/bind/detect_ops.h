@@ -1,0 +1,177 @@
+// The detection operators, written once for both backends: views in, kernels, tensors out. A backend runs the kernels; outputs whose
+// size only the kernel knows are made when it asks.
+#pragma once
+
+#include <functional>
+
+#include "bind/arguments.h"
+#include "core/candidate.h"
+#include "kernels/narrow/narrow.h"
+#include "kernels/traverse/traverse.h"
+
+namespace pgccd::bind {
+
+using TensorList = std::vector<Tensor>;
+using ContactTensors = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
+
+template <class T>
+Tensor new_tensor(const Tensor& like, std::initializer_list<int64_t> shape) {
+  const std::vector<int64_t> sizes(shape);
+  return torch::stable::new_empty(like, sizes, scalar_type_of<T>());
+}
+
+template <class T>
+T* data(Tensor& tensor) {
+  return static_cast<T*>(tensor.data_ptr());
+}
+
+template <class Backend>
+struct DetectOps {
+  static Tensor rotations_between(const Tensor& orientation_t0, const Tensor& orientation_t1) {
+    const double* q0 = rows<double>(orientation_t0, "orientation_t0", {kAnySize, 4});
+    const int64_t count = orientation_t0.size(0);
+    const double* q1 = rows<double>(orientation_t1, "orientation_t1", {count, 4});
+    Tensor rotation = new_tensor<double>(orientation_t0, {count, 3});
+    Backend(orientation_t0).rotations_between(q0, q1, count, data<double>(rotation));
+    return rotation;
+  }
+
+  static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> refit(const TensorList& mesh_set, const Tensor& mesh_index,
+                                                                  const Tensor& vertices_t0, const Tensor& vertices_t1,
+                                                                  const Tensor& vertex_begin, const Tensor& block_begin,
+                                                                  int64_t block_count) {
+    DeformingInput input;
+    input.meshes = mesh_set_view(mesh_set);
+    input.mesh_index = rows<int32_t>(mesh_index, "mesh_index", {kAnySize});
+    input.body_count = mesh_index.size(0);
+    input.vertices_t0 = rows<double>(vertices_t0, "vertices_t0", {kAnySize, 3});
+    input.vertices_t1 = rows<double>(vertices_t1, "vertices_t1", {vertices_t0.size(0), 3});
+    input.vertex_begin = rows<int64_t>(vertex_begin, "vertex_begin", {input.body_count});
+    input.block_begin = rows<int64_t>(block_begin, "block_begin", {input.body_count});
+    input.block_count = block_count;
+    Tensor position_t0 = new_tensor<double>(vertices_t0, {input.body_count, 3});
+    Tensor position_t1 = new_tensor<double>(vertices_t0, {input.body_count, 3});
+    Tensor radius = new_tensor<double>(vertices_t0, {input.body_count});
+    Tensor blocks_t0 = new_tensor<float>(vertices_t0, {block_count, 4, kBlockWidth});
+    Tensor blocks_t1 = new_tensor<float>(vertices_t0, {block_count, 4, kBlockWidth});
+    Backend(vertices_t0)
+        .refit(input, {data<double>(position_t0), data<double>(position_t1), data<double>(radius),
+                       data<NodeBlock>(blocks_t0), data<NodeBlock>(blocks_t1)});
+    return {position_t0, position_t1, radius, blocks_t0, blocks_t1};
+  }
+
+  static Tensor sweep(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
+                      const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
+                      const std::optional<Tensor>& world, const std::optional<Tensor>& is_static, double min_separation,
+                      int64_t axis) {
+    const BroadBodies bodies =
+        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
+    Tensor pairs = radius;
+    Backend(radius).sweep(bodies, static_cast<int>(axis), [&](int64_t count) {
+      pairs = new_tensor<int64_t>(radius, {count, 2});
+      return data<int64_t>(pairs);
+    });
+    return pairs;
+  }
+
+  static std::tuple<Tensor, Tensor> traverse_rigid(const TensorList& mesh_set, const TensorList& bodies,
+                                                   bool linear_path, const Tensor& pairs,
+                                                   const std::optional<Tensor>& horizon, double min_separation,
+                                                   double tolerance, bool leading) {
+    return traverse(rigid_view(mesh_set, bodies, linear_path), pairs, horizon, {min_separation, tolerance}, leading);
+  }
+
+  static std::tuple<Tensor, Tensor> traverse_deforming(const TensorList& mesh_set, const TensorList& bodies,
+                                                       const Tensor& pairs, const std::optional<Tensor>& horizon,
+                                                       double min_separation, double tolerance, bool leading) {
+    return traverse(deforming_view(mesh_set, bodies), pairs, horizon, {min_separation, tolerance}, leading);
+  }
+
+  static ContactTensors narrow_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
+                                     const Tensor& pairs, const Tensor& candidates, double min_separation,
+                                     double tolerance, bool nonzero_toi, int64_t report) {
+    return narrow(rigid_view(mesh_set, bodies, linear_path), pairs, candidates, {min_separation, tolerance, nonzero_toi},
+                  report);
+  }
+
+  static ContactTensors narrow_deforming(const TensorList& mesh_set, const TensorList& bodies, const Tensor& pairs,
+                                         const Tensor& candidates, double min_separation, double tolerance,
+                                         bool nonzero_toi, int64_t report) {
+    return narrow(deforming_view(mesh_set, bodies), pairs, candidates, {min_separation, tolerance, nonzero_toi}, report);
+  }
+
+  template <bool kEdgeEdge>
+  static std::tuple<Tensor, Tensor, Tensor> elementary(const Tensor& points_t0, const Tensor& points_t1,
+                                                       double min_separation, double tolerance, bool nonzero_toi) {
+    const double* x0 = rows<double>(points_t0, "points_t0", {kAnySize, 4, 3});
+    const int64_t count = points_t0.size(0);
+    const double* x1 = rows<double>(points_t1, "points_t1", {count, 4, 3});
+    Tensor status = new_tensor<int8_t>(points_t0, {count});
+    Tensor toi = new_tensor<double>(points_t0, {count});
+    Tensor coordinates = new_tensor<double>(points_t0, {count, 2});
+    Backend(points_t0).template elementary<kEdgeEdge>(x0, x1, count, {min_separation, tolerance, nonzero_toi},
+                                                      data<int8_t>(status), data<double>(toi), data<double>(coordinates));
+    return {status, toi, coordinates};
+  }
+
+ private:
+  template <class Bodies>
+  static std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs,
+                                             const std::optional<Tensor>& horizon, const SweepSettings& settings,
+                                             bool leading) {
+    TraverseInput input;
+    input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
+    input.pair_count = pairs.size(0);
+    STD_TORCH_CHECK(input.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
+    input.horizon = optional_column<double>(horizon, "horizon", input.pair_count);
+    input.settings = settings;
+    input.leading = leading;
+    Tensor candidates = pairs;
+    Tensor node_tests = new_tensor<int64_t>(pairs, {1});
+    const auto make_candidates = [&](int64_t count) {
+      candidates = new_tensor<int32_t>(pairs, {count, 4});
+      return data<Candidate>(candidates);
+    };
+    Backend(pairs).traverse(bodies, input, make_candidates, data<int64_t>(node_tests));
+    return {candidates, node_tests};
+  }
+
+  template <class Bodies>
+  static ContactTensors narrow(const Bodies& bodies, const Tensor& pairs, const Tensor& candidates,
+                               const NarrowSettings& settings, int64_t report) {
+    NarrowInput input;
+    input.candidates = rows<int32_t, Candidate>(candidates, "candidates", {kAnySize, 4});
+    input.candidate_count = candidates.size(0);
+    STD_TORCH_CHECK(input.candidate_count < (int64_t{1} << 31), "candidates: more than 2^31 - 1 rows in one call");
+    input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
+    input.pair_count = pairs.size(0);
+    input.settings = settings;
+    STD_TORCH_CHECK(report >= 0 && report <= 2, "report: expected 0 (any), 1 (first) or 2 (all), got ", report);
+    input.report = static_cast<Report>(report);
+    ContactTensors out{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};
+    Backend(pairs).narrow(bodies, input, [&](int64_t count) {
+      out = {new_tensor<int32_t>(pairs, {count}),     new_tensor<int8_t>(pairs, {count}),
+             new_tensor<int32_t>(pairs, {count, 2}),  new_tensor<int8_t>(pairs, {count}),
+             new_tensor<double>(pairs, {count}),      new_tensor<double>(pairs, {count, 2}),
+             new_tensor<double>(pairs, {count, 3}),   new_tensor<double>(pairs, {count, 3})};
+      auto& [pair, kind, features, status, toi, coordinates, point, normal] = out;
+      return ContactColumns{data<int32_t>(pair), data<int8_t>(kind), data<int32_t>(features), data<int8_t>(status),
+                            data<double>(toi), data<double>(coordinates), data<double>(point), data<double>(normal)};
+    });
+    return out;
+  }
+};
+
+// Use inside a STABLE_TORCH_LIBRARY_IMPL block.
+#define PGCCD_REGISTER_DETECT_OPS(library, Backend)                                       \
+  library.impl("rotations_between", TORCH_BOX(&DetectOps<Backend>::rotations_between));   \
+  library.impl("refit", TORCH_BOX(&DetectOps<Backend>::refit));                           \
+  library.impl("sweep", TORCH_BOX(&DetectOps<Backend>::sweep));                           \
+  library.impl("traverse_rigid", TORCH_BOX(&DetectOps<Backend>::traverse_rigid));         \
+  library.impl("traverse_deforming", TORCH_BOX(&DetectOps<Backend>::traverse_deforming)); \
+  library.impl("narrow_rigid", TORCH_BOX(&DetectOps<Backend>::narrow_rigid));             \
+  library.impl("narrow_deforming", TORCH_BOX(&DetectOps<Backend>::narrow_deforming));     \
+  library.impl("vertex_face", TORCH_BOX(&DetectOps<Backend>::elementary<false>));         \
+  library.impl("edge_edge", TORCH_BOX(&DetectOps<Backend>::elementary<true>))
+
+}  // namespace pgccd::bind

@@ -1,0 +1,52 @@
+// The detection operators on a CUDA device.
+#if defined(PGCCD_WITH_CUDA)
+
+#include "bind/cuda_backend.h"
+#include "bind/detect_ops.h"
+#include "kernels/bounds/bounds_cuda.h"
+#include "kernels/broad/broad_cuda.h"
+#include "kernels/narrow/narrow_cuda.h"
+#include "kernels/traverse/traverse_cuda.h"
+
+namespace pgccd::bind {
+namespace {
+
+class CudaBackend {
+ public:
+  explicit CudaBackend(const Tensor& like) : session_(like) {}
+
+  void rotations_between(const double* q0, const double* q1, int64_t count, double* rotation) const {
+    rotations_between_cuda(session_.context(), q0, q1, count, rotation);
+  }
+  void refit(const DeformingInput& input, const DeformingBounds& bounds) const {
+    refit_cuda(session_.context(), input, bounds);
+  }
+  void sweep(const BroadBodies& bodies, int axis, const PairOutput& make_output) const {
+    sweep_cuda(session_.context(), bodies, axis, make_output);
+  }
+  template <class Bodies>
+  void traverse(const Bodies& bodies, const TraverseInput& input, const CandidateOutput& make_output,
+                int64_t* node_tests) const {
+    traverse_cuda(session_.context(), bodies, input, make_output, node_tests);
+  }
+  template <class Bodies>
+  void narrow(const Bodies& bodies, const NarrowInput& input, const ContactOutput& make_output) const {
+    narrow_phase_cuda(session_.context(), bodies, input, make_output);
+  }
+  template <bool kEdgeEdge>
+  void elementary(const double* x0, const double* x1, int64_t count, const NarrowSettings& settings, int8_t* status,
+                  double* toi, double* coordinates) const {
+    elementary_cuda<kEdgeEdge>(session_.context(), x0, x1, count, settings, status, toi, coordinates);
+  }
+
+ private:
+  CudaSession session_;
+};
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) { PGCCD_REGISTER_DETECT_OPS(library, CudaBackend); }
+
+}  // namespace pgccd::bind
+
+#endif

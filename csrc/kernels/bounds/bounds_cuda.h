@@ -1,0 +1,14 @@
+// Bounds on the device.
+#pragma once
+
+#include "kernels/bounds/bounds.h"
+#include "kernels/device_context.h"
+
+namespace pgccd {
+
+void rotations_between_cuda(const DeviceContext& context, const double* orientation_t0, const double* orientation_t1,
+                            int64_t count, double* rotation);
+
+void refit_cuda(const DeviceContext& context, const DeformingInput& input, const DeformingBounds& bounds);
+
+}  // namespace pgccd

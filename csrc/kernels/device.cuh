@@ -1,0 +1,89 @@
+// What CUDA launches share: every call's result checked, one stream, few waits.
+#pragma once
+
+#include <cuda_runtime.h>
+
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+
+#include "kernels/device_context.h"
+
+namespace pgccd {
+
+inline void check_cuda(cudaError_t result, const char* what) {
+  if (result != cudaSuccess) throw std::runtime_error(std::string(what) + ": " + cudaGetErrorString(result));
+}
+
+template <class T>
+void fill_bytes(const DeviceContext& context, T* target, int value, int64_t count) {
+  check_cuda(cudaMemsetAsync(target, value, count * sizeof(T), context.stream), "cudaMemsetAsync");
+}
+
+// Waits for the stream: only where a size must be known on the host.
+template <class T>
+T read(const DeviceContext& context, const T* source) {
+  T value;
+  check_cuda(cudaMemcpyAsync(&value, source, sizeof(T), cudaMemcpyDeviceToHost, context.stream), "cudaMemcpyAsync");
+  check_cuda(cudaStreamSynchronize(context.stream), "cudaStreamSynchronize");
+  return value;
+}
+
+// cub's two-call protocol: ask for the scratch size, then run.
+template <class Call>
+void run_cub(const DeviceContext& context, Call&& call) {
+  size_t bytes = 0;
+  check_cuda(call(nullptr, bytes), "cub (size)");
+  void* scratch = context.memory.allocate_bytes(static_cast<int64_t>(bytes));
+  check_cuda(call(scratch, bytes), "cub");
+}
+
+constexpr int kBlockThreads = 128;
+
+namespace device_detail {
+
+template <class Fn>
+__global__ void __launch_bounds__(kBlockThreads) for_each_kernel(int64_t count, Fn fn) {
+  const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
+  for (int64_t item = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; item < count; item += stride) fn(item);
+}
+
+}  // namespace device_detail
+
+// Runs fn(item) for every item in [0, count).
+template <class Fn>
+void for_each_item(const DeviceContext& context, int64_t count, Fn fn) {
+  if (count <= 0) return;
+  const int64_t blocks = (count + kBlockThreads - 1) / kBlockThreads;
+  constexpr int64_t kMostBlocks = int64_t{1} << 20;
+  device_detail::for_each_kernel<<<static_cast<unsigned>(blocks < kMostBlocks ? blocks : kMostBlocks), kBlockThreads, 0,
+                                   context.stream>>>(count, fn);
+  check_cuda(cudaGetLastError(), "kernel launch");
+}
+
+// As many blocks as fill the device; for kernels that find out on the device how much there is to do.
+inline int resident_blocks(int blocks_per_multiprocessor) {
+  int device = 0, multiprocessors = 0;
+  check_cuda(cudaGetDevice(&device), "cudaGetDevice");
+  check_cuda(cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, device), "cudaDeviceGetAttribute");
+  return multiprocessors * blocks_per_multiprocessor;
+}
+
+// Threads of a warp that append to one list share one atomic. Returns this thread's position.
+__device__ inline uint32_t warp_append(uint32_t* counter, uint32_t count) {
+  const unsigned active = __activemask();
+  const int lane = threadIdx.x & 31;
+  uint32_t before = 0, total = 0;
+  for (unsigned rest = active; rest != 0; rest &= rest - 1) {
+    const int source = __ffs(rest) - 1;
+    const uint32_t other = __shfl_sync(active, count, source);
+    if (source < lane) before += other;
+    total += other;
+  }
+  uint32_t base = 0;
+  const int leader = __ffs(active) - 1;
+  if (lane == leader && total != 0) base = atomicAdd(counter, total);
+  return __shfl_sync(active, base, leader) + before;
+}
+
+}  // namespace pgccd

@@ -1,0 +1,32 @@
+// What the caller lends to a CUDA kernel: its stream, and memory. No CUDA header, so that the binding needs none.
+#pragma once
+
+#include <cstdint>
+
+struct CUstream_st;  // what cudaStream_t points to
+
+namespace pgccd {
+
+// Device memory that lives until the operator's work on the stream is done. The binding takes it from torch's allocator.
+class DeviceMemory {
+ public:
+  virtual ~DeviceMemory() = default;
+  virtual void* allocate_bytes(int64_t bytes) = 0;
+
+  template <class T>
+  T* allocate(int64_t count) {
+    return static_cast<T*>(allocate_bytes(count * static_cast<int64_t>(sizeof(T))));
+  }
+};
+
+struct DeviceContext {
+  CUstream_st* stream;
+  DeviceMemory& memory;
+
+  template <class T>
+  T* allocate(int64_t count) const {
+    return memory.allocate<T>(count);
+  }
+};
+
+}  // namespace pgccd

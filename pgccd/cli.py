@@ -1,0 +1,267 @@
+"""The command line: `pgccd simulate`, `pgccd detect`, `pgccd info`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import torch
+
+import pgccd
+from pgccd import sim
+from pgccd.about import describe_installation
+from pgccd.files import load_motion, load_scene
+from pgccd.narrow import REPORTS, Kind, Status
+from pgccd.sim.progress import terminal_progress
+from pgccd.sim.summary import summary_lines, totals, write_pictures
+
+_MESH_LIST = "meshes.json"
+
+_DETECT_NOTES = """\
+poses.npz holds, for N bodies: position_t0 (N, 3) and orientation_t0 (N, 4), and either
+  position_t1 (N, 3) and orientation_t1 (N, 4), or
+  linear_velocity (N, 3), angular_velocity (N, 3) in radians and dt, a number.
+Positions are those of the SBV centres (see: pgccd info MESH), orientations unit quaternions (w, x, y, z), body to
+world.
+
+scene.json: {"meshes": ["robot.ply", "rock.obj"], "mesh_index": [0, 0, 1], "poses": "poses.npz"}; paths are relative to
+it; optional: "group", "mask", "world", "static", lists with one value a body."""
+
+
+class ArgumentError(Exception):
+    """What is wrong with an argument, in one line."""
+
+    def __init__(self, argument: str, problem: object) -> None:
+        super().__init__(f"argument {argument}: {problem}")
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:  # one line, without the usage
+        self.exit(2, f"{self.prog}: error: {message}\n")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one command; returns the exit code: 0, 2 for bad arguments, 130 when interrupted."""
+    parser = _build_parser()
+    options = parser.parse_args(arguments)
+    try:
+        return options.run(options)
+    except ArgumentError as error:
+        print(f"pgccd {options.command}: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _build_parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="pgccd", description="Continuous collision detection for very many moving meshes.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="command", parser_class=_Parser)
+
+    simulate = commands.add_parser("simulate", help="run the nanorobot world", description="Runs the nanorobot world.")
+    add = simulate.add_argument
+    add("--robots", type=int, metavar="N", help="how many (10000)")
+    add("--steps", type=int, metavar="S", help="how many to make in all (20; with --resume: as many as were wanted)")
+    add("--world", choices=sim.PATTERNS, help="how they move (random)")
+    add("--mesh", nargs="+", metavar="FILE", help="kinds of robots, dealt out in turn (the built-in robot)")
+    add("--device", default="cpu", help="cpu, cuda, cuda:1, ... (cpu)")
+    add("--seed", type=int, help="of all randomness (0)")
+    add("--out", type=Path, metavar="DIR", help="where the log, checkpoints and pictures go (out/simulate)")
+    add("--checkpoint-every", type=int, default=0, metavar="K", help="steps between checkpoints (one at the end)")
+    add("--resume", type=Path, metavar="DIR", help="continue the run in this folder")
+    add("--no-pictures", action="store_true", help="leave out world.png and world.html")
+    simulate.set_defaults(run=_simulate)
+
+    detect = commands.add_parser(
+        "detect",
+        help="find the collisions of one step of any meshes",
+        description="Finds the collisions of one step.",
+        epilog=_DETECT_NOTES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = detect.add_argument
+    add("meshes", nargs="*", metavar="MESH", help="mesh files, one a body")
+    add("--motion", metavar="NPZ", help="where the bodies are at both ends of the step")
+    add("--scene", metavar="JSON", help="instead of MESH and --motion: meshes shared by many bodies")
+    add("--report", choices=list(REPORTS), default="first", help="what to report of a pair (first)")
+    add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="bodies this near collide (0)")
+    add("--tolerance", type=float, metavar="LENGTH", help="of a reported contact (1e-6 of the smaller radius)")
+    add("--device", default="cpu", help="cpu, cuda, ... (cpu)")
+    add("--json", action="store_true", help="print one JSON object")
+    detect.set_defaults(run=_detect)
+
+    info = commands.add_parser("info", help="version, build, devices; and what is in mesh files")
+    info.add_argument("meshes", nargs="*", metavar="MESH", help="mesh files to describe")
+    info.set_defaults(run=_info)
+    return parser
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    device = _device(options.device)
+    if options.resume is not None:
+        for name in ("robots", "world", "seed", "out"):
+            if getattr(options, name) is not None:
+                raise ArgumentError(f"--{name}", "not allowed with --resume, which continues the world that is there")
+    elif options.robots is not None and options.robots < 1:
+        raise ArgumentError("--robots", f"expected at least 1, got {options.robots}")
+    if options.steps is not None and options.steps < 0:
+        raise ArgumentError("--steps", f"expected a number >= 0, got {options.steps}")
+    if options.checkpoint_every < 0:
+        raise ArgumentError("--checkpoint-every", f"expected a number >= 0, got {options.checkpoint_every}")
+
+    try:
+        finished, folder = _run_or_resume(options, device)
+    except NotImplementedError as error:
+        raise ArgumentError("--device", f"this build of pgccd has no kernels for {device.type}") from error
+    except torch.OutOfMemoryError as error:
+        raise ArgumentError("--robots", f"too many for the memory of {device}: {error}") from error
+    for line in summary_lines(finished):
+        print(line)
+    print(f"log: {folder / sim.LOG_FILE}")
+    figures = totals(finished)
+    if not options.no_pictures:
+        try:
+            figures |= write_pictures(finished, folder)
+        except ImportError as error:
+            print(f"no picture: {error}", file=sys.stderr)
+    print(" ".join(f"{name}={value}" for name, value in figures.items()))
+    if finished.interrupted:
+        print(f"interrupted; to continue: pgccd simulate --resume {folder}", file=sys.stderr)
+    return 130 if finished.interrupted else 0
+
+
+def _run_or_resume(options: argparse.Namespace, device: torch.device) -> tuple[sim.Run, Path]:
+    if options.resume is not None:
+        folder = options.resume
+        try:
+            checkpoint = sim.load_checkpoint(folder)
+            files = options.mesh or _listed_meshes(folder)
+            with terminal_progress(checkpoint.steps_made, options.steps or checkpoint.steps_wanted) as progress:
+                finished = sim.resume(
+                    folder,
+                    options.steps,
+                    meshes=_load_meshes(files, "--mesh"),
+                    device=device,
+                    checkpoint_every=options.checkpoint_every,
+                    progress=progress,
+                )
+        except (ValueError, OSError) as error:
+            raise ArgumentError("--resume", error) from error
+        return finished, folder
+    settings = {"robots": options.robots, "pattern": options.world, "seed": options.seed}
+    try:
+        config = sim.WorldConfig(**{name: value for name, value in settings.items() if value is not None})
+    except ValueError as error:
+        field, _, problem = str(error).partition(": ")
+        raise ArgumentError("--" + field.replace("pattern", "world"), problem) from error
+    meshes = _load_meshes(options.mesh, "--mesh")
+    steps = 20 if options.steps is None else options.steps
+    folder = options.out or Path("out/simulate")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        listed = [str(Path(name).resolve()) for name in options.mesh or []]
+        (folder / _MESH_LIST).write_text(json.dumps(listed) + "\n")
+    except OSError as error:
+        raise ArgumentError("--out", f"cannot write to {folder}: {error.strerror}") from error
+    with terminal_progress(0, steps) as progress:
+        finished = sim.run(
+            config,
+            steps,
+            folder,
+            meshes=meshes,
+            device=device,
+            checkpoint_every=options.checkpoint_every,
+            progress=progress,
+        )
+    return finished, folder
+
+
+def _listed_meshes(folder: Path) -> list[str] | None:
+    path = folder / _MESH_LIST
+    return (json.loads(path.read_text()) or None) if path.is_file() else None
+
+
+def _load_meshes(files: Sequence[str] | None, argument: str) -> list[pgccd.Mesh] | None:
+    try:
+        return None if files is None else [pgccd.Mesh.load(name) for name in files]
+    except (ValueError, OSError, ImportError) as error:
+        raise ArgumentError(argument, str(error).removeprefix("path: ")) from error
+
+
+def _device(name: str) -> torch.device:
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise ArgumentError("--device", f"expected cpu, cuda or cuda:INDEX, got {name!r}") from error
+    if device.type not in ("cpu", "cuda"):
+        raise ArgumentError("--device", f"expected cpu, cuda or cuda:INDEX, got {name!r}")
+    if device.type == "cuda" and not 0 <= (device.index or 0) < torch.cuda.device_count():
+        raise ArgumentError("--device", f"{name} is not here: torch sees {torch.cuda.device_count()} CUDA devices")
+    return device
+
+
+def _detect(options: argparse.Namespace) -> int:
+    device = _device(options.device)
+    if options.scene is not None and (options.meshes or options.motion is not None):
+        raise ArgumentError("--scene", "takes the place of MESH and --motion")
+    if options.scene is None and not options.meshes:
+        raise ArgumentError("MESH", "expected mesh files, or --scene")
+    if options.scene is None and options.motion is None:
+        raise ArgumentError("--motion", "expected an npz file with the poses")
+    source = "--motion" if options.scene is None else "--scene"
+    try:
+        if options.scene is not None:
+            scene, motion = load_scene(options.scene, device)
+        else:
+            scene = pgccd.Scene(_load_meshes(options.meshes, "MESH") or [], device=device)
+            motion = load_motion(options.motion, device)
+    except (ImportError, ValueError) as error:
+        raise ArgumentError(source, error) from error
+    try:
+        hits = pgccd.detect(scene, motion, options.report, options.min_separation, tolerance=options.tolerance)
+    except ValueError as error:
+        name, _, problem = str(error).partition(": ")
+        own = {"min_separation": "--min-separation", "tolerance": "--tolerance"}
+        raise ArgumentError(own.get(name, source), problem if name in own else error) from error
+    except NotImplementedError as error:
+        raise ArgumentError("--device", f"this build of pgccd has no kernels for {device.type}") from error
+    rows = _contact_rows(hits)
+    if options.json:
+        print(json.dumps({"contacts": rows, "stats": vars(hits.stats)}))
+        return 0
+    for row in rows:
+        print("  ".join(f"{name}={_plain(value)}" for name, value in row.items()))
+    print(f"bodies={hits.stats.bodies} pcs={hits.stats.pcs} contacts={len(hits)} unresolved={hits.stats.unresolved}")
+    return 0
+
+
+def _contact_rows(hits: pgccd.Contacts) -> list[dict[str, Any]]:
+    columns = {"pair": hits.pairs.tolist()}
+    for name in ("toi", "kind", "features", "point", "normal", "status"):
+        column = getattr(hits, name)
+        if column is not None:
+            columns[name] = column.tolist()
+    for name, values in (("kind", Kind), ("status", Status)):
+        if name in columns:
+            columns[name] = [values(value).name for value in columns[name]]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, list):
+        return ",".join(_plain(item) for item in value)
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+def _info(options: argparse.Namespace) -> int:
+    for name, value in describe_installation().items():
+        print(f"{name:<20}{value}")
+    for name in options.meshes:
+        mesh = (_load_meshes([name], "MESH") or [])[0]
+        centre = ", ".join(f"{x:.9g}" for x in mesh.centre.tolist())
+        size = f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces"
+        print(f"{name}: {size}, SBV centre ({centre}), radius {mesh.radius:.9g}")
+    return 0

@@ -1,0 +1,82 @@
+"""Scenes and motions in files, as the command line reads them."""
+
+from __future__ import annotations
+
+import json
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from pgccd.mesh import Mesh
+from pgccd.motion import RigidMotion
+from pgccd.scene import Scene
+
+_START = ("position_t0", "orientation_t0")
+_END = ("position_t1", "orientation_t1")
+_VELOCITY = ("linear_velocity", "angular_velocity", "dt")
+
+
+def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -> RigidMotion:
+    """A rigid motion of N bodies from an npz file.
+
+    The file holds position_t0 (N, 3) and orientation_t0 (N, 4), and either position_t1 and orientation_t1, or
+    linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt. Positions are those of the SBV centres,
+    orientations unit quaternions (w, x, y, z), body to world.
+
+    Raises:
+        ValueError: the file cannot be read, a key is missing, or its values are not as `RigidMotion` expects them.
+
+    Example:
+        >>> np.savez("poses.npz", position_t0=x0, orientation_t0=q0, position_t1=x1, orientation_t1=q1)
+        >>> motion = pgccd.files.load_motion("poses.npz")
+    """
+    try:
+        with np.load(path) as archive:
+            columns = {name: torch.from_numpy(archive[name].astype(np.float64)).to(device) for name in archive.files}
+    except Exception as error:
+        raise ValueError(f"{path} cannot be read as an npz file: {error}") from error
+    by_velocity = "linear_velocity" in columns
+    for name in _START + (_VELOCITY if by_velocity else _END):
+        if name not in columns:
+            raise ValueError(f"{path} has no {name!r}")
+    position, orientation = (columns[name] for name in _START)
+    try:
+        if by_velocity:
+            velocity, spin, dt = (columns[name] for name in _VELOCITY)
+            return RigidMotion.from_velocity(position, orientation, velocity, spin, float(dt))
+        position_t1, orientation_t1 = (columns[name] for name in _END)
+        return RigidMotion(position, orientation, position_t1, orientation_t1)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") -> tuple[Scene, RigidMotion]:
+    """A scene and its motion from a JSON file.
+
+    The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file}, paths relative to it; and optionally
+    "group", "mask", "world" and "static", lists with one value a body.
+
+    Raises:
+        ValueError: a file cannot be read, a key is missing, or a value is not as `Scene` expects it.
+
+    Example:
+        >>> hits = pgccd.detect(*pgccd.files.load_scene("scene.json"))
+    """
+    path = Path(path)
+    try:
+        content: Any = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read as JSON: {error}") from error
+    for key in ("meshes", "mesh_index", "poses"):
+        if not isinstance(content, dict) or key not in content:
+            raise ValueError(f"{path} has no {key!r}")
+    filters = {key: content[key] for key in ("group", "mask", "world", "static") if key in content}
+    try:
+        meshes = [Mesh.load(path.parent / name) for name in content["meshes"]]
+        scene = Scene(meshes, content["mesh_index"], device, **filters)
+    except (OSError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    return scene, load_motion(path.parent / content["poses"], device)

@@ -1,0 +1,75 @@
+"""A finished run in figures and pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pgccd.sim.runner import Run
+
+
+def totals(run: Run) -> dict[str, Any]:
+    """Robots, steps, pcs and contacts of all steps together, and mean seconds a step."""
+    return {
+        "robots": len(run.state),
+        "steps": run.steps_made,
+        "pcs": _sum(run, "pcs"),
+        "contacts": _sum(run, "contacts"),
+        "seconds_per_step": f"{_sum(run, 'seconds') / max(1, len(run.records)):.6f}",
+    }
+
+
+def summary_lines(run: Run) -> list[str]:
+    """A table: figure, value, what to compare it with."""
+    steps, robots = max(1, len(run.records)), len(run.state)
+    pcs, contacts, stopped = _sum(run, "pcs"), _sum(run, "contacts"), _sum(run, "stopped")
+    slowest = max((record["seconds"] for record in run.records), default=0.0)
+    rows = [
+        ("potentially colliding pairs (pcs), all steps", f"{pcs:,}", f"{pcs / steps / robots:.3f} a robot and step"),
+        ("contacts (colliding pairs), all steps", f"{contacts:,}", f"{contacts / steps / robots:.4f} a robot and step"),
+        ("robots stopped, mean of a step", f"{stopped / steps:,.1f}", f"{stopped / steps / robots:.2%}"),
+        ("candidate feature pairs, all steps", f"{_sum(run, 'candidates'):,}", ""),
+        ("unresolved contacts, all steps", f"{_sum(run, 'unresolved'):,}", ""),
+        ("contacts at the start of a step, all steps", f"{_sum(run, 'touching_at_t0'):,}", "0: no robots overlap"),
+        ("seconds of a step, mean", f"{_sum(run, 'seconds') / steps:.4f}", f"slowest {slowest:.4f}"),
+    ]
+    for stage in run.records[0]["stage_seconds"] if run.records else ():
+        seconds = sum(record["stage_seconds"].get(stage, 0.0) for record in run.records)
+        rows.append((f"  {stage}", f"{seconds / steps:.4f}", ""))
+    if run.records:
+        rows.append(("contacts hash of the last step", run.records[-1]["contacts_hash"], ""))
+        rows.append(("state hash after it", run.records[-1]["state_hash"], ""))
+    width = max(len(name) for name, _, _ in rows)
+    return [f"{name:<{width}}  {value:>16}  {note}".rstrip() for name, value, note in rows]
+
+
+def _sum(run: Run, name: str) -> Any:
+    return sum(record[name] for record in run.records)
+
+
+def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
+    """`world.html` and `world.png` of a run's last step.
+
+    Returns:
+        Their paths, by "page" and "picture".
+
+    Raises:
+        ImportError: matplotlib is not installed; the page is written then.
+    """
+    from pgccd import viz  # it knows this package: on loading, the other way round
+
+    kinds = ", ".join(f"{len(mesh.faces):,}" for mesh in run.world.meshes.meshes)
+    caption = [
+        f"{len(run.state):,} robots of {kinds} triangles, {run.world.config.pattern} world, after step {run.steps_made}"
+    ]
+    if run.last_step is None:
+        snapshot = viz.Snapshot.of_state(run.world, run.state, caption)
+    else:
+        record = run.last_step.record
+        caption.append(f"{record['pcs']:,} potentially colliding pairs")
+        caption.append(f"{record['contacts']:,} contacts, each with its time of impact")
+        caption.append(f"{record['stopped']:,} robots stopped")
+        caption.append(f"{1e3 * record['seconds']:,.1f} ms for the step on {run.world.device.type}")
+        snapshot = viz.Snapshot.of_step(run.world, run.last_step, caption)
+    page = viz.world_page(folder / "world.html", snapshot)
+    return {"page": page, "picture": viz.world_picture(folder / "world.png", snapshot)}

@@ -1,0 +1,102 @@
+"""A self-contained interactive page of a world: turn, zoom, play the step, go from collision to collision."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pgccd.viz.page_template import TEMPLATE
+from pgccd.viz.snapshot import Motion, Snapshot
+
+# About 80 bytes of text each: keeps the page below 5 MB.
+_MOST_ROBOTS = 50_000
+_MOST_CONTACTS = 2_000
+
+
+def world_page(path: str | Path, snapshot: Snapshot) -> Path:
+    """Writes an HTML page, below 5 MB and without outside parts, that shows a world with WebGL.
+
+    Of very large worlds it shows the colliding robots and an even sample of the others; it says how many.
+
+    Args:
+        path: of the page.
+        snapshot: from `Snapshot.of_step` or `Snapshot.of_state`.
+
+    Returns:
+        The path.
+
+    Example:
+        >>> pgccd.viz.world_page("world.html", pgccd.viz.Snapshot.of_step(world, step))
+    """
+    motion = snapshot.motion or _at_rest(snapshot)
+    # The colliding ones first, then the others in a random order: any first part of the list is an even sample.
+    order = np.random.default_rng(0).permutation(len(snapshot.kind))
+    order = order[np.argsort(~snapshot.colliding[order], kind="stable")][:_MOST_ROBOTS]
+    columns = [motion.position, motion.orientation, motion.velocity, motion.angular_velocity]
+    columns += [motion.fraction[:, None], snapshot.colliding[:, None]]
+    bodies = np.concatenate(columns, axis=1)
+    kinds = []
+    for kind, mesh in enumerate(snapshot.meshes):
+        rows = order[snapshot.kind[order] == kind]
+        kinds.append(
+            {
+                "vertices": _encode(mesh.vertices.numpy(), np.float32),
+                "faces": _encode(mesh.faces.numpy(), np.uint32),
+                "bodies": _encode(bodies[rows], np.float32),
+                "count": len(rows),
+                "colliding": int(snapshot.colliding[rows].sum()),
+            }
+        )
+    # Those in the middle of the step first: there is something to see before and after them.
+    shown = np.argsort(np.abs(motion.contact_toi - 0.5), kind="stable")[:_MOST_CONTACTS]
+    contacts = [
+        {
+            "ids": motion.contact_ids[k].tolist(),
+            "toi": float(motion.contact_toi[k]),
+            "point": motion.contact_point[k].tolist(),
+        }
+        for k in shown
+    ]
+    data = {
+        "kinds": kinds,
+        "contacts": contacts,
+        "half_extent": snapshot.half_extent.tolist(),
+        "radius": max(mesh.radius for mesh in snapshot.meshes),
+        "robots": len(snapshot.kind),
+        "moving": snapshot.motion is not None,
+    }
+    title, *figures = snapshot.caption or ["Nanorobot world"]
+    filled = {
+        "@TITLE@": html.escape(title),
+        "@FIGURES@": "".join(f"<p>{html.escape(line)}</p>" for line in figures),
+        "@DATA@": json.dumps(data, separators=(",", ":")),
+    }
+    page = TEMPLATE
+    for name, text in filled.items():
+        page = page.replace(name, text)
+    path = Path(path)
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def _encode(values: np.ndarray, dtype: Any) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode("ascii")
+
+
+def _at_rest(snapshot: Snapshot) -> Motion:
+    still = np.zeros_like(snapshot.position)
+    return Motion(
+        snapshot.position,
+        snapshot.orientation,
+        still,
+        still,
+        np.ones(len(still)),
+        np.zeros((0, 2), dtype=np.int64),
+        np.zeros(0),
+        np.zeros((0, 3)),
+    )

@@ -1,0 +1,29 @@
+"""Fixtures of all tests: the devices, and which tests the ordinary run leaves out."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import HealthCheck, settings
+
+DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
+
+# The same examples in every run, so that a failure can be looked at; no deadline, since machines are shared.
+settings.register_profile(
+    "pgccd", deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("pgccd")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Leaves slow tests to those who ask for them: pytest -m slow."""
+    if not config.option.markexpr:
+        config.option.markexpr = "not slow"
+
+
+@pytest.fixture(params=DEVICES)
+def device(request: pytest.FixtureRequest) -> torch.device:
+    """Each device in turn; CUDA only where there is one."""
+    if request.param == "cuda" and not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    return torch.device(request.param)

@@ -1,0 +1,82 @@
+"""Elementary queries through the product and through the oracle, compared in both directions."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import torch
+from oracle import distance, linear, separation
+from oracle.linear import Hit
+
+import pgccd
+
+U = Fraction(1, 2**53)
+
+
+def solve(
+    start: np.ndarray,
+    end: np.ndarray,
+    is_face: bool,
+    min_separation: float = 0.0,
+    tolerance: float = 1e-6,
+    nonzero_toi: bool = False,
+    device: torch.device | str = "cpu",
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Status, toi and coordinates of points (n, 4, 3) at both ends."""
+    points = [torch.tensor(x, dtype=torch.float64, device=device) for x in (start, end)]
+    test = pgccd.narrow.vertex_face if is_face else pgccd.narrow.edge_edge
+    found = test(*points, min_separation, tolerance, nonzero_toi)
+    return found.status.cpu().numpy(), found.toi.cpu().numpy(), found.coordinates.cpu().numpy()
+
+
+def truth(start: np.ndarray, end: np.ndarray, is_face: bool, min_separation: float = 0.0) -> list[Hit | None]:
+    """First touch of each query, exactly; None if there is none."""
+    if min_separation:
+        return separation.within_many(start, end, min_separation, is_face)
+    return (linear.vertex_face_many if is_face else linear.edge_edge_many)(start, end)
+
+
+def rounding(start: np.ndarray, end: np.ndarray) -> Fraction:
+    """What float64 cannot tell apart for one query (4, 3): some hundred units of its largest coordinate difference."""
+    return 256 * U * Fraction(float(max(np.ptp(start, axis=0).max(), np.ptp(end, axis=0).max())))
+
+
+def check(
+    start: np.ndarray,
+    end: np.ndarray,
+    is_face: bool,
+    min_separation: float = 0.0,
+    tolerance: float = 1e-6,
+    nonzero_toi: bool = False,
+    most_unresolved: float = 0.02,
+    device: torch.device | str = "cpu",
+) -> int:
+    """The contract of section 5 of the design, query by query. Returns the number of true contacts."""
+    status, toi, coordinates = solve(start, end, is_face, min_separation, tolerance, nonzero_toi, device)
+    assert set(status.tolist()) <= {pgccd.FREE, pgccd.TOUCH, pgccd.UNRESOLVED}
+    assert np.isinf(toi[status == pgccd.FREE]).all()
+    assert ((toi >= 0) & (toi <= 1))[status != pgccd.FREE].all()
+    hits = truth(start, end, is_face, min_separation)
+    for k, hit in enumerate(hits):
+        if hit is not None:
+            assert status[k] != pgccd.FREE, f"query {k}: missed"
+            assert Fraction(toi[k]) <= hit.toi_upper, f"query {k}: late"
+    reach = Fraction(min_separation) + Fraction(tolerance)
+    for k in np.flatnonzero(status == pgccd.TOUCH):
+        allowed = reach + rounding(start[k], end[k])
+        square = distance.squared_distance_exact(start[k], end[k], Fraction(toi[k]), is_face)
+        assert square <= allowed * allowed, f"query {k}: reported at a distance of {float(square) ** 0.5}"
+        _check_coordinates(start[k], end[k], toi[k], coordinates[k], is_face, float(allowed), f"query {k}")
+    assert (status == pgccd.UNRESOLVED).sum() <= most_unresolved * len(status), "too many unresolved"
+    return sum(hit is not None for hit in hits)
+
+
+def _check_coordinates(
+    start: np.ndarray, end: np.ndarray, toi: float, at: np.ndarray, is_face: bool, allowed: float, name: str
+) -> None:
+    u, v = at
+    assert u >= 0 and v >= 0 and (u + v if is_face else max(u, v)) <= 1 + 1e-12, f"{name}: coordinates {at}"
+    x = (1 - toi) * (start - start[0]) + toi * (end - end[0])
+    gap = np.linalg.norm(distance.gap_vector(x[None], at[None], is_face))
+    assert gap <= allowed * (1 + 1e-9), f"{name}: the coordinates name points {gap} apart"

@@ -1,0 +1,188 @@
+"""Broad phase against the exact set of pairs: nothing missed, and nothing more than a rounding away invented."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle.broad import sphere_pairs, spheres_meet
+
+import pgccd
+from pgccd import ops
+from support.shapes import tensors, tetrahedron, unit_quaternions
+
+AXES = (-1, 0, 1, 2)
+ROUNDING = 1e-12
+
+
+def swept(start: Any, end: Any, radius: Any, separation: float = 0.0, axis: int = -1, **filters: Any) -> np.ndarray:
+    """The operator on arrays (on the device of `filters["device"]`)."""
+    device = filters.pop("device", "cpu")
+    columns = tensors(*(np.asarray(a, dtype=np.float64) for a in (start, end, radius)), device=device)
+    types = {"group": torch.int64, "mask": torch.int64, "world": torch.int32, "static": torch.uint8}
+    bits = [
+        torch.as_tensor(filters[k], dtype=t, device=device) if filters.get(k) is not None else None
+        for k, t in types.items()
+    ]
+    return ops.sweep(*columns, *bits, separation, axis).cpu().numpy()
+
+
+def check(start: Any, end: Any, radius: Any, separation: float = 0.0, **filters: Any) -> np.ndarray:
+    """Compares all axes with the oracle; returns the pairs."""
+    device = filters.pop("device", "cpu")
+    start, end, radius = (np.asarray(a, dtype=np.float64) for a in (start, end, radius))
+    found = [swept(start, end, radius, separation, axis, device=device, **filters) for axis in AXES]
+    assert all(np.array_equal(found[0], f) for f in found), "the pairs depend on the axis"
+    pairs = [tuple(p) for p in found[0].tolist()]
+    assert pairs == sorted(set(pairs)) and all(i < j for i, j in pairs), "not sorted, or listed twice"
+    truth = {tuple(p) for p in sphere_pairs(start, end, radius, separation, **filters).tolist()}
+    assert truth - set(pairs) == set(), "missed"
+    for i, j in set(pairs) - truth:
+        both = [i, j]
+        size = np.abs(start[j] - start[i]).max() + np.abs(end[j] - end[i]).max() + radius[i] + radius[j] + separation
+        assert spheres_meet(start[both], end[both], radius[i], radius[j], separation + ROUNDING * size), "invented"
+        assert tuple(both) in {tuple(p) for p in sphere_pairs(start, end, 1e300 + 0 * radius, **filters).tolist()}
+    return found[0]
+
+
+def scattered(rng: np.random.Generator, count: int, spread: float, step: float = 0.3) -> tuple[np.ndarray, ...]:
+    """Centres at both ends, and radii around 1."""
+    start = spread * rng.uniform(-1, 1, (count, 3))
+    return start, start + step * rng.normal(size=(count, 3)), rng.uniform(0.2, 1.5, count)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 300, 1500])
+def test_random(device: torch.device, count: int) -> None:
+    rng = np.random.default_rng(count)
+    start, end, radius = scattered(rng, count, 2.0 * count ** (1 / 3) + 0.1)
+    pairs = check(start, end, radius, device=device)
+    assert len(pairs) > 100 or count < 300
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e-3, 1e3, 1e6, 1e-25, 1e25])
+def test_scales(device: torch.device, scale: float) -> None:
+    start, end, radius = scattered(np.random.default_rng(1), 200, 8.0)
+    assert len(check(scale * start, scale * end, scale * radius, 0.1 * scale, device=device)) > 50
+
+
+@pytest.mark.parametrize("far", [1e4, 1e8, 1e12])
+def test_far_from_the_origin(device: torch.device, far: float) -> None:
+    start, end, radius = scattered(np.random.default_rng(2), 300, 8.0)
+    shift = far * np.array([1.0, -0.5, 0.25])
+    assert len(check(start + shift, end + shift, radius, device=device)) > 50
+    # And some at the origin too, so that the whole extent is huge against the bodies.
+    both = [np.concatenate([x, x + shift]) for x in (start, end)]
+    check(*both, np.tile(radius, 2), device=device)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_one_huge_body_among_small_ones(device: torch.device, axis: int) -> None:
+    rng = np.random.default_rng(3)
+    start, end, radius = scattered(rng, 800, 20.0)
+    start[400] = end[400] = 0.0
+    radius[400] = 25.0
+    start[:, axis] *= 0.01
+    end[:, axis] *= 0.01
+    pairs = check(start, end, radius, device=device)
+    assert (pairs == 400).any(axis=1).sum() > 500
+
+
+def test_fast_bodies_and_mixed_sizes(device: torch.device) -> None:
+    rng = np.random.default_rng(4)
+    start = rng.uniform(-10, 10, (400, 3))
+    end = rng.uniform(-10, 10, (400, 3))
+    check(start, end, 10.0 ** rng.uniform(-6, 0, 400), device=device)
+
+
+def test_identical_and_still_bodies(device: torch.device) -> None:
+    rng = np.random.default_rng(5)
+    same = np.repeat(rng.normal(size=(1, 3)), 40, axis=0)
+    assert len(check(same, same, np.full(40, 0.5), device=device)) == 40 * 39 // 2
+    start = rng.uniform(-4, 4, (200, 3))
+    assert len(check(start, start, np.full(200, 0.6), device=device)) > 100
+    moved = same + rng.normal(size=3)
+    assert len(check(same, moved, np.full(40, 1e-9), device=device)) == 40 * 39 // 2
+
+
+def test_touching_counts(device: torch.device) -> None:
+    # A row at exactly representable distances: neighbours touch exactly, and not one ulp further away.
+    start = np.zeros((64, 3))
+    start[:, 1] = 0.75 * np.arange(64)
+    pairs = check(start, start, np.full(64, 0.375), device=device)
+    assert pairs.tolist() == [[i, i + 1] for i in range(63)]
+    wide = np.nextafter(0.375, 0)
+    check(start, start, np.full(64, wide), device=device)
+    assert len(check(start, start, np.full(64, 0.375 - 1e-9), device=device)) == 0
+    assert len(check(start, start, np.full(64, 0.25), 0.25, device=device)) == 63
+    # Passing at exactly that distance in the middle of the step, and at its very end.
+    passing = np.array([[-1.0, 0, 0], [0, 0.75, 1.0]]), np.array([[1.0, 0, 0], [0, 0.75, -1.0]])
+    assert len(check(*passing, [0.375, 0.375], device=device)) == 1
+    arriving = np.array([[-1.0, 0, 0], [2.0, 0, 0]]), np.array([[0.0, 0, 0], [1.0, 0, 0]])
+    assert len(check(*arriving, [0.5, 0.5], device=device)) == 1
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 12), st.sampled_from([0.0, 1.0, 0.5]))
+@settings(max_examples=120)
+def test_grids_where_touching_is_common(seed: int, count: int, separation: float) -> None:
+    rng = np.random.default_rng(seed)
+    scale = 2.0 ** rng.integers(-30, 30)
+    start, end = (rng.integers(-4, 5, (count, 3)) * scale for _ in range(2))
+    check(start, end, rng.integers(1, 4, count) * 0.5 * scale, separation * scale)
+
+
+@given(
+    st.integers(0, 2**32 - 1), st.integers(2, 30), st.tuples(*[st.booleans()] * 3), st.sampled_from([1, 2, 3, 2**31 - 1])
+)
+@settings(max_examples=60)
+def test_filters(seed: int, count: int, present: tuple[bool, ...], worlds: int) -> None:
+    rng = np.random.default_rng(seed)
+    start, end, radius = scattered(rng, count, 3.0)
+    filters: dict[str, Any] = {}
+    if present[0]:
+        bits = rng.choice([0, 1, 2, 3, -1, -(2**63), 2**62], (2, count))
+        filters |= {"group": bits[0], "mask": bits[1]}
+    if present[1]:
+        filters["world"] = rng.choice([0, 1, worlds // 2, worlds], count)
+    if present[2]:
+        filters["static"] = rng.random(count) < 0.5
+    check(start, end, radius, **filters)
+
+
+def test_scene_filters_and_separation(device: torch.device) -> None:
+    rng = np.random.default_rng(6)
+    count = 60
+    start = rng.uniform(-3, 3, (count, 3))
+    end = start + 0.2 * rng.normal(size=(count, 3))
+    group, mask = rng.integers(1, 4, (2, count))
+    world, static = rng.integers(0, 2, count), rng.random(count) < 0.3
+    turn = unit_quaternions(rng, count)
+    mesh = tetrahedron(0.7)
+    scene = pgccd.Scene([mesh], [0] * count, device, group=group, mask=mask, world=world.tolist(), static=static)
+    bodies = pgccd.MovingBodies(scene, pgccd.RigidMotion(*tensors(start, turn, end, turn, device=device)))
+    radius = np.full(count, mesh.radius)
+    for separation, axis in product((0.0, 0.4), ("auto", "x", "y", "z")):
+        found = pgccd.broad.sweep(bodies, separation, axis).cpu().numpy()
+        filters: dict[str, Any] = {"group": group, "mask": mask, "world": world, "static": static}
+        assert np.array_equal(found, sphere_pairs(start, end, radius, separation, **filters))
+        assert len(found) > 10
+    assert torch.equal(pgccd.broad.find_pairs(bodies, 0.4), pgccd.broad.sweep(bodies, 0.4))
+
+
+def test_group_alone_means_all_mask_bits() -> None:
+    x = np.zeros((3, 3))
+    assert swept(x, x, np.ones(3), group=[1, 0, 2]).tolist() == [[0, 2]]
+    assert swept(x, x, np.ones(3), mask=[1, 0, 2]).tolist() == [[0, 2]]
+
+
+@pytest.mark.slow
+def test_many(device: torch.device) -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(100 + seed)
+        count = int(rng.integers(2_000, 20_000))
+        start, end, radius = scattered(rng, count, 2.5 * count ** (1 / 3), float(10.0 ** rng.uniform(-3, 1)))
+        check(start, end, radius * rng.choice([0.1, 1.0]), device=device)

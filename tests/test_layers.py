@@ -1,0 +1,132 @@
+"""Who may know whom, read from #include and import lines; and that files stay small enough to hold in the head."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+CSRC, PACKAGE, TESTS = ROOT / "csrc", ROOT / "pgccd", ROOT / "tests"
+# Layers bottom to top; each may include those it names.
+MAY_INCLUDE = {
+    "core": {"core"},
+    "kernels": {"core", "kernels"},
+    "mesh": {"core", "mesh"},
+    "bind": {"core", "kernels", "mesh", "bind"},
+}
+CUDA_HEADERS = ("cub/", "cuda", "cooperative_groups", "cuda_runtime", "thrust/", "nv/")
+TORCH_HEADERS = ("torch/", "ATen/", "c10/", "pybind11/", "Python.h")
+MOST_LINES = {"header": 200, "kernel": 350, "python": 300, "test": 400}
+
+
+def sources() -> list[Path]:
+    found = [p for p in CSRC.rglob("*") if p.suffix in {".h", ".cpp", ".cu", ".cuh"}]
+    assert len(found) > 20
+    return sorted(found)
+
+
+def includes(path: Path) -> list[tuple[bool, str]]:
+    """(in quotes, name) of each #include."""
+    found = re.findall(r'^\s*#\s*include\s+(["<])([^">]+)[">]', path.read_text(), re.MULTILINE)
+    return [(mark == '"', name) for mark, name in found]
+
+
+def python_files(*folders: Path) -> list[Path]:
+    return sorted(p for folder in folders for p in folder.rglob("*.py") if "__pycache__" not in p.parts)
+
+
+def imports(path: Path, only_top_level: bool = False) -> set[str]:
+    """Dotted names of the modules a file imports; `from pgccd import x` counts as pgccd.x."""
+    tree = ast.parse(path.read_text())
+    found = set()
+    for node in tree.body if only_top_level else ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            package = path.relative_to(ROOT).parent.parts
+            base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            module = ".".join(part for part in (base, node.module or "") if part)
+            found |= {module} | {f"{module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def test_layers_include_only_what_they_may() -> None:
+    wrong = []
+    for path in sources():
+        layer = path.relative_to(CSRC).parts[0]
+        for quoted, name in includes(path):
+            if quoted and name.split("/")[0] not in MAY_INCLUDE[layer]:
+                wrong.append(f"{path.relative_to(ROOT)} includes {name}")
+            if not quoted and layer != "bind" and name.startswith(TORCH_HEADERS):
+                wrong.append(f"{path.relative_to(ROOT)} includes {name}")
+            in_kernel = layer == "kernels" and path.suffix in {".cu", ".cuh"}
+            if not quoted and name.startswith(CUDA_HEADERS) and not in_kernel and layer != "bind":
+                wrong.append(f"{path.relative_to(ROOT)} includes {name}")
+            # Standard headers have neither a folder nor a suffix, except the experimental ones and math.h-like ones.
+            if not quoted and layer == "core" and not re.fullmatch(r"[a-z_0-9]+", name):
+                wrong.append(f"{path.relative_to(ROOT)} includes <{name}>, which is not a standard header")
+    assert wrong == []
+
+
+def test_stages_do_not_know_one_another() -> None:
+    wrong = []
+    for path in sources():
+        parts = path.relative_to(CSRC).parts
+        if parts[0] == "kernels" and len(parts) > 2:
+            for quoted, name in includes(path):
+                other = name.split("/")
+                if quoted and other[0] == "kernels" and len(other) > 2 and other[1] != parts[1]:
+                    wrong.append(f"{path.relative_to(ROOT)} includes {name}")
+    assert wrong == []
+
+
+def test_only_ops_names_the_operators() -> None:
+    naming = [p for p in python_files(PACKAGE) if re.search(r"torch\.ops\.pgccd|torch\.ops\b", p.read_text())]
+    assert [p.name for p in naming] == ["ops.py"]
+    assert [p.name for p in python_files(PACKAGE) if "pgccd._C" in imports(p)] == ["ops.py"]
+
+
+def test_trimesh_is_imported_lazily_and_in_one_place() -> None:
+    using = [p for p in python_files(PACKAGE) if any(n.split(".")[0] == "trimesh" for n in imports(p))]
+    allowed = {PACKAGE / "mesh.py"} | set(python_files(PACKAGE / "viz"))  # viz draws its pages through it
+    assert set(using) <= allowed and PACKAGE / "mesh.py" in using
+    for path in using:
+        assert not any(n.split(".")[0] == "trimesh" for n in imports(path, only_top_level=True)), path
+
+
+def test_single_device_modules_do_not_know_the_cluster() -> None:
+    upper = ("pgccd.distributed", "pgccd.sim", "pgccd.baselines", "pgccd.viz", "pgccd.cli")
+    wrong = [
+        (path.name, name)
+        for path in PACKAGE.glob("*.py")
+        if path.stem not in {"cli", "__main__"}
+        for name in imports(path)
+        if name.startswith(upper)
+    ]
+    assert wrong == []
+    for name in ("partition", "balance"):
+        for path in (PACKAGE / "distributed").glob(f"{name}*.py"):
+            assert not any("distributed.comm" in n or n.startswith("torch.distributed") for n in imports(path)), path
+
+
+def test_oracle_shares_nothing_with_the_product() -> None:
+    for path in python_files(TESTS / "oracle", TESTS / "strategies"):
+        assert not any(name.split(".")[0] == "pgccd" for name in imports(path)), path
+
+
+@pytest.mark.parametrize(
+    ("what", "paths"),
+    [
+        ("header", [p for p in sources() if p.suffix in {".h", ".cuh"}]),
+        ("kernel", [p for p in sources() if p.suffix in {".cpp", ".cu"}]),
+        ("python", python_files(PACKAGE)),
+        ("test", python_files(TESTS)),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_files_stay_small(what: str, paths: list[Path]) -> None:
+    lines = {str(p.relative_to(ROOT)): len(p.read_text().splitlines()) for p in paths}
+    assert {name: count for name, count in lines.items() if count > MOST_LINES[what]} == {}

@@ -1,0 +1,228 @@
+"""Meshes: bounds, edges, representatives and hierarchy, on any triangles; and the files they come from."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import strategies
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle.mesh import sphere_bound, unique_edges, used_vertices
+
+import pgccd
+from pgccd import ops
+from support.shapes import bumpy
+
+# A mesh in one point has no extent, which is an error of its own.
+SHAPES = strategies.meshes().filter(lambda shape: bool(np.ptp(shape.vertices[shape.faces].reshape(-1, 3), axis=0).any()))
+MOST_DEPTH = 48
+WIDTH = 8
+
+
+def prepared(mesh: pgccd.Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Triangles (F, 8), node blocks (n, 4, 8) and links (n, 8, 2), as the operators read them."""
+    tensors = pgccd.MeshSet([mesh]).tensors
+    return tensors[3].numpy(), tensors[4].numpy(), tensors[5].numpy()
+
+
+def walk(links: np.ndarray) -> tuple[list[tuple[int, int, int]], int]:
+    """(node, first triangle, triangle count) of every node, in no order, and the depth."""
+    found, deepest = [], 0
+
+    def visit(node: int, depth: int) -> tuple[int, int]:
+        nonlocal deepest
+        deepest = max(deepest, depth)
+        first, count = links[node // WIDTH, node % WIDTH].tolist()
+        if count == 0:
+            below = [
+                visit(first * WIDTH + slot, depth + 1)
+                for slot in range(WIDTH)
+                if links[first, slot].any()  # all zero: an empty slot
+            ]
+            assert first > node // WIDTH and below, "blocks of parents precede those of their children"
+            first, count = min(b[0] for b in below), sum(b[1] for b in below)
+        found.append((node, first, count))
+        return first, count
+
+    visit(0, 1)
+    return found, deepest
+
+
+def assert_encloses(blocks: np.ndarray, links: np.ndarray, triangles: np.ndarray, x: np.ndarray) -> None:
+    """Every node's sphere holds all vertices of its triangles, in exact arithmetic up to the rounding of this test."""
+    for node, first, count in walk(links)[0]:
+        sphere = blocks[node // WIDTH, :, node % WIDTH].astype(np.longdouble)
+        corners = x[triangles[first : first + count, :3]].reshape(-1, 3).astype(np.longdouble)
+        distance = np.sqrt(((corners - sphere[:3]) ** 2).sum(axis=1)).max()
+        assert distance <= sphere[3] * np.longdouble(1 + 1e-17)
+
+
+@given(SHAPES)
+@settings(max_examples=80)
+def test_sphere_bound_and_edges(shape: strategies.TriMesh) -> None:
+    mesh = pgccd.Mesh(shape.vertices, shape.faces)
+    truth = sphere_bound(shape.vertices, shape.faces)
+    size = max(np.abs(shape.vertices).max(), truth.radius)
+    assert np.abs(mesh.centre.numpy() - truth.center).max() <= 1e-14 * size
+    assert mesh.radius == pytest.approx(truth.radius, rel=1e-14, abs=1e-14 * size)
+    # The radius holds every used vertex, as stored.
+    local = [[Fraction(c) for c in p] for p in mesh.vertices[used_vertices(shape.faces)].tolist()]
+    assert max(sum(c * c for c in p) for p in local) <= Fraction(mesh.radius) ** 2
+    assert np.abs(mesh.vertices.numpy() + mesh.centre.numpy() - shape.vertices).max() <= 4e-16 * size
+    assert np.array_equal(mesh.edges.numpy(), unique_edges(shape.faces))
+    assert np.array_equal(mesh.faces.numpy(), shape.faces)
+
+
+@given(SHAPES)
+@settings(max_examples=80)
+def test_every_feature_is_represented_once(shape: strategies.TriMesh) -> None:
+    mesh = pgccd.Mesh(shape.vertices, shape.faces)
+    triangles, _, links = prepared(mesh)
+    vertices, edges = [], []
+    for row in triangles.tolist():
+        corner, edge, face, represented = row[:3], row[3:6], row[6], row[7]
+        assert corner == shape.faces[face].tolist()
+        for k in range(3):
+            assert mesh.edges[edge[k]].tolist() == sorted((corner[k], corner[(k + 1) % 3]))
+            if represented >> k & 1:
+                vertices.append(corner[k])
+            if represented >> (3 + k) & 1:
+                edges.append(edge[k])
+        assert represented < 64
+    assert sorted(vertices) == used_vertices(shape.faces).tolist()
+    assert sorted(edges) == list(range(len(mesh.edges)))
+    assert sorted(triangles[:, 6]) == list(range(len(shape.faces)))
+
+
+@given(SHAPES)
+@settings(max_examples=60)
+def test_hierarchy(shape: strategies.TriMesh) -> None:
+    mesh = pgccd.Mesh(shape.vertices, shape.faces)
+    triangles, blocks, links = prepared(mesh)
+    nodes, depth = walk(links)
+    leaves = sorted((first, count) for node, first, count in nodes if links[node // WIDTH, node % WIDTH, 1])
+    assert all(1 <= count <= 8 for _, count in leaves)
+    covered = [k for first, count in leaves for k in range(first, first + count)]
+    assert covered == list(range(len(shape.faces))), "every triangle is in exactly one leaf"
+    assert depth <= MOST_DEPTH
+    assert np.isnan(blocks.transpose(0, 2, 1)[(links == 0).all(axis=2)]).all(), "empty slots meet nothing"
+    assert_encloses(blocks, links, triangles, mesh.vertices.numpy())
+
+
+@pytest.mark.parametrize("count", [3000])
+def test_depth_is_bounded_where_areas_halve(count: int) -> None:
+    # Each triangle half as large as the one before: a cost-driven split alone would peel them off one by one.
+    size = 0.9 ** np.arange(count)[:, None, None] + 1e-12
+    vertices = (np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]) * size + size).reshape(-1, 3)
+    mesh = pgccd.Mesh(vertices, np.arange(3 * count).reshape(-1, 3))
+    assert walk(prepared(mesh)[2])[1] <= MOST_DEPTH
+
+
+@given(SHAPES, st.integers(0, 2**32 - 1), st.sampled_from([1e-6, 1.0, 1e6]))
+@settings(max_examples=40)
+def test_refit_encloses_the_whole_step(shape: strategies.TriMesh, seed: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    mesh = pgccd.Mesh(shape.vertices, shape.faces)
+    far = rng.choice([0.0, 1e3]) * scale
+    ends = [scale * (shape.vertices + rng.normal(size=shape.vertices.shape)) + far for _ in range(2)]
+    scene = pgccd.Scene([mesh])
+    bodies = pgccd.MovingBodies(scene, pgccd.VertexMotion(*(torch.from_numpy(x) for x in ends)))
+    triangles, _, links = prepared(mesh)
+    centre_t0, centre_t1, radius = (t.numpy() for t in (bodies.position_t0, bodies.position_t1, bodies.radius))
+    blocks = [t.numpy() for t in bodies.tensors[6:8]]
+    assert np.array_equal(blocks[0][:, 3], blocks[1][:, 3], equal_nan=True), "one radius serves both ends"
+    used = used_vertices(shape.faces)
+    local = [x - c for x, c in zip(ends, (centre_t0, centre_t1), strict=True)]
+    for x, centre in zip(ends, (centre_t0, centre_t1), strict=True):
+        assert np.abs(sphere_bound(x, shape.faces).center - centre[0]).max() <= 1e-13 * np.abs(x).max()
+    for t in (0.0, 0.3, 0.5, 1.0):
+        x = (1 - t) * local[0] + t * local[1]
+        assert np.linalg.norm(x[used], axis=1).max() <= radius[0] * (1 + 1e-14)
+        blend = (1 - t) * blocks[0] + t * blocks[1]
+        # Blending rounds in float64 here, the inflation of the traversal covers that and more.
+        blend[:, 3] = blocks[0][:, 3] * np.float32(1 + 1e-6)
+        assert_encloses(blend, links, triangles, x)
+
+
+def test_set_offsets_and_padding() -> None:
+    rng = np.random.default_rng(0)
+    meshes = [bumpy(rng, 1), bumpy(rng, 0), bumpy(rng, 2)]
+    joined = pgccd.MeshSet(meshes)
+    vertices, faces, edges, triangles = joined.tensors[:4]
+    for k, mesh in enumerate(meshes):
+        low, high = joined.offsets[k].tolist(), joined.offsets[k + 1].tolist()
+        assert torch.equal(vertices[low[0] : high[0]], mesh.vertices)
+        assert torch.equal(faces[low[1] : high[1]], mesh.faces)
+        assert torch.equal(edges[low[2] : high[2]], mesh.edges)
+        assert joined.radius[k] == mesh.radius
+    assert len(triangles) == sum(len(m.faces) for m in meshes)
+    assert ops.refit.__doc__
+
+
+@given(SHAPES, st.sampled_from(["ply", "stl", "obj", "off", "glb"]))
+@settings(max_examples=40)
+def test_load_any_file(tmp_path_factory: pytest.TempPathFactory, shape: strategies.TriMesh, suffix: str) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path_factory.mktemp("mesh") / f"shape.{suffix}"
+    written = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
+    written.export(path)
+    mesh = pgccd.Mesh.load(path)
+    direct = pgccd.Mesh(shape.vertices, shape.faces)
+
+    def triangles(m: pgccd.Mesh) -> np.ndarray:
+        corners = (m.vertices + m.centre).numpy()[m.faces.numpy()]
+        return np.sort(np.array([c.ravel() for c in corners]).round(4), axis=0)
+
+    if suffix == "stl":  # float32, and corners are joined where they are equal: flattened faces may fall out
+        assert len(mesh.faces) <= len(direct.faces)
+        assert len(np.unique(mesh.vertices.numpy(), axis=0)) == len(mesh.vertices)
+    else:
+        assert len(mesh.faces) == len(direct.faces)
+        assert np.abs(triangles(mesh) - triangles(direct)).max() < 2e-3
+    assert mesh.radius == pytest.approx(direct.radius, rel=1e-3)
+
+
+def test_stl_corners_are_joined(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    ball.export(tmp_path / "ball.stl")
+    mesh = pgccd.Mesh.load(tmp_path / "ball.stl")
+    assert (len(mesh.vertices), len(mesh.faces), len(mesh.edges)) == (162, 320, 480)
+    assert pgccd.Mesh.load(str(tmp_path / "ball.stl")).radius == mesh.radius
+
+
+def test_from_trimesh_and_scene() -> None:
+    trimesh = pytest.importorskip("trimesh")
+    box = trimesh.creation.box()
+    mesh = pgccd.Mesh.from_trimesh(box)
+    assert len(mesh.faces) == 12 and mesh.radius == pytest.approx(3**0.5 / 2)
+    scene = trimesh.Scene([box, trimesh.creation.icosphere(subdivisions=1)])
+    assert len(pgccd.Mesh.from_trimesh(scene).faces) == 12 + 80
+
+
+def test_far_from_the_origin_keeps_digits() -> None:
+    rng = np.random.default_rng(3)
+    near = bumpy(rng, 1)
+    shifted = near.vertices.numpy() + 2.0**27
+    mesh = pgccd.Mesh(shifted, near.faces)
+    truth = sphere_bound(shifted, near.faces)
+    # The centre itself is stored with the digits there are at 2^27; everything else is exact relative to it.
+    assert np.abs(mesh.centre.numpy() - truth.center).max() <= 2.0**-25
+    assert mesh.radius == pytest.approx(truth.radius, abs=2.0**-24)
+    assert np.array_equal(mesh.vertices.numpy() + mesh.centre.numpy(), shifted)
+
+
+def test_input_types_agree() -> None:
+    rng = np.random.default_rng(4)
+    mesh = bumpy(rng, 1)
+    twins = [
+        pgccd.Mesh(mesh.vertices.tolist(), mesh.faces.tolist()),
+        pgccd.Mesh(mesh.vertices, mesh.faces.to(torch.int64)),
+        pgccd.Mesh(mesh.vertices.numpy(), mesh.faces.numpy().astype(np.uint32)),
+    ]
+    assert all(torch.equal(t.vertices, twins[0].vertices) and torch.equal(t.faces, mesh.faces) for t in twins)
+    assert "faces=80" in repr(mesh)

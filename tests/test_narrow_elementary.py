@@ -1,0 +1,173 @@
+"""The elementary tests against exact rational arithmetic: 0 missed, never late, nothing invented beyond tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle import distance
+from oracle.adversarial import GENERATORS, Generator
+from oracle.constructed import FREE, TOUCH
+from strategies import degenerate_features, feature_motions
+
+import pgccd
+from support.elementary import check, rounding, solve, truth
+
+KINDS = pytest.mark.parametrize("is_face", [True, False], ids=["vf", "ee"])
+ALL = pytest.mark.parametrize("generator", GENERATORS, ids=lambda g: g.__name__)
+# These make queries that touch along whole intervals or graze, where advancement may spend its budget.
+HARD = {"graze": 0.3, "coplanar": 0.3, "parallel": 0.3, "near_miss": 0.1, "shared_points": 0.1}
+
+
+def run(generator: Generator, is_face: bool, count: int, seed: int, device: torch.device) -> None:
+    queries = generator(np.random.default_rng(seed), count, is_face)
+    points = queries.points_t0, queries.points_t1
+    unresolved = HARD.get(generator.__name__, 0.02)
+    for tolerance in (1e-6, 1e-12):
+        contacts = check(*points, is_face, tolerance=tolerance, most_unresolved=unresolved, device=device)
+        assert contacts >= (queries.truth == TOUCH).sum()
+    # What misses by far more than the tolerance must not be reported.
+    status = solve(*points, is_face, tolerance=1e-20, device=device)[0]
+    size = np.abs(np.concatenate(points, axis=1)).max(axis=(1, 2))
+    clear = (queries.truth == FREE) & (generator.__name__ == "short_of_end") & (size < 2.0**40)
+    assert (status[clear] == pgccd.FREE).all()
+
+
+@KINDS
+@ALL
+def test_adversarial(generator: Generator, is_face: bool, device: torch.device) -> None:
+    run(generator, is_face, 60, 1, device)
+
+
+@pytest.mark.slow
+@KINDS
+@ALL
+def test_adversarial_at_length(generator: Generator, is_face: bool, device: torch.device) -> None:
+    for seed in range(10):
+        run(generator, is_face, 600, 1000 + seed, device)
+
+
+def run_separated(generator: Generator, is_face: bool, count: int, seed: int, device: torch.device) -> None:
+    queries = generator(np.random.default_rng(seed), count, is_face)
+    size = np.abs(queries.points_t0 - queries.points_t0[:, :1]).max(axis=(1, 2))
+    # One separation a call: queries of like size together, with separations from a billionth of it to its own size.
+    exponents = np.round(np.log2(np.maximum(size, 1e-300)))
+    for exponent in np.unique(exponents)[:12]:
+        group = exponents == exponent
+        points = queries.points_t0[group], queries.points_t1[group]
+        for relative in (2.0**-30, 0.0123, 0.25, 1.0):
+            separation = float(relative * 2.0**exponent)
+            check(*points, is_face, separation, 1e-6 * 2.0**exponent, most_unresolved=1.0, device=device)
+
+
+@KINDS
+@ALL
+def test_separation(generator: Generator, is_face: bool, device: torch.device) -> None:
+    run_separated(generator, is_face, 12, 2, device)
+
+
+@pytest.mark.slow
+@KINDS
+@ALL
+def test_separation_at_length(generator: Generator, is_face: bool, device: torch.device) -> None:
+    for seed in range(10):
+        run_separated(generator, is_face, 120, 2000 + seed, device)
+
+
+@KINDS
+@given(data=st.data())
+@settings(max_examples=400)
+@pytest.mark.parametrize("strategy", [feature_motions, degenerate_features], ids=lambda s: s.__name__)
+def test_grids(strategy: Callable[[], st.SearchStrategy], is_face: bool, data: st.DataObject) -> None:
+    start, end = data.draw(strategy())
+    tolerance = data.draw(st.sampled_from([1e-6, 1e-12])) * max(np.abs(start).max(), np.abs(end).max(), 1e-30)
+    check(start[None], end[None], is_face, 0.0, tolerance, most_unresolved=1.0)
+    separation = data.draw(st.sampled_from([0.25, 1.0, 2.0**0.5])) * np.abs(start).max()
+    check(start[None], end[None], is_face, separation, tolerance, most_unresolved=1.0)
+
+
+@KINDS
+@given(values=st.lists(st.floats(-1e18, 1e18), min_size=24, max_size=24))
+@settings(max_examples=300)
+def test_any_numbers(is_face: bool, values: list[float]) -> None:
+    start, end = np.array(values).reshape(2, 1, 4, 3)
+    check(start, end, is_face, most_unresolved=1.0)
+
+
+@KINDS
+@pytest.mark.parametrize("size", [1e-300, 1e-160, 1e-100, 1e-40, 1e40, 1e100, 1e150, 1e300])
+def test_extreme_sizes_are_never_missed(is_face: bool, size: float) -> None:
+    rng = np.random.default_rng(5)
+    for generator in GENERATORS:
+        if generator.__name__ == "scales":
+            continue
+        queries = generator(rng, 12, is_face)
+        points = [q * size / np.abs(queries.points_t0).max() / 8 for q in (queries.points_t0, queries.points_t1)]
+        status, toi, _ = solve(*points, is_face, tolerance=1e-6 * size)
+        for k, hit in enumerate(truth(*points, is_face)):
+            if hit is not None:
+                assert status[k] != pgccd.FREE, f"{generator.__name__} {k}: missed"
+                assert Fraction(toi[k]) <= hit.toi_upper, f"{generator.__name__} {k}: late"
+
+
+@KINDS
+@ALL
+def test_nonzero_toi(generator: Generator, is_face: bool, device: torch.device) -> None:
+    queries = generator(np.random.default_rng(3), 60, is_face)
+    points = queries.points_t0, queries.points_t1
+    for separation in (0.0, 1e-3):
+        unresolved = HARD.get(generator.__name__, 0.1)
+        check(*points, is_face, separation, 1e-2, nonzero_toi=True, most_unresolved=unresolved, device=device)
+        status, toi, _ = solve(*points, is_face, separation, 1e-2, nonzero_toi=True, device=device)
+        for k in range(len(toi)):
+            square = distance.squared_distance_exact(points[0][k], points[1][k], 0.0, is_face)
+            if square <= Fraction(separation) ** 2:
+                assert toi[k] == 0.0, "starts in violation"
+            elif square > (Fraction(separation) + rounding(points[0][k], points[1][k])) ** 2:
+                assert toi[k] > 0.0, "starts apart, but toi is 0"
+
+
+@KINDS
+def test_toi_is_close_where_the_crossing_is_clear(is_face: bool, device: torch.device) -> None:
+    queries = GENERATORS[1](np.random.default_rng(4), 200, is_face)  # straight through, at a known time
+    points = queries.points_t0, queries.points_t1
+    speed = np.abs((points[1] - points[1][:, -1:]) - (points[0] - points[0][:, -1:])).max(axis=(1, 2))
+    tolerance = 1e-9 * float(speed.min())
+    status, toi, _ = solve(*points, is_face, tolerance=tolerance, device=device)
+    assert (status == pgccd.TOUCH).all()
+    assert (toi <= queries.toi).all() and (queries.toi - toi < 1e-8).all()
+
+
+@KINDS
+def test_rows_do_not_depend_on_their_neighbours(is_face: bool, device: torch.device) -> None:
+    rng = np.random.default_rng(6)
+    start, end = rng.normal(size=(2, 3000, 4, 3))
+    together = solve(start, end, is_face, device=device)
+    order = rng.permutation(3000)
+    apart = solve(start[order], end[order], is_face, device=device)
+    alone = [solve(start[k : k + 1], end[k : k + 1], is_face, device=device) for k in range(20)]
+    for column in range(3):
+        assert np.array_equal(together[column][order], apart[column], equal_nan=True)
+        assert np.array_equal(together[column][:20], np.concatenate([a[column] for a in alone]), equal_nan=True)
+    assert (together[0] == pgccd.TOUCH).sum() > 100
+
+
+@KINDS
+def test_no_queries(is_face: bool, device: torch.device) -> None:
+    status, toi, coordinates = solve(np.zeros((0, 4, 3)), np.zeros((0, 4, 3)), is_face, device=device)
+    assert (status.shape, toi.shape, coordinates.shape) == ((0,), (0,), (0, 2))
+
+
+@KINDS
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_no_number_is_never_free(is_face: bool, bad: float) -> None:
+    rng = np.random.default_rng(7)
+    start, end = rng.normal(size=(2, 24, 4, 3))
+    for k in range(24):
+        (start if k % 2 else end)[k].flat[k // 2] = bad
+    assert (solve(start, end, is_face)[0] != pgccd.FREE).all()
