@@ -1,4 +1,5 @@
-"""Time of one step's detection in the standard nanorobot world, per stage, with the memory it takes and the floor below it.
+"""Time of one step's detection in the standard nanorobot world, per stage, with the memory taken (by everything: the world's
+state, poses, detection) and the floor below it.
 
 The world first runs until nothing is left of the lattice it starts from (`--steps-before`, or `--checkpoint`). Then, step after
 step of the simulation, `detect(report="first")` is timed: poses in device memory to contacts in device memory. The
@@ -73,6 +74,13 @@ def parse_arguments() -> argparse.Namespace:
 
 def measure(robots: int, arguments: argparse.Namespace, rates: dict[str, float]) -> dict[str, Any]:
     """One size of world: medians over the steps timed, and means of the counts."""
+    with PeakMemory(arguments.device) as memory:
+        row = run(robots, arguments, rates)
+    return row | {"peak_bytes_a_robot": timing.rounded(memory.bytes / robots)}
+
+
+def run(robots: int, arguments: argparse.Namespace, rates: dict[str, float]) -> dict[str, Any]:
+    """`measure` without the memory."""
     device = arguments.device
     if arguments.checkpoint:
         world = MixedWorld.from_checkpoint(sim.load_checkpoint(arguments.checkpoint), device)
@@ -81,17 +89,12 @@ def measure(robots: int, arguments: argparse.Namespace, rates: dict[str, float])
     spent: list[float] = []
     stages: dict[str, list[float]] = {}
     counts: dict[str, list[int]] = {}
-    peak_bytes = 0
     for index, state in enumerate(itertools.islice(world, arguments.warm_up + arguments.rounds)):
         motion = world.world.motion(state)
-        with PeakMemory(device) as memory:
-            duration, hits = timing.seconds(
-                lambda motion=motion: pgccd.detect(world.scene, motion, report="first"), device
-            )
+        duration, hits = timing.seconds(lambda motion=motion: pgccd.detect(world.scene, motion, report="first"), device)
         if index < arguments.warm_up:
             continue
         spent.append(duration)
-        peak_bytes = max(peak_bytes, memory.bytes)
         for stage, part in hits.stats.seconds.items():
             stages.setdefault(stage, []).append(part)
         for name in ("pcs", "node_tests", "candidates", "contacts", "unresolved"):
@@ -113,7 +116,6 @@ def measure(robots: int, arguments: argparse.Namespace, rates: dict[str, float])
         "unresolved": int(sum(counts["unresolved"])),
         "state_bytes_a_robot": state_bytes,
         "pose_bytes_a_robot": pose_bytes,
-        "peak_bytes_a_robot": timing.rounded(peak_bytes / robots),
         "floor_ms": {
             "bytes": timing.rounded(moved / rates["copy_bytes_a_second"] * 1e3),
             "operations": timing.rounded(operations / rates["operations_a_second"] * 1e3),

@@ -149,7 +149,6 @@ class MeshSet:
             if not isinstance(mesh, Mesh):
                 raise TypeError(f"meshes[{index}]: expected a pgccd.Mesh, got {type(mesh).__name__}")
         self.meshes = list(meshes)
-        self.device = torch.device(device)
         counts = torch.tensor(
             [[len(m.vertices), len(m.faces), len(m.edges), len(m._node_links)] for m in meshes], dtype=torch.int64
         )
@@ -162,6 +161,8 @@ class MeshSet:
         # Padded, so that eight neighbours can be loaded at the last triangle too.
         corners = torch.nn.functional.pad(torch.cat([m._corners for m in meshes], dim=1), (0, LEAF_SIZE))
         self.tensors = [tensor.contiguous().to(device) for tensor in (*joined, corners, self.offsets)]
+        #: As torch resolves it: "cuda" becomes "cuda:0".
+        self.device = self.tensors[0].device
 
     def __len__(self) -> int:
         return len(self.meshes)

@@ -20,14 +20,14 @@ from support.elementary import check, rounding, solve, truth
 
 KINDS = pytest.mark.parametrize("is_face", [True, False], ids=["vf", "ee"])
 ALL = pytest.mark.parametrize("generator", GENERATORS, ids=lambda g: g.__name__)
-# These make queries that touch along whole intervals or graze, where advancement may spend its budget.
-HARD = {"graze": 0.3, "coplanar": 0.3, "parallel": 0.3, "near_miss": 0.1, "shared_points": 0.1}
+# Share that may stay unresolved: where features touch over whole intervals or graze.
+HARD = {"graze": 0.4, "coplanar": 0.4, "near_miss": 0.6}
 
 
 def run(generator: Generator, is_face: bool, count: int, seed: int, device: torch.device) -> None:
     queries = generator(np.random.default_rng(seed), count, is_face)
     points = queries.points_t0, queries.points_t1
-    unresolved = HARD.get(generator.__name__, 0.02)
+    unresolved = HARD.get(generator.__name__, 0.03)
     for tolerance in (1e-6, 1e-12):
         contacts = check(*points, is_face, tolerance=tolerance, most_unresolved=unresolved, device=device)
         assert contacts >= (queries.truth == TOUCH).sum()
@@ -100,6 +100,20 @@ def test_any_numbers(is_face: bool, values: list[float]) -> None:
 
 
 @KINDS
+@pytest.mark.parametrize("name", ["near_miss", "coplanar", "graze"])
+def test_tight_tolerance_is_resolved(name: str, is_face: bool, device: torch.device) -> None:
+    """Features that pass one another a thousand tolerances apart are free, and a touch is called one."""
+    generator = next(g for g in GENERATORS if g.__name__ == name)
+    queries = generator(np.random.default_rng(1), 200, is_face)
+    both = np.concatenate([queries.points_t0, queries.points_t1], axis=1)
+    unit = 2.0 ** -np.ceil(np.log2(np.ptp(both, axis=1).max(axis=1)))[:, None, None]  # exact: all of about unit size
+    status = solve(queries.points_t0 * unit, queries.points_t1 * unit, is_face, tolerance=1e-12, device=device)[0]
+    assert (status == pgccd.UNRESOLVED).mean() <= 0.02
+
+
+@KINDS
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
+@pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
 @pytest.mark.parametrize("size", [1e-300, 1e-160, 1e-100, 1e-40, 1e40, 1e100, 1e150, 1e300])
 def test_extreme_sizes_are_never_missed(is_face: bool, size: float) -> None:
     rng = np.random.default_rng(5)

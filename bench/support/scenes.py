@@ -24,7 +24,7 @@ class MixedWorld:
         world = sim.World(sim.WorldConfig(robots=robots, pattern=pattern, seed=seed), device=device)
         self._set(world, world.start(), 0)
         for _ in range(steps_before):
-            self._advance()
+            self.advance()
 
     @classmethod
     def from_checkpoint(cls, checkpoint: sim.Checkpoint, device: torch.device | str = "cpu") -> MixedWorld:
@@ -40,7 +40,8 @@ class MixedWorld:
         self.scene = world.scene(state.id)
         self.steps_made = steps_made
 
-    def _advance(self) -> sim.Step:
+    def advance(self) -> sim.Step:
+        """Makes one step."""
         step = sim.make_step(self.world, self.scene, self.state, self.steps_made)
         self.state = step.after
         self.steps_made += 1
@@ -49,7 +50,7 @@ class MixedWorld:
     def __iter__(self) -> Iterator[sim.RobotState]:
         while True:
             yield self.world.plan(self.state, self.steps_made)
-            self._advance()
+            self.advance()
 
 
 @dataclass

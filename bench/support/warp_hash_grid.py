@@ -8,7 +8,7 @@ import warp as wp
 
 from support.scenes import MovingSpheres
 
-wp.config.quiet = True
+wp.config.log_level = wp.LOG_ERROR
 
 # Centres are float32 in the grid, and a little further out are asked for, so that none is lost.
 _SLACK = 1e-4

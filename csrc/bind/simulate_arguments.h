@@ -2,6 +2,7 @@
 #pragma once
 
 #include "bind/arguments.h"
+#include "kernels/simulate/robot.h"
 #include "kernels/simulate/world.h"
 
 namespace pgccd::bind {

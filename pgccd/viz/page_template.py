@@ -22,7 +22,7 @@ TEMPLATE = r"""<!DOCTYPE html>
   <h1>@TITLE@</h1>
   @FIGURES@
   <div id="controls">
-    <label>Time in the step: <span id="clock"></span><input id="time" type="range" min="0" max="1" step="0.001"></label>
+    <label>Time in the step: <span id="clock"></span><input id="time" type="range" min="0" max="1" step="any"></label>
     <button id="play">Play</button> <button id="next">Next collision</button> <button id="home">Whole world</button>
     <label><input id="alone" type="checkbox"> only robots that collide</label>
     <label><input id="on" type="checkbox"> let them go on instead of stopping</label>

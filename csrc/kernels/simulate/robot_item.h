@@ -2,19 +2,10 @@
 #pragma once
 
 #include "core/random.h"
-#include "core/rotation.h"
+#include "kernels/simulate/robot.h"
 #include "kernels/simulate/world.h"
 
 namespace pgccd {
-
-struct Robot {
-  Vec3<double> position;
-  Quaternion orientation;
-  Vec3<double> velocity;
-  Vec3<double> angular_velocity;
-  int64_t target;
-  int64_t stay_until;
-};
 
 namespace robot_detail {
 
@@ -113,12 +104,6 @@ PGCCD_HD double reflected(double position, double velocity, double reach) {
   return velocity;
 }
 
-PGCCD_HD void store_row(double* row, Vec3<double> v) {
-  row[0] = v.x;
-  row[1] = v.y;
-  row[2] = v.z;
-}
-
 }  // namespace robot_detail
 
 // Cells are dealt out so that the empty ones, if any, are spread over the lattice. Below 2^31 robots no product
@@ -177,27 +162,6 @@ PGCCD_HD void respond_robot(double fraction, Robot& robot) {
     robot.velocity = -robot.velocity;
     robot.angular_velocity = -robot.angular_velocity;
   }
-}
-
-PGCCD_HD Robot load_robot(const RobotColumns& robots, int64_t row) {
-  return {load_vec3(robots.position + 3 * row),
-          load_quaternion(robots.orientation + 4 * row),
-          load_vec3(robots.velocity + 3 * row),
-          load_vec3(robots.angular_velocity + 3 * row),
-          robots.target[row],
-          robots.stay_until[row]};
-}
-
-PGCCD_HD void store_robot(const RobotResults& results, int64_t row, const Robot& robot) {
-  if (results.position) robot_detail::store_row(results.position + 3 * row, robot.position);
-  if (results.orientation) {
-    results.orientation[4 * row] = robot.orientation.w;
-    robot_detail::store_row(results.orientation + 4 * row + 1, robot.orientation.v);
-  }
-  if (results.velocity) robot_detail::store_row(results.velocity + 3 * row, robot.velocity);
-  if (results.angular_velocity) robot_detail::store_row(results.angular_velocity + 3 * row, robot.angular_velocity);
-  if (results.target) results.target[row] = robot.target;
-  if (results.stay_until) results.stay_until[row] = robot.stay_until;
 }
 
 }  // namespace pgccd

@@ -1,4 +1,4 @@
-// The nanorobot world: its fixed numbers, and its robots as columns.
+// The nanorobot world: its fixed numbers.
 #pragma once
 
 #include <cstdint>
@@ -37,27 +37,5 @@ struct World {
 
 constexpr int64_t kNoTarget = -1;
 constexpr int64_t kNotStaying = -1;
-
-// Robots as columns; any subset of the world's robots in any order.
-struct RobotColumns {
-  const int64_t* id;
-  const double* position;          // (count, 3)
-  const double* orientation;       // (count, 4)
-  const double* velocity;          // (count, 3), length a step
-  const double* angular_velocity;  // (count, 3), radians a step, world frame
-  const int64_t* target;           // corner 0 .. 7, bit k set: upper end of axis k; or kNoTarget
-  const int64_t* stay_until;       // first step of the next journey, or kNotStaying
-  int64_t count;
-};
-
-// Where results go; the columns that an operation does not change stay null.
-struct RobotResults {
-  double* position = nullptr;
-  double* orientation = nullptr;
-  double* velocity = nullptr;
-  double* angular_velocity = nullptr;
-  int64_t* target = nullptr;
-  int64_t* stay_until = nullptr;
-};
 
 }  // namespace pgccd

@@ -1,0 +1,101 @@
+"""Pairs of bodies that come near each other, taken out of the standard world, each ready for the programs that test it."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import pgccd
+from support.scenes import MixedWorld
+
+
+@dataclass
+class Pairs:
+    """P pairs of bodies: columns (P, 2, ...), the robot mesh for all of them."""
+
+    mesh: pgccd.Mesh
+    position: Tensor  #: (P, 2, 3) float64 at t0, relative to the middle of the pair
+    orientation: Tensor  #: (P, 2, 4)
+    velocity: Tensor  #: (P, 2, 3) a step
+    spin: Tensor  #: (P, 2, 3) rotation vector of the step
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def __getitem__(self, rows: Tensor | slice) -> Pairs:
+        columns = (self.position, self.orientation, self.velocity, self.spin)
+        return Pairs(self.mesh, *(column[rows] for column in columns))
+
+    def motion(self, path: str) -> pgccd.RigidMotion:
+        """Bodies 2 p and 2 p + 1 are pair p."""
+        columns = (self.position, self.orientation, self.velocity, self.spin)
+        return pgccd.RigidMotion.from_velocity(*(column.flatten(0, 1) for column in columns), dt=1.0, path=path)
+
+    def scene(self) -> pgccd.Scene:
+        """Every pair is in a world of its own."""
+        count = len(self)
+        return pgccd.Scene(
+            [self.mesh],
+            torch.zeros(2 * count, dtype=torch.int32),
+            world=torch.arange(count).repeat_interleave(2),
+        )
+
+    def vertices(self) -> tuple[np.ndarray, np.ndarray]:
+        """(P, 2, V, 3) positions of all vertices at t0 and at t1."""
+        start = rotate(self.orientation, self.mesh.vertices) + self.position[:, :, None]
+        end = rotate(self.orientation_t1(), self.mesh.vertices) + (self.position + self.velocity)[:, :, None]
+        return start.numpy(), end.numpy()
+
+    def orientation_t1(self) -> Tensor:
+        """(P, 2, 4) unit quaternions."""
+        angle = torch.linalg.vector_norm(self.spin, dim=-1, keepdim=True)
+        turn = torch.cat([torch.cos(0.5 * angle), 0.5 * torch.sinc(0.5 * angle / torch.pi) * self.spin], dim=-1)
+        after = _product(turn, self.orientation)
+        return after / torch.linalg.vector_norm(after, dim=-1, keepdim=True)
+
+
+def collect(free: int, colliding: int, seed: int, robots: int = 4000) -> Pairs:
+    """So many pairs of the PCS (spheres that meet) of which the meshes stay apart, then so many that collide.
+
+    They come from successive steps of a world in full swing, at most a quarter of what is wanted from one step.
+    """
+    parts: dict[bool, list[Pairs]] = {False: [], True: []}
+    wanted = {False: free, True: colliding}
+    world = MixedWorld(robots, 40, seed=seed)
+    random = torch.Generator().manual_seed(seed)
+    for state in itertools.islice(world, 10_000):
+        motion = world.world.motion(state)
+        hits = pgccd.detect(world.scene, motion, report="any")
+        met = pgccd.broad.sweep(pgccd.MovingBodies(world.scene, motion))
+        keys = (met[:, 0] * robots + met[:, 1]).numpy()
+        hit = torch.from_numpy(np.isin(keys, (hits.pairs[:, 0] * robots + hits.pairs[:, 1]).numpy()))
+        for collides, part in parts.items():
+            missing = wanted[collides] - sum(map(len, part))
+            rows = met[hit == collides]
+            take = rows[torch.randperm(len(rows), generator=random)[: min(missing, -(-wanted[collides] // 4))]]
+            position = state.position[take]
+            middle = position.mean(dim=1, keepdim=True)
+            columns = (state.orientation[take], state.velocity[take], state.angular_velocity[take])
+            part.append(Pairs(world.world.meshes.meshes[0], position - middle, *columns))
+        if all(sum(map(len, part)) == wanted[collides] for collides, part in parts.items()):
+            break
+    every = parts[False] + parts[True]
+    names = ("position", "orientation", "velocity", "spin")
+    return Pairs(every[0].mesh, *(torch.cat([getattr(part, name) for part in every]) for name in names))
+
+
+def rotate(quaternion: Tensor, points: Tensor) -> Tensor:
+    """Points (V, 3) turned by each quaternion (..., 4): (..., V, 3)."""
+    w, axis = quaternion[..., None, :1], quaternion[..., None, 1:]
+    axis = axis.expand(*axis.shape[:-2], len(points), 3)
+    twice = 2.0 * torch.linalg.cross(axis, points.expand_as(axis))
+    return points + w * twice + torch.linalg.cross(axis, twice)
+
+
+def _product(p: Tensor, q: Tensor) -> Tensor:
+    pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
+    return torch.cat([pw * qw - (pv * qv).sum(-1, keepdim=True), pw * qv + qw * pv + torch.linalg.cross(pv, qv)], dim=-1)

@@ -1,0 +1,57 @@
+"""Hashes: what they depend on and what not."""
+
+from __future__ import annotations
+
+import torch
+
+from pgccd.sim import World, WorldConfig, contacts_hash, state_hash
+from pgccd.sim.world import RobotState
+
+PAIRS = torch.tensor([[0, 5], [1, 2**40], [3, 4]])
+TOI = torch.tensor([0.5, 0.25, 1.0], dtype=torch.float64)
+
+
+def splitmix(x: int) -> int:
+    """SplitMix64 in Python's integers."""
+    x = (x + 0x9E3779B97F4A7C15) % 2**64
+    x = (x ^ x >> 30) * 0xBF58476D1CE4E5B9 % 2**64
+    x = (x ^ x >> 27) * 0x94D049BB133111EB % 2**64
+    return x ^ x >> 31
+
+
+def test_is_the_sum_of_mixed_rows() -> None:
+    total = 0
+    for (i, j), bits in zip(PAIRS.tolist(), TOI.view(torch.int64).tolist(), strict=True):
+        total += splitmix(splitmix(splitmix(i) ^ j) ^ bits)
+    assert contacts_hash(PAIRS, TOI) == total % 2**64
+    assert splitmix(0) == 0xE220A8397B1DCDAF  # the published first output for seed 0
+
+
+def test_does_not_depend_on_any_order_and_adds_up() -> None:
+    whole = contacts_hash(PAIRS, TOI)
+    order = torch.tensor([2, 0, 1])
+    assert contacts_hash(PAIRS[order], TOI[order]) == whole
+    assert contacts_hash(PAIRS.flip(1), TOI) == whole
+    assert (contacts_hash(PAIRS[:1], TOI[:1]) + contacts_hash(PAIRS[1:], TOI[1:])) % 2**64 == whole
+    assert contacts_hash(PAIRS[:0], TOI[:0]) == 0
+
+
+def test_sees_every_bit_and_every_pairing() -> None:
+    whole = contacts_hash(PAIRS, TOI)
+    for row in range(3):
+        nudged = TOI.clone()
+        nudged[row] = torch.nextafter(nudged[row], torch.tensor(2.0, dtype=torch.float64))
+        assert contacts_hash(PAIRS, nudged) != whole
+    assert contacts_hash(PAIRS, TOI[[1, 0, 2]]) != whole
+    assert contacts_hash(torch.tensor([[0, 4], [1, 2**40], [3, 5]]), TOI) != whole
+
+
+def test_state_hash_sees_pose_and_velocity_but_not_order() -> None:
+    state = World(WorldConfig(robots=50)).start()
+    whole = state_hash(state)
+    shuffled = RobotState(**{name: column.flip(0) for name, column in state.columns.items()})
+    assert state_hash(shuffled) == whole
+    for name in ("id", "position", "orientation", "velocity", "angular_velocity"):
+        changed = state.columns[name].clone()
+        changed[7] = changed[7] + 1
+        assert state_hash(RobotState(**(state.columns | {name: changed}))) != whole

@@ -1,0 +1,153 @@
+"""What robots do about collisions: they stop, turn round, and never overlap."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import pgccd
+from pgccd.sim import World, WorldConfig, first_collisions, make_step, respond, settle
+from pgccd.sim.world import RobotState
+
+
+def test_first_collisions_takes_the_smallest_of_each_body() -> None:
+    pairs = torch.tensor([[0, 2], [2, 3], [0, 3]])
+    toi = torch.tensor([0.5, 0.25, 0.75], dtype=torch.float64)
+    assert first_collisions(pairs, toi, 5).tolist() == [0.5, torch.inf, 0.25, 0.25, torch.inf]
+    assert first_collisions(pairs[:0], toi[:0], 2).tolist() == [torch.inf, torch.inf]
+
+
+def two_robots(distance: float) -> tuple[World, RobotState]:
+    """Two robots that fly at each other along x."""
+    world = World(WorldConfig(robots=2, speed=0.01))
+    state = world.start()
+    state.position = torch.tensor([[0.0, 0.0, 0.0], [distance, 0.0, 0.0]], dtype=torch.float64)
+    state.orientation = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64)
+    state.velocity = torch.tensor([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], dtype=torch.float64)
+    state.angular_velocity = torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
+    return world, state
+
+
+def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
+    world, state = two_robots(3.0)
+    scene = world.scene(state.id)
+    hits = pgccd.detect(scene, world.motion(state), nonzero_toi=True)
+    assert len(hits) == 1 and hits.toi is not None and 0.0 < hits.toi[0] < 1.0
+
+    def find(changed: torch.Tensor, fraction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        found = pgccd.detect(world.scene(state.id, changed), world.motion(state, fraction), nonzero_toi=True)
+        assert found.toi is not None
+        return found.pairs, found.toi
+
+    settled = settle(hits.pairs, hits.toi, 2, find)
+    assert settled.fraction.tolist() == [0.99 * float(hits.toi[0])] * 2
+    assert (settled.rounds, settled.secondary_contacts) == (1, 0)
+    after = respond(state, settled.fraction)
+    assert torch.equal(after.velocity, -state.velocity)
+    assert torch.equal(after.angular_velocity, -state.angular_velocity)
+    assert torch.equal(after.position, state.position + settled.fraction[:, None] * state.velocity)
+    angle = 0.1 * float(settled.fraction[0])
+    assert after.orientation[0].tolist() == pytest.approx([np.cos(angle / 2), np.sin(angle / 2), 0.0, 0.0], abs=1e-15)
+    # On the way back they are free.
+    assert len(pgccd.detect(scene, world.motion(after), nonzero_toi=True)) == 0
+
+
+def test_a_robot_stops_for_one_that_stopped_in_its_way() -> None:
+    asked = []
+
+    def find(changed: torch.Tensor, fraction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        asked.append((changed.tolist(), fraction.tolist()))
+        if len(asked) == 1:  # 2 runs into 1, which no longer makes way
+            return torch.tensor([[1, 2]]), torch.tensor([0.5], dtype=torch.float64)
+        return torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
+
+    settled = settle(torch.tensor([[0, 1]]), torch.tensor([0.4], dtype=torch.float64), 4, find)
+    assert [changed for changed, _ in asked] == [[True, True, False, False], [False, True, True, False]]
+    assert settled.fraction.tolist() == pytest.approx([0.99 * 0.4, 0.99 * 0.4 * 0.99 * 0.5, 0.99 * 0.5, 1.0])
+    assert settled.stopped.tolist() == [True, True, True, False]
+    assert (settled.rounds, settled.secondary_contacts) == (2, 1)
+
+
+def test_settling_ends_even_where_contacts_never_cease() -> None:
+    def find(changed: torch.Tensor, fraction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.9], dtype=torch.float64)
+
+    settled = settle(*find(torch.ones(0), torch.ones(0)), 4, find)
+    assert settled.fraction.tolist() == [0.0, 0.0, 0.0, 1.0]
+    assert settled.rounds < 10
+
+
+def test_robots_that_could_hardly_move_stay() -> None:
+    nobody = torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
+    touching = torch.tensor([1e-3, 0.5], dtype=torch.float64)
+    settled = settle(torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *_: nobody)
+    assert settled.fraction.tolist() == [0.0, 0.0, 0.99 * 0.5, 0.99 * 0.5]
+
+
+def pierces(edges: np.ndarray, triangles: np.ndarray) -> bool:
+    """Does any segment (E, 2, 3) cross any triangle (T, 3, 3)? By the signs of volumes, all against all."""
+
+    def volume(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+        return np.einsum("...k,...k->...", np.cross(b - a, c - a), d - a)
+
+    p, q = (edges[:, None, end] for end in range(2))
+    a, b, c = (triangles[None, :, corner] for corner in range(3))
+    apart = volume(a, b, c, p) * volume(a, b, c, q) > 0
+    sides = [volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)]
+    around = (np.sign(sides[0]) == np.sign(sides[1])) & (np.sign(sides[1]) == np.sign(sides[2]))
+    return bool((~apart & around).any())
+
+
+def overlapping_pairs(world: World, state: RobotState) -> list[tuple[int, int]]:
+    """Pairs whose surfaces cross, by brute force in numpy, from the poses alone."""
+    from pgccd.viz.raster import rotation_matrices
+
+    mesh = world.meshes.meshes[0]
+    rotation = rotation_matrices(state.orientation.numpy())
+    vertices = np.einsum("bij,vj->bvi", rotation, mesh.vertices.numpy()) + state.position.numpy()[:, None]
+    faces, edges = mesh.faces.numpy(), mesh.edges.numpy()
+    found = []
+    distance = torch.cdist(state.position, state.position).numpy()
+    for i, j in zip(*np.nonzero(np.triu(distance < 2.0 * world.radius, 1)), strict=True):
+        low = np.maximum(vertices[i].min(axis=0), vertices[j].min(axis=0))
+        high = np.minimum(vertices[i].max(axis=0), vertices[j].max(axis=0))
+
+        def inside(points: np.ndarray, low: np.ndarray = low, high: np.ndarray = high) -> np.ndarray:
+            return points[((points.max(axis=1) >= low) & (points.min(axis=1) <= high)).all(axis=1)]
+
+        for a, b in ((i, j), (j, i)):
+            if pierces(inside(vertices[a][edges]), inside(vertices[b][faces])):
+                found.append((int(i), int(j)))
+                break
+    return found
+
+
+@pytest.mark.parametrize("pattern", ["random", "skewed"])
+def test_robots_never_overlap(pattern: str) -> None:
+    # Fast robots in a small world, so that much happens in few steps.
+    world = World(WorldConfig(robots=64, pattern=pattern, speed=0.25, spin=0.5, seed=3))
+    scene, state, contacts = world.scene(world.start().id), world.start(), 0
+    for index in range(60):
+        step = make_step(world, scene, state, index)
+        state = step.after
+        contacts += step.record["contacts"]
+        assert step.record["touching_at_t0"] == 0
+    assert contacts > 100
+    assert overlapping_pairs(world, state) == []
+    # The check itself sees overlap where there is some.
+    state.position[1] = state.position[0] + torch.tensor([0.5, 0.1, 0.0], dtype=torch.float64)
+    assert (0, 1) in overlapping_pairs(world, state)
+
+
+def test_collisions_do_not_pile_up() -> None:
+    world = World(WorldConfig(robots=125, speed=0.25))
+    scene, state = world.scene(world.start().id), world.start()
+    stopped = []
+    for index in range(160):
+        step = make_step(world, scene, state, index)
+        state = step.after
+        stopped.append(step.record["stopped"])
+    early, late = np.mean(stopped[40:100]), np.mean(stopped[100:])
+    assert early > 5
+    assert late < 1.35 * early

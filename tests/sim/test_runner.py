@@ -1,0 +1,143 @@
+"""Runs: log, checkpoints, resuming, interruption."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import pgccd
+from pgccd import sim
+from pgccd.sim.files import CHECKPOINT_FILE, LOG_FILE, WORLD_FILE
+
+CONFIG = sim.WorldConfig(robots=200, pattern="skewed", seed=11, speed=0.2)
+FIELDS = {"step", "robots", "pcs", "contacts", "contacts_hash", "state_hash", "seconds", "stage_seconds", "candidates"}
+FIELDS |= {"unresolved", "touching_at_t0", "stopped", "secondary_contacts", "settle_rounds"}
+
+
+def log(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / LOG_FILE).read_text().splitlines()]
+
+
+def without_times(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{name: value for name, value in record.items() if "seconds" not in name} for record in records]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, sim.Run]:
+    folder = tmp_path_factory.mktemp("run") / "new" / "folder"
+    return folder, sim.run(CONFIG, 24, folder)
+
+
+def test_log_has_one_whole_line_a_step(finished: tuple[Path, sim.Run]) -> None:
+    folder, run = finished
+    records = log(folder)
+    assert records == run.records
+    assert [record["step"] for record in records] == list(range(24))
+    assert all(set(record) == FIELDS for record in records)
+    assert all(record["robots"] == 200 and len(record["state_hash"]) == 16 for record in records)
+    assert sum(record["contacts"] for record in records) > 20
+    assert records[-1]["state_hash"] == f"{sim.state_hash(run.state):016x}"
+    assert json.loads((folder / WORLD_FILE).read_text())["pattern"] == "skewed"
+
+
+def test_ids_are_kept(finished: tuple[Path, sim.Run]) -> None:
+    assert torch.equal(finished[1].state.id, torch.arange(200))
+
+
+def test_same_seed_same_run_other_seed_other_run(finished: tuple[Path, sim.Run], tmp_path: Path) -> None:
+    again = sim.run(CONFIG, 24, tmp_path / "a")
+    assert without_times(again.records) == without_times(finished[1].records)
+    other = sim.run(sim.WorldConfig(robots=200, pattern="skewed", seed=12, speed=0.2), 2, tmp_path / "b")
+    assert other.records[0]["state_hash"] != again.records[0]["state_hash"]
+
+
+def test_resumed_run_equals_an_uninterrupted_one(finished: tuple[Path, sim.Run], tmp_path: Path) -> None:
+    sim.run(CONFIG, 9, tmp_path)
+    with open(tmp_path / LOG_FILE, "a") as file:  # a step after the checkpoint, and a torn line
+        file.write('{"step": 9}\n{"step": 1')
+    resumed = sim.resume(tmp_path, 24)
+    assert without_times(log(tmp_path)) == without_times(log(finished[0]))
+    for name, column in resumed.state.columns.items():
+        assert torch.equal(column, finished[1].state.columns[name])
+
+
+class StopAfter:
+    """Sends this process a Ctrl-C after a number of steps."""
+
+    def __init__(self, steps: int) -> None:
+        self.left = steps
+
+    def advance(self, record: dict[str, Any]) -> None:
+        self.left -= 1
+        if self.left == 0:
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_ctrl_c_leaves_a_checkpoint_that_continues(finished: tuple[Path, sim.Run], tmp_path: Path) -> None:
+    handler = signal.getsignal(signal.SIGINT)
+    run = sim.run(CONFIG, 24, tmp_path, progress=StopAfter(5))
+    assert run.interrupted and run.steps_made == 5 and len(log(tmp_path)) == 5
+    assert signal.getsignal(signal.SIGINT) is handler
+    resumed = sim.resume(tmp_path)
+    assert not resumed.interrupted and resumed.steps_made == 24
+    assert without_times(log(tmp_path)) == without_times(log(finished[0]))
+
+
+class CrashError(Exception):
+    pass
+
+
+def test_checkpoints_are_written_on_the_way(finished: tuple[Path, sim.Run], tmp_path: Path) -> None:
+    class CrashAfter:
+        def advance(self, record: dict[str, Any]) -> None:
+            if record["step"] == 12:
+                raise CrashError
+
+    with pytest.raises(CrashError):
+        sim.run(CONFIG, 24, tmp_path, checkpoint_every=5, progress=CrashAfter())
+    assert sim.load_checkpoint(tmp_path).steps_made == 10
+    assert len(log(tmp_path)) == 13
+    sim.resume(tmp_path)
+    assert without_times(log(tmp_path)) == without_times(log(finished[0]))
+
+
+def test_a_new_run_forgets_the_checkpoint_of_an_earlier_one(tmp_path: Path) -> None:
+    sim.run(CONFIG, 2, tmp_path)
+
+    class CrashAtOnce:
+        def advance(self, record: dict[str, Any]) -> None:
+            raise CrashError
+
+    with pytest.raises(CrashError):
+        sim.run(CONFIG, 2, tmp_path, progress=CrashAtOnce())
+    with pytest.raises(FileNotFoundError, match="no checkpoint"):
+        sim.resume(tmp_path)
+
+
+def test_what_cannot_be_resumed_says_why(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no checkpoint"):
+        sim.resume(tmp_path)
+    sim.run(CONFIG, 3, tmp_path)
+    with pytest.raises(ValueError, match="^steps: .* has made 3 already"):
+        sim.resume(tmp_path, 2)
+    robot = sim.robot_mesh()
+    with pytest.raises(ValueError, match="^meshes: "):
+        sim.resume(tmp_path, 4, meshes=[pgccd.Mesh(robot.vertices * 1.5, robot.faces)])
+    (tmp_path / LOG_FILE).write_text("")
+    with pytest.raises(ValueError, match="holds 0 steps"):
+        sim.resume(tmp_path, 4)
+    (tmp_path / CHECKPOINT_FILE).write_bytes(b"not a checkpoint")
+    with pytest.raises(ValueError, match="not a checkpoint"):
+        sim.resume(tmp_path, 4)
+
+
+def test_a_run_of_no_steps_is_a_run(tmp_path: Path) -> None:
+    run = sim.run(CONFIG, 0, tmp_path)
+    assert run.records == [] and run.last_step is None and not run.interrupted
+    assert sim.load_checkpoint(tmp_path).steps_made == 0

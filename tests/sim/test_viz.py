@@ -1,0 +1,89 @@
+"""Pictures: that they show something, and the right thing."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pgccd import sim, viz
+from pgccd.viz.raster import Camera, Canvas
+
+
+@pytest.fixture(scope="module")
+def snapshot() -> viz.Snapshot:
+    world = sim.World(sim.WorldConfig(robots=150, speed=0.25))
+    state = world.start()
+    scene = world.scene(state.id)
+    for index in range(12):
+        step = sim.make_step(world, scene, state, index)
+        state = step.after
+    return viz.Snapshot.of_step(world, step, ["A <title>", "figures"])
+
+
+def test_canvas_draws_the_nearer_of_two_triangles_where_it_is() -> None:
+    camera = Camera(np.array([0.0, 0.0, 10.0]), np.zeros(3), 4.0, (80, 80), up=(0.0, 1.0, 0.0))
+    square = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    for scale in (1.0, 0.5):  # large triangles are filled, small ones splatted
+        canvas = Canvas(camera, (0.0, 0.0, 0.0), (5.0, 15.0))
+        canvas.draw(scale * square + [0.0, 0.0, 1.0], faces, np.tile([1.0, 0.0, 0.0], (2, 1)))
+        canvas.draw(scale * square, faces, np.tile([0.0, 1.0, 0.0], (2, 1)))  # behind
+        canvas.draw(
+            scale * square + [0.0, 0.0, 2.0], faces[:, ::-1], np.tile([0.0, 0.0, 1.0], (2, 1))
+        )  # seen from behind
+        image = canvas.image()
+        assert image[40, 40, 0] > 0.3 and image[40, 40, 1:].max() == 0.0
+        assert image[2, 2].max() == 0.0
+        side = 80 * 2 * scale / 4.0 * 10.0 / 9.0
+        assert (image[..., 0] > 0).sum() == pytest.approx(side**2, rel=0.12)
+
+
+def test_impact_closes_its_gap_at_the_time_of_impact(snapshot: viz.Snapshot) -> None:
+    impact = snapshot.impact
+    assert impact is not None
+    assert abs(np.interp(impact.toi, impact.times, impact.gap)) < 1e-3
+    assert impact.gap[0] > 1e-3
+    assert (impact.gap[impact.times < impact.toi - 0.01] > 0).all()
+    assert np.linalg.norm(impact.normal) == pytest.approx(1.0)
+
+
+def test_picture_is_written_and_shows_the_colliding_robots(snapshot: viz.Snapshot, tmp_path: Path) -> None:
+    image_module = pytest.importorskip("matplotlib.image")
+    path = viz.world_picture(tmp_path / "world.png", snapshot)
+    image = image_module.imread(path)[..., :3]
+    assert image.shape[0] > 1000 and image.shape[1] > 1000
+    orange = (image[..., 0] > 0.5) & (image[..., 0] > 1.8 * image[..., 2])
+    grey_blue = (image[..., 2] > 1.1 * image[..., 0]) & (image[..., 2] > 0.3)
+    assert orange.mean() > 0.005
+    assert grey_blue.mean() > 0.02
+
+
+def test_page_is_self_contained_and_holds_all_robots(snapshot: viz.Snapshot, tmp_path: Path) -> None:
+    path = viz.world_page(tmp_path / "world.html", snapshot)
+    page = path.read_text()
+    assert path.stat().st_size < 5e6
+    assert "A &lt;title&gt;" in page and "@" not in re.sub(r"@media|@keyframes", "", page.split("<script")[0])
+    assert not re.search(r"(src|href)\s*=|https?://|@import", page)
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert found
+    data = json.loads(found[1])
+    bodies = np.frombuffer(base64.b64decode(data["kinds"][0]["bodies"]), dtype=np.float32).reshape(-1, 15)
+    assert len(bodies) == data["robots"] == 150
+    colliding = int(snapshot.colliding.sum())
+    assert data["kinds"][0]["colliding"] == colliding > 0
+    assert (bodies[:colliding, 14] == 1).all() and (bodies[colliding:, 14] == 0).all()
+    assert snapshot.motion is not None
+    assert np.allclose(np.sort(bodies[:, 0]), np.sort(snapshot.motion.position[:, 0]), atol=1e-5)
+
+
+def test_a_world_between_steps_has_pictures_too(tmp_path: Path) -> None:
+    world = sim.World(sim.WorldConfig(robots=3))
+    still = viz.Snapshot.of_state(world, world.start())
+    assert viz.world_page(tmp_path / "world.html", still).stat().st_size > 10_000
+    pytest.importorskip("matplotlib")
+    assert viz.world_picture(tmp_path / "world.png", still).stat().st_size > 10_000

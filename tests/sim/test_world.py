@@ -1,0 +1,161 @@
+"""Start, movement and boundaries of worlds."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import pgccd
+from pgccd import ops
+from pgccd.sim import RobotState, World, WorldConfig, make_step, robot_mesh
+from pgccd.sim.world import lattice_cells
+
+
+def drift(world: World, steps: int) -> list[RobotState]:
+    """The planned states of a world in which nobody minds collisions."""
+    state, seen = world.start(), []
+    for step in range(steps):
+        state = world.plan(state, step)
+        seen.append(state)
+        position, orientation, _, _ = ops.simulate_respond(
+            list(state.columns.values()), torch.ones(len(state)).double()
+        )
+        state = RobotState(**(state.columns | {"position": position, "orientation": orientation}))
+    return seen
+
+
+@pytest.mark.parametrize("robots", [1, 2, 7, 8, 9, 1000, 1729])
+@pytest.mark.parametrize("pattern", ["random", "skewed"])
+def test_no_volumes_overlap_at_the_start(robots: int, pattern: str) -> None:
+    world = World(WorldConfig(robots=robots, pattern=pattern, seed=robots))
+    state = world.start()
+    distance = torch.cdist(state.position, state.position) + torch.eye(robots) * 9.0
+    assert distance.min() > 2.0 * world.radius
+    assert (state.position.abs() + world.radius < torch.tensor(world.half_extent)).all()
+    assert torch.allclose(state.orientation.norm(dim=1), torch.ones(robots, dtype=torch.float64), atol=1e-15)
+
+
+def test_sbvs_fill_a_quarter_of_the_box() -> None:
+    assert World(WorldConfig(robots=8000)).describe()["sbv_volume_fraction"] == pytest.approx(0.25, abs=0.001)
+
+
+@pytest.mark.parametrize("robots", [1, 5, 63, 64, 65, 10_000, 123_456, 10_000_000])
+def test_lattices_are_near_cubic_and_large_enough(robots: int) -> None:
+    cells = lattice_cells(robots)
+    assert math.prod(cells) >= robots
+    assert (cells[2] - 1) * cells[0] * cells[1] < robots
+    assert max(cells) - min(cells) <= 2 or min(cells) > 0.9 * max(cells)
+
+
+def test_a_part_of_the_robots_starts_as_in_the_whole() -> None:
+    world = World(WorldConfig(robots=1000, pattern="skewed"))
+    some = torch.tensor([0, 3, 501, 999])
+    whole, part = world.start(), world.start(some)
+    for name, column in part.columns.items():
+        assert torch.equal(column, whole.columns[name][some])
+
+
+@pytest.mark.parametrize("pattern", ["random", "skewed"])
+def test_steps_are_as_long_as_promised_and_end_inside(pattern: str) -> None:
+    world = World(WorldConfig(robots=500, pattern=pattern))
+    reach = torch.tensor(world.half_extent) - world.radius
+    lengths = []
+    for state in drift(world, 120):
+        assert ((state.position + state.velocity).abs() <= reach).all()
+        lengths.append(state.velocity.norm(dim=1))
+        assert state.angular_velocity.norm(dim=1).max() <= 0.1 + 1e-12
+    moving = torch.cat(lengths) / world.radius
+    assert moving.max() <= 0.15 + 1e-12
+    if pattern == "random":
+        assert moving.min() >= 0.05 - 1e-12
+        assert moving.mean() == pytest.approx(0.1, abs=0.002)
+
+
+def test_random_directions_are_uniform() -> None:
+    state = World(WorldConfig(robots=20_000)).start()
+    heading = state.velocity / state.velocity.norm(dim=1, keepdim=True)
+    assert heading.mean(dim=0).abs().max() < 0.02
+    assert (heading.T @ heading / len(state) - torch.eye(3) / 3).abs().max() < 0.02
+
+
+def test_skewed_robots_visit_corners_and_leave_again() -> None:
+    world = World(WorldConfig(robots=64, pattern="skewed", stay_steps=(10, 20)))
+    corner_distance, first_target, left = [], None, torch.zeros(64, dtype=torch.bool)
+    for state in drift(world, 400):
+        first_target = state.target if first_target is None else first_target
+        left |= state.target != first_target
+        corner = torch.stack([(state.target >> axis & 1) * 2 - 1 for axis in range(3)], dim=1)
+        aim = corner * (torch.tensor(world.half_extent) - world.radius)
+        staying = state.stay_until >= 0
+        corner_distance.append((aim - state.position).norm(dim=1)[staying])
+    assert first_target is not None and set(first_target.tolist()) == set(range(8))
+    assert left.float().mean() > 0.9
+    assert torch.cat(corner_distance).median() < 0.4 * min(world.half_extent)
+
+
+def test_kinds_are_dealt_out_in_turn() -> None:
+    big = robot_mesh()
+    small = pgccd.Mesh(0.5 * big.vertices, big.faces)
+    world = World(WorldConfig(robots=9), [small, big])
+    assert world.radius == big.radius
+    assert world.scene(world.start().id).mesh_index.tolist() == [0, 1] * 4 + [0]
+    expected = (5 * 0.125 + 4) / 9 * World(WorldConfig(robots=9)).describe()["sbv_volume_fraction"]
+    assert world.describe()["sbv_volume_fraction"] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"robots": 0}, "robots"),
+        ({"robots": 2**31}, "robots"),
+        ({"pattern": "spiral"}, "pattern"),
+        ({"seed": 2**63}, "seed"),
+        ({"spacing": 2.0}, "spacing"),
+        ({"spacing": math.nan}, "spacing"),
+        ({"speed": -0.1}, "speed"),
+        ({"speed": 1.0, "robots": 1}, "speed"),
+        ({"spin": math.inf}, "spin"),
+        ({"course_steps": 0.5}, "course_steps"),
+        ({"stay_steps": (5, 4)}, "stay_steps"),
+    ],
+)
+def test_bad_configurations_name_the_field(wrong: dict, field: str) -> None:
+    with pytest.raises(ValueError, match=f"^{field}: "):
+        WorldConfig(**wrong)
+
+
+def test_operators_have_consistent_fake_kernels() -> None:
+    world = World(WorldConfig(robots=5, pattern="skewed"))
+    state = world.start()
+    columns = list(state.columns.values())
+    half = torch.full((5,), 0.5, dtype=torch.float64)
+    settings = (world._integers, world._scales)
+    torch.library.opcheck(torch.ops.pgccd.simulate_start, (state.id, *settings))
+    torch.library.opcheck(torch.ops.pgccd.simulate_plan, (columns, 3, *settings))
+    torch.library.opcheck(torch.ops.pgccd.simulate_respond, (columns, half))
+    torch.library.opcheck(torch.ops.pgccd.random_uniforms, (state.id, 1, 2, 3))
+
+
+def test_results_do_not_depend_on_the_number_of_threads() -> None:
+    world = World(WorldConfig(robots=300, seed=5))
+    scene = world.scene(world.start().id)
+
+    def hashes() -> list[tuple[str, str]]:
+        state, found = world.start(), []
+        for index in range(12):
+            step = make_step(world, scene, state, index)
+            state = step.after
+            found.append((step.record["contacts_hash"], step.record["state_hash"]))
+        return found
+
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        alone = hashes()
+        torch.set_num_threads(4)
+        assert hashes() == alone
+    finally:
+        torch.set_num_threads(before)
+    assert len({contacts for contacts, _ in alone}) > 6  # there was something to find

@@ -1,0 +1,158 @@
+"""The command line: results, and one clear line for every mistake."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pgccd.cli import main
+from pgccd.sim import robot_mesh
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+@pytest.fixture
+def meshes(tmp_path: Path) -> list[str]:
+    pytest.importorskip("trimesh")
+    names = []
+    for name in ("a.obj", "b.obj"):
+        (tmp_path / name).write_text(TETRAHEDRON)
+        names.append(str(tmp_path / name))
+    return names
+
+
+@pytest.fixture
+def poses(tmp_path: Path) -> str:
+    """Two bodies that fly at each other along x, from 4 apart."""
+    start = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    turn = np.array([[1.0, 0.0, 0.0, 0.0]] * 2)
+    path = tmp_path / "poses.npz"
+    np.savez(path, position_t0=start, orientation_t0=turn, position_t1=start[::-1], orientation_t1=turn)
+    return str(path)
+
+
+def test_simulate_ends_with_its_figures_and_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "run"
+    arguments = ["simulate", "--robots", "60", "--steps", "4", "--world", "skewed", "--seed", "3", "--out", str(folder)]
+    assert main(arguments) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    found = re.fullmatch(
+        r"robots=60 steps=4 pcs=(\d+) contacts=(\d+) seconds_per_step=\d+\.\d+ page=(\S+) picture=(\S+)", last
+    )
+    assert found
+    records = [json.loads(line) for line in (folder / "steps.jsonl").read_text().splitlines()]
+    assert int(found[1]) == sum(record["pcs"] for record in records)
+    assert int(found[2]) == sum(record["contacts"] for record in records)
+    assert all(Path(name).stat().st_size > 10_000 for name in found.groups()[2:])
+
+
+def test_simulate_resumes_with_mixed_meshes(
+    tmp_path: Path, meshes: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = robot_mesh()
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in robot.vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (robot.faces + 1).tolist()]
+    (tmp_path / "robot.obj").write_text("\n".join(lines))
+    world = ["--robots", "40", "--mesh", meshes[0], str(tmp_path / "robot.obj"), "--no-pictures"]
+    assert main(["simulate", *world, "--steps", "6", "--out", str(tmp_path / "whole")]) == 0
+    assert main(["simulate", *world, "--steps", "2", "--out", str(tmp_path / "part")]) == 0
+    assert main(["simulate", "--resume", str(tmp_path / "part"), "--steps", "6", "--no-pictures"]) == 0
+    assert "page=" not in capsys.readouterr().out
+    hashes = [
+        [json.loads(line)["state_hash"] for line in (tmp_path / name / "steps.jsonl").read_text().splitlines()]
+        for name in ("whole", "part")
+    ]
+    assert hashes[0] == hashes[1] and len(hashes[0]) == 6
+
+
+def test_detect_prints_the_contact(meshes: list[str], poses: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["detect", *meshes, "--motion", poses]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2 and lines[0].startswith("pair=0,1  toi=0.37") and "contacts=1" in lines[1]
+
+
+def test_detect_as_json_and_by_scene_and_velocity(
+    tmp_path: Path, meshes: list[str], poses: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["detect", *meshes, "--motion", poses, "--json", "--report", "all"]) == 0
+    whole = json.loads(capsys.readouterr().out)
+    assert whole["stats"]["contacts"] == len(whole["contacts"]) >= 1
+    assert whole["contacts"][0]["status"] == "TOUCH"
+
+    start = np.load(poses)["position_t0"]
+    velocity = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0]])
+    moving = {"linear_velocity": velocity, "angular_velocity": 0.0 * velocity, "dt": 2.0}
+    np.savez(tmp_path / "v.npz", position_t0=start, orientation_t0=np.load(poses)["orientation_t0"], **moving)
+    scene = {"meshes": ["a.obj"], "mesh_index": [0, 0], "poses": "v.npz"}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    assert main(["detect", "--scene", str(tmp_path / "scene.json"), "--json", "--report", "all"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["contacts"] == whole["contacts"]
+
+    (tmp_path / "scene.json").write_text(json.dumps(scene | {"world": [0, 1]}))
+    assert main(["detect", "--scene", str(tmp_path / "scene.json"), "--report", "any"]) == 0
+    assert "contacts=0" in capsys.readouterr().out
+
+
+def test_info_names_version_and_kernels(meshes: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", meshes[0]]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^kernels for +cpu", out, re.MULTILINE)
+    assert "4 vertices, 4 faces, SBV centre (0.25, 0.25, 0.25)" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "command"),
+        (["fly"], "command"),
+        (["simulate", "--robots", "many"], "argument --robots"),
+        (["simulate", "--robots", "0"], "argument --robots"),
+        (["simulate", "--robots", "3000000000"], "argument --robots"),
+        (["simulate", "--steps", "-1"], "argument --steps"),
+        (["simulate", "--world", "flat"], "argument --world"),
+        (["simulate", "--seed", str(2**70)], "argument --seed"),
+        (["simulate", "--device", "abacus"], "argument --device"),
+        (["simulate", "--device", "cuda:63"], "argument --device"),
+        (["simulate", "--checkpoint-every", "-2"], "argument --checkpoint-every"),
+        (["simulate", "--mesh", "no.ply"], "argument --mesh: no mesh file at no.ply"),
+        (["simulate", "--resume", "nowhere"], "argument --resume: no checkpoint at nowhere"),
+        (["simulate", "--resume", "nowhere", "--robots", "5"], "argument --robots: not allowed with --resume"),
+        (["simulate", "--out", "file.txt/sub"], "argument --out"),
+        (["detect"], "argument MESH"),
+        (["detect", "A", "B"], "argument --motion"),
+        (["detect", "A", "B", "--motion", "poses.npz"], "argument MESH: no mesh file at A"),
+        (["detect", "a.obj", "b.obj", "--motion", "no.npz"], "argument --motion: no.npz cannot be read"),
+        (["detect", "a.obj", "b.obj", "--motion", "empty.npz"], "argument --motion: empty.npz has no 'position_t0'"),
+        (["detect", "a.obj", "--motion", "poses.npz"], "argument --motion: motion: has 2 bodies, the scene 1"),
+        (["detect", "a.obj", "b.obj", "--motion", "poses.npz", "--min-separation", "-1"], "argument --min-separation"),
+        (["detect", "a.obj", "b.obj", "--motion", "poses.npz", "--tolerance", "nan"], "argument --tolerance"),
+        (["detect", "--scene", "no.json"], "argument --scene: no.json cannot be read"),
+        (["detect", "--scene", "file.txt"], "argument --scene: file.txt cannot be read"),
+        (["detect", "a.obj", "--scene", "no.json"], "argument --scene: takes the place"),
+        (["info", "no.ply"], "argument MESH: no mesh file at no.ply"),
+    ],
+)
+def test_mistakes_get_one_line_and_code_2(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    meshes: list[str],
+    poses: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file.txt").write_text("text")
+    np.savez(tmp_path / "empty.npz")
+    try:
+        code = main(arguments)
+    except SystemExit as exit_:
+        code = exit_.code
+    assert code == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error and "\n" not in error and "Traceback" not in error
