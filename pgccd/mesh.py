@@ -70,7 +70,7 @@ class Mesh:
         in_leaf_order = self.faces[self._triangles[:, 6].long()].long()
         # Corner coordinates as nine columns.
         self._corners = self.vertices.float()[in_leaf_order].view(-1, 9).T.contiguous()
-        self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 4, 8)
+        self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 9, 8)
         self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 2)
 
     @classmethod

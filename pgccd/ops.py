@@ -29,7 +29,7 @@ def refit(
     block_begin: Tensor,
     block_count: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Centres at t0 and t1 (N, 3), radius (N,), and node blocks (Y, 4, 8) at t0 and t1 of deforming bodies."""
+    """Centres at t0 and t1 (N, 3), radius (N,), and node blocks (Y, 9, 8) at t0 and t1 of deforming bodies."""
     return _ops.refit(list(mesh_set), mesh_index, vertices_t0, vertices_t1, vertex_begin, block_begin, block_count)
 
 
@@ -145,7 +145,7 @@ def _(
 ) -> tuple[Tensor, ...]:
     bodies = mesh_index.shape[0]
     centres = [vertices_t0.new_empty((bodies, 3)) for _ in range(2)]
-    blocks = [vertices_t0.new_empty((block_count, 4, 8), dtype=torch.float32) for _ in range(2)]
+    blocks = [vertices_t0.new_empty((block_count, 9, 8), dtype=torch.float32) for _ in range(2)]
     return (*centres, vertices_t0.new_empty((bodies,)), *blocks)
 
 

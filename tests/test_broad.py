@@ -136,7 +136,10 @@ def test_grids_where_touching_is_common(seed: int, count: int, separation: float
 
 
 @given(
-    st.integers(0, 2**32 - 1), st.integers(2, 30), st.tuples(*[st.booleans()] * 3), st.sampled_from([1, 2, 3, 2**31 - 1])
+    st.integers(0, 2**32 - 1),
+    st.integers(2, 30),
+    st.tuples(*[st.booleans()] * 3),
+    st.sampled_from([1, 2, 3, 2**31 - 1]),
 )
 @settings(max_examples=60)
 def test_filters(seed: int, count: int, present: tuple[bool, ...], worlds: int) -> None:

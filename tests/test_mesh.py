@@ -18,7 +18,9 @@ from pgccd import ops
 from support.shapes import bumpy
 
 # A mesh in one point has no extent, which is an error of its own.
-SHAPES = strategies.meshes().filter(lambda shape: bool(np.ptp(shape.vertices[shape.faces].reshape(-1, 3), axis=0).any()))
+SHAPES = strategies.meshes().filter(
+    lambda shape: bool(np.ptp(shape.vertices[shape.faces].reshape(-1, 3), axis=0).any())
+)
 MOST_DEPTH = 48
 WIDTH = 8
 

@@ -124,7 +124,9 @@ def test_positions_along_arcs_through_contacts(device: torch.device, turn: float
         # So tight that the reported places test the arcs themselves.
         hits = pgccd.detect(bodies.scene(device), bodies.motion(device=device), report="all", tolerance=1e-12)
         rows = rows_of(hits)
-        assert_rigid_rows_close(rows, bodies, 1e-12 + 1e-13 * (1 + turn) + 1e-15 * offset)  # the oracle encloses less tightly far round
+        assert_rigid_rows_close(
+            rows, bodies, 1e-12 + 1e-13 * (1 + turn) + 1e-15 * offset
+        )  # the oracle encloses less tightly far round
         assert (hits.status == pgccd.UNRESOLVED).float().mean() < 0.05 or not rows
         if turn < 60:
             assert len(rows) > 0
@@ -146,7 +148,9 @@ def test_points_of_contact_against_mpmath(turn: float) -> None:
 
 def test_more_than_half_a_turn_sweeps_all_the_way_round() -> None:
     # A long bar turning by 270 degrees hits a small body at 200 degrees; the shorter way would never come there.
-    bar = pgccd.Mesh([[0, 0, 0.0], [3, 0.05, 0], [3, -0.05, 0], [3, 0, 0.05]], [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    bar = pgccd.Mesh(
+        [[0, 0, 0.0], [3, 0.05, 0], [3, -0.05, 0], [3, 0, 0.05]], [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
+    )
     small = bumpy(np.random.default_rng(5), 0, size=0.1)
     there = np.radians(200)
     offset = bar.centre.numpy()
@@ -181,7 +185,9 @@ def test_from_velocity(step: strategies.PoseMotion, dt: float) -> None:
 
 def test_input_is_not_shared_with_gradients() -> None:
     rng = np.random.default_rng(6)
-    columns = tensors(rng.normal(size=(2, 3)), unit_quaternions(rng, 2), rng.normal(size=(2, 3)), unit_quaternions(rng, 2))
+    columns = tensors(
+        rng.normal(size=(2, 3)), unit_quaternions(rng, 2), rng.normal(size=(2, 3)), unit_quaternions(rng, 2)
+    )
     for c in columns:
         c.requires_grad_(True)
     motion = pgccd.RigidMotion(*columns)

@@ -77,7 +77,7 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   view.faces = rows<int32_t>(t[1], "mesh_set.faces", {kAnySize, 3});
   view.edges = rows<int32_t>(t[2], "mesh_set.edges", {kAnySize, 2});
   view.triangles = rows<int32_t, Triangle>(t[3], "mesh_set.triangles", {t[1].size(0), 8});
-  view.node_blocks = rows<float, NodeBlock>(t[4], "mesh_set.node_blocks", {kAnySize, 4, kBlockWidth});
+  view.node_blocks = rows<float, NodeBlock>(t[4], "mesh_set.node_blocks", {kAnySize, kBlockColumns, kBlockWidth});
   view.node_links = rows<int32_t, NodeLink>(t[5], "mesh_set.node_links", {t[4].size(0), kBlockWidth, 2});
   view.corners = {rows<float>(t[6], "mesh_set.corners", {9, kAnySize}), t[6].size(1)};
   STD_TORCH_CHECK(t[6].size(1) >= t[1].size(0) + kMaxLeafTriangles, "mesh_set.corners: columns are not padded");
@@ -109,7 +109,7 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
                   rows<double>(t[2], "bodies.position_t1", {count, 3}), rows<double>(t[3], "bodies.radius", {count})};
   view.vertices_t0 = rows<double>(t[4], "bodies.vertices_t0", {kAnySize, 3});
   view.vertices_t1 = rows<double>(t[5], "bodies.vertices_t1", {t[4].size(0), 3});
-  view.blocks_t0 = rows<float, NodeBlock>(t[6], "bodies.blocks_t0", {kAnySize, 4, kBlockWidth});
+  view.blocks_t0 = rows<float, NodeBlock>(t[6], "bodies.blocks_t0", {kAnySize, kBlockColumns, kBlockWidth});
   view.blocks_t1 = rows<float, NodeBlock>(t[7], "bodies.blocks_t1", {t[6].size(0), 4, kBlockWidth});
   view.vertex_begin = rows<int64_t>(t[8], "bodies.vertex_begin", {count});
   view.block_begin = rows<int64_t>(t[9], "bodies.block_begin", {count});

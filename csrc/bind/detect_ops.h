@@ -1,5 +1,5 @@
-// The detection operators, written once for both backends: views in, kernels, tensors out. A backend runs the kernels; outputs whose
-// size only the kernel knows are made when it asks.
+// The detection operators, written once for both backends: views in, kernels, tensors out. A backend runs the kernels;
+// outputs whose size only the kernel knows are made when it asks.
 #pragma once
 
 #include <functional>
@@ -52,8 +52,8 @@ struct DetectOps {
     Tensor position_t0 = new_tensor<double>(vertices_t0, {input.body_count, 3});
     Tensor position_t1 = new_tensor<double>(vertices_t0, {input.body_count, 3});
     Tensor radius = new_tensor<double>(vertices_t0, {input.body_count});
-    Tensor blocks_t0 = new_tensor<float>(vertices_t0, {block_count, 4, kBlockWidth});
-    Tensor blocks_t1 = new_tensor<float>(vertices_t0, {block_count, 4, kBlockWidth});
+    Tensor blocks_t0 = new_tensor<float>(vertices_t0, {block_count, kBlockColumns, kBlockWidth});
+    Tensor blocks_t1 = new_tensor<float>(vertices_t0, {block_count, kBlockColumns, kBlockWidth});
     Backend(vertices_t0)
         .refit(input, {data<double>(position_t0), data<double>(position_t1), data<double>(radius),
                        data<NodeBlock>(blocks_t0), data<NodeBlock>(blocks_t1)});
@@ -90,14 +90,15 @@ struct DetectOps {
   static ContactTensors narrow_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
                                      const Tensor& pairs, const Tensor& candidates, double min_separation,
                                      double tolerance, bool nonzero_toi, int64_t report) {
-    return narrow(rigid_view(mesh_set, bodies, linear_path), pairs, candidates, {min_separation, tolerance, nonzero_toi},
-                  report);
+    return narrow(rigid_view(mesh_set, bodies, linear_path), pairs, candidates,
+                  {min_separation, tolerance, nonzero_toi}, report);
   }
 
   static ContactTensors narrow_deforming(const TensorList& mesh_set, const TensorList& bodies, const Tensor& pairs,
                                          const Tensor& candidates, double min_separation, double tolerance,
                                          bool nonzero_toi, int64_t report) {
-    return narrow(deforming_view(mesh_set, bodies), pairs, candidates, {min_separation, tolerance, nonzero_toi}, report);
+    return narrow(deforming_view(mesh_set, bodies), pairs, candidates, {min_separation, tolerance, nonzero_toi},
+                  report);
   }
 
   template <bool kEdgeEdge>
@@ -110,7 +111,8 @@ struct DetectOps {
     Tensor toi = new_tensor<double>(points_t0, {count});
     Tensor coordinates = new_tensor<double>(points_t0, {count, 2});
     Backend(points_t0).template elementary<kEdgeEdge>(x0, x1, count, {min_separation, tolerance, nonzero_toi},
-                                                      data<int8_t>(status), data<double>(toi), data<double>(coordinates));
+                                                      data<int8_t>(status), data<double>(toi),
+                                                      data<double>(coordinates));
     return {status, toi, coordinates};
   }
 
@@ -150,13 +152,14 @@ struct DetectOps {
     input.report = static_cast<Report>(report);
     ContactTensors out{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};
     Backend(pairs).narrow(bodies, input, [&](int64_t count) {
-      out = {new_tensor<int32_t>(pairs, {count}),     new_tensor<int8_t>(pairs, {count}),
-             new_tensor<int32_t>(pairs, {count, 2}),  new_tensor<int8_t>(pairs, {count}),
-             new_tensor<double>(pairs, {count}),      new_tensor<double>(pairs, {count, 2}),
-             new_tensor<double>(pairs, {count, 3}),   new_tensor<double>(pairs, {count, 3})};
+      out = {new_tensor<int32_t>(pairs, {count}),    new_tensor<int8_t>(pairs, {count}),
+             new_tensor<int32_t>(pairs, {count, 2}), new_tensor<int8_t>(pairs, {count}),
+             new_tensor<double>(pairs, {count}),     new_tensor<double>(pairs, {count, 2}),
+             new_tensor<double>(pairs, {count, 3}),  new_tensor<double>(pairs, {count, 3})};
       auto& [pair, kind, features, status, toi, coordinates, point, normal] = out;
-      return ContactColumns{data<int32_t>(pair), data<int8_t>(kind), data<int32_t>(features), data<int8_t>(status),
-                            data<double>(toi), data<double>(coordinates), data<double>(point), data<double>(normal)};
+      return ContactColumns{data<int32_t>(pair),  data<int8_t>(kind),  data<int32_t>(features),
+                            data<int8_t>(status), data<double>(toi),   data<double>(coordinates),
+                            data<double>(point),  data<double>(normal)};
     });
     return out;
   }

@@ -1,13 +1,12 @@
 // Every operator of pgccd, on one page. pgccd/ops.py documents them: shapes, units and errors.
 //
-// mesh_set = [vertices (V, 3) f64, faces (F, 3) i32, edges (E, 2) i32, triangles (F, 8) i32, node_blocks (n, 4, 8) f32,
-//             node_links (n, 8, 2) i32, corners (9, F + padding) f32, offsets (meshes + 1, 4) i64]                                        see
-//             core/mesh_set.h
+// mesh_set = [vertices (V, 3) f64, faces (F, 3) i32, edges (E, 2) i32, triangles (F, 8) i32, node_blocks (n, 9, 8) f32,
+//             node_links (n, 8, 2) i32, corners (9, F + padding) f32, offsets (meshes + 1, 4) i64] see core/mesh_set.h
 // rigid bodies = [mesh_index (N,) i32, position_t0 (N, 3), position_t1 (N, 3), radius (N,), orientation (N, 4),
 // rotation (N, 3)] deforming bodies = [mesh_index (N,) i32, position_t0, position_t1, radius, vertices_t0 (X, 3),
 // vertices_t1 (X, 3),
-//                     blocks_t0 (Y, 4, 8) f32, blocks_t1 (Y, 4, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64] see
-//                     core/bodies.h
+//                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64]
+//                     see core/bodies.h
 // contact rows = (pair i32, kind i8, features (., 2) i32, status i8, toi f64, coordinates (., 2), point (., 3), normal
 // (., 3))
 #include <Python.h>

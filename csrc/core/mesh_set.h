@@ -18,14 +18,20 @@ struct Triangle {
   int32_t represented;  // bits 0-2: vertices, bits 3-5: edges
 };
 
-// The hierarchy is a tree of blocks of up to eight sibling nodes, so that one node is tested against eight at a time. Node n is slot
-// n % 8 of block n / 8; the root is node 0, alone in block 0. Blocks of parents precede those of their children.
+// The hierarchy is a tree of blocks of up to eight sibling nodes, so that one node is tested against eight at a time.
+// Node n is slot n % 8 of block n / 8; the root is node 0, alone in block 0. Blocks of parents precede those of their
+// children.
 constexpr int kBlockWidth = 8;
 
-// Spheres around all vertices of the nodes' triangles. Empty slots hold NaN, which meets nothing.
+// What bounds all vertices of each node's triangles: a sphere, and a slab low <= normal . (vertex - centre) <= high
+// about the same centre. Neighbouring triangles of a surface make a thin slab, and two surfaces that face each other
+// are told apart by it. Empty slots hold NaN, which meets nothing.
 struct NodeBlock {
   float x[kBlockWidth], y[kBlockWidth], z[kBlockWidth], radius[kBlockWidth];
+  float normal_x[kBlockWidth], normal_y[kBlockWidth], normal_z[kBlockWidth];  // unit, to within float32 rounding
+  float low[kBlockWidth], high[kBlockWidth];
 };
+constexpr int kBlockColumns = 9;
 
 struct NodeLink {
   int32_t first;           // inner node: the block of its children; leaf: its first triangle
@@ -36,28 +42,29 @@ struct MeshOffsets {
   int64_t vertex, face, edge, block;
 };
 
-// Corners of the triangles in float32, as nine columns (corner 0 x, y, z, corner 1 x, ...) of `stride` values, so that eight
-// neighbouring triangles load as lanes; the columns are padded to allow that at their end.
+// Corners of the triangles in float32, as nine columns (corner 0 x, y, z, corner 1 x, ...) of `stride` values, so that
+// eight neighbouring triangles load as lanes; the columns are padded to allow that at their end.
 struct CornerColumns {
   const float* first;
   int64_t stride;
 };
 
 struct MeshSetView {
-  const double* vertices;          // (vertices, 3)
-  const int32_t* faces;            // (faces, 3)
-  const int32_t* edges;            // (edges, 2)
-  const Triangle* triangles;       // (faces), leaf order
-  const NodeBlock* node_blocks;    // (blocks)
-  const NodeLink* node_links;      // (blocks, 8)
-  CornerColumns corners;           // (9, stride), column entries in the order of `triangles`
-  const MeshOffsets* offsets;      // (meshes + 1): the next row ends a mesh's rows
+  const double* vertices;        // (vertices, 3)
+  const int32_t* faces;          // (faces, 3)
+  const int32_t* edges;          // (edges, 2)
+  const Triangle* triangles;     // (faces), leaf order
+  const NodeBlock* node_blocks;  // (blocks)
+  const NodeLink* node_links;    // (blocks, 8)
+  CornerColumns corners;         // (9, stride), column entries in the order of `triangles`
+  const MeshOffsets* offsets;    // (meshes + 1): the next row ends a mesh's rows
 };
 
 // Triangles a leaf holds at most: as many as there are lanes.
 constexpr int kMaxLeafTriangles = 8;
 
-// The hierarchy builder keeps every path from the root within this many nodes, so a fixed traversal stack cannot overflow.
+// The hierarchy builder keeps every path from the root within this many nodes, so a fixed traversal stack cannot
+// overflow.
 constexpr int kMaxTreeDepth = 48;
 
 }  // namespace pgccd

@@ -29,8 +29,9 @@ struct Box {
   }
 };
 
-struct NodeSphere {
-  float x, y, z, radius;
+struct NodeVolume {
+  Vec3<float> centre, normal;
+  float radius, low, high;
 };
 
 class Builder {
@@ -57,7 +58,7 @@ class Builder {
   struct BinaryNode {
     int32_t begin, end;  // triangles
     int32_t child;       // first of two neighbours, or -1
-    NodeSphere sphere;
+    NodeVolume volume;
   };
 
   void split_all() {
@@ -70,7 +71,7 @@ class Builder {
       const Task task = tasks.back();
       tasks.pop_back();
       const int32_t begin = binary_[task.node].begin, end = binary_[task.node].end;
-      binary_[task.node].sphere = bounding_sphere(begin, end);
+      binary_[task.node].volume = bounding_volume(begin, end);
       if (end - begin <= leaf_size_) continue;
       const int32_t middle = split(begin, end, task.depth);
       const int32_t child = static_cast<int32_t>(binary_.size());
@@ -95,12 +96,12 @@ class Builder {
       const Task task = tasks[next];
       for (int slot = 0; slot < kBlockWidth; ++slot) {
         if (slot >= static_cast<int>(task.nodes.size())) {
-          set_sphere(task.block, slot, {NAN, NAN, NAN, NAN});
+          set_volume(task.block, slot, {{NAN, NAN, NAN}, {NAN, NAN, NAN}, NAN, NAN, NAN});
           tree_.links[task.block][slot] = {0, 0};
           continue;
         }
         const BinaryNode& node = binary_[task.nodes[slot]];
-        set_sphere(task.block, slot, node.sphere);
+        set_volume(task.block, slot, node.volume);
         if (node.child < 0) {
           tree_.links[task.block][slot] = {node.begin, node.end - node.begin};
           continue;
@@ -119,7 +120,7 @@ class Builder {
     while (nodes.size() < kBlockWidth) {
       int largest = -1;
       for (size_t k = 0; k < nodes.size(); ++k) {
-        const bool is_larger = largest < 0 || binary_[nodes[k]].sphere.radius > binary_[nodes[largest]].sphere.radius;
+        const bool is_larger = largest < 0 || binary_[nodes[k]].volume.radius > binary_[nodes[largest]].volume.radius;
         if (binary_[nodes[k]].child >= 0 && is_larger) largest = static_cast<int>(k);
       }
       if (largest < 0) break;
@@ -130,12 +131,17 @@ class Builder {
     return nodes;
   }
 
-  void set_sphere(int32_t block, int slot, NodeSphere s) {
+  void set_volume(int32_t block, int slot, const NodeVolume& v) {
     NodeBlock& b = tree_.blocks[block];
-    b.x[slot] = s.x;
-    b.y[slot] = s.y;
-    b.z[slot] = s.z;
-    b.radius[slot] = s.radius;
+    b.x[slot] = v.centre.x;
+    b.y[slot] = v.centre.y;
+    b.z[slot] = v.centre.z;
+    b.radius[slot] = v.radius;
+    b.normal_x[slot] = v.normal.x;
+    b.normal_y[slot] = v.normal.y;
+    b.normal_z[slot] = v.normal.z;
+    b.low[slot] = v.low;
+    b.high[slot] = v.high;
   }
 
   // Below this depth the tree halves: 31-bit counts then need at most kMaxTreeDepth levels in all.
@@ -178,7 +184,20 @@ class Builder {
     return begin + best_left;
   }
 
-  NodeSphere bounding_sphere(int32_t begin, int32_t end) const {
+  // Area-weighted mean of the triangles' normals, or any direction where that vanishes.
+  Vec3<float> mean_normal(int32_t begin, int32_t end) const {
+    Vec3<double> sum{0.0, 0.0, 0.0};
+    for (int32_t k = begin; k < end; ++k) {
+      const Face& face = faces_[tree_.triangle_order[k]];
+      const Vec3<double> p = load_vec3(vertices_ + 3 * int64_t(face[0]));
+      sum =
+          sum + cross(load_vec3(vertices_ + 3 * int64_t(face[1])) - p, load_vec3(vertices_ + 3 * int64_t(face[2])) - p);
+    }
+    const double length = norm(sum);
+    return length > 0.0 ? cast<float>((1.0 / length) * sum) : Vec3<float>{0.0f, 0.0f, 1.0f};
+  }
+
+  NodeVolume bounding_volume(int32_t begin, int32_t end) const {
     std::vector<int32_t> used;
     for (int32_t k = begin; k < end; ++k) {
       for (const int32_t v : faces_[tree_.triangle_order[k]]) used.push_back(v);
@@ -201,7 +220,19 @@ class Builder {
     for (int step = 1; step <= steps; ++step) centre = centre + (1.0 / (step + 1)) * (farthest(centre).second - centre);
     const Vec3<float> rounded = cast<float>(centre);
     const double radius = std::sqrt(farthest(cast<double>(rounded)).first) * (1.0 + 1e-14);
-    return {rounded.x, rounded.y, rounded.z, std::nextafter(static_cast<float>(radius), HUGE_VALF)};
+    NodeVolume volume{rounded, mean_normal(begin, end), std::nextafter(static_cast<float>(radius), HUGE_VALF), 0.0f,
+                      0.0f};
+    double low = HUGE_VAL, high = -HUGE_VAL;
+    for (const int32_t v : used) {
+      const Vec3<double> x = load_vec3(vertices_ + 3 * int64_t(v)) - cast<double>(rounded);
+      const double along = dot(cast<double>(volume.normal), x);
+      low = smaller(low, along);
+      high = larger(high, along);
+    }
+    const double slack = 1e-14 * radius;  // more than the rounding of the projection
+    volume.low = std::nextafter(static_cast<float>(low - slack), -HUGE_VALF);
+    volume.high = std::nextafter(static_cast<float>(high + slack), HUGE_VALF);
+    return volume;
   }
 
   const double* vertices_;

@@ -33,7 +33,7 @@ class WorldConfig:
 
     robots: int = 10_000  #: below 2^31
     #: "random": straight courses in random directions. "skewed": each robot heads for one of the eight corners of the
-    #: box, stays there a while, then heads for another.
+    #: box (first the nearest), stays there a while, then heads for another (along an edge).
     pattern: Pattern = "random"
     seed: int = 0  #: any int64
     #: Of the lattice at the start, > 2. 2.56 makes the SBVs fill 25 % of the box.

@@ -20,7 +20,9 @@ def _icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     corners = [(-1.0, g, 0.0), (1.0, g, 0.0), (-1.0, -g, 0.0), (1.0, -g, 0.0)]
     vertices = [np.roll(c, k) / np.hypot(1, g) for k in range(3) for c in corners]
     near = np.linalg.norm(np.array(vertices)[:, None] - np.array(vertices), axis=2) < 1.2
-    faces = [(i, j, k) for i in range(12) for j in range(i) for k in range(j) if near[i, j] and near[j, k] and near[i, k]]
+    faces = [
+        (i, j, k) for i in range(12) for j in range(i) for k in range(j) if near[i, j] and near[j, k] and near[i, k]
+    ]
     for _ in range(subdivisions):
         middle: dict[tuple[int, int], int] = {}
         finer = []
@@ -115,3 +117,16 @@ def approaching(
     start = centre - when * travel + offset * directions(rng, 1)
     spin = turn * directions(rng, count) * rng.uniform(0.3, 1.0, (count, 1))
     return Bodies(meshes, start, unit_quaternions(rng, count), travel, spin)
+
+
+def on_the_surface(rng: np.random.Generator, ratio: float, turn: float = 1.0) -> Bodies:
+    """A body `ratio` times as large as another, which at some time inside the step sits on one of its corners."""
+    large, small = bumpy(rng, 2, size=ratio), bumpy(rng, 1)
+    turned = unit_quaternions(rng, 2)
+    w, v = turned[0, 0], turned[0, 1:]
+    corner = large.vertices.numpy()[rng.integers(len(large.vertices))]
+    corner = corner + 2 * np.cross(v, np.cross(v, corner) + w * corner)
+    travel = np.concatenate([np.zeros((1, 3)), 2.0 * directions(rng, 1)])
+    start = np.stack([np.zeros(3), corner]) - rng.uniform(0.2, 0.8) * travel
+    spin = turn * directions(rng, 2) * np.array([[1.0 / ratio], [1.0]])
+    return Bodies([large, small], start, turned, travel, spin)

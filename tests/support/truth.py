@@ -60,7 +60,9 @@ def end_positions(bodies: Bodies, body: int) -> list[np.ndarray]:
     return [np.array([[float(c) for c in rigid.position(p, *pose, t)] for p in points]) for t in (0.0, 1.0)]
 
 
-def linear_truth(ends: list[list[np.ndarray]], faces: list[np.ndarray], min_separation: float = 0.0) -> detect.Detection:
+def linear_truth(
+    ends: list[list[np.ndarray]], faces: list[np.ndarray], min_separation: float = 0.0
+) -> detect.Detection:
     """Every contact of two bodies whose vertices move straight between `ends` (t0 and t1 of each body), exactly."""
     return detect.detect_linear(*ends[0], faces[0], *ends[1], faces[1], min_separation)
 
@@ -131,9 +133,7 @@ def linear_points(
     return [np.concatenate([ends[first][t][index[0]], ends[second][t][index[1]]], axis=1) for t in (0, 1)]
 
 
-def assert_linear_rows_close(
-    rows: Rows, ends: list[list[np.ndarray]], faces: list[np.ndarray], within: float
-) -> None:
+def assert_linear_rows_close(rows: Rows, ends: list[list[np.ndarray]], faces: list[np.ndarray], within: float) -> None:
     """At its toi each reported pair of features on straight paths is at most `within` apart."""
     for kind in KINDS:
         keys = [key for key, row in rows.items() if key[0] == kind and row.status == pgccd.TOUCH]

@@ -17,8 +17,8 @@ struct BodyShape {
   }
 };
 
-// The mean of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1) is summed in chunks of so many faces, and then
-// over the chunks, always in order: the same bits however many threads share the work.
+// The mean of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1) is summed in chunks of so many
+// faces, and then over the chunks, always in order: the same bits however many threads share the work.
 constexpr int64_t kMeanChunk = 256;
 
 PGCCD_HD Vec3<double> corner_sum(const int32_t* faces, int64_t face_count, int64_t chunk, const double* vertices) {
@@ -33,7 +33,8 @@ PGCCD_HD Vec3<double> corner_sum(const int32_t* faces, int64_t face_count, int64
 // Number of used slots: they come first.
 PGCCD_HD int used_slots(const NodeLink* links, int64_t block) {
   int count = 0;
-  while (count < kBlockWidth && (links[block * kBlockWidth + count].first | links[block * kBlockWidth + count].triangle_count)) {
+  while (count < kBlockWidth &&
+         (links[block * kBlockWidth + count].first | links[block * kBlockWidth + count].triangle_count)) {
     ++count;
   }
   return count;
@@ -44,6 +45,9 @@ struct NodeBounds {
   Vec3<double> lower[2], upper[2];
   Vec3<float> centre[2];
   double radius;
+  Vec3<double> area_normal;  // sum of the triangles' cross products, at both ends
+  Vec3<float> normal;
+  double low[2], high[2];  // along it, from the centres
   int32_t first_triangle, triangle_count;
 };
 
@@ -59,18 +63,30 @@ PGCCD_HD void place_centres(NodeBounds& node) {
   for (int end = 0; end < 2; ++end) node.centre[end] = cast<float>(0.5 * (node.lower[end] + node.upper[end]));
 }
 
-// Largest distance of the node's vertices from its centre, at either end.
-PGCCD_HD double exact_radius(const BodyShape& shape, const Triangle* triangles, const NodeBounds& node) {
+// Sphere and slab from the node's own vertices.
+PGCCD_HD void measure(const BodyShape& shape, const Triangle* triangles, NodeBounds& node) {
   double squared = 0.0;
+  for (int end = 0; end < 2; ++end) {
+    node.low[end] = INFINITY;
+    node.high[end] = -INFINITY;
+  }
   for (int32_t k = node.first_triangle; k < node.first_triangle + node.triangle_count; ++k) {
     for (int corner = 0; corner < 3; ++corner) {
       for (int end = 0; end < 2; ++end) {
-        const Vec3<double> x = shape.local(end, triangles[k].vertex[corner]);
-        squared = larger(squared, norm_squared(x - cast<double>(node.centre[end])));
+        const Vec3<double> x = shape.local(end, triangles[k].vertex[corner]) - cast<double>(node.centre[end]);
+        squared = larger(squared, norm_squared(x));
+        const double along = dot(cast<double>(node.normal), x);
+        node.low[end] = smaller(node.low[end], along);
+        node.high[end] = larger(node.high[end], along);
       }
     }
   }
-  return std::sqrt(squared);
+  node.radius = std::sqrt(squared);
+}
+
+PGCCD_HD void set_normal(NodeBounds& node) {
+  const double length = norm(node.area_normal);
+  node.normal = length > 0.0 ? cast<float>((1.0 / length) * node.area_normal) : Vec3<float>{0.0f, 0.0f, 1.0f};
 }
 
 }  // namespace refit_detail
@@ -89,25 +105,38 @@ PGCCD_HD NodeBounds leaf_bounds(const BodyShape& shape, const Triangle* triangle
       }
     }
   }
+  for (int32_t k = link.first; k < link.first + link.triangle_count; ++k) {
+    for (int end = 0; end < 2; ++end) {
+      const Vec3<double> p = shape.local(end, triangles[k].vertex[0]);
+      const Vec3<double> a = shape.local(end, triangles[k].vertex[1]) - p,
+                         b = shape.local(end, triangles[k].vertex[2]) - p;
+      node.area_normal = node.area_normal + cross(a, b);
+    }
+  }
   refit_detail::place_centres(node);
-  node.radius = refit_detail::exact_radius(shape, triangles, node);
+  refit_detail::set_normal(node);
+  refit_detail::measure(shape, triangles, node);
   return node;
 }
 
-// Small nodes measure their vertices; large ones take the better of two bounds, the box's corner and the children's spheres.
-PGCCD_HD NodeBounds parent_bounds(const BodyShape& shape, const Triangle* triangles, const NodeBounds* children, int count) {
+// Small nodes measure their vertices; large ones take the better of two bounds, the box's corner and the children's
+// spheres.
+PGCCD_HD NodeBounds parent_bounds(const BodyShape& shape, const Triangle* triangles, const NodeBounds* children,
+                                  int count) {
   constexpr int32_t kMeasured = 32;
   NodeBounds node = children[0];
   for (int c = 1; c < count; ++c) {
     node.triangle_count += children[c].triangle_count;
+    node.area_normal = node.area_normal + children[c].area_normal;
     for (int end = 0; end < 2; ++end) {
       node.lower[end] = refit_detail::lower_corner(node.lower[end], children[c].lower[end]);
       node.upper[end] = refit_detail::upper_corner(node.upper[end], children[c].upper[end]);
     }
   }
   refit_detail::place_centres(node);
+  refit_detail::set_normal(node);
   if (node.triangle_count <= kMeasured) {
-    node.radius = refit_detail::exact_radius(shape, triangles, node);
+    refit_detail::measure(shape, triangles, node);
     return node;
   }
   double by_children = 0.0, by_box = 0.0;
@@ -119,6 +148,10 @@ PGCCD_HD NodeBounds parent_bounds(const BodyShape& shape, const Triangle* triang
     by_box = larger(by_box, norm(refit_detail::upper_corner(node.upper[end] - centre, centre - node.lower[end])));
   }
   node.radius = smaller(by_children, by_box);
+  for (int end = 0; end < 2; ++end) {
+    node.low[end] = -node.radius;
+    node.high[end] = node.radius;
+  }
   return node;
 }
 
@@ -127,10 +160,18 @@ PGCCD_HD void store_node(const NodeBounds& node, int end, int slot, NodeBlock& b
   block.y[slot] = node.centre[end].y;
   block.z[slot] = node.centre[end].z;
   block.radius[slot] = static_cast<float>(node.radius * (1.0 + 0x1p-40)) * (1.0f + 2.0f * Precision<float>::unit);
+  block.normal_x[slot] = node.normal.x;
+  block.normal_y[slot] = node.normal.y;
+  block.normal_z[slot] = node.normal.z;
+  // One slab for both ends; outward by more than the rounding of the projections.
+  const double slack = 0x1p-22 * node.radius;
+  block.low[slot] = static_cast<float>(smaller(node.low[0], node.low[1]) - slack);
+  block.high[slot] = static_cast<float>(larger(node.high[0], node.high[1]) + slack);
 }
 
 PGCCD_HD void store_empty(int slot, NodeBlock& block) {
   block.x[slot] = block.y[slot] = block.z[slot] = block.radius[slot] = NAN;
+  block.normal_x[slot] = block.normal_y[slot] = block.normal_z[slot] = block.low[slot] = block.high[slot] = NAN;
 }
 
 // The nodes of one block, once the blocks below it are done, and their spheres at both ends.

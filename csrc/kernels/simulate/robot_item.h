@@ -75,7 +75,8 @@ PGCCD_HD void plan_skewed(const World& world, int64_t id, int64_t step, Robot& r
   if (robot.stay_until != kNotStaying) {
     if (step >= robot.stay_until) {
       const Uniforms choice = draw(world, id, step, kTargetStream);
-      robot.target = (robot.target + 1 + static_cast<int64_t>(7.0 * choice.u[0])) & 7;
+      // Along an edge of the box: ways across it would meet in the middle and block one another.
+      robot.target ^= int64_t{1} << static_cast<int>(3.0 * choice.u[0]);
       robot.stay_until = kNotStaying;
       set_course_to_target(world, id, step, robot);
     } else if (decision.u[0] < world.course_change) {
@@ -129,7 +130,7 @@ PGCCD_HD Robot start_robot(const World& world, int64_t id) {
   robot.target = kNoTarget;
   robot.stay_until = kNotStaying;
   if (world.pattern == MovementPattern::kSkewed) {
-    robot.target = static_cast<int64_t>(8.0 * place.u[3]);
+    robot.target = (x[0] > 0.0 ? 1 : 0) | (x[1] > 0.0 ? 2 : 0) | (x[2] > 0.0 ? 4 : 0);  // the nearest one
     set_course_to_target(world, id, 0, robot);
   } else {
     set_random_course(world, id, 0, 1.0, robot);

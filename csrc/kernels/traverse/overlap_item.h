@@ -1,5 +1,5 @@
-// Tests of the bounding volume test tree: do two moving spheres, triangles or features certainly stay apart over a segment?
-// Written for T = float and, on the host, for eight lanes of it.
+// Tests of the bounding volume test tree: do two moving spheres, triangles or features certainly stay apart over a
+// segment? Written for T = float and, on the host, for eight lanes of it.
 #pragma once
 
 #include "core/lanes.h"
@@ -7,11 +7,24 @@
 
 namespace pgccd {
 
-// Offset of one centre from the other, at the start and the end of a segment, both moving straight. Without branches, so that eight tests
-// fill the lanes of a vector unit; NaN (an empty slot) compares false.
+// Offset of one centre from the other, at the start and the end of a segment, both moving straight. Without branches,
+// so that eight tests fill the lanes of a vector unit; NaN (an empty slot) compares false.
 PGCCD_HD Vec3<float> nearest_offset(Vec3<float> start, Vec3<float> end) {
   const Vec3<float> travel = end - start;
   return start + unit_clamp(-dot(start, travel) / norm_squared(travel)) * travel;  // 0 / 0 becomes 0
+}
+
+// Is a sphere certainly on one side of a slab that turns from normal_start to normal_end about its moving centre?
+// Offsets of the sphere's centre from it. Along the mean direction the slab grows by its radius times half the normals'
+// difference.
+PGCCD_HD bool slab_separates(Vec3<float> normal_start, Vec3<float> normal_end, float low, float high, float slab_radius,
+                             Vec3<float> start, Vec3<float> end, float reach) {
+  const Vec3<float> direction = 0.5f * (normal_start + normal_end);
+  const float tilt = slab_radius * (0.5f * std::sqrt(norm_squared(normal_end - normal_start)));
+  const float along_start = dot(direction, start), along_end = dot(direction, end);
+  const float above = smaller(along_start, along_end) - (high + tilt);
+  const float below = (low - tilt) - larger(along_start, along_end);
+  return larger(above, below) > reach;
 }
 
 // N points that move straight from start to end, and whose hull is meant.
@@ -55,7 +68,8 @@ PGCCD_HD Vec3<T> mean_edge(const MovingPoints<N, T>& p, int tip) {
 
 }  // namespace overlap_detail
 
-// Along a fixed direction the gap between straight-moving convex sets is concave in time: open at both ends, it is open throughout.
+// Along a fixed direction the gap between straight-moving convex sets is concave in time: open at both ends, it is open
+// throughout.
 template <int N, int M, class T>
 PGCCD_HD auto separates(const MovingPoints<N, T>& i, const MovingPoints<M, T>& j, Vec3<T> direction, float distance) {
   using namespace overlap_detail;

@@ -79,21 +79,42 @@ class PairTree {
   // The node that is not split, over segment k.
   struct OtherNode {
     MovingPoints<1, float> centre;
-    float reach;
+    MovingPoints<1, float> normal;
+    float radius, low, high;
   };
   PGCCD_HD OtherNode other_node(const SplitPair& split, int k) const {
     const int side = split.first_is_split ? 1 : 0;
-    return {moving_centre(side, split.other, k), local_radius(side, split.other) + sweep_.inflation};
+    const NodeBlock& b = sweep_.block(bodies_, side, split.other / kBlockWidth);
+    const int slot = split.other % kBlockWidth;
+    const Vec3<float> normal{b.normal_x[slot], b.normal_y[slot], b.normal_z[slot]};
+    const float scale = static_cast<float>(sweep_.scale);
+    return {moving_centre(side, split.other, k),
+            {{sweep_.turned(poses_[k - 1], side, normal)}, {sweep_.turned(poses_[k], side, normal)}},
+            scale * b.radius[slot],
+            scale * b.low[slot],
+            scale * b.high[slot]};
   }
 
-  // Squared distance less squared reach of a child, at the nearest moment of segment k; NaN for an empty slot.
+  // Not positive if a child and the other node may meet over segment k: squared distance of the spheres less their
+  // squared reach, at the nearest moment, unless the slab of one keeps the other's sphere out. NaN for an empty slot.
   PGCCD_HD float clearance(const SplitPair& split, const OtherNode& other, int k, int slot) const {
     const int side = split.first_is_split ? 0 : 1;
-    const Vec3<float> start = Sweep::place(poses_[k - 1], side, sweep_.node_centre(bodies_, side, split.block, slot, 0));
-    const Vec3<float> end = Sweep::place(poses_[k], side, sweep_.node_centre(bodies_, side, split.block, slot, 1));
-    const float radius = sweep_.block(bodies_, side, split.block).radius[slot];
-    const float reach = static_cast<float>(sweep_.scale) * radius + other.reach;
-    return norm_squared(nearest_offset(start - other.centre.start[0], end - other.centre.end[0])) - reach * reach;
+    const LocalPose &pose_start = poses_[k - 1], &pose_end = poses_[k];
+    const NodeBlock& b = sweep_.block(bodies_, side, split.block);
+    const float scale = static_cast<float>(sweep_.scale);
+    const float radius = scale * b.radius[slot];
+    const Vec3<float> child_start =
+        Sweep::place(pose_start, side, sweep_.node_centre(bodies_, side, split.block, slot, 0));
+    const Vec3<float> child_end = Sweep::place(pose_end, side, sweep_.node_centre(bodies_, side, split.block, slot, 1));
+    const Vec3<float> start = child_start - other.centre.start[0], end = child_end - other.centre.end[0];
+    const Vec3<float> normal{b.normal_x[slot], b.normal_y[slot], b.normal_z[slot]};
+    const bool apart = slab_separates(other.normal.start[0], other.normal.end[0], other.low, other.high, other.radius,
+                                      start, end, radius + sweep_.inflation) |
+                       slab_separates(sweep_.turned(pose_start, side, normal), sweep_.turned(pose_end, side, normal),
+                                      scale * b.low[slot], scale * b.high[slot], radius, -start, -end,
+                                      other.radius + sweep_.inflation);
+    const float reach = (radius + other.radius) + sweep_.inflation;
+    return apart ? 1.0f : norm_squared(nearest_offset(start, end)) - reach * reach;
   }
 
   // Centre over segment k, and local radius.
@@ -102,7 +123,9 @@ class PairTree {
     return {{Sweep::place(poses_[k - 1], side, sweep_.node_centre(bodies_, side, block, slot, 0))},
             {Sweep::place(poses_[k], side, sweep_.node_centre(bodies_, side, block, slot, 1))}};
   }
-  PGCCD_HD float local_radius(int side, int32_t node) const { return static_cast<float>(sweep_.scale) * radius(side, node); }
+  PGCCD_HD float local_radius(int side, int32_t node) const {
+    return static_cast<float>(sweep_.scale) * radius(side, node);
+  }
 
  private:
   PGCCD_HD float radius(int side, int32_t node) const {

@@ -1,6 +1,6 @@
-// A body pair as the traversal sees it, from t = 0 to a horizon: both hierarchies in one local frame that moves with the
-// first body's centre, scaled by a power of two to about unit size, in float32. Time is cut into segments short enough
-// for chords to follow the rotation; the inflation covers what is left of the arcs, and all float32 rounding.
+// A body pair as the traversal sees it, from t = 0 to a horizon: both hierarchies in one local frame that moves with
+// the first body's centre, scaled by a power of two to about unit size, in float32. Time is cut into segments short
+// enough for chords to follow the rotation; the inflation covers what is left of the arcs, and all float32 rounding.
 #pragma once
 
 #include <cstdint>
@@ -109,7 +109,8 @@ struct RigidSweep {
       const Mat3<double> at_t0 = rotation_matrix(load_quaternion(bodies.orientation + 4 * body[side]));
       const Spin spin = make_spin(load_vec3(bodies.rotation + 3 * body[side]));
       Mat3<double> at_t = at_t0;
-      if (k > 0) at_t = bodies.linear_path ? sweep_detail::blend(at_t0, spun(spin, at_t0, 1.0), t) : spun(spin, at_t0, t);
+      if (k > 0)
+        at_t = bodies.linear_path ? sweep_detail::blend(at_t0, spun(spin, at_t0, 1.0), t) : spun(spin, at_t0, t);
       (side == 0 ? out.first : out.second) = sweep_detail::scaled(scale, at_t);
     }
     out.shift = cast<float>(scale * ((1.0 - t) * centre.at_t0 + t * centre.at_t1));
@@ -130,6 +131,11 @@ struct RigidSweep {
   PGCCD_HD static Vec3<T> place(const LocalPose& p, int side, Vec3<T> v) {
     if (side == 0) return sweep_detail::transform(p.first, v);
     return sweep_detail::shifted(p.shift, sweep_detail::transform(p.second, v));
+  }
+
+  // Body-frame direction -> local frame, unit length kept.
+  PGCCD_HD Vec3<float> turned(const LocalPose& p, int side, Vec3<float> direction) const {
+    return static_cast<float>(1.0 / scale) * sweep_detail::transform(side == 0 ? p.first : p.second, direction);
   }
 
   // Of one triangle, or of it and the seven that follow.
@@ -188,6 +194,8 @@ struct DeformingSweep {
     const Vec3<T> scaled{p.first.r0.x * v.x, p.first.r0.x * v.y, p.first.r0.x * v.z};
     return side == 0 ? scaled : sweep_detail::shifted(p.shift, scaled);
   }
+
+  PGCCD_HD Vec3<float> turned(const LocalPose&, int, Vec3<float> direction) const { return direction; }
 
   template <class T>
   PGCCD_HD Corners<T> corners(const DeformingBodies& bodies, int side, int32_t triangle, int end) const {
