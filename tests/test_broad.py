@@ -11,10 +11,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle.broad import sphere_pairs, spheres_meet
+from support.shapes import tensors, tetrahedron, unit_quaternions
 
 import pgccd
 from pgccd import ops
-from support.shapes import tensors, tetrahedron, unit_quaternions
 
 AXES = (-1, 0, 1, 2)
 ROUNDING = 1e-12

@@ -12,10 +12,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle.mesh import sphere_bound, unique_edges, used_vertices
+from support.shapes import bumpy
 
 import pgccd
 from pgccd import ops
-from support.shapes import bumpy
 
 # A mesh in one point has no extent, which is an error of its own.
 SHAPES = strategies.meshes().filter(
@@ -55,12 +55,14 @@ def walk(links: np.ndarray) -> tuple[list[tuple[int, int, int]], int]:
 
 
 def assert_encloses(blocks: np.ndarray, links: np.ndarray, triangles: np.ndarray, x: np.ndarray) -> None:
-    """Every node's sphere holds all vertices of its triangles, in exact arithmetic up to the rounding of this test."""
+    """Every node's volume holds all vertices of its triangles, in exact arithmetic up to the rounding of this test."""
     for node, first, count in walk(links)[0]:
-        sphere = blocks[node // WIDTH, :, node % WIDTH].astype(np.longdouble)
-        corners = x[triangles[first : first + count, :3]].reshape(-1, 3).astype(np.longdouble)
-        distance = np.sqrt(((corners - sphere[:3]) ** 2).sum(axis=1)).max()
-        assert distance <= sphere[3] * np.longdouble(1 + 1e-17)
+        volume = blocks[node // WIDTH, :, node % WIDTH].astype(np.longdouble)
+        arms = x[triangles[first : first + count, :3]].reshape(-1, 3).astype(np.longdouble) - volume[:3]
+        assert np.sqrt((arms**2).sum(axis=1)).max() <= volume[3] * np.longdouble(1 + 1e-17)
+        if len(volume) > 4:  # and a slab about the same centre
+            along = arms @ volume[4:7]
+            assert along.min() >= volume[7] and along.max() <= volume[8]
 
 
 @given(SHAPES)

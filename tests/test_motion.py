@@ -10,11 +10,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import rigid
+from support.shapes import Bodies, approaching, bumpy, directions, tensors, unit_quaternions
+from support.truth import assert_rigid_rows_close, rows_of
 
 import pgccd
 from pgccd import ops
-from support.shapes import Bodies, approaching, bumpy, directions, tensors, unit_quaternions
-from support.truth import assert_rigid_rows_close, rows_of
 
 U = 2.0**-53
 ROOT_HALF = 0.5**0.5
@@ -93,7 +93,7 @@ def test_any_pair_of_orientations(q0: np.ndarray, q1: np.ndarray) -> None:
 
 
 def test_sine_and_cosine_over_many_turns() -> None:
-    # The simulator's operator turns a body by fraction * angular velocity about one axis: half the angle's sine and cosine.
+    # The simulator's operator turns a body by fraction * angular velocity: sine and cosine of half that angle.
     rng = np.random.default_rng(3)
     angle = np.concatenate(
         [rng.uniform(-1, 1, 300) * 10.0 ** rng.uniform(-8, 6, 300), np.arange(1, 200) * np.pi / 2, [0.0, 1e6, -1e6]]

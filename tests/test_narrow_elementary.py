@@ -14,9 +14,9 @@ from oracle import distance
 from oracle.adversarial import GENERATORS, Generator
 from oracle.constructed import FREE, TOUCH
 from strategies import degenerate_features, feature_motions
+from support.elementary import check, rounding, solve, truth
 
 import pgccd
-from support.elementary import check, rounding, solve, truth
 
 KINDS = pytest.mark.parametrize("is_face", [True, False], ids=["vf", "ee"])
 ALL = pytest.mark.parametrize("generator", GENERATORS, ids=lambda g: g.__name__)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 from oracle.detect import Detection
-
-import pgccd
 from support.shapes import Bodies, approaching, on_the_surface, tensors, unit_quaternions
 from support.truth import end_positions, linear_truth, rigid_truth
+
+import pgccd
 
 Key = tuple[int, int, int]
 

@@ -110,7 +110,7 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
   view.vertices_t0 = rows<double>(t[4], "bodies.vertices_t0", {kAnySize, 3});
   view.vertices_t1 = rows<double>(t[5], "bodies.vertices_t1", {t[4].size(0), 3});
   view.blocks_t0 = rows<float, NodeBlock>(t[6], "bodies.blocks_t0", {kAnySize, kBlockColumns, kBlockWidth});
-  view.blocks_t1 = rows<float, NodeBlock>(t[7], "bodies.blocks_t1", {t[6].size(0), 4, kBlockWidth});
+  view.blocks_t1 = rows<float, NodeBlock>(t[7], "bodies.blocks_t1", {t[6].size(0), kBlockColumns, kBlockWidth});
   view.vertex_begin = rows<int64_t>(t[8], "bodies.vertex_begin", {count});
   view.block_begin = rows<int64_t>(t[9], "bodies.block_begin", {count});
   return view;

@@ -36,7 +36,8 @@ def rows_of(hits: pgccd.Contacts, i: int = 0, j: int = 1) -> Rows:
     columns = [c.tolist() for c in (hits.toi, hits.status, hits.coordinates, hits.point, hits.normal)]
     keys = [(int(hits.kind[k]), *hits.features[k].tolist()) for k in mine]
     assert len(set(keys)) == len(keys), "a contact is reported twice"
-    return {key: Row(*(tuple(c[k]) if isinstance(c[k], list) else c[k] for c in columns)) for key, k in zip(keys, mine)}
+    values = ([tuple(c[k]) if isinstance(c[k], list) else c[k] for c in columns] for k in mine)
+    return {key: Row(*value) for key, value in zip(keys, values, strict=True)}
 
 
 def body_motion(bodies: Bodies, body: int) -> rigid.BodyMotion:
@@ -83,7 +84,7 @@ def feature_indices(faces: tuple[np.ndarray, np.ndarray], keys: list[Key], kind:
 
 
 def assert_rigid_rows_close(rows: Rows, bodies: Bodies, within: float, i: int = 0, j: int = 1) -> None:
-    """At its toi each reported pair of features on rigid arcs is at most `within` apart, and lies where the row says."""
+    """At its toi each reported pair on rigid arcs is at most `within` apart, and lies where the row says."""
     faces = (bodies.meshes[i].faces.long().numpy(), bodies.meshes[j].faces.long().numpy())
     for kind in KINDS:
         keys = [key for key, row in rows.items() if key[0] == kind and row.status == pgccd.TOUCH]

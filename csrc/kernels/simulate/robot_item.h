@@ -15,7 +15,6 @@ enum Stream : uint32_t {
   kCourseStream,
   kSpinStream,
   kDecisionStream,
-  kTargetStream,
 };
 
 constexpr double kTwoPi = 0x1.921fb54442d18p+2;
@@ -47,6 +46,13 @@ PGCCD_HD Quaternion random_orientation(const Uniforms& r) {
 
 PGCCD_HD double axis_component(Vec3<double> v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
 
+// Round trip of the corners along edges of the box. All go the same way round: crowds that meet head-on, or in the
+// middle of the box, would block one another for ever.
+PGCCD_HD int64_t next_corner(int64_t corner) {
+  constexpr int64_t kNextOfAll = 0x57402631;  // hexadecimal digit c: the one after corner c
+  return (kNextOfAll >> (4 * corner)) & 7;
+}
+
 PGCCD_HD Vec3<double> corner(const World& world, int64_t target) {
   const Vec3<double> half = world.half_extent();
   const Vec3<double> reach = {half.x - world.radius, half.y - world.radius, half.z - world.radius};
@@ -74,9 +80,7 @@ PGCCD_HD void plan_skewed(const World& world, int64_t id, int64_t step, Robot& r
   const Uniforms decision = draw(world, id, step, kDecisionStream);
   if (robot.stay_until != kNotStaying) {
     if (step >= robot.stay_until) {
-      const Uniforms choice = draw(world, id, step, kTargetStream);
-      // Along an edge of the box: ways across it would meet in the middle and block one another.
-      robot.target ^= int64_t{1} << static_cast<int>(3.0 * choice.u[0]);
+      robot.target = next_corner(robot.target);
       robot.stay_until = kNotStaying;
       set_course_to_target(world, id, step, robot);
     } else if (decision.u[0] < world.course_change) {
