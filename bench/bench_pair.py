@@ -1,12 +1,12 @@
 """Exact first toi of two near bodies of 700 triangles each, one CPU thread, beside other programs on the same pairs.
 
-The pairs come from the standard world in full swing: bodies whose spheres meet, half of them with meshes that stay apart and half
-with meshes that collide (the mixture is by choice; in the world about one in twenty collides). Every pair is
-timed once by every contender, in turn, after warm-up. pgccd is timed twice: `detect` on one pair a call, where the calls through
-Python are most of the time, and `detect` on all pairs in one call.
+The pairs come from the standard world in full swing: bodies whose spheres meet, half of them with meshes that stay
+apart and half with meshes that collide (the mixture is by choice; in the world about one in twenty collides). Every
+pair is timed once by every contender, in turn, after warm-up. pgccd is timed twice: `detect` on one pair a call,
+where the calls through Python are most of the time, and `detect` on all pairs in one call.
 
-Who misses: on rigid paths pgccd's answer is compared with python-fcl, which moves bodies in the same way. ipctk knows straight
-paths only and is compared with pgccd on those.
+Who misses: on rigid paths pgccd's answer is compared with python-fcl, which moves bodies in the same way. ipctk knows
+straight paths only and is compared with pgccd on those.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ def main() -> None:
     pairs = near_pairs.collect(arguments.free + skipped, arguments.colliding + skipped, arguments.seed)
     tolerance = arguments.tolerance * pairs.mesh.radius
     # Warm-up pairs first, then both sorts mixed.
-    free, colliding = torch.arange(arguments.free + skipped), arguments.free + skipped + torch.arange(
-        arguments.colliding + skipped
+    free, colliding = (
+        torch.arange(arguments.free + skipped),
+        arguments.free + skipped + torch.arange(arguments.colliding + skipped),
     )
     measured = torch.cat([free[skipped:], colliding[skipped:]])
     measured = measured[torch.randperm(len(measured), generator=torch.Generator().manual_seed(arguments.seed))]

@@ -1,11 +1,12 @@
-"""Time of one step's detection in the standard nanorobot world, per stage, with the memory taken (by everything: the world's
-state, poses, detection) and the floor below it.
+"""Time of one step's detection in the standard nanorobot world, per stage, with the memory taken (by everything: the
+world's state, poses, detection) and the floor below it.
 
-The world first runs until nothing is left of the lattice it starts from (`--steps-before`, or `--checkpoint`). Then, step after
-step of the simulation, `detect(report="first")` is timed: poses in device memory to contacts in device memory. The
-floor is what any program would need at least: reading every pose once, writing and reading every potentially colliding pair,
-writing every contact, at the copy bandwidth measured in the same run; and the operations of the node tests and
-candidates that were actually made, roughly counted, at the rate of matrix products measured in the same run.
+The world first runs until nothing is left of the lattice it starts from (`--steps-before`, or `--checkpoint`). Then,
+step after step of the simulation, `detect(report="first")` is timed: poses in device memory to contacts in device
+memory. The floor is what any program would need at least: reading every pose once, writing and reading every
+potentially colliding pair, writing every contact, at the copy bandwidth measured in the same run; and the operations
+of the node tests and candidates that were actually made, roughly counted, at the rate of matrix products measured in
+the same run.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from support.scenes import MixedWorld
 import pgccd
 from pgccd import sim
 
-# Roughly, from the sources: a node is placed at both ends (36 operations) and tested as moving spheres (24); a candidate that is
-# culled at once takes a few hundred operations in double precision. Triangle tests at the leaves are not counted at all.
+# Roughly, from the sources: a node is placed at both ends (36 operations) and tested as moving spheres (24); a
+# candidate that is culled at once takes a few hundred operations in double precision. Triangle tests at the leaves are
+# not counted at all.
 _OPERATIONS_A_NODE_TEST = 60
 _OPERATIONS_A_CANDIDATE = 400
 _BYTES_A_PAIR = 16

@@ -30,6 +30,7 @@ def detect(
     tolerance: float | None = None,
     nonzero_toi: bool = False,
     broad_phase: broad.BroadPhase = "sweep",
+    pairs: Tensor | None = None,
     memory_budget: int | None = None,
 ) -> Contacts:
     """Finds the collisions that happen during one step.
@@ -48,6 +49,8 @@ def detect(
             SBV radius of each pair.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
         broad_phase: how the PCS is found. The result does not depend on it.
+        pairs: (P, 2) int64, i < j, sorted: test these body pairs and no others, without a broad phase (a part of an earlier
+            step's, say). The scene's filters are not applied to them.
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB.
             The result does not depend on it.
 
@@ -72,7 +75,10 @@ def detect(
     with _timed(stats, "bounds"):
         bodies = MovingBodies(scene, motion)
     with _timed(stats, "broad"):
-        pairs = broad.find_pairs(bodies, min_separation, broad_phase)
+        if pairs is None:
+            pairs = broad.find_pairs(bodies, min_separation, broad_phase)
+        else:
+            stats.broad_phase = "given"
     stats.pcs = pairs.shape[0]
 
     found = []

@@ -59,11 +59,18 @@ def operator_tolerance(tolerance: float | None) -> float:
 
 
 def check_pairs(pairs: Tensor, bodies: MovingBodies) -> Tensor:
-    """`pairs`, if it has the right dtype, shape and device."""
+    """`pairs`, if it has the right dtype, shape and device, and names bodies of the scene."""
     if not isinstance(pairs, Tensor) or pairs.dtype != torch.int64:
         raise TypeError(f"pairs: expected an int64 tensor, got {getattr(pairs, 'dtype', type(pairs).__name__)}")
     if pairs.dim() != 2 or pairs.shape[1] != 2:
         raise ValueError(f"pairs: expected shape (P, 2), got {tuple(pairs.shape)}")
     if pairs.device != bodies.device:
         raise ValueError(f"pairs: expected device {bodies.device}, got {pairs.device}")
+    count = bodies.scene.body_count
+    valid = ((pairs[:, 0] >= 0) & (pairs[:, 0] < pairs[:, 1]) & (pairs[:, 1] < count)).all()
+    if pairs.device.type == "cpu":
+        if not valid:
+            raise ValueError(f"pairs: expected rows 0 <= i < j < {count}")
+    else:
+        torch._assert_async(valid, f"pairs: expected rows 0 <= i < j < {count}")  # without waiting for the stream
     return pairs.contiguous()

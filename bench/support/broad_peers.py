@@ -1,7 +1,8 @@
 """Other broad phases for swept spheres.
 
-A peer is given one scene in its own form; the call that this returns finds pairs (timed) and hands back how to read them as
-an array (not timed). Pairs in excess, whose boxes overlap but whose spheres do not meet, are for the caller to remove.
+A peer is given one scene in its own form; the call that this returns finds pairs (timed) and hands back how to read
+them as an array (not timed). Pairs in excess, whose boxes overlap but whose spheres do not meet, are for the caller
+to remove.
 """
 
 from __future__ import annotations

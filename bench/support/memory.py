@@ -9,10 +9,11 @@ import torch
 
 
 class PeakMemory:
-    """`bytes`: how far memory rose above where it stood on entry. On a GPU what torch allocated, on a CPU resident pages.
+    """`bytes`: how far memory rose above where it stood on entry. On a GPU what torch allocated, on a CPU resident
+    pages.
 
-    On a CPU, pages that were freed but kept by the allocator do not count again: enclose all of the work, from its first
-    allocation on.
+    On a CPU, pages that were freed but kept by the allocator do not count again: enclose all of the work, from its
+    first allocation on.
     """
 
     def __init__(self, device: torch.device | str) -> None:

@@ -1,4 +1,6 @@
-"""Pairs of bodies that come near each other, taken out of the standard world, each ready for the programs that test it."""
+"""Pairs of bodies that come near each other, taken out of the standard world, each ready for the programs that test
+it.
+"""
 
 from __future__ import annotations
 
@@ -98,4 +100,6 @@ def rotate(quaternion: Tensor, points: Tensor) -> Tensor:
 
 def _product(p: Tensor, q: Tensor) -> Tensor:
     pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
-    return torch.cat([pw * qw - (pv * qv).sum(-1, keepdim=True), pw * qv + qw * pv + torch.linalg.cross(pv, qv)], dim=-1)
+    return torch.cat(
+        [pw * qw - (pv * qv).sum(-1, keepdim=True), pw * qv + qw * pv + torch.linalg.cross(pv, qv)], dim=-1
+    )

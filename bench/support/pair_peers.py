@@ -1,5 +1,6 @@
-"""Other programs for the first toi of two moving meshes. A peer is given a pair in its own form (not timed); the call returned
-answers with the toi, or None if it finds no collision."""
+"""Other programs for the first toi of two moving meshes. A peer is given a pair in its own form (not timed); the call
+returned answers with the toi, or None if it finds no collision.
+"""
 
 from __future__ import annotations
 

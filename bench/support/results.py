@@ -11,6 +11,7 @@ import platform
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,26 @@ from pgccd import _host
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "bench" / "results"
 _PEERS = ("ipctk", "python-fcl", "pybullet", "scipy", "warp-lang")
+
+
+_begin = time.perf_counter()
+
+
+def _busy_seconds() -> float:
+    """Processor time of the whole machine since it started."""
+    user, nice, system, _idle, _waiting, *rest = Path("/proc/stat").read_text().split("\n")[0].split()[1:8]
+    return sum(map(int, (user, nice, system, *rest))) / os.sysconf("SC_CLK_TCK")
+
+
+_busy_before = _busy_seconds() - time.process_time()
+
+
+def cores_busy_with_others() -> float:
+    """How many cores other processes kept busy on average since this one started: above 0.1 or so, times are
+    doubtful.
+    """
+    others = _busy_seconds() - time.process_time() - _busy_before
+    return round(max(0.0, others / (time.perf_counter() - _begin)), 2)
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
@@ -42,16 +63,17 @@ def write(name: str, device: torch.device | str, content: dict[str, Any], out: P
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "command": command_line(),
         "device": describe_device(device),
+        "cores_busy_with_others": cores_busy_with_others(),
         "versions": versions(),
     }
     path.write_text(json.dumps({"name": name, "made": made, **content}, indent=1) + "\n")
-    print(f"\nwritten: {path.name}")
+    print(f"\nwritten: {path.name} (other processes kept {made['cores_busy_with_others']} cores busy)")
     return path
 
 
-def read_all(folder: Path = FOLDER) -> list[dict[str, Any]]:
-    """All results of a folder."""
-    return [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
+def read(path: Path) -> dict[str, Any]:
+    """A result written by `write`."""
+    return json.loads(path.read_text())
 
 
 def command_line() -> str:

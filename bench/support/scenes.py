@@ -78,7 +78,8 @@ class MovingSpheres:
 
 
 def random_spheres(count: int, seed: int, speed: float = 0.1, fraction: float = 0.25) -> MovingSpheres:
-    """Centres uniform in a box that the spheres would fill to `fraction`, free to overlap; steps as in the standard world.
+    """Centres uniform in a box that the spheres would fill to `fraction`, free to overlap; steps as in the standard
+    world.
 
     On average 4 x `fraction` spheres overlap pairwise at rest for each sphere: about one pair a body.
     """

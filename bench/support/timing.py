@@ -1,4 +1,6 @@
-"""Timing: contenders take turns, every round on other input, so that a disturbed moment of the machine hits all of them."""
+"""Timing: contenders take turns, every round on other input, so that a disturbed moment of the machine hits all of
+them.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Swept spheres by NVIDIA Warp's hash grid: count, scan, fill, with the exact test inside the kernel. (Needs warp-lang.)"""
+"""Swept spheres by NVIDIA Warp's hash grid: count, scan, fill, with the exact test inside the kernel. (Needs warp-
+lang.)
+"""
 
 # No postponed annotations here: Warp reads the kernels' argument types from them.
 from collections.abc import Callable
@@ -28,8 +30,8 @@ def _find(
 ):
     i = wp.hash_grid_point_id(grid, wp.tid())
     query = wp.hash_grid_query(grid, middle[i], reach)
-    j = int(0)
-    count = int(0)
+    j = int(0)  # noqa: UP018  (to Warp a bare literal is a constant)
+    count = int(0)  # noqa: UP018
     while wp.hash_grid_query_next(query, j):
         if j > i:
             offset = start[j] - start[i]

@@ -11,6 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pgccd import broad
+from pgccd.bodies import MovingBodies
 from pgccd.contacts import Contacts
 from pgccd.detect import detect
 from pgccd.scene import Scene
@@ -50,14 +52,18 @@ def make_step(world: World, scene: Scene, state: RobotState, index: int) -> Step
     with _timed(seconds, "plan"):
         before = world.plan(state, index)
         motion = world.motion(before)
+    with _timed(seconds, "broad"):
+        pairs = broad.sweep(MovingBodies(scene, motion))
     # nonzero_toi: robots that part after a contact are free.
-    contacts = detect(scene, motion, report="first", nonzero_toi=True)
-    seconds |= contacts.stats.seconds
+    contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=pairs)
+    for stage, spent in contacts.stats.seconds.items():
+        seconds[stage] = seconds.get(stage, 0.0) + spent
     toi = _column(contacts)
 
     def find_contacts(changed: Tensor, fraction: Tensor) -> tuple[Tensor, Tensor]:
-        slowed = world.motion(before, fraction)
-        found = detect(world.scene(before.id, changed), slowed, report="first", nonzero_toi=True)
+        # A slowed robot stays within the volume it was to sweep: it meets nobody but its partners in the PCS.
+        concerned = pairs[changed[pairs].any(dim=1)]
+        found = detect(scene, world.motion(before, fraction), report="first", nonzero_toi=True, pairs=concerned)
         return found.pairs, _column(found)
 
     with _timed(seconds, "respond"):

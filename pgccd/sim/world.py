@@ -164,13 +164,9 @@ class World:
             velocity, spin = fraction[:, None] * velocity, fraction[:, None] * spin
         return RigidMotion.from_velocity(state.position, state.orientation, velocity, spin, dt=1.0)
 
-    def scene(self, id: Tensor, changed: Tensor | None = None) -> Scene:
-        """The scene of the robots `id` (N,) int64. With `changed` (N,) bool, pairs of unchanged robots are left out."""
-        kind = id % len(self.meshes)
-        if changed is None:
-            return Scene(self.meshes, kind)
-        # Bit 0: changed, bit 1: not. The changed ones meet all, the others only them.
-        return Scene(self.meshes, kind, group=torch.where(changed, 1, 2), mask=torch.where(changed, 3, 1))
+    def scene(self, id: Tensor) -> Scene:
+        """The scene of the robots `id` (N,) int64."""
+        return Scene(self.meshes, id % len(self.meshes))
 
     def describe(self) -> dict[str, Any]:
         """The configuration and what follows from it, in plain numbers."""

@@ -121,7 +121,7 @@ def approaching(
 
 def on_the_surface(rng: np.random.Generator, ratio: float, turn: float = 1.0) -> Bodies:
     """A body `ratio` times as large as another, which at some time inside the step sits on one of its corners."""
-    large, small = bumpy(rng, 2, size=ratio), bumpy(rng, 1)
+    large, small = bumpy(rng, 1, size=ratio), bumpy(rng, 0)
     turned = unit_quaternions(rng, 2)
     w, v = turned[0, 0], turned[0, 1:]
     corner = large.vertices.numpy()[rng.integers(len(large.vertices))]

@@ -14,16 +14,20 @@ PGCCD_HD Vec3<float> nearest_offset(Vec3<float> start, Vec3<float> end) {
   return start + unit_clamp(-dot(start, travel) / norm_squared(travel)) * travel;  // 0 / 0 becomes 0
 }
 
-// Is a sphere certainly on one side of a slab that turns from normal_start to normal_end about its moving centre?
-// Offsets of the sphere's centre from it. Along the mean direction the slab grows by its radius times half the normals'
-// difference.
-PGCCD_HD bool slab_separates(Vec3<float> normal_start, Vec3<float> normal_end, float low, float high, float slab_radius,
-                             Vec3<float> start, Vec3<float> end, float reach) {
-  const Vec3<float> direction = 0.5f * (normal_start + normal_end);
-  const float tilt = slab_radius * (0.5f * std::sqrt(norm_squared(normal_end - normal_start)));
+// A slab whose normal goes from one direction to another while its centre moves. Along their mean it is thicker, by at
+// most `tilt` times the difference of the two.
+struct TurningSlab {
+  Vec3<float> normal_start, normal_end;
+  float low, high, tilt;
+};
+
+// Is a sphere certainly on one side of the slab? Offsets of its centre from the slab's.
+PGCCD_HD bool slab_separates(const TurningSlab& slab, Vec3<float> start, Vec3<float> end, float reach) {
+  const Vec3<float> direction = 0.5f * (slab.normal_start + slab.normal_end);
+  const float grown = slab.tilt * std::sqrt(norm_squared(slab.normal_end - slab.normal_start));
   const float along_start = dot(direction, start), along_end = dot(direction, end);
-  const float above = smaller(along_start, along_end) - (high + tilt);
-  const float below = (low - tilt) - larger(along_start, along_end);
+  const float above = smaller(along_start, along_end) - (slab.high + grown);
+  const float below = (slab.low - grown) - larger(along_start, along_end);
   return larger(above, below) > reach;
 }
 

@@ -79,40 +79,28 @@ class PairTree {
   // The node that is not split, over segment k.
   struct OtherNode {
     MovingPoints<1, float> centre;
-    MovingPoints<1, float> normal;
-    float radius, low, high;
+    TurningSlab slab;
+    float radius;
   };
   PGCCD_HD OtherNode other_node(const SplitPair& split, int k) const {
     const int side = split.first_is_split ? 1 : 0;
     const NodeBlock& b = sweep_.block(bodies_, side, split.other / kBlockWidth);
     const int slot = split.other % kBlockWidth;
-    const Vec3<float> normal{b.normal_x[slot], b.normal_y[slot], b.normal_z[slot]};
-    const float scale = static_cast<float>(sweep_.scale);
-    return {moving_centre(side, split.other, k),
-            {{sweep_.turned(poses_[k - 1], side, normal)}, {sweep_.turned(poses_[k], side, normal)}},
-            scale * b.radius[slot],
-            scale * b.low[slot],
-            scale * b.high[slot]};
+    return {moving_centre(side, split.other, k), turning_slab(side, b, slot, k), local_radius(side, split.other)};
   }
 
   // Not positive if a child and the other node may meet over segment k: squared distance of the spheres less their
   // squared reach, at the nearest moment, unless the slab of one keeps the other's sphere out. NaN for an empty slot.
   PGCCD_HD float clearance(const SplitPair& split, const OtherNode& other, int k, int slot) const {
     const int side = split.first_is_split ? 0 : 1;
-    const LocalPose &pose_start = poses_[k - 1], &pose_end = poses_[k];
     const NodeBlock& b = sweep_.block(bodies_, side, split.block);
-    const float scale = static_cast<float>(sweep_.scale);
-    const float radius = scale * b.radius[slot];
-    const Vec3<float> child_start =
-        Sweep::place(pose_start, side, sweep_.node_centre(bodies_, side, split.block, slot, 0));
-    const Vec3<float> child_end = Sweep::place(pose_end, side, sweep_.node_centre(bodies_, side, split.block, slot, 1));
-    const Vec3<float> start = child_start - other.centre.start[0], end = child_end - other.centre.end[0];
-    const Vec3<float> normal{b.normal_x[slot], b.normal_y[slot], b.normal_z[slot]};
-    const bool apart = slab_separates(other.normal.start[0], other.normal.end[0], other.low, other.high, other.radius,
-                                      start, end, radius + sweep_.inflation) |
-                       slab_separates(sweep_.turned(pose_start, side, normal), sweep_.turned(pose_end, side, normal),
-                                      scale * b.low[slot], scale * b.high[slot], radius, -start, -end,
-                                      other.radius + sweep_.inflation);
+    const float radius = static_cast<float>(sweep_.scale) * b.radius[slot];
+    const auto centre_at = [&](int end) {
+      return Sweep::place(poses_[k - 1 + end], side, sweep_.node_centre(bodies_, side, split.block, slot, end));
+    };
+    const Vec3<float> start = centre_at(0) - other.centre.start[0], end = centre_at(1) - other.centre.end[0];
+    const bool apart = slab_separates(other.slab, start, end, radius + sweep_.inflation) |
+                       slab_separates(turning_slab(side, b, slot, k), -start, -end, other.radius + sweep_.inflation);
     const float reach = (radius + other.radius) + sweep_.inflation;
     return apart ? 1.0f : norm_squared(nearest_offset(start, end)) - reach * reach;
   }
@@ -136,6 +124,13 @@ class PairTree {
   PGCCD_HD void clearances(const SplitPair& split, int k, float out[kBlockWidth]) const {
     const OtherNode other = other_node(split, k);
     for (int slot = 0; slot < kBlockWidth; ++slot) out[slot] = clearance(split, other, k, slot);
+  }
+
+  PGCCD_HD TurningSlab turning_slab(int side, const NodeBlock& b, int slot, int k) const {
+    const Vec3<float> normal{b.normal_x[slot], b.normal_y[slot], b.normal_z[slot]};
+    const float scale = static_cast<float>(sweep_.scale);
+    return {sweep_.turned(poses_[k - 1], side, normal), sweep_.turned(poses_[k], side, normal), scale * b.low[slot],
+            scale * b.high[slot], sweep_.tilt * (scale * b.radius[slot])};
   }
 
   const Bodies& bodies_;

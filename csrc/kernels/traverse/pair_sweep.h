@@ -77,6 +77,12 @@ struct RigidSweep {
   double scale;
   double horizon;
   float inflation;  // distance to keep, chord deviation and rounding, local units
+  // By how much of |n_end - n_start|, times a node's radius, its slab is thicker along the mean of the two normals.
+  // With normals n0 and n1 that belong to rotations at the ends of the segment: half, since the mean differs from each
+  // by half of it. With straight vertex paths up to a horizon h, offsets at the end are blends of offsets under both
+  // rotations of the whole step, n_end = n0 + h (n1 - n0) is not the normal of one, and the blend of both excesses is
+  // |n1 - n0| (3/2 h - h^2) <= 3/2 |n_end - n0|.
+  float tilt;
   int segment_count;
 
   PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until)
@@ -84,6 +90,7 @@ struct RigidSweep {
     const BodyCentres& centres = bodies.centres;
     scale = sweep_detail::local_scale(centres, i, j, relative_centre(centres, i, j));
     segment_count = 1;
+    tilt = bodies.linear_path ? 1.5f : 0.5f;
     double deviation = 0.0;
     if (!bodies.linear_path) {
       const double ri = centres.radius[i], rj = centres.radius[j];
@@ -156,6 +163,7 @@ struct DeformingSweep {
   double scale;
   double horizon;
   float inflation;
+  static constexpr float tilt = 0.0f;  // normals do not turn
   static constexpr int segment_count = 1;
 
   PGCCD_HD DeformingSweep(const DeformingBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings,

@@ -1,0 +1,183 @@
+"""Plots of the results: reads bench/results/*.json, writes bench/results/*.png. (Needs matplotlib.)"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402  (the backend first)
+from matplotlib.figure import Figure  # noqa: E402
+from support import results  # noqa: E402
+
+Result = dict[str, Any]
+
+# pgccd stands out; peers are grey. Stages keep their colours from figure to figure (safe for colour-blind readers).
+_OURS, _PEER = "#0072b2", "#9a9a9a"
+_STAGES = {
+    "plan": "#56b4e9", "bounds": "#cc79a7", "broad": "#e69f00", "traverse": "#0072b2",
+    "narrow": "#009e73", "respond": "#d55e00", "hash": "#b0b0b0",
+}  # fmt: skip
+
+
+def main() -> None:
+    """Draws every result there is a figure for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--results", type=Path, default=results.FOLDER, help="folder of the JSON files and the pictures"
+    )
+    arguments = parser.parse_args()
+    plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "savefig.dpi": 150})
+    for path in sorted(arguments.results.glob("*.json")):
+        result = results.read(path)
+        draw = _FIGURES.get(result["name"])
+        if draw is None:
+            continue
+        figure = draw(result)
+        figure.text(0.01, 0.005, _origin(result), fontsize=6, color="#606060")
+        figure.tight_layout(rect=(0, 0.03, 1, 1))
+        figure.savefig(path.with_suffix(".png"))
+        plt.close(figure)
+        print(path.with_suffix(".png").name)
+
+
+def _world(result: Result) -> Figure:
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6))
+    rows = result["rows"]
+    robots = [row["robots"] for row in rows]
+    left.loglog(robots, [row["ms"]["median"] for row in rows], "o-", color=_OURS, label="detect, whole step")
+    left.loglog(robots, [row["floor_ms"]["operations"] for row in rows], "--", color=_PEER, label="floor: operations")
+    left.loglog(robots, [row["floor_ms"]["bytes"] for row in rows], ":", color=_PEER, label="floor: bytes")
+    left.set(xlabel="robots (700 triangles each)", ylabel="milliseconds a step", title="Exact first toi of every pair")
+    left.legend(frameon=False)
+    below = [0.0] * len(rows)
+    labels = [f"{count:,}" for count in robots]
+    for stage in rows[0]["stage_ms"]:
+        share = [1e3 * row["stage_ms"][stage] / row["robots"] for row in rows]
+        right.bar(labels, share, bottom=below, label=stage, color=_STAGES.get(stage))
+        below = [a + b for a, b in zip(below, share, strict=True)]
+    right.set(xlabel="robots", ylabel="microseconds a robot", title="By stage")
+    right.legend(frameon=False, fontsize=7)
+    return figure
+
+
+def _broad_phase(result: Result) -> Figure:
+    figure, axes = plt.subplots(figsize=(6.5, 3.2))
+    rows = result["rows"]
+    names = [row["method"] for row in rows]
+    own = [row["ms"]["median"] for row in rows]
+    extra = [(row["exact_test_ms"] or {"median": 0.0})["median"] for row in rows]
+    axes.barh(names, own, color=[_colour(name) for name in names])
+    axes.barh(
+        names, extra, left=own, color="none", edgecolor=_PEER, linewidth=0.8, label="exact test of the surplus (NumPy)"
+    )
+    for row, (name, width) in zip(rows, zip(names, own, strict=True), strict=True):
+        axes.text(width * 1.03 + extra[names.index(name)], name, f"{row['ms']['median']:.3g}", va="center", fontsize=7)
+    axes.set(xscale="log", xlabel="milliseconds", xlim=(min(own) / 2, max(own) * 2))
+    axes.set_title(
+        f"{result['bodies']:,} swept spheres, {result['true_pairs_a_body']} true pairs a body, one CPU thread"
+    )
+    axes.invert_yaxis()
+    axes.legend(frameon=False, fontsize=7, loc="upper right")
+    return figure
+
+
+def _pair(result: Result) -> Figure:
+    figure, axes = plt.subplots(figsize=(7.5, 3.6))
+    rows = [row for row in result["rows"] if "straight" not in row["method"]]
+    names = [row["method"] for row in rows]
+    for offset, sort, hatch in ((-0.2, "free_ms", ""), (0.2, "colliding_ms", "///")):
+        widths = [row[sort]["median"] for row in rows]
+        places = [index + offset for index in range(len(rows))]
+        colours = [_colour(name) for name in names]
+        axes.barh(places, widths, height=0.38, color=colours, hatch=hatch, edgecolor="white", label=sort[:-3])
+        for place, width in zip(places, widths, strict=True):
+            axes.text(width * 1.06, place, f"{width:.3g}", va="center", fontsize=7)
+    labels = [
+        f"{row['method']}\n" + (f"{row['missed']} missed, {row['other_toi']} other toi" if "missed" in row else "exact")
+        for row in rows
+    ]
+    axes.set_yticks(range(len(rows)), labels)
+    axes.set(xscale="log", xlabel="milliseconds a pair (median)")
+    axes.set_title(
+        f"First toi of two bodies of {result['triangles']} triangles, one CPU thread; "
+        f"{result['colliding']} of {result['pairs']} pairs collide",
+        fontsize=9,
+    )
+    axes.invert_yaxis()
+    axes.legend(frameon=False, fontsize=7)
+    return figure
+
+
+def _ten_thousand(result: Result) -> Figure:
+    figure, axes = plt.subplots(figsize=(6.5, 2.6))
+    rows = result["rows"]
+    start = 0.0
+    for stage, part in rows[0]["stage_ms"].items():
+        axes.barh(rows[0]["method"], part, left=start, color=_STAGES.get(stage), label=stage)
+        start += part
+    for row in rows[1:]:
+        axes.barh(row["method"], row["ms"]["median"], color=_PEER)
+    for row in rows:
+        axes.errorbar(
+            row["ms"]["median"],
+            row["method"],
+            xerr=[[row["ms"]["median"] - row["ms"]["low10"]], [row["ms"]["high90"] - row["ms"]["median"]]],
+            color="black",
+            linewidth=0.8,
+            capsize=3,
+        )
+    axes.set(xlabel="milliseconds a step (median; bars from 10 % to 90 %)")
+    axes.set_title(f"{result['robots']:,} robots, one whole step")
+    axes.invert_yaxis()
+    axes.legend(frameon=False, fontsize=7, ncols=2)
+    return figure
+
+
+def _narrow_phase(result: Result) -> Figure:
+    panels = (
+        ("exact list", "colliding_us", "Colliding queries of the scenes"),
+        ("candidates", "mean_us", "Pairs with overlapping boxes"),
+        ("queries", "free_us", "Free queries of the query files"),
+    )
+    panels = tuple(panel for panel in panels if any(row["rows"] == panel[0] for row in result["totals"]))
+    figure, all_axes = plt.subplots(1, len(panels), figsize=(3.4 * len(panels), 3.4), squeeze=False)
+    for axes, (sort, key, title) in zip(all_axes[0], panels, strict=True):
+        rows = [row for row in result["totals"] if row["rows"] == sort and row[key] is not None]
+        names = [row["method"] for row in rows]
+        heights = [row[key] for row in rows]
+        axes.bar(names, heights, color=[_colour(name) for name in names])
+        for row, height in zip(rows, heights, strict=True):
+            wrong = f"{row['missed']} missed\n{row['false_positives']} false pos.\nof {row['asked']:,}"
+            axes.text(row["method"], height * 1.1, f"{height:.3g} µs\n{wrong}", ha="center", fontsize=6)
+        axes.set(yscale="log", title=title, ylim=(min(heights) / 2, max(heights) * 8))
+        axes.tick_params(axis="x", labelsize=7)
+    all_axes[0][0].set_ylabel("microseconds a query (mean)")
+    return figure
+
+
+_FIGURES: dict[str, Callable[[Result], Figure]] = {
+    "world": _world,
+    "broad_phase": _broad_phase,
+    "pair": _pair,
+    "ten_thousand": _ten_thousand,
+    "narrow_phase": _narrow_phase,
+}
+
+
+def _colour(name: str) -> str:
+    return _OURS if name.startswith("pgccd") else _PEER
+
+
+def _origin(result: Result) -> str:
+    made = result["made"]
+    device = made["device"].get("gpu", made["device"]["cpu"])
+    return f"{device}, {made['device']['threads']} threads; pgccd {made['versions']['commit']}; {made['date']}"
+
+
+if __name__ == "__main__":
+    main()

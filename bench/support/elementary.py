@@ -1,0 +1,153 @@
+"""Elementary queries (vertex-face, edge-edge) put to pgccd and to ipctk's methods: answers and single-thread times.
+
+Mean times come from whole batches of one sort. Times of single queries, for percentiles, come from calls with one
+query, the fastest of three, less the cost of a call without work; calls through Python make the processor forget much
+between queries, so they are pessimistic.
+
+ipctk is called query by query to learn its answers and the times of colliding queries (less the cost of a call with a
+query that does not move). Its mean for free queries comes from one call that tests all those it finds free, in C++.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+import pgccd
+from pgccd import ops
+from support import timing
+
+#: Points (n, 8, 3): the four points at t0, then at t1.
+Queries = np.ndarray
+
+
+@dataclass
+class Answers:
+    """Of n queries."""
+
+    collides: np.ndarray  #: (n,) bool
+    unresolved: int
+    seconds: np.ndarray  #: (n,) each one's own time
+
+
+class Pgccd:
+    """pgccd's elementary tests."""
+
+    name = "pgccd"
+
+    def __init__(self, kind: str, tolerance: float) -> None:
+        self._operator = ops.vertex_face if kind == "vf" else ops.edge_edge
+        self._tolerance = tolerance
+
+    def batch(self, points: Queries) -> tuple[np.ndarray, int, float]:
+        """Which collide, how many of them are unresolved, and the seconds of the call."""
+        ends = _ends(points)
+        seconds, (status, _, _) = timing.seconds(lambda: self._operator(*ends, 0.0, self._tolerance, False))
+        return (status != pgccd.FREE).numpy(), int((status == pgccd.UNRESOLVED).sum()), seconds
+
+    def mean_seconds(self, points: Queries, rounds: int = 20) -> float | None:
+        """Median over rounds, every one in another order, of the time a query."""
+        if len(points) == 0:
+            return None
+        random = np.random.default_rng(0)
+        spent = [self.batch(points[random.permutation(len(points))])[2] for _ in range(rounds + 2)][2:]
+        return max(0.0, float(np.median(spent)) - self.overhead()) / len(points)
+
+    def overhead(self) -> float:
+        """Seconds of a call without queries."""
+        nothing = np.empty((0, 8, 3))
+        return float(np.median([self.batch(nothing)[2] for _ in range(200)]))
+
+    def single_seconds(self, points: Queries) -> np.ndarray:
+        """(n,) seconds of calls with one query."""
+        start, end = _ends(points)
+        rows = [(start[k : k + 1], end[k : k + 1]) for k in range(len(points))]
+        best = np.full(len(points), np.inf)
+        for _ in range(3):
+            for k, row in enumerate(rows):
+                begin = time.perf_counter()
+                self._operator(*row, 0.0, self._tolerance, False)
+                best[k] = min(best[k], time.perf_counter() - begin)
+        none = (start[:0], end[:0])
+        overhead = np.median(
+            [timing.seconds(lambda: self._operator(*none, 0.0, self._tolerance, False))[0] for _ in range(500)]
+        )
+        return np.maximum(best - overhead, 0.0)
+
+
+class Ipctk:
+    """One of ipctk's narrow phases."""
+
+    def __init__(self, ipctk: Any, name: str, method: Any, kind: str) -> None:
+        self.name = name
+        self._ipctk = ipctk
+        self._method = method
+        self._kind = kind
+        self._call: Callable[..., tuple[bool, float]] = (
+            method.point_triangle_ccd if kind == "vf" else method.edge_edge_ccd
+        )
+        # A query that does not move is answered at once by this method, so that only the call is left.
+        at_rest = ipctk.AdditiveCCD()
+        self._empty = at_rest.point_triangle_ccd if kind == "vf" else at_rest.edge_edge_ccd
+
+    def ask(self, points: Queries) -> Answers:
+        """Query by query."""
+        rows = [list(query) for query in points]
+        still = [row[:4] + row[:4] for row in rows[:2000]]
+        overhead = float(np.median([_timed_call(self._empty, row)[0] for row in still])) if still else 0.0
+        told = [_timed_call(self._call, row) for row in rows]
+        seconds = np.array([spent for spent, _ in told]) - overhead
+        return Answers(np.array([hit for _, (hit, _) in told], dtype=bool), 0, np.maximum(seconds, 0.0))
+
+    def mean_seconds_free(self, points: Queries, rounds: int = 5) -> float | None:
+        """Of queries that this method finds free, in one call."""
+        count = len(points)
+        if count == 0:
+            return None
+        ipctk, corner = self._ipctk, np.arange(4 * count, dtype=np.int32).reshape(-1, 4)
+        start, end = (np.asfortranarray(points[:, k : k + 4].reshape(-1, 3)) for k in (0, 4))
+        candidates = ipctk.Candidates()
+        if self._kind == "vf":
+            faces = corner[:, 1:]
+            mesh = ipctk.CollisionMesh(start, ipctk.edges(np.asfortranarray(faces)), np.asfortranarray(faces))
+            candidates.fv_candidates = [ipctk.FaceVertexCandidate(k, 4 * k) for k in range(count)]
+        else:
+            mesh = ipctk.CollisionMesh(start, np.asfortranarray(corner.reshape(-1, 2)))
+            candidates.ee_candidates = [ipctk.EdgeEdgeCandidate(2 * k, 2 * k + 1) for k in range(count)]
+        spent = []
+        for _ in range(rounds):
+            seconds, step = timing.seconds(
+                lambda: candidates.compute_collision_free_stepsize(mesh, start, end, 0.0, self._method)
+            )
+            if step < 1.0:
+                raise AssertionError(f"{self.name} finds a collision among queries that it found free")
+            spent.append(seconds)
+        return float(np.median(spent)) / count
+
+
+def peers_of(ipctk: Any | None, kind: str, tolerance: float) -> list[Ipctk]:
+    """ipctk's methods that bound the motion; none if it is missing."""
+    if ipctk is None:
+        return []
+    # Without rescaling Tight-Inclusion answers what is asked, "do they touch?". Additive CCD cannot do without; it has
+    # its default.
+    tight = ipctk.TightInclusionCCD(tolerance=tolerance, conservative_rescaling=1.0)
+    return [
+        Ipctk(ipctk, "Tight-Inclusion", tight, kind),
+        Ipctk(ipctk, "Additive CCD", ipctk.AdditiveCCD(), kind),
+    ]
+
+
+def _ends(points: Queries) -> tuple[torch.Tensor, torch.Tensor]:
+    return tuple(torch.from_numpy(np.ascontiguousarray(points[:, k : k + 4])) for k in (0, 4))
+
+
+def _timed_call(call: Callable[..., tuple[bool, float]], row: list[np.ndarray]) -> tuple[float, tuple[bool, float]]:
+    begin = time.perf_counter()
+    answer = call(*row)
+    return time.perf_counter() - begin, answer
