@@ -31,7 +31,9 @@ def main() -> None:
         "--results", type=Path, default=results.FOLDER, help="folder of the JSON files and the pictures"
     )
     arguments = parser.parse_args()
-    plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "savefig.dpi": 150})
+    plt.rcParams.update(
+        {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "savefig.dpi": 150, "axes.titlesize": 9}
+    )
     for path in sorted(arguments.results.glob("*.json")):
         result = results.read(path)
         draw = _FIGURES.get(result["name"])
@@ -61,7 +63,8 @@ def _world(result: Result) -> Figure:
         right.bar(labels, share, bottom=below, label=stage, color=_STAGES.get(stage))
         below = [a + b for a, b in zip(below, share, strict=True)]
     right.set(xlabel="robots", ylabel="microseconds a robot", title="By stage")
-    right.legend(frameon=False, fontsize=7)
+    right.set_ylim(0.0, 1.25 * max(below))
+    right.legend(frameon=False, fontsize=7, ncols=4, loc="upper center")
     return figure
 
 
@@ -104,9 +107,8 @@ def _pair(result: Result) -> Figure:
     axes.set_yticks(range(len(rows)), labels)
     axes.set(xscale="log", xlabel="milliseconds a pair (median)")
     axes.set_title(
-        f"First toi of two bodies of {result['triangles']} triangles, one CPU thread; "
-        f"{result['colliding']} of {result['pairs']} pairs collide",
-        fontsize=9,
+        f"First toi of two bodies of {result['triangles']} triangles, one CPU thread\n"
+        f"({result['colliding']} of {result['pairs']} pairs collide)"
     )
     axes.invert_yaxis()
     axes.legend(frameon=False, fontsize=7)

@@ -59,13 +59,14 @@ class Scene:
         if mesh_index is None:
             mesh_index = list(range(len(meshes)))
         #: (N,) int32.
-        self.mesh_index = _integer_column(mesh_index, "mesh_index", None, self.device).to(torch.int32)
+        self.mesh_index = _integer_column(mesh_index, "mesh_index", None, self.device)
         #: Number of bodies N.
         self.body_count = len(self.mesh_index)
         if self.body_count:
             low, high = (int(x) for x in torch.aminmax(self.mesh_index))
             if low < 0 or high >= len(meshes):
                 raise ValueError(f"mesh_index: values in [{low}, {high}], but there are {len(meshes)} meshes")
+        self.mesh_index = self.mesh_index.to(torch.int32)
         count = self.body_count
         self.group = None if group is None else _integer_column(group, "group", count, self.device)
         self.mask = None if mask is None else _integer_column(mask, "mask", count, self.device)

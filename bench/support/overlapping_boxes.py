@@ -1,4 +1,4 @@
-"""All pairs of features whose swept axis-aligned boxes overlap, by sorting along one axis; in chunks of bounded size."""
+"""All pairs of features whose swept axis-aligned boxes overlap, by sorting along one axis, in bounded chunks."""
 
 from __future__ import annotations
 

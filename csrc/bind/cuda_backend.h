@@ -1,4 +1,5 @@
-// What every operator on a CUDA device needs from torch: its device made current, its stream, and memory from its allocator.
+// What every operator on a CUDA device needs from torch: its device made current, its stream, and memory from its
+// allocator.
 #pragma once
 
 #include <torch/csrc/inductor/aoti_torch/c/shim.h>

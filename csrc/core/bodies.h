@@ -30,11 +30,11 @@ struct DeformingBodies {
   MeshSetView meshes;  // topology; `vertices` and `node_blocks` are not read
   const int32_t* mesh_index;
   BodyCentres centres;
-  const double* vertices_t0;     // (all vertices, 3), world
-  const double* vertices_t1;     // (all vertices, 3), world
-  const NodeBlock* blocks_t0;    // (all blocks) relative to the body's centre at t0
-  const NodeBlock* blocks_t1;    // (all blocks) relative to the body's centre at t1, same radii
-  const int64_t* vertex_begin;   // (bodies,)
+  const double* vertices_t0;    // (all vertices, 3), world
+  const double* vertices_t1;    // (all vertices, 3), world
+  const NodeBlock* blocks_t0;   // (all blocks) relative to the body's centre at t0
+  const NodeBlock* blocks_t1;   // (all blocks) relative to the body's centre at t1, same radii
+  const int64_t* vertex_begin;  // (bodies,)
   const int64_t* block_begin;   // (bodies,)
 };
 

@@ -1,5 +1,5 @@
-// Eight floats at a time, on the host: the compiler's vector types obey the same templates as a plain float, lane by lane with the same
-// bits. Devices run the float versions.
+// Eight floats at a time, on the host: the compiler's vector types obey the same templates as a plain float, lane by
+// lane with the same bits. Devices run the float versions.
 #pragma once
 
 #include <cmath>

@@ -1,4 +1,5 @@
-// Minimum, maximum and clamp by comparison: one instruction each, the same on every backend. A NaN in the first argument yields the second.
+// Minimum, maximum and clamp by comparison: one instruction each, the same on every backend. A NaN in the first
+// argument yields the second.
 #pragma once
 
 #include "core/platform.h"

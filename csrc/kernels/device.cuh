@@ -45,7 +45,8 @@ namespace device_detail {
 template <class Fn>
 __global__ void __launch_bounds__(kBlockThreads) for_each_kernel(int64_t count, Fn fn) {
   const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
-  for (int64_t item = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; item < count; item += stride) fn(item);
+  for (int64_t item = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; item < count; item += stride)
+    fn(item);
 }
 
 }  // namespace device_detail
@@ -65,7 +66,8 @@ void for_each_item(const DeviceContext& context, int64_t count, Fn fn) {
 inline int resident_blocks(int blocks_per_multiprocessor) {
   int device = 0, multiprocessors = 0;
   check_cuda(cudaGetDevice(&device), "cudaGetDevice");
-  check_cuda(cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, device), "cudaDeviceGetAttribute");
+  check_cuda(cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, device),
+             "cudaDeviceGetAttribute");
   return multiprocessors * blocks_per_multiprocessor;
 }
 

@@ -7,7 +7,8 @@ struct CUstream_st;  // what cudaStream_t points to
 
 namespace pgccd {
 
-// Device memory that lives until the operator's work on the stream is done. The binding takes it from torch's allocator.
+// Device memory that lives until the operator's work on the stream is done. The binding takes it from torch's
+// allocator.
 class DeviceMemory {
  public:
   virtual ~DeviceMemory() = default;

@@ -1,4 +1,5 @@
-// Bounding volume hierarchy of a mesh: a tree of spheres, eight siblings to a block, over its triangles; built once, in the body frame.
+// Bounding volume hierarchy of a mesh: a tree of spheres, eight siblings to a block, over its triangles; built once, in
+// the body frame.
 #pragma once
 
 #include <array>

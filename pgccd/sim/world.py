@@ -33,7 +33,8 @@ class WorldConfig:
 
     robots: int = 10_000  #: below 2^31
     #: "random": straight courses in random directions. "skewed": each robot heads for one of the eight corners of the
-    #: box (first the nearest), stays there a while, then heads for another (along an edge).
+    #: box (first the nearest), stays there a while, then heads for another (along an edge; who cannot get through
+    #: gives way to the nearest).
     pattern: Pattern = "random"
     seed: int = 0  #: any int64
     #: Of the lattice at the start, > 2. 2.56 makes the SBVs fill 25 % of the box.
@@ -44,7 +45,7 @@ class WorldConfig:
     resume_steps: float = 8.0  #: mean number of steps after which a robot thrown back heads for its corner again
     stay_steps: tuple[int, int] = (100, 300)  #: shortest and longest stay in a corner
     arrival: float = 0.1  #: a robot this near to its corner has arrived; in smallest edges of the box
-    crowd: float = 0.35  #: a robot thrown back within this distance of its corner has met the crowd and stays too
+    crowd: float = 0.5  #: a robot thrown back within this distance of its corner has met the crowd and stays too
 
     def __post_init__(self) -> None:
         if self.pattern not in PATTERNS:

@@ -20,7 +20,7 @@ struct DeformingInput {
   const double* vertices_t1;
   const int64_t* vertex_begin;  // (bodies,)
   int64_t block_count;          // of all bodies
-  const int64_t* block_begin;    // (bodies,)
+  const int64_t* block_begin;   // (bodies,)
 };
 
 // Everything of DeformingBodies that depends on where the vertices are.

@@ -51,7 +51,7 @@ void rotations_between_cpu(const Executor& executor, const double* orientation_t
   parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
     for (int64_t b = begin; b < end; ++b) {
       store_vec3(rotation + 3 * b,
-            rotation_between(load_quaternion(orientation_t0 + 4 * b), load_quaternion(orientation_t1 + 4 * b)));
+                 rotation_between(load_quaternion(orientation_t0 + 4 * b), load_quaternion(orientation_t1 + 4 * b)));
     }
   });
 }

@@ -1,6 +1,6 @@
-#include "kernels/device.cuh"
 #include "kernels/bounds/bounds_cuda.h"
 #include "kernels/bounds/refit_item.h"
+#include "kernels/device.cuh"
 
 namespace pgccd {
 namespace {
@@ -16,8 +16,8 @@ struct RefitScratch {
 };
 
 // One thread block a body.
-__global__ void __launch_bounds__(kRefitThreads) refit_bodies(DeformingInput input, DeformingBounds bounds,
-                                                             RefitScratch scratch) {
+__global__ void __launch_bounds__(kRefitThreads)
+    refit_bodies(DeformingInput input, DeformingBounds bounds, RefitScratch scratch) {
   const int64_t body = blockIdx.x;
   const int32_t mesh = input.mesh_index[body];
   const MeshOffsets& offsets = input.meshes.offsets[mesh];
@@ -54,7 +54,8 @@ __global__ void __launch_bounds__(kRefitThreads) refit_bodies(DeformingInput inp
   for (int64_t corner = threadIdx.x; corner < 3 * face_count; corner += blockDim.x) {
     for (int end = 0; end < 2; ++end) squared = larger(squared, norm_squared(shape.local(end, faces[corner])));
   }
-  atomicMax(&largest_squared, static_cast<unsigned long long>(__double_as_longlong(squared)));  // >= 0: bits are in order
+  atomicMax(&largest_squared,
+            static_cast<unsigned long long>(__double_as_longlong(squared)));  // >= 0: bits are in order
   __syncthreads();
   if (threadIdx.x == 0) {
     bounds.radius[body] = std::sqrt(__longlong_as_double(static_cast<long long>(largest_squared))) * (1.0 + 0x1p-40);

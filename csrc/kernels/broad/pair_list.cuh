@@ -27,7 +27,8 @@ inline int bit_width(int64_t count) {
 }
 
 // Rows (i, j) of the pairs, sorted by i, then j.
-inline void write_sorted(const DeviceContext& context, const uint64_t* pairs, int64_t count, int64_t body_count, int64_t* out) {
+inline void write_sorted(const DeviceContext& context, const uint64_t* pairs, int64_t count, int64_t body_count,
+                         int64_t* out) {
   if (count == 0) return;
   uint64_t* sorted = context.allocate<uint64_t>(count);
   run_cub(context, [&](void* scratch, size_t& bytes) {
@@ -40,8 +41,8 @@ inline void write_sorted(const DeviceContext& context, const uint64_t* pairs, in
   });
 }
 
-// Runs `launch` with a list that it fills; once more, with enough room, if the first guess was too small. Waits once (or
-// twice) for the number of pairs, which the output's size depends on.
+// Runs `launch` with a list that it fills; once more, with enough room, if the first guess was too small. Waits once
+// (or twice) for the number of pairs, which the output's size depends on.
 template <class Launch>
 void collect_pairs(const DeviceContext& context, int64_t body_count, const PairOutput& make_output, Launch&& launch) {
   auto* counter = context.allocate<unsigned long long>(1);

@@ -79,10 +79,10 @@ struct SortedInterval {
 constexpr int64_t kPieceTests = 2048;
 
 struct SweepArrays {
-  const uint64_t* key;       // sorted lower ends
-  const int32_t* body;       // in that order
+  const uint64_t* key;  // sorted lower ends
+  const int32_t* body;  // in that order
   const SortedInterval* box;
-  const int32_t* end;        // first position past the upper end
+  const int32_t* end;          // first position past the upper end
   const int64_t* first_piece;  // exclusive prefix sum of pieces a body, then the total
 };
 
@@ -90,7 +90,8 @@ __global__ void __launch_bounds__(kBlockThreads) sweep_pieces(BroadBodies bodies
   const int lane = threadIdx.x & 31;
   const int64_t warps = static_cast<int64_t>(gridDim.x) * blockDim.x / 32;
   const int64_t pieces = arrays.first_piece[bodies.count];
-  for (int64_t piece = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / 32; piece < pieces; piece += warps) {
+  for (int64_t piece = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / 32; piece < pieces;
+       piece += warps) {
     int64_t low = 0, high = bodies.count;  // the body whose pieces include this one: last first_piece <= piece
     while (high - low > 1) {
       const int64_t middle = (low + high) / 2;

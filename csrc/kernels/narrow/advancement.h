@@ -43,27 +43,29 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
   // A sixteenth of what the caller tolerates leaves few near misses; below the noise of the distance itself nothing can
   // be told.
   const T noise = T(4) * error.point + T(64) * unit * error.extent;
-  T tolerance = larger(settings.tolerance * T(0.0625), noise);
+  const T separation = settings.separation * path.scale();
+  T tolerance = larger(settings.tolerance * path.scale() * T(0.0625), noise);
 
   T t = T(0);
   FeaturePair<T> now = path.at(t);
   Nearest<T> nearest = nearest_points<kEdgeEdge>(now);
   T distance = norm(nearest.offset);
-  if (settings.nonzero_toi && distance > settings.separation + noise) {
-    tolerance = smaller(tolerance, T(0.5) * (distance - settings.separation));
+  if (settings.nonzero_toi && distance > separation + noise) {
+    tolerance = smaller(tolerance, T(0.5) * (distance - separation));
   }
   for (int advance = 0; advance < kMaxAdvances; ++advance) {
-    if (!(distance > settings.separation + tolerance)) return {Status::kTouch, t, nearest.u, nearest.v};
+    if (!(distance > separation + tolerance)) return {Status::kTouch, t, nearest.u, nearest.v};
     if (t > settings.latest) return {Status::kPruned, t, T(0), T(0)};
 
     const T remaining = T(1) - t;
-    const T window = path.window(distance - settings.separation, remaining);
+    const T window = path.window(distance - separation, remaining);
     T t_end = t + window;
     if (!(window < remaining) || !(t_end < T(1))) t_end = T(1);
     const FeaturePair<T> end = path.at(t_end);
     const T duration = t_end - t;
-    const T keep_apart = settings.separation + path.deviation(duration) * (T(1) + T(16) * unit);
-    T prefix = fixed_direction<kEdgeEdge>(now, end, (T(1) / distance) * nearest.offset, keep_apart, error);
+    const T keep_apart = separation + path.deviation(duration) * (T(1) + T(16) * unit);
+    T prefix =
+        fixed_direction<kEdgeEdge>(now, end, (T(1) / norm(nearest.direction)) * nearest.direction, keep_apart, error);
     if (prefix < T(1)) prefix = larger(prefix, moving_normal(now, end, keep_apart, error));
 
     if (!(prefix < T(1))) {

@@ -101,7 +101,8 @@ PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end,
     const T d01 = c0 + reach * (c1 - c0), d12 = c1 + reach * (c2 - c1), d23 = c2 + reach * (c3 - c2);
     const T d012 = d01 + reach * (d12 - d01), d123 = d12 + reach * (d23 - d12);
     const T w3 = d012 + reach * (d123 - d012);
-    // All of (1/3, d01), (2/3, d012), (1, w3) lie above the steepest line to one of them from (0, c0), hence so does the curve.
+    // All of (1/3, d01), (2/3, d012), (1, w3) lie above the steepest line to one of them from (0, c0), hence so does
+    // the curve.
     const T steepest = smaller(smaller(T(3) * (d01 - c0), T(1.5) * (d012 - c0)), w3 - c0);
     const T inner = threshold - c0 > steepest ? (threshold - c0) / steepest : T(1);
     const T step = inner * reach;

@@ -34,32 +34,37 @@ PGCCD_HD T extent(const FeaturePair<T>& p) {
 template <class T>
 struct Nearest {
   Vec3<T> offset;
+  // Along `offset`, of any length, and perpendicular to the features it joins to within a few roundings: the offset
+  // itself loses its direction when it becomes small.
+  Vec3<T> direction;
   T u, v;
-  bool inside;  // neither at the border of the face nor at an end of an edge
 };
-
-template <class T>
-PGCCD_HD T clamped_ratio(T numerator, T denominator) {
-  // A degenerate edge has no direction: its start stands for all of it.
-  if (!(denominator > T(0))) return T(0);
-  return unit_clamp(numerator / denominator);
-}
 
 namespace nearest_detail {
 
-// Parameter of the point of origin + s * direction, s in [0, 1], that is nearest to zero.
+// A point's offset from the segment origin + s edge, s in [0, 1], where both primitives' parameters follow from s.
 template <class T>
-PGCCD_HD T nearest_on_segment(Vec3<T> origin, Vec3<T> direction) {
-  return clamped_ratio(-dot(origin, direction), norm_squared(direction));
-}
+struct SegmentCase {
+  Vec3<T> origin, edge;
+  T s;
+  Vec3<T> offset;
+  T squared;
+};
 
 template <class T>
-PGCCD_HD void keep_nearer(Nearest<T>& best, T& best_squared, Vec3<T> offset, T u, T v) {
-  const T squared = norm_squared(offset);
-  if (squared < best_squared) {
-    best_squared = squared;
-    best = {offset, u, v, false};
-  }
+PGCCD_HD SegmentCase<T> nearest_on_segment(Vec3<T> origin, Vec3<T> edge) {
+  const T length_squared = norm_squared(edge);
+  // A degenerate edge has no direction: its start stands for all of it.
+  const T s = length_squared > T(0) ? unit_clamp(-dot(origin, edge) / length_squared) : T(0);
+  const Vec3<T> offset = origin + s * edge;
+  return {origin, edge, s, offset, norm_squared(offset)};
+}
+
+// e x (o x e) = |e|^2 (o - its part along e): exact zeros where they belong, however small the result.
+template <class T>
+PGCCD_HD Nearest<T> from_segment(const SegmentCase<T>& c, T u, T v) {
+  const bool within = c.s > T(0) && c.s < T(1);
+  return {c.offset, within ? cross(c.edge, cross(c.origin, c.edge)) : c.offset, u, v};
 }
 
 }  // namespace nearest_detail
@@ -67,7 +72,7 @@ PGCCD_HD void keep_nearer(Nearest<T>& best, T& best_squared, Vec3<T> offset, T u
 // The result steers the search and bounds the distance from above; no certificate of freedom rests on its accuracy.
 template <bool kEdgeEdge, class T>
 PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
-  using nearest_detail::keep_nearer;
+  using nearest_detail::from_segment;
   using nearest_detail::nearest_on_segment;
   const Vec3<T> normal = cross(p.a, p.b);
   const T normal_squared = norm_squared(normal);
@@ -75,43 +80,45 @@ PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
   // for it.
   constexpr T slender = T(64) * Precision<T>::unit;
   const bool has_normal = normal_squared > (slender * slender) * (norm_squared(p.a) * norm_squared(p.b));
-  Nearest<T> best{p.r, T(0), T(0), false};
-  T best_squared = norm_squared(p.r);
-
-  if constexpr (kEdgeEdge) {
-    // Lines: u |n|^2 = det(r, b, n), v |n|^2 = det(r, a, n).
-    const T u = dot(cross(p.r, p.b), normal);
-    const T v = dot(cross(p.r, p.a), normal);
-    if (has_normal && u > T(0) && v > T(0) && u < normal_squared && v < normal_squared) {
-      return {(dot(normal, p.r) / normal_squared) * normal, u / normal_squared, v / normal_squared, true};
-    }
-    const T v0 = nearest_on_segment(p.r, p.b);
-    keep_nearer(best, best_squared, p.r + v0 * p.b, T(0), v0);
-    const Vec3<T> from_end = p.r - p.a;
-    const T v1 = nearest_on_segment(from_end, p.b);
-    keep_nearer(best, best_squared, from_end + v1 * p.b, T(1), v1);
-    const T u0 = nearest_on_segment(p.r, -p.a);
-    keep_nearer(best, best_squared, p.r - u0 * p.a, u0, T(0));
-    const Vec3<T> to_end = p.r + p.b;
-    const T u1 = nearest_on_segment(to_end, -p.a);
-    keep_nearer(best, best_squared, to_end - u1 * p.a, u1, T(1));
-  } else {
-    // Barycentric coordinates of the projection: u |n|^2 = det(b, r, n), v |n|^2 = det(r, a, n).
-    const T u = dot(cross(p.b, p.r), normal);
-    const T v = dot(cross(p.r, p.a), normal);
-    if (has_normal && u > T(0) && v > T(0) && u + v < normal_squared) {
-      return {(dot(normal, p.r) / normal_squared) * normal, u / normal_squared, v / normal_squared, true};
-    }
-    const T along_a = nearest_on_segment(p.r, p.a);
-    keep_nearer(best, best_squared, p.r + along_a * p.a, along_a, T(0));
-    const T along_b = nearest_on_segment(p.r, p.b);
-    keep_nearer(best, best_squared, p.r + along_b * p.b, T(0), along_b);
-    const Vec3<T> far_start = p.r + p.a;
-    const Vec3<T> far_edge = p.b - p.a;
-    const T along_far = nearest_on_segment(far_start, far_edge);
-    keep_nearer(best, best_squared, far_start + along_far * far_edge, T(1) - along_far, along_far);
+  // Edges' lines: u |n|^2 = det(r, b, n), v |n|^2 = det(r, a, n). Projection onto the face: u |n|^2 = det(b, r, n),
+  // same v.
+  const T u = kEdgeEdge ? dot(cross(p.r, p.b), normal) : dot(cross(p.b, p.r), normal);
+  const T v = dot(cross(p.r, p.a), normal);
+  const bool inside = has_normal && u > T(0) && v > T(0) &&
+                      (kEdgeEdge ? u < normal_squared && v < normal_squared : u + v < normal_squared);
+  if (inside) {
+    const T along = dot(normal, p.r);
+    return {(along / normal_squared) * normal, along < T(0) ? -normal : normal, u / normal_squared, v / normal_squared};
   }
-  return best;
+
+  auto best = nearest_on_segment(p.r, p.b);
+  if constexpr (kEdgeEdge) {
+    int which = 0;  // end 0 or 1 of the first edge on the second, end 0 or 1 of the second edge on the first
+    const auto consider = [&](Vec3<T> origin, Vec3<T> edge, int candidate) {
+      const auto other = nearest_on_segment(origin, edge);
+      if (!(other.squared < best.squared)) return;
+      best = other;
+      which = candidate;
+    };
+    consider(p.r - p.a, p.b, 1);
+    consider(p.r, -p.a, 2);
+    consider(p.r + p.b, -p.a, 3);
+    if (which < 2) return from_segment(best, T(which), best.s);
+    return from_segment(best, best.s, T(which - 2));
+  } else {
+    int which = 0;  // edges x1 x3, x1 x2, x2 x3
+    const auto consider = [&](Vec3<T> origin, Vec3<T> edge, int candidate) {
+      const auto other = nearest_on_segment(origin, edge);
+      if (!(other.squared < best.squared)) return;
+      best = other;
+      which = candidate;
+    };
+    consider(p.r, p.a, 1);
+    consider(p.r + p.a, p.b - p.a, 2);
+    if (which == 0) return from_segment(best, T(0), best.s);
+    if (which == 1) return from_segment(best, best.s, T(0));
+    return from_segment(best, T(1) - best.s, best.s);
+  }
 }
 
 }  // namespace pgccd

@@ -1,8 +1,8 @@
 #include <cub/cub.cuh>
 
+#include "kernels/device.cuh"
 #include "kernels/narrow/contact_item.h"
 #include "kernels/narrow/elementary_item.h"
-#include "kernels/device.cuh"
 #include "kernels/narrow/narrow_cuda.h"
 
 namespace pgccd {
@@ -21,7 +21,9 @@ struct FoundList {
 };
 
 // toi >= 0, so its bits are in order; all ones is later than any.
-__device__ unsigned long long toi_bits(double toi) { return static_cast<unsigned long long>(__double_as_longlong(toi)); }
+__device__ unsigned long long toi_bits(double toi) {
+  return static_cast<unsigned long long>(__double_as_longlong(toi));
+}
 
 // Kind and features in canonical order.
 __device__ unsigned long long feature_key(const Candidate& c) {
@@ -29,10 +31,11 @@ __device__ unsigned long long feature_key(const Candidate& c) {
          static_cast<unsigned long long>(c.feature_j);
 }
 
-// One thread a candidate. Those certainly later than the pair's best so far are cut short, which cannot change the winner.
+// One thread a candidate. Those certainly later than the pair's best so far are cut short, which cannot change the
+// winner.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads) solve_candidates(Bodies bodies, NarrowInput input,
-                                                                 unsigned long long* best, FoundList found) {
+__global__ void __launch_bounds__(kBlockThreads)
+    solve_candidates(Bodies bodies, NarrowInput input, unsigned long long* best, FoundList found) {
   const int64_t c = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   if (c >= input.candidate_count) return;
   const Candidate candidate = input.candidates[c];
@@ -51,7 +54,8 @@ __global__ void __launch_bounds__(kBlockThreads) solve_candidates(Bodies bodies,
   if (best != nullptr) atomicMin(best + candidate.pair, toi_bits(outcome.toi));
   const uint32_t at = warp_append(found.count, 1);
   if (at < found.capacity) {
-    found.contacts[at] = {static_cast<int32_t>(c), static_cast<int32_t>(outcome.status), outcome.toi, outcome.u, outcome.v};
+    found.contacts[at] = {static_cast<int32_t>(c), static_cast<int32_t>(outcome.status), outcome.toi, outcome.u,
+                          outcome.v};
   }
 }
 
@@ -97,7 +101,7 @@ int32_t* select_first(const DeviceContext& context, const NarrowInput& input, co
   const auto has_winner = [] __device__(int32_t k) { return k >= 0; };
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceSelect::If(scratch, bytes, winner, selected, selected_count, input.pair_count, has_winner,
-                                   context.stream);
+                                 context.stream);
   });
   rows = read(context, selected_count);
   return selected;
@@ -116,7 +120,7 @@ int32_t* sort_all(const DeviceContext& context, const NarrowInput& input, const 
   });
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, order, sorted_order,
-                                             static_cast<int64_t>(count), 0, 64, context.stream);
+                                           static_cast<int64_t>(count), 0, 64, context.stream);
   });
   for_each_item(context, count, [=] __device__(int64_t k) {
     keys[k] = static_cast<uint64_t>(candidates[found.contacts[sorted_order[k]].candidate].pair);
@@ -134,7 +138,8 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Narrow
   for_each_item(context, rows, [=] __device__(int64_t row) {
     const FoundContact& contact = found.contacts[selected[row]];
     const Candidate c = input.candidates[contact.candidate];
-    const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * int64_t(c.pair)], input.pairs[2 * int64_t(c.pair) + 1]);
+    const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * int64_t(c.pair)],
+                                             input.pairs[2 * int64_t(c.pair) + 1]);
     const ContactPlace at = contact_place(bodies, pair, c, contact.toi, contact.u, contact.v);
     out.pair[row] = c.pair;
     out.kind[row] = static_cast<int8_t>(c.kind);
@@ -166,8 +171,8 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
     make_output(0);
     return;
   }
-  const int32_t* selected = best != nullptr ? select_first(context, input, found, count, best, rows)
-                                            : sort_all(context, input, found, count);
+  const int32_t* selected =
+      best != nullptr ? select_first(context, input, found, count, best, rows) : sort_all(context, input, found, count);
   write_rows(context, bodies, input, found, selected, rows, make_output(rows));
 }
 

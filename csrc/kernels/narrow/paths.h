@@ -21,8 +21,16 @@ class LinearPath {
   PGCCD_HD LinearPath(const Vec3<T> t0[4], const Vec3<T> t1[4], T point_error)
       : t0_(feature_pair<kEdgeEdge>(t0[0], t0[1], t0[2], t0[3])),
         t1_(feature_pair<kEdgeEdge>(t1[0], t1[1], t1[2], t1[3])) {
-    error_ = {point_error, larger(extent(t0_), extent(t1_))};
+    const T size = larger(extent(t0_), extent(t1_));
+    // To about unit size, by a power of two: exact, and products of six lengths neither overflow nor vanish.
+    scale_ = size > T(0) ? static_cast<T>(inverse_power_of_two(size)) : T(1);
+    t0_ = {scale_ * t0_.r, scale_ * t0_.a, scale_ * t0_.b};
+    t1_ = {scale_ * t1_.r, scale_ * t1_.a, scale_ * t1_.b};
+    error_ = {scale_ * point_error, scale_ * size};
   }
+
+  // All lengths that the path speaks of are given ones times this.
+  PGCCD_HD T scale() const { return scale_; }
 
   PGCCD_HD FeaturePair<T> at(T t) const {
     const T s = T(1) - t;
@@ -34,6 +42,7 @@ class LinearPath {
 
  private:
   FeaturePair<T> t0_, t1_;
+  T scale_;
   PairError<T> error_;
 };
 
@@ -75,6 +84,7 @@ class ArcPath {
     error_ = {point_error, 6.0 * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)))};
   }
 
+  PGCCD_HD double scale() const { return 1.0; }
   PGCCD_HD FeaturePair<double> at(double t) const {
     Vec3<double> x[4];
     positions(t, x);

@@ -46,11 +46,8 @@ PGCCD_HD Quaternion random_orientation(const Uniforms& r) {
 
 PGCCD_HD double axis_component(Vec3<double> v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
 
-// Round trip of the corners along edges of the box. All go the same way round: crowds that meet head-on, or in the
-// middle of the box, would block one another for ever.
-PGCCD_HD int64_t next_corner(int64_t corner) {
-  constexpr int64_t kNextOfAll = 0x57402631;  // hexadecimal digit c: the one after corner c
-  return (kNextOfAll >> (4 * corner)) & 7;
+PGCCD_HD int64_t nearest_corner(Vec3<double> position) {
+  return (position.x > 0.0 ? 1 : 0) | (position.y > 0.0 ? 2 : 0) | (position.z > 0.0 ? 4 : 0);
 }
 
 PGCCD_HD Vec3<double> corner(const World& world, int64_t target) {
@@ -80,7 +77,8 @@ PGCCD_HD void plan_skewed(const World& world, int64_t id, int64_t step, Robot& r
   const Uniforms decision = draw(world, id, step, kDecisionStream);
   if (robot.stay_until != kNotStaying) {
     if (step >= robot.stay_until) {
-      robot.target = next_corner(robot.target);
+      // Along an edge of the box: all ways across it would meet in the middle.
+      robot.target ^= int64_t{1} << static_cast<int>(3.0 * decision.u[1]);
       robot.stay_until = kNotStaying;
       set_course_to_target(world, id, step, robot);
     } else if (decision.u[0] < world.course_change) {
@@ -97,6 +95,10 @@ PGCCD_HD void plan_skewed(const World& world, int64_t id, int64_t step, Robot& r
     const double choices = static_cast<double>(world.stay_longest - world.stay_shortest + 1);
     robot.stay_until = step + world.stay_shortest + static_cast<int64_t>(choices * decision.u[1]);
     set_random_course(world, id, step, kStayingSpeed, robot);
+  } else if (thrown_back && decision.u[2] < world.course_change) {
+    // Whoever cannot get through gives way; otherwise crowds that meet would block one another for ever.
+    robot.target = nearest_corner(robot.position);
+    set_course_to_target(world, id, step, robot);
   } else if (decision.u[0] < world.resumption) {
     set_course_to_target(world, id, step, robot);
   }
@@ -134,7 +136,7 @@ PGCCD_HD Robot start_robot(const World& world, int64_t id) {
   robot.target = kNoTarget;
   robot.stay_until = kNotStaying;
   if (world.pattern == MovementPattern::kSkewed) {
-    robot.target = (x[0] > 0.0 ? 1 : 0) | (x[1] > 0.0 ? 2 : 0) | (x[2] > 0.0 ? 4 : 0);  // the nearest one
+    robot.target = nearest_corner(robot.position);
     set_course_to_target(world, id, 0, robot);
   } else {
     set_random_course(world, id, 0, 1.0, robot);

@@ -31,8 +31,8 @@ PGCCD_HD MovingPoints<2, float> side(const MovingPoints<3, float>& t, int c) {
 
 }  // namespace leaf_detail
 
-// Bits of the feature pairs that two triangles stand for: vertex c of i and the face of j (c), vertex c of j and the face of i (3 + c),
-// edge c of i and edge d of j (6 + 3 c + d).
+// Bits of the feature pairs that two triangles stand for: vertex c of i and the face of j (c), vertex c of j and the
+// face of i (3 + c), edge c of i and edge d of j (6 + 3 c + d).
 PGCCD_HD uint32_t represented_pairs(const Triangle& ti, const Triangle& tj) {
   uint32_t bits = static_cast<uint32_t>((ti.represented & 7) | ((tj.represented & 7) << 3));
   const uint32_t edges_j = static_cast<uint32_t>(tj.represented >> 3) & 7u;

@@ -29,7 +29,8 @@ struct CandidateList {
   }
 };
 
-// Every feature pair that may come within separation + tolerance until the horizon is listed, and none twice; unless `leading`.
+// Every feature pair that may come within separation + tolerance until the horizon is listed, and none twice; unless
+// `leading`.
 template <class Bodies>
 CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
 

@@ -19,8 +19,7 @@ class PairCache {
  public:
   using Sweep = typename SweepOf<Bodies>::type;
 
-  PairCache(const Bodies& bodies, const TraverseInput& input)
-      : bodies_(bodies), input_(input), sweep_(make_sweep(0)) {}
+  PairCache(const Bodies& bodies, const TraverseInput& input) : bodies_(bodies), input_(input), sweep_(make_sweep(0)) {}
 
   PairTree<Bodies> tree(int32_t pair) {
     if (pair != current_) {
@@ -109,7 +108,8 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
   }
   for (int p = 0; p < first.triangle_count; ++p) {
     for (int lane = 0; lane < second.triangle_count; ++lane) {
-      for_each_bit(meeting[p][lane], [&](int bit) { emit_pair(first_triangles[p], second_triangles[lane], bit, emit); });
+      for_each_bit(meeting[p][lane],
+                   [&](int bit) { emit_pair(first_triangles[p], second_triangles[lane], bit, emit); });
     }
   }
 }

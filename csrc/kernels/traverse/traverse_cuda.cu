@@ -1,9 +1,9 @@
-// Level by level: all node pairs of all body pairs wait in one queue, so that body pairs whose costs differ a thousandfold still load the
-// device evenly. Eight threads split one node pair; a warp takes a leaf pair.
+// Level by level: all node pairs of all body pairs wait in one queue, so that body pairs whose costs differ a
+// thousandfold still load the device evenly. Eight threads split one node pair; a warp takes a leaf pair.
 #include <cub/cub.cuh>
 
-#include "kernels/traverse/leaf_item.h"
 #include "kernels/device.cuh"
+#include "kernels/traverse/leaf_item.h"
 #include "kernels/traverse/traverse_cuda.h"
 
 namespace pgccd {
@@ -52,8 +52,8 @@ __device__ uint32_t fitting(uint32_t count, uint32_t capacity) { return count < 
 
 // Splits the node pairs of one level; the survivors go to the next level, or to the leaves.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads) split_level(Pairs<Bodies> pairs, Queue from, Queue to, Queue leaves,
-                                                            Counters* counters, int level) {
+__global__ void __launch_bounds__(kBlockThreads)
+    split_level(Pairs<Bodies> pairs, Queue from, Queue to, Queue leaves, Counters* counters, int level) {
   const int slot = threadIdx.x % kBlockWidth;
   const uint32_t count = fitting(counters->level[level], from.capacity);
   const uint32_t groups = gridDim.x * blockDim.x / kBlockWidth;
@@ -82,8 +82,8 @@ __global__ void __launch_bounds__(kBlockThreads) split_level(Pairs<Bodies> pairs
 
 // Follows the deepest overlap of each body pair down to one pair of leaves.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads) descend_greedily(Pairs<Bodies> pairs, int64_t pair_count, Queue leaves,
-                                                                 Counters* counters) {
+__global__ void __launch_bounds__(kBlockThreads)
+    descend_greedily(Pairs<Bodies> pairs, int64_t pair_count, Queue leaves, Counters* counters) {
   const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   if (pair >= pair_count) return;
   const PairTree<Bodies> tree = pairs.tree(static_cast<int32_t>(pair));
@@ -112,7 +112,7 @@ struct CandidateQueue {
 // A warp's view of one leaf pair over one segment.
 struct LeafShared {
   MovingPoints<3, float> triangle[2][kMaxLeafTriangles];
-  uint32_t meeting[kMaxLeafTriangles * kMaxLeafTriangles];  // feature pairs emitted so far
+  uint32_t meeting[kMaxLeafTriangles * kMaxLeafTriangles];    // feature pairs emitted so far
   uint32_t surviving[kMaxLeafTriangles * kMaxLeafTriangles];  // triangle pairs of this segment
 };
 
@@ -122,8 +122,8 @@ __device__ int nth_set_bit(uint32_t bits, int n) {
 }
 
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads) visit_leaves(Pairs<Bodies> pairs, Queue leaves, CandidateQueue out,
-                                                             Counters* counters) {
+__global__ void __launch_bounds__(kBlockThreads)
+    visit_leaves(Pairs<Bodies> pairs, Queue leaves, CandidateQueue out, Counters* counters) {
   __shared__ LeafShared all_shared[kWarpsPerBlock];
   LeafShared& shared = all_shared[threadIdx.x / kWarp];
   const int lane = threadIdx.x % kWarp;
@@ -147,7 +147,8 @@ __global__ void __launch_bounds__(kBlockThreads) visit_leaves(Pairs<Bodies> pair
         const MovingPoints<3, float> moving = moving_triangles<float>(tree, side, link[side].first + row, k);
         shared.triangle[side][row] = moving;
         const int32_t other = side == 0 ? task.nodes.second : task.nodes.first;
-        reaches = !stays_out(moving, tree.moving_centre(1 - side, other, k), tree.local_radius(1 - side, other) + distance);
+        reaches =
+            !stays_out(moving, tree.moving_centre(1 - side, other, k), tree.local_radius(1 - side, other) + distance);
       }
       const uint32_t reaching = __ballot_sync(~0u, reaches);
       const uint32_t reaching_i = reaching & 0xffu, reaching_j = (reaching >> kMaxLeafTriangles) & 0xffu;
@@ -209,7 +210,8 @@ struct Traversal {
 
   // Until everything fits: overflow is counted, never dropped.
   Counters run(CandidateQueue& out) {
-    uint32_t queue_capacity = guess(24), leaf_capacity = guess(64), candidate_capacity = guess(input_.leading ? 32 : 128);
+    uint32_t queue_capacity = guess(24), leaf_capacity = guess(64),
+             candidate_capacity = guess(input_.leading ? 32 : 128);
     for (;;) {
       const Queue queues[2] = {make_queue(queue_capacity), make_queue(queue_capacity)};
       const Queue leaves = make_queue(leaf_capacity);
@@ -256,8 +258,8 @@ struct Traversal {
       pose_counts[pair] = sweep.segment_count + 1;
     });
     run_cub(context_, [&](void* scratch, size_t& bytes) {
-    return cub::DeviceScan::ExclusiveSum(scratch, bytes, pose_counts, pose_begin, count + 1, context_.stream);
-  });
+      return cub::DeviceScan::ExclusiveSum(scratch, bytes, pose_counts, pose_begin, count + 1, context_.stream);
+    });
     LocalPose* poses = context_.allocate<LocalPose>(read(context_, pose_begin + count));
     for_each_item(context_, count, [=] __device__(int64_t pair) {
       const Sweep& sweep = sweeps[pair];
@@ -287,8 +289,8 @@ struct Traversal {
     });
     for (int from = 0;;) {
       for (int level = 0; level < kLevelsPerBatch; ++level, from = 1 - from) {
-        split_level<Bodies><<<resident_blocks(8), kBlockThreads, 0, context_.stream>>>(pairs_, queues[from], queues[1 - from],
-                                                                                      leaves, counters_, level);
+        split_level<Bodies><<<resident_blocks(8), kBlockThreads, 0, context_.stream>>>(
+            pairs_, queues[from], queues[1 - from], leaves, counters_, level);
         check_cuda(cudaGetLastError(), "split_level");
       }
       seen = read(context_, counters_);
@@ -330,7 +332,8 @@ void traverse_cuda(const DeviceContext& context, const Bodies& bodies, const Tra
   for_each_item(context, 1, [=] __device__(int64_t) { *node_tests = tests; });
 }
 
-template void traverse_cuda(const DeviceContext&, const RigidBodies&, const TraverseInput&, const CandidateOutput&, int64_t*);
+template void traverse_cuda(const DeviceContext&, const RigidBodies&, const TraverseInput&, const CandidateOutput&,
+                            int64_t*);
 template void traverse_cuda(const DeviceContext&, const DeformingBodies&, const TraverseInput&, const CandidateOutput&,
                             int64_t*);
 

@@ -1,0 +1,95 @@
+// A pair of deforming bodies in its local frame.
+#pragma once
+
+#include "kernels/traverse/sweep_frame.h"
+
+namespace pgccd {
+
+struct DeformingSweep {
+  int64_t body[2];
+  int32_t mesh[2];
+  double scale;
+  double horizon;
+  float inflation;
+  static constexpr float tilt = 0.0f;  // normals do not turn
+  static constexpr int segment_count = 1;
+
+  PGCCD_HD DeformingSweep(const DeformingBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings,
+                          double until)
+      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, horizon(until) {
+    scale = sweep_detail::local_scale(bodies.centres, i, j, relative_centre(bodies.centres, i, j));
+    const double distance = sweep_detail::kept_distance(bodies.centres, i, j, settings);
+    inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
+  }
+
+  PGCCD_HD LocalPose pose(const DeformingBodies& bodies, int k) const {
+    const RelativeCentre centre = relative_centre(bodies.centres, body[0], body[1]);
+    const double t = k == 0 ? 0.0 : horizon;
+    LocalPose out{};
+    out.first.r0.x = static_cast<float>(scale);  // no rotation: the scale is all there is
+    out.shift = cast<float>(scale * ((1.0 - t) * centre.at_t0 + t * centre.at_t1));
+    return out;
+  }
+
+  PGCCD_HD const NodeBlock& block(const DeformingBodies& bodies, int side, int32_t block) const {
+    return bodies.blocks_t0[bodies.block_begin[body[side]] + block];
+  }
+  // Relative to the body's centre, at the start (0) or the horizon (1).
+  PGCCD_HD Vec3<float> node_centre(const DeformingBodies& bodies, int side, int32_t block_index, int slot,
+                                   int end) const {
+    const int64_t row = bodies.block_begin[body[side]] + block_index;
+    const NodeBlock& b0 = bodies.blocks_t0[row];
+    const Vec3<float> at_t0{b0.x[slot], b0.y[slot], b0.z[slot]};
+    if (end == 0) return at_t0;
+    const NodeBlock& b1 = bodies.blocks_t1[row];
+    return until_horizon(at_t0, {b1.x[slot], b1.y[slot], b1.z[slot]});
+  }
+
+  template <class T>
+  PGCCD_HD static Vec3<T> place(const LocalPose& p, int side, Vec3<T> v) {
+    const Vec3<T> scaled{p.first.r0.x * v.x, p.first.r0.x * v.y, p.first.r0.x * v.z};
+    return side == 0 ? scaled : sweep_detail::shifted(p.shift, scaled);
+  }
+
+  PGCCD_HD Vec3<float> turned(const LocalPose&, int, Vec3<float> direction) const { return direction; }
+
+  template <class T>
+  PGCCD_HD Corners<T> corners(const DeformingBodies& bodies, int side, int32_t triangle, int end) const {
+    Corners<T> out;
+    if constexpr (sizeof(T) == sizeof(float)) {
+      const Triangle& t = bodies.meshes.triangles[bodies.meshes.offsets[mesh[side]].face + triangle];
+      for (int c = 0; c < 3; ++c) out.corner[c] = vertex(bodies, side, t.vertex[c], end);
+    } else {
+      const MeshOffsets* offsets = bodies.meshes.offsets + mesh[side];
+      const int64_t count = offsets[1].face - offsets[0].face;
+      for (int lane = 0; lane < kLanes; ++lane) {
+        const int64_t row = triangle + lane < count ? triangle + lane : count - 1;
+        const Triangle& t = bodies.meshes.triangles[offsets[0].face + row];
+        for (int c = 0; c < 3; ++c) {
+          const Vec3<float> x = vertex(bodies, side, t.vertex[c], end);
+          out.corner[c].x[lane] = x.x;
+          out.corner[c].y[lane] = x.y;
+          out.corner[c].z[lane] = x.z;
+        }
+      }
+    }
+    return out;
+  }
+
+ private:
+  PGCCD_HD Vec3<float> until_horizon(Vec3<float> at_t0, Vec3<float> at_t1) const {
+    return at_t0 + static_cast<float>(horizon) * (at_t1 - at_t0);
+  }
+  PGCCD_HD Vec3<float> vertex(const DeformingBodies& bodies, int side, int32_t v, int end) const {
+    const BodyCentres& centres = bodies.centres;
+    const int64_t row = bodies.vertex_begin[body[side]] + v;
+    const Vec3<double> local_t0 =
+        load_vec3(bodies.vertices_t0 + 3 * row) - load_vec3(centres.position_t0 + 3 * body[side]);
+    if (end == 0) return cast<float>(local_t0);
+    const Vec3<double> local_t1 =
+        load_vec3(bodies.vertices_t1 + 3 * row) - load_vec3(centres.position_t1 + 3 * body[side]);
+    return cast<float>((1.0 - horizon) * local_t0 + horizon * local_t1);
+  }
+};
+
+}  // namespace pgccd

@@ -1,0 +1,94 @@
+// A pair of rigid bodies in its local frame.
+#pragma once
+
+#include "kernels/traverse/sweep_frame.h"
+
+namespace pgccd {
+
+struct RigidSweep {
+  int64_t body[2];
+  int32_t mesh[2];
+  double scale;
+  double horizon;
+  float inflation;  // distance to keep, chord deviation and rounding, local units
+  // By how much of |n_end - n_start|, times a node's radius, its slab is thicker along the mean of the two normals.
+  // With normals n0 and n1 that belong to rotations at the ends of the segment: half, since the mean differs from each
+  // by half of it. With straight vertex paths up to a horizon h, offsets at the end are blends of offsets under both
+  // rotations of the whole step, n_end = n0 + h (n1 - n0) is not the normal of one, and the blend of both excesses is
+  // |n1 - n0| (3/2 h - h^2) <= 3/2 |n_end - n0|.
+  float tilt;
+  int segment_count;
+
+  PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until)
+      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, horizon(until) {
+    const BodyCentres& centres = bodies.centres;
+    scale = sweep_detail::local_scale(centres, i, j, relative_centre(centres, i, j));
+    segment_count = 1;
+    tilt = bodies.linear_path ? 1.5f : 0.5f;
+    double deviation = 0.0;
+    if (!bodies.linear_path) {
+      const double ri = centres.radius[i], rj = centres.radius[j];
+      const double turn_i = norm_squared(load_vec3(bodies.rotation + 3 * i));
+      const double turn_j = norm_squared(load_vec3(bodies.rotation + 3 * j));
+      const double bend = 0.125 * (horizon * horizon) * (turn_i * ri + turn_j * rj);
+      // Chords may stray by a fiftieth of the smaller body; with the last segment count they may stray further, and
+      // that is still covered.
+      const double wanted = std::sqrt(bend / (0.02 * smaller(ri, rj)));
+      segment_count = wanted > kMaxSegments ? kMaxSegments : (wanted > 1.0 ? static_cast<int>(std::ceil(wanted)) : 1);
+      deviation = bend / (static_cast<double>(segment_count) * segment_count);
+    }
+    const double distance = sweep_detail::kept_distance(centres, i, j, settings) + deviation;
+    inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
+  }
+
+  // Segment boundary k of segment_count.
+  PGCCD_HD LocalPose pose(const RigidBodies& bodies, int k) const {
+    const RelativeCentre centre = relative_centre(bodies.centres, body[0], body[1]);
+    const double t = horizon * (static_cast<double>(k) / segment_count);
+    LocalPose out;
+    for (int side = 0; side < 2; ++side) {
+      const Mat3<double> at_t0 = rotation_matrix(load_quaternion(bodies.orientation + 4 * body[side]));
+      const Spin spin = make_spin(load_vec3(bodies.rotation + 3 * body[side]));
+      Mat3<double> at_t = at_t0;
+      if (k > 0)
+        at_t = bodies.linear_path ? sweep_detail::blend(at_t0, spun(spin, at_t0, 1.0), t) : spun(spin, at_t0, t);
+      (side == 0 ? out.first : out.second) = sweep_detail::scaled(scale, at_t);
+    }
+    out.shift = cast<float>(scale * ((1.0 - t) * centre.at_t0 + t * centre.at_t1));
+    return out;
+  }
+
+  PGCCD_HD const NodeBlock& block(const RigidBodies& bodies, int side, int32_t block) const {
+    return bodies.meshes.node_blocks[bodies.meshes.offsets[mesh[side]].block + block];
+  }
+  // Body-frame centre of a node; the same at both ends of a segment.
+  PGCCD_HD Vec3<float> node_centre(const RigidBodies& bodies, int side, int32_t block_index, int slot, int) const {
+    const NodeBlock& b = block(bodies, side, block_index);
+    return {b.x[slot], b.y[slot], b.z[slot]};
+  }
+
+  // Body frame -> local frame, at the boundary with pose p.
+  template <class T>
+  PGCCD_HD static Vec3<T> place(const LocalPose& p, int side, Vec3<T> v) {
+    if (side == 0) return sweep_detail::transform(p.first, v);
+    return sweep_detail::shifted(p.shift, sweep_detail::transform(p.second, v));
+  }
+
+  // Body-frame direction -> local frame, unit length kept.
+  PGCCD_HD Vec3<float> turned(const LocalPose& p, int side, Vec3<float> direction) const {
+    return static_cast<float>(1.0 / scale) * sweep_detail::transform(side == 0 ? p.first : p.second, direction);
+  }
+
+  // Of one triangle, or of it and the seven that follow.
+  template <class T>
+  PGCCD_HD Corners<T> corners(const RigidBodies& bodies, int side, int32_t triangle, int) const {
+    const CornerColumns& columns = bodies.meshes.corners;
+    const int64_t row = bodies.meshes.offsets[mesh[side]].face + triangle;
+    const auto column = [&](int index) { return load<T>(columns.first + index * columns.stride + row); };
+    Corners<T> out;
+    for (int c = 0; c < 3; ++c) out.corner[c] = {column(3 * c), column(3 * c + 1), column(3 * c + 2)};
+    return out;
+  }
+};
+
+}  // namespace pgccd

@@ -1,0 +1,74 @@
+// A body pair as the traversal sees it, from t = 0 to a horizon: both hierarchies in one local frame that moves with
+// the first body's centre, scaled by a power of two to about unit size, in float32. Time is cut into segments short
+// enough for chords to follow the rotation; the inflation covers what is left of the arcs, and all float32 rounding.
+#pragma once
+
+#include <cstdint>
+
+#include "core/bodies.h"
+#include "core/lanes.h"
+#include "core/rounding.h"
+
+namespace pgccd {
+
+constexpr int kMaxSegments = 64;
+
+// Everything is below 1 in the local frame: matrix entries, products, sums, the moving-sphere test and the separating
+// directions together stay below 64 units of float32 rounding.
+constexpr float kLocalRounding = 64.0f * Precision<float>::unit;
+
+// Pairs of features are kept if they may come within separation + tolerance: what the narrow phase may report at all.
+struct SweepSettings {
+  double separation;
+  double tolerance;  // as in pair_tolerance
+};
+
+// Poses at one segment boundary, scale included.
+struct LocalPose {
+  Mat3<float> first;   // body frame of i -> local
+  Mat3<float> second;  // body frame of j -> local, without the shift
+  Vec3<float> shift;   // centre of j
+};
+
+// Eight triangles of one body in its own frame, at one end of a segment.
+template <class T>
+struct Corners {
+  Vec3<T> corner[3];
+};
+
+namespace sweep_detail {
+
+PGCCD_HD double local_scale(const BodyCentres& centres, int64_t i, int64_t j, const RelativeCentre& centre) {
+  const double size =
+      2.0 * ((centres.radius[i] + centres.radius[j]) + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)));
+  return inverse_power_of_two(size);
+}
+
+PGCCD_HD double kept_distance(const BodyCentres& centres, int64_t i, int64_t j, const SweepSettings& settings) {
+  return settings.separation + pair_tolerance(centres, i, j, settings.tolerance);
+}
+
+PGCCD_HD float rounded_up(double x) { return static_cast<float>(x) * (1.0f + 2.0f * Precision<float>::unit); }
+
+PGCCD_HD Mat3<float> scaled(double scale, const Mat3<double>& m) {
+  return {cast<float>(scale * m.r0), cast<float>(scale * m.r1), cast<float>(scale * m.r2)};
+}
+
+PGCCD_HD Mat3<double> blend(const Mat3<double>& m0, const Mat3<double>& m1, double t) {
+  const double s = 1.0 - t;
+  return {s * m0.r0 + t * m1.r0, s * m0.r1 + t * m1.r1, s * m0.r2 + t * m1.r2};
+}
+
+template <class T>
+PGCCD_HD Vec3<T> transform(const Mat3<float>& m, Vec3<T> v) {
+  return {(m.r0.x * v.x + m.r0.y * v.y) + m.r0.z * v.z, (m.r1.x * v.x + m.r1.y * v.y) + m.r1.z * v.z,
+          (m.r2.x * v.x + m.r2.y * v.y) + m.r2.z * v.z};
+}
+template <class T>
+PGCCD_HD Vec3<T> shifted(Vec3<float> shift, Vec3<T> v) {
+  return {shift.x + v.x, shift.y + v.y, shift.z + v.z};
+}
+
+}  // namespace sweep_detail
+
+}  // namespace pgccd

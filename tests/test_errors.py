@@ -1,0 +1,282 @@
+"""Bad input gets an exception that names the argument; odd but valid input does not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support.shapes import Bodies, approaching, bumpy, tensors, tetrahedron
+
+import pgccd
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def bodies() -> Bodies:
+    return approaching(np.random.default_rng(0), (0, 0), closeness=0.7)
+
+
+def detect(**options: Any) -> pgccd.Contacts:
+    b = bodies()
+    return pgccd.detect(b.scene(), b.motion(), **options)
+
+
+def scene(**options: Any) -> pgccd.Scene:
+    return pgccd.Scene([tetrahedron()] * 2, **options)
+
+
+def moved() -> pgccd.MovingBodies:
+    b = bodies()
+    return pgccd.MovingBodies(b.scene(), b.motion())
+
+
+def poses(**changed: Any) -> dict[str, Any]:
+    """Arguments of RigidMotion for three bodies."""
+    unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(3, 1)
+    whole = {"position_t0": torch.zeros(3, 3), "orientation_t0": unit, "position_t1": torch.ones(3, 3)}
+    return whole | {"orientation_t1": unit.clone()} | changed
+
+
+def velocities(**changed: Any) -> dict[str, Any]:
+    """Arguments of RigidMotion.from_velocity for three bodies."""
+    whole = {"position": torch.zeros(3, 3), "orientation": poses()["orientation_t0"]}
+    whole |= {"linear_velocity": torch.ones(3, 3), "angular_velocity": torch.ones(3, 3), "dt": 0.1}
+    return whole | changed
+
+
+def one_bad(width: int, value: float, row: int = 1) -> torch.Tensor:
+    x = torch.zeros(3, width)
+    x[:, 0] = 1.0
+    x[row, width - 1] = value
+    return x
+
+
+NAN, INF = float("nan"), float("inf")
+TRIANGLE = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]
+CASES: dict[str, tuple[Callable[[], Any], str]] = {}
+
+
+def case(name: str, call: Callable[[], Any], *words: str) -> None:
+    """An error whose message starts with the argument's name and mentions the other words, in that order."""
+    CASES[name] = call, "^" + ".*".join(words)
+
+
+def rigid(**changed: Any) -> Callable[[], Any]:
+    """RigidMotion with some arguments changed."""
+    return lambda: pgccd.RigidMotion(**poses(**changed))
+
+
+def spinning(**changed: Any) -> Callable[[], Any]:
+    """RigidMotion.from_velocity with some arguments changed."""
+    return lambda: pgccd.RigidMotion.from_velocity(**velocities(**changed))
+
+
+def deforming(**changed: Any) -> Callable[[], Any]:
+    """VertexMotion with some arguments changed."""
+    return lambda: pgccd.VertexMotion(**({"x_t0": torch.ones(3, 3), "x_t1": torch.ones(3, 3)} | changed))
+
+
+for _name in ("position_t0", "position_t1"):
+    for _value in (NAN, INF, -INF):
+        case(f"{_name} {_value}", rigid(**{_name: one_bad(3, _value)}), _name, "body 1", "finite")
+    case(f"{_name} shape", rigid(**{_name: torch.zeros(3, 2)}), _name, "3")
+    case(f"{_name} dtype", rigid(**{_name: torch.zeros(3, 3).int()}), _name, "float64")
+    case(f"{_name} type", rigid(**{_name: np.zeros((3, 3))}), _name, "tensor")
+for _name in ("orientation_t0", "orientation_t1"):
+    for _value in (NAN, INF, 0.05, -1.0):
+        case(f"{_name} {_value}", rigid(**{_name: one_bad(4, _value)}), _name, "body 1", "unit")
+    case(f"{_name} zero", rigid(**{_name: torch.zeros(3, 4)}), _name, "body 0", "unit")
+    case(f"{_name} shape", rigid(**{_name: torch.zeros(2, 4)}), _name, "3, 4")
+    case(f"{_name} dtype", rigid(**{_name: torch.zeros(3, 4).half()}), _name, "float64")
+case("path", rigid(path="arc"), "path", "arc")
+for _name in ("linear_velocity", "angular_velocity"):
+    for _value in (NAN, INF):
+        # An infinite velocity makes the position at t1 infinite, which may be what is named.
+        case(f"{_name} {_value}", spinning(**{_name: one_bad(3, _value)}), f"(position_t1|{_name})", "body 1")
+    case(f"{_name} shape", spinning(**{_name: torch.zeros(3)}), _name)
+    case(f"{_name} dtype", spinning(**{_name: torch.zeros(3, 3).long()}), _name, "float64")
+for _value in (NAN, INF, -0.1):
+    case(f"dt {_value}", spinning(dt=_value), "dt")
+case("turn overflows", lambda: detect_spinning(1e300, 1e200), "angular_velocity")
+case("turn is beyond counting", lambda: detect_spinning(1e120, 1.0), "angular_velocity")
+for _name in ("x_t0", "x_t1"):
+    for _value in (NAN, INF):
+        case(f"{_name} {_value}", deforming(**{_name: one_bad(3, _value, 2)}), _name, "vertex 2")
+case("x_t1 shape", lambda: pgccd.VertexMotion(torch.zeros(3, 3), torch.zeros(4, 3)), "x_t1", "3, 3")
+case("x_t0 type", lambda: pgccd.VertexMotion([[0.0, 0, 0]], torch.zeros(1, 3)), "x_t0", "tensor")
+case(
+    "vertex count",
+    lambda: pgccd.detect(scene(), pgccd.VertexMotion(torch.zeros(3, 3), torch.zeros(3, 3))),
+    "motion",
+    "8",
+)
+case("body count", lambda: pgccd.detect(scene(), pgccd.RigidMotion(**poses())), "motion", "3", "2")
+for _value in (NAN, INF, -1e-9):
+    case(f"min_separation {_value}", lambda v=_value: detect(min_separation=v), "min_separation")
+    case(f"tolerance {_value}", lambda v=_value: detect(tolerance=v), "tolerance")
+case("report", lambda: detect(report="last"), "report", "last")
+case("broad_phase", lambda: detect(broad_phase="grid"), "broad_phase", "grid")
+case("memory_budget", lambda: detect(memory_budget=0), "memory_budget")
+case("axis", lambda: pgccd.broad.sweep(moved(), axis="w"), "axis")
+case("mesh_index range", lambda: scene(mesh_index=[0, 2]), "mesh_index", "2 meshes")
+case("mesh_index negative", lambda: scene(mesh_index=[0, -1]), "mesh_index")
+case("mesh_index beyond int32", lambda: scene(mesh_index=[0, 2**32]), "mesh_index")
+case("mesh_index float", lambda: scene(mesh_index=[0.0, 1.0]), "mesh_index", "integers")
+case("mesh_index shape", lambda: scene(mesh_index=torch.zeros(2, 1).int()), "mesh_index")
+case("meshes", lambda: pgccd.Scene([]), "meshes")
+case("meshes type", lambda: pgccd.Scene([tetrahedron(), "robot.ply"]), r"meshes\[1\]", "str")  # type: ignore[list-item]
+for _name in ("group", "mask", "world", "static"):
+    case(f"{_name} count", lambda n=_name: scene(**{n: torch.tensor([True]) if n == "static" else [1]}), _name, "2")
+for _name in ("group", "mask", "world"):
+    case(f"{_name} float", lambda n=_name: scene(**{n: [0.5, 1.0]}), _name, "integers")
+case("world range", lambda: scene(world=[0, 2**31]), "world")
+case("static type", lambda: scene(static=[0, 1]), "static", "bool")
+case("no faces", lambda: pgccd.Mesh(TRIANGLE, np.zeros((0, 3), int)), "faces")
+case("face range", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2], [0, 1, 3]]), "faces", "face 1", "3 vertices")
+case("face negative", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, -1]]), "faces", "face 0")
+case("face repeats", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2], [1, 1, 2]]), "faces", "face 1")
+case("faces float", lambda: pgccd.Mesh(TRIANGLE, [[0.0, 1.0, 2.0]]), "faces", "integers")
+case("faces shape", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2, 0]]), "faces", "shape")
+case("vertices shape", lambda: pgccd.Mesh([[0.0, 1.0]], [[0, 1, 2]]), "vertices", "shape")
+case("vertex nan", lambda: pgccd.Mesh([[0, 0, 0], [1, NAN, 0], [0, 1, 0]], [[0, 1, 2]]), "vertices", "vertex 1")
+case("zero radius", lambda: pgccd.Mesh(np.ones((3, 3)), [[0, 1, 2]]), "vertices", "radius 0")
+case("tiny radius", lambda: pgccd.Mesh(1e-40 * np.eye(3), [[0, 1, 2]]), "vertices", "radius")
+case("huge radius", lambda: pgccd.Mesh(1e40 * np.eye(3), [[0, 1, 2]]), "vertices", "radius")
+case("from_trimesh", lambda: pgccd.Mesh.from_trimesh(object()), "mesh", "no triangles")
+QUERY = torch.zeros(2, 4, 3, dtype=torch.float64)
+for _test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
+    _name = _test.__name__
+    case(f"{_name} dtype", lambda t=_test: t(QUERY.float(), QUERY), "points_t0", "float64")
+    case(f"{_name} type", lambda t=_test: t(QUERY, QUERY.numpy()), "points_t1")
+    case(f"{_name} shape", lambda t=_test: t(QUERY, QUERY[:, :3]), "points_t1", "4, 3")
+    case(f"{_name} count", lambda t=_test: t(QUERY, QUERY[:1]), "points_t1", "2, 4, 3")
+    case(f"{_name} separation", lambda t=_test: t(QUERY, QUERY, min_separation=-1.0), "min_separation")
+    case(f"{_name} tolerance", lambda t=_test: t(QUERY, QUERY, tolerance=NAN), "tolerance")
+PAIR = torch.tensor([[0, 1]])
+case("pairs dtype", lambda: pgccd.traverse.bvtt(moved(), PAIR.int()), "pairs", "int64")
+case("pairs shape", lambda: pgccd.traverse.bvtt(moved(), PAIR[0]), "pairs", "shape")
+for _rows in ([[0, 2]], [[-1, 1]], [[1, 0]], [[0, 1], [1, 1]]):
+    case(f"pairs {_rows}", lambda r=_rows: pgccd.traverse.bvtt(moved(), torch.tensor(r)), "pairs")
+case("horizon", lambda: pgccd.traverse.bvtt(moved(), PAIR, horizon=torch.ones(2)), "horizon")
+case("horizon nan", lambda: pgccd.traverse.bvtt(moved(), PAIR, horizon=torch.tensor([NAN]).double()), "horizon")
+case("candidates", lambda: pgccd.narrow.contacts(moved(), PAIR, torch.zeros(1, 4)), "candidates", "int32")
+
+
+def detect_spinning(spin: float, dt: float) -> pgccd.Contacts:
+    b = bodies()
+    columns = tensors(b.position_t0, b.orientation_t0, b.velocity / dt, spin * b.rotation)
+    return pgccd.detect(b.scene(), pgccd.RigidMotion.from_velocity(*columns, dt=dt))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_message_names_the_argument(name: str) -> None:
+    call, pattern = CASES[name]
+    with pytest.raises((ValueError, TypeError), match=pattern):
+        call()
+
+
+def test_candidates_out_of_range() -> None:
+    # In processes of their own: reading out of bounds would end this one.
+    program = """
+import os
+import torch, pgccd
+mesh = pgccd.Mesh([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+still = torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]] * 2)
+bodies = pgccd.MovingBodies(pgccd.Scene([mesh, mesh]), pgccd.RigidMotion(*still, *still))
+torch.set_num_threads(1)
+big = 100_000_000
+for row in ([1, 0, 0, 0], [-1, 0, 0, 0], [0, 3, 0, 0], [0, 0, big, 0], [0, 2, 0, big], [0, 1, -7, 0], [0, 1, 1, 0]):
+    child = os.fork()
+    if child == 0:
+        try:
+            pgccd.narrow.contacts(bodies, torch.tensor([[0, 1]]), torch.tensor([row], dtype=torch.int32))
+        except (ValueError, RuntimeError) as error:
+            os._exit(0 if "candidates" in str(error) else 2)
+        os._exit(1)
+    status = os.waitpid(child, 0)[1]
+    if status:
+        print(row, f"signal {status}" if status < 128 else "no error that names candidates")
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, "")
+
+
+def test_files(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    with pytest.raises(FileNotFoundError, match="^path"):
+        pgccd.Mesh.load(tmp_path / "nothing.ply")
+    with pytest.raises(FileNotFoundError, match="^path"):
+        pgccd.Mesh.load(tmp_path)
+    broken = {
+        "noise.ply": bytes(range(256)),
+        "empty.stl": b"",
+        "empty.obj": b"",
+        "text.obj": b"this is no mesh\n",
+        "picture.png": b"\x89PNG",
+        "points.ply": b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+        b"end_header\n0 0 0\n",
+        "repeats.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 2\n",
+        "flat.obj": b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n",
+        "range.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n",
+        "nan.obj": b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n",
+    }
+    for name, content in broken.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ValueError, match="^path: .*" + name):
+            pgccd.Mesh.load(tmp_path / name)
+
+
+def test_faces_that_repeat_a_vertex_are_dropped_from_files(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    (tmp_path / "some.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 2\n")
+    assert len(pgccd.Mesh.load(tmp_path / "some.obj").faces) == 1
+
+
+@pytest.mark.parametrize("exponent", [100, 150, 154, 160, 200, 300])
+@pytest.mark.parametrize("path", ["rigid", "linear"])
+def test_far_beyond_sense_is_found_or_refused(exponent: int, path: Any) -> None:
+    # Two bodies in one place, of which one then leaves by an absurd way: they certainly touch.
+    b = approaching(np.random.default_rng(1), (0, 0), closeness=0.3)
+    velocity = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]) * 10.0**exponent / 4
+    try:
+        motion = pgccd.RigidMotion(*tensors(-velocity, b.orientation_t0, velocity, b.orientation_t0), path=path)
+        assert len(pgccd.detect(b.scene(), motion)) == 1
+    except ValueError as error:
+        assert str(error).startswith(("position_t0", "motion"))
+
+
+def test_device_of_every_argument(device: torch.device) -> None:
+    if device.type == "cpu":
+        pytest.skip("needs a second device")
+    b = bodies()
+    for name in ("orientation_t0", "position_t1", "orientation_t1"):
+        arguments = {k: v.to(device) for k, v in poses().items()} | {name: poses()[name]}
+        with pytest.raises(ValueError, match=f"^{name}.*device"):
+            pgccd.RigidMotion(**arguments)
+    with pytest.raises(ValueError, match="^motion"):
+        pgccd.detect(b.scene("cpu"), b.motion(device=device))
+    with pytest.raises(ValueError, match="^device"):
+        pgccd.Scene(pgccd.MeshSet(b.meshes), device=device)
+
+
+def test_odd_but_valid(device: torch.device) -> None:
+    b = bodies()
+    empty = pgccd.Scene([tetrahedron()], [], device)
+    none = pgccd.RigidMotion(*(torch.zeros(0, n, device=device) for n in (3, 4, 3, 4)))
+    assert len(pgccd.detect(empty, none)) == 0 and empty.body_count == 0
+    assert len(pgccd.detect(b.scene(device), b.motion(device=device), min_separation=1e6, report="any")) == 1
+    flat = pgccd.Mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 3]])  # a face without area
+    assert len(flat.edges) == 5
+    unused = pgccd.Mesh(
+        np.concatenate([bumpy(np.random.default_rng(2), 0).vertices, [[9.0, 9, 9]]]),
+        bumpy(np.random.default_rng(2), 0).faces,
+    )
+    assert unused.radius < 2 and len(unused.vertices) == 13
+    single = pgccd.RigidMotion(**{k: v.to(device) for k, v in poses(position_t0=torch.zeros(3, 3).double()).items()})
+    assert single.position_t1.dtype == torch.float64

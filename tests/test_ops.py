@@ -1,0 +1,158 @@
+"""The operators as citizens of torch: schemas, fake kernels, opcheck, torch.compile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support.shapes import approaching, tensors
+
+import pgccd
+from pgccd import ops
+
+Call = tuple[str, tuple[Any, ...]]
+
+
+class Recorder:
+    """Stands in for torch.ops.pgccd and notes every call."""
+
+    def __init__(self, real: Any) -> None:
+        self.real, self.calls = real, []  # type: Any, list[Call]
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            self.calls.append((name, arguments))
+            return getattr(self.real, name)(*arguments)
+
+        return call
+
+
+def recorded(device: torch.device) -> list[Call]:
+    """Calls of the operators as the package itself makes them, with all that is optional there and not there."""
+    recorder = Recorder(ops._ops)
+    rng = np.random.default_rng(0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ops, "_ops", recorder)
+        for closeness in (0.7, 20.0):  # the latter: no pairs, no contacts
+            bodies = approaching(rng, (0, 1, 0), (1.0, 1.0, 1.0), closeness=closeness)
+            filters = {"group": [1, 1, 3], "mask": [1, 3, 1], "world": [0, 0, 0], "static": [False, False, True]}
+            for options in ({}, filters):
+                scene = pgccd.Scene(bodies.meshes, device=device, **options)
+                for report in ("any", "first", "all", "earliest"):
+                    pgccd.detect(scene, bodies.motion(device=device), report, 0.01)  # type: ignore[arg-type]
+            pgccd.detect(scene, bodies.motion("linear", device))
+            x = torch.cat(
+                [m.vertices + torch.from_numpy(p) for m, p in zip(bodies.meshes, bodies.position_t0, strict=True)]
+            )
+            pgccd.detect(scene, pgccd.VertexMotion(x.to(device), (x + 0.3).to(device)))
+            turn = bodies.orientation_t0
+            pgccd.RigidMotion(*tensors(bodies.position_t0, turn, bodies.position_t1, turn[::-1].copy(), device=device))
+            for test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
+                test(*tensors(*rng.normal(size=(2, 50, 4, 3)), device=device), min_separation=0.1)
+                test(*tensors(*np.zeros((2, 0, 4, 3)), device=device))
+    return recorder.calls
+
+
+def test_opcheck(device: torch.device) -> None:
+    calls = recorded(device)
+    names = {name for name, _ in calls}
+    own = {n for n in dir(torch.ops.pgccd) if not n.startswith("_")} - {"name"}
+    assert {n for n in own if not n.startswith(("simulate", "random"))} <= names, "an operator was not called"
+    seen: dict[str, int] = {}
+    for name, arguments in calls:
+        seen[name] = seen.get(name, 0) + 1
+        if seen[name] <= 4 or seen[name] % 5 == 0:
+            operator = getattr(torch.ops.pgccd, name).default
+            torch.library.opcheck(operator, arguments, test_utils=("test_schema", "test_faketensor"))
+    for name in names - {"refit"}:  # its empty slots hold NaN, which opcheck finds unequal to itself
+        arguments = next(a for n, a in calls if n == name)
+        torch.library.opcheck(getattr(torch.ops.pgccd, name).default, arguments)
+
+
+def shapes(values: Any) -> list[tuple[Any, ...]]:
+    values = values if isinstance(values, tuple | list) else (values,)
+    return [(tuple(v.shape), v.dtype, v.device.type) for v in values]
+
+
+def test_fake_kernels_have_the_right_shapes(device: torch.device) -> None:
+    from torch._subclasses.fake_tensor import FakeTensorMode
+    from torch.fx.experimental.symbolic_shapes import ShapeEnv
+
+    for name, arguments in recorded(device):
+        operator = getattr(torch.ops.pgccd, name).default
+        real = shapes(operator(*arguments))
+        with FakeTensorMode(shape_env=ShapeEnv(), allow_non_fake_inputs=False) as mode:
+            fake = shapes(operator(*torch.utils._pytree.tree_map_only(torch.Tensor, mode.from_tensor, arguments)))
+        assert len(real) == len(fake), name
+        for (shape, *rest), (fake_shape, *fake_rest) in zip(real, fake, strict=True):
+            assert rest == fake_rest and len(shape) == len(fake_shape), name
+            assert all(isinstance(f, torch.SymInt) or f == s for s, f in zip(shape, fake_shape, strict=True)), name
+
+
+def test_compile_the_sweep(device: torch.device) -> None:
+    @torch.compile(fullgraph=True, dynamic=True, backend="aot_eager")
+    def pairs_of(start: torch.Tensor, end: torch.Tensor, radius: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        pairs = ops.sweep(start, end, 1.5 * radius, None, None, None, None, 0.0, -1)
+        offset = start[pairs[:, 1]] - start[pairs[:, 0]]
+        return pairs, offset.norm(dim=1)
+
+    rng = np.random.default_rng(1)
+    for count, spread in ((50, 3.0), (70, 3.0), (40, 1e6), (2, 0.1)):
+        start = spread * rng.uniform(-1, 1, (count, 3))
+        columns = tensors(start, start + 0.1, np.full(count, 0.5), device=device)
+        pairs, distance = pairs_of(*columns)
+        expected = ops.sweep(columns[0], columns[1], 1.5 * columns[2], None, None, None, None, 0.0, -1)
+        assert torch.equal(pairs, expected) and distance.shape == (len(pairs),)
+        assert (len(pairs) == 0) == (spread == 1e6)
+
+
+@pytest.mark.parametrize("test", [pgccd.narrow.vertex_face, pgccd.narrow.edge_edge], ids=lambda t: t.__name__)
+def test_compile_the_elementary_tests(device: torch.device, test: Callable[..., Any]) -> None:
+    @torch.compile(fullgraph=True, dynamic=True, backend="aot_eager")
+    def earliest(start: torch.Tensor, end: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        found = test(start, end, 0.01)
+        return found.toi.clamp(max=1.0), (found.status != pgccd.FREE).sum()
+
+    rng = np.random.default_rng(2)
+    for count in (100, 33):
+        points = tensors(*rng.normal(size=(2, count, 4, 3)), device=device)
+        toi, contacts = earliest(*points)
+        found = test(*points, 0.01)
+        assert torch.equal(toi, found.toi.clamp(max=1.0)) and int(contacts) == int((found.status != pgccd.FREE).sum())
+        assert int(contacts) > 0
+
+
+@pytest.mark.slow
+def test_compile_with_the_default_backend(device: torch.device) -> None:
+    @torch.compile(fullgraph=True)
+    def nearest(start: torch.Tensor, end: torch.Tensor) -> torch.Tensor:
+        return pgccd.narrow.vertex_face(start + 0.5, end + 0.5).toi.min()
+
+    points = tensors(*np.random.default_rng(3).normal(size=(2, 64, 4, 3)), device=device)
+    assert torch.equal(nearest(*points), pgccd.narrow.vertex_face(points[0] + 0.5, points[1] + 0.5).toi.min())
+
+
+def test_layout_does_not_matter(device: torch.device) -> None:
+    rng = np.random.default_rng(4)
+    points = tensors(*rng.normal(size=(2, 40, 4, 3)), device=device)
+    strided = [p.permute(2, 1, 0).contiguous().permute(2, 1, 0) for p in points]
+    assert not strided[0].is_contiguous()
+    assert torch.equal(pgccd.narrow.edge_edge(*strided).toi, pgccd.narrow.edge_edge(*points).toi)
+    bodies = approaching(rng, (0, 0), closeness=0.7)
+    columns = tensors(
+        bodies.position_t0, bodies.orientation_t0, bodies.position_t1, bodies.orientation_t0, device=device
+    )
+    motions = [pgccd.RigidMotion(*c) for c in (columns, [c.T.contiguous().T for c in columns])]
+    found = [pgccd.detect(bodies.scene(device), m, "all").toi for m in motions]
+    assert torch.equal(*found) and len(found[0]) > 0
+
+
+def test_arguments_are_not_changed(device: torch.device) -> None:
+    for name, arguments in recorded(device)[:40]:
+        flat = [a for a in torch.utils._pytree.tree_leaves(arguments) if isinstance(a, torch.Tensor)]
+        before = [a.clone() for a in flat]
+        getattr(torch.ops.pgccd, name)(*arguments)
+        assert all(torch.equal(a.nan_to_num(), b.nan_to_num()) for a, b in zip(flat, before, strict=True)), name
