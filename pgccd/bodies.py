@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
+from pgccd.mesh import LARGEST_RADIUS, SMALLEST_RADIUS
 from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.scene import Scene
 
@@ -83,6 +84,13 @@ def _deforming(scene: Scene, motion: VertexMotion) -> list[Tensor]:
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
         scene.meshes.tensors, scene.mesh_index, motion.x_t0, motion.x_t1, vertex_begin, block_begin, block_count
     )
+    unusable = ~((radius >= SMALLEST_RADIUS) & (radius <= LARGEST_RADIUS))
+    if bool(unusable.any()):
+        body = int(torch.nonzero(unusable)[0])
+        raise ValueError(
+            f"motion: body {body} has SBV radius {float(radius[body]):g}; "
+            f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
+        )
     return [
         scene.mesh_index,
         position_t0,

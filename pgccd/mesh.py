@@ -17,7 +17,7 @@ from pgccd import _host
 LEAF_SIZE = 8
 
 # Beyond these the float32 hierarchy would overflow or vanish.
-_SMALLEST_RADIUS, _LARGEST_RADIUS = 1e-30, 1e30
+SMALLEST_RADIUS, LARGEST_RADIUS = 1e-30, 1e30
 
 
 class Mesh:
@@ -51,9 +51,9 @@ class Mesh:
         centre = corners[0, 0] + (corners - corners[0, 0]).reshape(-1, 3).mean(axis=0)
         local = points - centre
         radius = float(np.sqrt((local[triangles.ravel()] ** 2).sum(axis=1).max()))
-        if not _SMALLEST_RADIUS <= radius <= _LARGEST_RADIUS:
+        if not SMALLEST_RADIUS <= radius <= LARGEST_RADIUS:
             raise ValueError(
-                f"vertices: the mesh has SBV radius {radius:g}; it must lie in [{_SMALLEST_RADIUS:g}, {_LARGEST_RADIUS:g}]"
+                f"vertices: the mesh has SBV radius {radius:g}; it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
             )
         prepared = _host.prepare_mesh(local, triangles.astype(np.int32), LEAF_SIZE)
         #: (3,) float64: the body frame's origin in the coordinates given.

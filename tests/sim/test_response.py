@@ -36,7 +36,7 @@ def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
     assert len(hits) == 1 and hits.toi is not None and 0.0 < hits.toi[0] < 1.0
 
     def find(changed: torch.Tensor, fraction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        found = pgccd.detect(world.scene(state.id, changed), world.motion(state, fraction), nonzero_toi=True)
+        found = pgccd.detect(scene, world.motion(state, fraction), nonzero_toi=True)
         assert found.toi is not None
         return found.pairs, found.toi
 

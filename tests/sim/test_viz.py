@@ -40,7 +40,7 @@ def test_canvas_draws_the_nearer_of_two_triangles_where_it_is() -> None:
         assert image[40, 40, 0] > 0.3 and image[40, 40, 1:].max() == 0.0
         assert image[2, 2].max() == 0.0
         side = 80 * 2 * scale / 4.0 * 10.0 / 9.0
-        assert (image[..., 0] > 0).sum() == pytest.approx(side**2, rel=0.12)
+        assert (side - 2) ** 2 < (image[..., 0] > 0).sum() < (side + 2) ** 2
 
 
 def test_impact_closes_its_gap_at_the_time_of_impact(snapshot: viz.Snapshot) -> None:

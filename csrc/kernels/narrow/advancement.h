@@ -64,8 +64,9 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     const FeaturePair<T> end = path.at(t_end);
     const T duration = t_end - t;
     const T keep_apart = separation + path.deviation(duration) * (T(1) + T(16) * unit);
-    T prefix =
-        fixed_direction<kEdgeEdge>(now, end, (T(1) / norm(nearest.direction)) * nearest.direction, keep_apart, error);
+    const T length = norm(nearest.direction);
+    const Vec3<T> direction = length > T(0) ? (T(1) / length) * nearest.direction : (T(1) / distance) * nearest.offset;
+    T prefix = fixed_direction<kEdgeEdge>(now, end, direction, keep_apart, error);
     if (prefix < T(1)) prefix = larger(prefix, moving_normal(now, end, keep_apart, error));
 
     if (!(prefix < T(1))) {
