@@ -84,7 +84,8 @@ def _deforming(scene: Scene, motion: VertexMotion) -> list[Tensor]:
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
         scene.meshes.tensors, scene.mesh_index, motion.x_t0, motion.x_t1, vertex_begin, block_begin, block_count
     )
-    unusable = ~((radius >= SMALLEST_RADIUS) & (radius <= LARGEST_RADIUS))
+    # A body may shrink to a point.
+    unusable = ~((radius == 0.0) | ((radius >= SMALLEST_RADIUS) & (radius <= LARGEST_RADIUS)))
     if bool(unusable.any()):
         body = int(torch.nonzero(unusable)[0])
         raise ValueError(

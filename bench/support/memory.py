@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import gc
 from pathlib import Path
 from types import TracebackType
 
@@ -12,8 +15,7 @@ class PeakMemory:
     """`bytes`: how far memory rose above where it stood on entry. On a GPU what torch allocated, on a CPU resident
     pages.
 
-    On a CPU, pages that were freed but kept by the allocator do not count again: enclose all of the work, from its
-    first allocation on.
+    On a CPU this is meant for all of a piece of work, from its first allocation on.
     """
 
     def __init__(self, device: torch.device | str) -> None:
@@ -25,6 +27,10 @@ class PeakMemory:
             torch.cuda.reset_peak_memory_stats(self.device)
             self._before = torch.cuda.memory_allocated(self.device)
         else:
+            # What earlier work has freed must go back to the system, or it would be used again unseen.
+            gc.collect()
+            with contextlib.suppress(AttributeError, OSError):  # GNU's C library has it
+                ctypes.CDLL(None).malloc_trim(0)
             Path("/proc/self/clear_refs").write_text("5")  # resets the high-water mark
             self._before = _status("VmRSS")
         return self
