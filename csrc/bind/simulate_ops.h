@@ -1,0 +1,82 @@
+// The operators of the nanorobot world, written once for both backends.
+#pragma once
+
+#include "bind/detect_ops.h"
+#include "bind/simulate_arguments.h"
+
+namespace pgccd::bind {
+
+using IntegerList = std::vector<int64_t>;
+using ScaleList = std::vector<double>;
+
+inline Tensor new_rows(const Tensor& like, int64_t count, int64_t width) {
+  return torch::stable::new_empty(like, {count, width}, ScalarType::Double);
+}
+
+inline Tensor new_integers(const Tensor& like, int64_t count) {
+  return torch::stable::new_empty(like, {count}, ScalarType::Long);
+}
+
+template <class Backend>
+struct SimulateOps {
+  static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor> simulate_start(const Tensor& id,
+                                                                                   IntegerList integers,
+                                                                                   ScaleList scales) {
+    const int64_t* ids = rows<int64_t>(id, "id", {kAnySize});
+    const int64_t count = id.size(0);
+    Tensor position = new_rows(id, count, 3), orientation = new_rows(id, count, 4);
+    Tensor velocity = new_rows(id, count, 3), angular_velocity = new_rows(id, count, 3);
+    Tensor target = new_integers(id, count), stay_until = new_integers(id, count);
+    Backend(id).start(world_view(integers, scales), ids, count,
+                      {data<double>(position), data<double>(orientation), data<double>(velocity),
+                       data<double>(angular_velocity), data<int64_t>(target), data<int64_t>(stay_until)});
+    return {position, orientation, velocity, angular_velocity, target, stay_until};
+  }
+
+  static std::tuple<Tensor, Tensor, Tensor, Tensor> simulate_plan(const TensorList& state, int64_t step,
+                                                                  IntegerList integers, ScaleList scales) {
+    const RobotColumns robots = robot_columns(state);
+    counter_word(step, "step");
+    Tensor velocity = new_rows(state[0], robots.count, 3), angular_velocity = new_rows(state[0], robots.count, 3);
+    Tensor target = new_integers(state[0], robots.count), stay_until = new_integers(state[0], robots.count);
+    RobotResults results;
+    results.velocity = data<double>(velocity);
+    results.angular_velocity = data<double>(angular_velocity);
+    results.target = data<int64_t>(target);
+    results.stay_until = data<int64_t>(stay_until);
+    Backend(state[0]).plan(world_view(integers, scales), robots, step, results);
+    return {velocity, angular_velocity, target, stay_until};
+  }
+
+  static std::tuple<Tensor, Tensor, Tensor, Tensor> simulate_respond(const TensorList& state, const Tensor& fraction) {
+    const RobotColumns robots = robot_columns(state);
+    const double* made = rows<double>(fraction, "fraction", {robots.count});
+    Tensor position = new_rows(fraction, robots.count, 3), orientation = new_rows(fraction, robots.count, 4);
+    Tensor velocity = new_rows(fraction, robots.count, 3), angular_velocity = new_rows(fraction, robots.count, 3);
+    RobotResults results;
+    results.position = data<double>(position);
+    results.orientation = data<double>(orientation);
+    results.velocity = data<double>(velocity);
+    results.angular_velocity = data<double>(angular_velocity);
+    Backend(fraction).respond(robots, made, results);
+    return {position, orientation, velocity, angular_velocity};
+  }
+
+  static Tensor random_uniforms(const Tensor& id, int64_t seed, int64_t step, int64_t stream) {
+    const int64_t* ids = rows<int64_t>(id, "id", {kAnySize});
+    const int64_t count = id.size(0);
+    Tensor uniforms = new_rows(id, count, 4);
+    Backend(id).random_uniforms(static_cast<uint64_t>(seed), ids, count, counter_word(step, "step"),
+                                counter_word(stream, "stream"), data<double>(uniforms));
+    return uniforms;
+  }
+};
+
+// Use inside a STABLE_TORCH_LIBRARY_IMPL block.
+#define PGCCD_REGISTER_SIMULATE_OPS(library, Backend)                                   \
+  library.impl("simulate_start", TORCH_BOX(&SimulateOps<Backend>::simulate_start));     \
+  library.impl("simulate_plan", TORCH_BOX(&SimulateOps<Backend>::simulate_plan));       \
+  library.impl("simulate_respond", TORCH_BOX(&SimulateOps<Backend>::simulate_respond)); \
+  library.impl("random_uniforms", TORCH_BOX(&SimulateOps<Backend>::random_uniforms))
+
+}  // namespace pgccd::bind

@@ -1,0 +1,39 @@
+// The nanorobot world's operators on a CUDA device.
+#if defined(PGCCD_WITH_CUDA)
+
+#include "bind/cuda_backend.h"
+#include "bind/simulate_ops.h"
+#include "kernels/simulate/simulate_cuda.h"
+
+namespace pgccd::bind {
+namespace {
+
+class SimulateOnCuda {
+ public:
+  explicit SimulateOnCuda(const Tensor& like) : session_(like) {}
+
+  void start(const World& world, const int64_t* id, int64_t count, const RobotResults& results) const {
+    start_cuda(session_.context(), world, id, count, results);
+  }
+  void plan(const World& world, const RobotColumns& robots, int64_t step, const RobotResults& results) const {
+    plan_cuda(session_.context(), world, robots, step, results);
+  }
+  void respond(const RobotColumns& robots, const double* fraction, const RobotResults& results) const {
+    respond_cuda(session_.context(), robots, fraction, results);
+  }
+  void random_uniforms(uint64_t seed, const int64_t* id, int64_t count, uint32_t step, uint32_t stream,
+                       double* uniforms) const {
+    random_uniforms_cuda(session_.context(), seed, id, count, step, stream, uniforms);
+  }
+
+ private:
+  CudaSession session_;
+};
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) { PGCCD_REGISTER_SIMULATE_OPS(library, SimulateOnCuda); }
+
+}  // namespace pgccd::bind
+
+#endif

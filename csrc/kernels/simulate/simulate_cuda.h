@@ -1,0 +1,26 @@
+// The nanorobot world on the device: contracts as in simulate.h.
+#pragma once
+
+#include "kernels/device_context.h"
+#include "kernels/simulate/robot.h"
+#include "kernels/simulate/world.h"
+
+namespace pgccd {
+
+// The robots `id` (count,) at the start. Fills all columns.
+void start_cuda(const DeviceContext& context, const World& world, const int64_t* id, int64_t count,
+                const RobotResults& results);
+
+// Velocities, targets and stays for this step.
+void plan_cuda(const DeviceContext& context, const World& world, const RobotColumns& robots, int64_t step,
+               const RobotResults& results);
+
+// Poses at the end of the step and velocities after it. fraction (count,): how much of the step each robot makes.
+void respond_cuda(const DeviceContext& context, const RobotColumns& robots, const double* fraction,
+                  const RobotResults& results);
+
+// (count, 4) uniforms in (0, 1) of the counters (id, step, stream).
+void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
+                          uint32_t stream, double* uniforms);
+
+}  // namespace pgccd
