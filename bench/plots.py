@@ -119,7 +119,8 @@ def _ten_thousand(result: Result) -> Figure:
     figure, axes = plt.subplots(figsize=(6.5, 2.6))
     rows = result["rows"]
     start = 0.0
-    for stage, part in rows[0]["stage_ms"].items():
+    for stage in (stage for stage in _STAGES if stage in rows[0]["stage_ms"]):
+        part = rows[0]["stage_ms"][stage]
         axes.barh(rows[0]["method"], part, left=start, color=_STAGES.get(stage), label=stage)
         start += part
     for row in rows[1:]:

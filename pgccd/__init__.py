@@ -12,8 +12,9 @@ from pgccd.scene import Scene
 
 __version__: str = _build_information()["version"]
 
-FREE, TOUCH, UNRESOLVED = Status.FREE, Status.TOUCH, Status.UNRESOLVED
-VF_AB, VF_BA, EE = Kind.VF_AB, Kind.VF_BA, Kind.EE
+# Plain integers: torch.compile takes a comparison of a tensor with an enum member for a constant.
+FREE, TOUCH, UNRESOLVED = int(Status.FREE), int(Status.TOUCH), int(Status.UNRESOLVED)
+VF_AB, VF_BA, EE = int(Kind.VF_AB), int(Kind.VF_BA), int(Kind.EE)
 
 __all__ = [
     "EE",

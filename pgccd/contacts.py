@@ -26,8 +26,8 @@ class Stats:
 class Contacts:
     """K contacts, sorted by pair, then kind and features.
 
-    With report="any" only `pairs` is meaningful (which contact proves a pair colliding depends on the order of work), and all other
-    fields are None.
+    With report="any" only `pairs` is meaningful (which contact proves a pair colliding depends on the order of work),
+    and all other fields are None.
     """
 
     pairs: Tensor  #: (K, 2) int64 body indices, i < j

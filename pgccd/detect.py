@@ -35,22 +35,22 @@ def detect(
 ) -> Contacts:
     """Finds the collisions that happen during one step.
 
-    Nothing is missed: if two primitives of different bodies touch (distance <= min_separation) at some t in [0, 1] on the paths the
-    motion defines, a contact is reported, and its toi is not later than that t.
+    Nothing is missed: if two primitives of different bodies touch (distance <= min_separation) at some t in [0, 1] on
+    the paths the motion defines, a contact is reported, and its toi is not later than that t.
 
     Args:
         scene: the bodies.
         motion: where they go.
-        report: "any": which body pairs collide (Alg. 2 of Du, Liu & Suzumura 2017). "first": the earliest contact of each pair (of
-            equal toi the smallest kind and features). "all": every touching feature pair. "earliest": the one first contact of
-            the scene; its toi is the largest collision-free fraction of the step.
+        report: "any": which body pairs collide (Alg. 2 of Du, Liu & Suzumura 2017). "first": the earliest contact of
+            each pair (of equal toi the smallest kind and features). "all": every touching feature pair. "earliest":
+            the one first contact of the scene; its toi is the largest collision-free fraction of the step.
         min_separation: length >= 0.
         tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
             SBV radius of each pair.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
         broad_phase: how the PCS is found. The result does not depend on it.
-        pairs: (P, 2) int64, i < j, sorted: test these body pairs and no others, without a broad phase (a part of an earlier
-            step's, say). The scene's filters are not applied to them.
+        pairs: (P, 2) int64, i < j, sorted: test these body pairs and no others, without a broad phase (a part of an
+            earlier step's, say). The scene's filters are not applied to them.
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB.
             The result does not depend on it.
 
@@ -134,7 +134,7 @@ def _narrow(
     nonzero_toi: bool,
 ) -> ContactRows:
     with _timed(stats, "narrow"):
-        return narrow.contacts(bodies, pairs, candidates, report, min_separation, tolerance, nonzero_toi)
+        return narrow.solve(bodies, pairs, candidates, report, min_separation, tolerance, nonzero_toi)
 
 
 @contextmanager

@@ -36,7 +36,8 @@ class Mesh:
         ValueError: naming the first offending vertex or face, or when the mesh has no faces or no extent.
 
     Example:
-        >>> tetrahedron = pgccd.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+        >>> corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+        >>> tetrahedron = pgccd.Mesh(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
         >>> tetrahedron.edges.shape
         torch.Size([6, 2])
     """
@@ -53,7 +54,8 @@ class Mesh:
         radius = float(np.sqrt((local[triangles.ravel()] ** 2).sum(axis=1).max()))
         if not SMALLEST_RADIUS <= radius <= LARGEST_RADIUS:
             raise ValueError(
-                f"vertices: the mesh has SBV radius {radius:g}; it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
+                f"vertices: the mesh has SBV radius {radius:g}; "
+                f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
             )
         prepared = _host.prepare_mesh(local, triangles.astype(np.int32), LEAF_SIZE)
         #: (3,) float64: the body frame's origin in the coordinates given.
@@ -64,7 +66,8 @@ class Mesh:
         self.vertices = torch.from_numpy(local)
         #: (F, 3) int32.
         self.faces = torch.from_numpy(triangles.astype(np.int32))
-        #: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Contacts name edges by these rows.
+        #: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Contacts name edges by these
+        #: rows.
         self.edges = torch.from_numpy(prepared["edges"])
         self._triangles = torch.from_numpy(prepared["triangles"])
         in_leaf_order = self.faces[self._triangles[:, 6].long()].long()
@@ -109,7 +112,7 @@ class Mesh:
         if not Path(path).is_file():
             raise FileNotFoundError(f"path: no mesh file at {path}")
         try:
-            loaded = trimesh.load(path, process=False)
+            loaded: Any = trimesh.load(str(path), process=False)
             mesh = loaded.to_mesh() if hasattr(loaded, "to_mesh") else loaded
             faces = np.asarray(getattr(mesh, "faces", np.empty((0, 3))))
             vertices = np.asarray(mesh.vertices, dtype=np.float64)
@@ -131,7 +134,8 @@ class Mesh:
             raise ValueError(f"path: {path}: {error}") from error
 
     def __repr__(self) -> str:
-        return f"Mesh(vertices={len(self.vertices)}, faces={len(self.faces)}, edges={len(self.edges)}, radius={self.radius:g})"
+        counts = f"vertices={len(self.vertices)}, faces={len(self.faces)}, edges={len(self.edges)}"
+        return f"Mesh({counts}, radius={self.radius:g})"
 
 
 class MeshSet:

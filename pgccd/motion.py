@@ -11,14 +11,18 @@ from pgccd import ops
 
 # Quaternions further from unit length than this are taken for mistakes; nearer ones are normalised exactly.
 _UNIT_TOLERANCE = 1e-3
+# Squares of larger coordinates overflow.
+_LARGEST_COORDINATE = 1e150
+# Sine and cosine are proven up to here.
+_LARGEST_TURN = 1e6
 
 
 class RigidMotion:
     """Rigid bodies: the centre moves on a straight line, the orientation turns at a constant rate.
 
-    R(t) = exp(t [w]x) R0 with the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a turn, about
-    the vector part of q1 * conj(q0)). With `path="linear"` every vertex moves on the straight line between its two end
-    positions instead (the two vertex streams of Du, Liu & Suzumura 2017).
+    R(t) = exp(t [w]x) R0 with the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a
+    turn, about the vector part of q1 * conj(q0)). With `path="linear"` every vertex moves on the straight line
+    between its two end positions instead (the two vertex streams of Du, Liu & Suzumura 2017).
 
     Args:
         position_t0, position_t1: (N, 3) SBV centres at the two ends of the step, world frame, scene length units.
@@ -80,10 +84,14 @@ class RigidMotion:
         motion = cls.__new__(cls)
         start = _rows(position, "position", count, 3, position.device)
         motion._set(start, orientation, start + dt * velocity, path)
-        motion._faults["linear_velocity"] = _first_not_finite(velocity)
-        motion._faults["angular_velocity"] = _first_not_finite(spin)
-        motion._check_now()
         motion.rotation = (dt * spin).contiguous()
+        turn = torch.linalg.vector_norm(motion.rotation, dim=1)
+        # Named before the positions that follow from them.
+        motion._faults = {
+            "linear_velocity": _first_not_finite(velocity),
+            "angular_velocity": _first_row(~(turn <= _LARGEST_TURN)),
+        } | motion._faults
+        motion._check_now()
         return motion
 
     def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: str) -> None:
@@ -123,8 +131,9 @@ class VertexMotion:
     """Bodies given by their vertices at both ends of the step; each vertex moves on the straight line between.
 
     Args:
-        x_t0, x_t1: (X, 3) world positions, scene length units: the vertices of body 0, in the order of its mesh, then those of
-            body 1, and so on; X is the sum of the bodies' vertex counts. The mesh's own coordinates do not matter.
+        x_t0, x_t1: (X, 3) world positions, scene length units: the vertices of body 0, in the order of its mesh, then
+            those of body 1, and so on; X is the sum of the bodies' vertex counts. The mesh's own coordinates do not
+            matter.
 
     Raises:
         TypeError, ValueError: naming the argument, and the first offending vertex.
@@ -178,7 +187,7 @@ def _first_row(bad: Tensor) -> Tensor:
 
 
 def _first_not_finite(values: Tensor) -> Tensor:
-    return _first_row(~torch.isfinite(values).all(dim=1))
+    return _first_row(~(values.abs() <= _LARGEST_COORDINATE).all(dim=1))  # NaN counts as too large
 
 
 def _first_not_unit(quaternions: Tensor) -> Tensor:
@@ -190,5 +199,9 @@ def _raise_faults(faults: dict[str, Tensor], count: int, row: str = "body") -> N
     first = torch.stack(list(faults.values())).tolist()
     for name, index in zip(faults, first, strict=True):
         if index < count:
-            expected = "a unit quaternion (w, x, y, z)" if name.startswith("orientation") else "finite numbers"
+            expected = f"finite numbers up to {_LARGEST_COORDINATE:g}"
+            if name.startswith("orientation"):
+                expected = "a unit quaternion (w, x, y, z)"
+            if name == "angular_velocity":
+                expected = f"a turn of at most {_LARGEST_TURN:g} radians in dt"
             raise ValueError(f"{name}: {row} {index}: expected {expected}")

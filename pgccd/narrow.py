@@ -1,4 +1,4 @@
-"""Narrow phase: from candidate feature pairs to contacts; and the elementary tests on points, for those with own candidates."""
+"""Narrow phase: from candidate feature pairs to contacts; and the elementary tests, for those with own candidates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.bodies import MovingBodies
 from pgccd.broad import check_separation
-from pgccd.traverse import check_pairs, operator_tolerance
+from pgccd.traverse import check_pairs, operator_tolerance, require
 
 Report = Literal["any", "first", "all", "earliest"]
 # What the operators are asked for; "earliest" is then chosen from the first contacts.
@@ -39,7 +39,8 @@ class Status(IntEnum):
 class ElementaryResult:
     """Outcomes of elementary tests: `status` (n,) int8, `toi` (n,) float64 (inf when free), `coordinates` (n, 2).
 
-    Coordinates: of the face point f0 + u (f1 - f0) + v (f2 - f0), or along the edges ea0 + u (ea1 - ea0), eb0 + v (eb1 - eb0).
+    Coordinates: of the face point f0 + u (f1 - f0) + v (f2 - f0), or along the edges ea0 + u (ea1 - ea0) and
+    eb0 + v (eb1 - eb0).
     """
 
     status: Tensor
@@ -117,24 +118,60 @@ def contacts(
         candidates: (C, 4) int32, as from there.
 
     Returns:
-        Rows in canonical order: row of `pairs` (K,), kind (K,), features (K, 2), status (K,), toi (K,), coordinates (K, 2), point (K, 3),
-        normal (K, 3).
+        Rows in canonical order: row of `pairs` (K,), kind (K,), features (K, 2), status (K,), toi (K,), coordinates
+        (K, 2), point (K, 3), normal (K, 3).
 
     Example:
         >>> rows = pgccd.narrow.contacts(bodies, pairs, candidates, report="all")
     """
+    pairs = check_pairs(pairs, bodies)
+    if not isinstance(candidates, Tensor) or candidates.dtype != torch.int32:
+        kind = getattr(candidates, "dtype", type(candidates).__name__)
+        raise TypeError(f"candidates: expected an int32 tensor, got {kind}")
+    if candidates.dim() != 2 or candidates.shape[1] != 4:
+        raise ValueError(f"candidates: expected shape (C, 4), got {tuple(candidates.shape)}")
+    if candidates.device != bodies.device:
+        raise ValueError(f"candidates: expected device {bodies.device}, got {candidates.device}")
+    require(
+        _names_features(bodies, pairs, candidates), "candidates: a row names a pair, kind or feature that is not there"
+    )
+    return solve(bodies, pairs, candidates.contiguous(), report, min_separation, tolerance, nonzero_toi)
+
+
+def solve(
+    bodies: MovingBodies,
+    pairs: Tensor,
+    candidates: Tensor,
+    report: Report,
+    min_separation: float,
+    tolerance: float | None,
+    nonzero_toi: bool,
+) -> ops.ContactRows:
+    """`contacts` for candidates that come from the traversal and need no check."""
     if report not in REPORTS:
         raise ValueError(f"report: expected one of {list(REPORTS)}, got {report!r}")
-    pairs = check_pairs(pairs, bodies)
-    if candidates.dtype != torch.int32 or candidates.dim() != 2 or candidates.shape[1] != 4:
-        raise ValueError(f"candidates: expected (C, 4) int32, got {tuple(candidates.shape)} {candidates.dtype}")
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
-    rest = (pairs, candidates.contiguous(), *settings, nonzero_toi, REPORTS[report])
+    rest = (pairs, candidates, *settings, nonzero_toi, REPORTS[report])
     if bodies.deforming:
         rows = ops.narrow_deforming(bodies.mesh_set, bodies.tensors, *rest)
     else:
         rows = ops.narrow_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
     return keep_earliest(rows) if report == "earliest" else rows
+
+
+def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> Tensor:
+    """Which rows name a pair, a kind and features that exist."""
+    row, kind, *features = (column.long() for column in candidates.unbind(dim=1))
+    known = (row >= 0) & (row < len(pairs)) & (kind >= 0) & (kind <= int(max(Kind)))
+    offsets = bodies.scene.meshes.offsets.to(bodies.device)
+    counts = offsets[1:] - offsets[:-1]  # vertices, faces, edges
+    row, kind = torch.where(known, row, 0), torch.where(known, kind, 0)
+    # The column of `counts` that limits each body's feature, by kind.
+    column = torch.tensor([[0, 1], [1, 0], [2, 2]], device=bodies.device)
+    for side in (0, 1):
+        mesh = bodies.scene.mesh_index[pairs[row, side]].long() if len(pairs) else row
+        known = known & (features[side] >= 0) & (features[side] < counts[mesh, column[kind, side]])
+    return known
 
 
 def keep_earliest(rows: ops.ContactRows) -> ops.ContactRows:

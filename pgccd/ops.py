@@ -1,6 +1,8 @@
-"""One-to-one wrappers of the operators `torch.ops.pgccd.*`, and their fake kernels for `torch.compile` and `torch.export`.
+"""One-to-one wrappers of the operators `torch.ops.pgccd.*`, and their fake kernels for `torch.compile` and
+`torch.export`.
 
-Thin on purpose: shapes and dtypes are checked by the operators, meaning and units are documented by the stage modules that call these.
+Thin on purpose: shapes and dtypes are checked by the operators, meaning and units are documented by the stage modules
+that call these.
 """
 
 from collections.abc import Sequence
@@ -8,7 +10,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from pgccd import _C  # noqa: F401  (importing it registers the operators)
+import pgccd._C  # noqa: F401  (importing it registers the operators)
 
 _ops = torch.ops.pgccd
 
@@ -215,7 +217,7 @@ def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def simulate_start(id: Tensor, integers: Sequence[int], scales: Sequence[float]) -> tuple[Tensor, ...]:
-    """Position, orientation, velocity, angular velocity, target and stay of the robots `id` (N,) at the start of a world."""
+    """Position, orientation, velocity, angular velocity, target and stay of the robots `id` (N,) at the start."""
     return _ops.simulate_start(id, list(integers), list(scales))
 
 
@@ -223,6 +225,7 @@ def simulate_plan(
     state: Sequence[Tensor], step: int, integers: Sequence[int], scales: Sequence[float]
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Velocity, angular velocity, target and stay of robots for the step to come."""
+    _check_counter_words(step=step)
     return _ops.simulate_plan(list(state), step, list(integers), list(scales))
 
 
@@ -233,7 +236,14 @@ def simulate_respond(state: Sequence[Tensor], fraction: Tensor) -> tuple[Tensor,
 
 def random_uniforms(id: Tensor, seed: int, step: int, stream: int) -> Tensor:
     """Numbers (N, 4) in (0, 1) of the counters (id, step, stream): Philox4x32-10, key `seed` (any int64)."""
+    _check_counter_words(step=step, stream=stream)
     return _ops.random_uniforms(id.contiguous(), seed, step, stream)
+
+
+def _check_counter_words(**words: int) -> None:
+    for name, word in words.items():
+        if not 0 <= word < 2**32:
+            raise ValueError(f"{name}: expected a value in [0, 2^32), got {word}")
 
 
 def _fake_robots(like: Tensor, count: int | torch.SymInt, *widths: int) -> tuple[Tensor, ...]:

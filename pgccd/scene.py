@@ -13,8 +13,8 @@ from pgccd.mesh import Mesh, MeshSet
 class Scene:
     """N bodies, each an instance of one of a few meshes. Positions are not part of it: see `pgccd.motion`.
 
-    Filters are implicit, never stored as pair lists. A pair of bodies is tested if both are in the same `world`, at least
-    one is not `static`, and each one's `group` has a bit in common with the other's `mask`.
+    Filters are implicit, never stored as pair lists. A pair of bodies is tested if both are in the same `world`, at
+    least one is not `static`, and each one's `group` has a bit in common with the other's `mask`.
 
     Args:
         meshes: the meshes, or a `MeshSet` already on `device`.

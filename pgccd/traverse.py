@@ -29,12 +29,13 @@ def bvtt(
         min_separation: length.
         tolerance: length; default 1e-6 of the smaller SBV radius of each pair.
         horizon: (P,) float64 in [0, 1]: look no further than this time in each pair. Default: the whole step.
-        leading: follow only the nodes that overlap most, down to one pair of leaves: few candidates, likely early contacts.
+        leading: follow only the nodes that overlap most, down to one pair of leaves: few candidates, likely early
+            contacts.
 
     Returns:
-        candidates (C, 4) int32: row of `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Unless `leading`, every
-        feature pair that may touch is listed, and none twice (representative triangles, Curtis et al. 2008). The order is
-        not specified.
+        candidates (C, 4) int32: row of `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Unless
+        `leading`, every feature pair that may touch is listed, and none twice (representative triangles, Curtis et
+        al. 2008). The order is not specified.
         node_tests (1,) int64: how many node pairs were tested.
 
     Example:
@@ -43,6 +44,8 @@ def bvtt(
     pairs = check_pairs(pairs, bodies)
     if horizon is not None and (horizon.shape != pairs.shape[:1] or horizon.dtype != torch.float64):
         raise ValueError(f"horizon: expected ({len(pairs)},) float64, got {tuple(horizon.shape)} {horizon.dtype}")
+    if horizon is not None:
+        require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
     rest = (pairs, horizon, check_separation(min_separation), operator_tolerance(tolerance), leading)
     if bodies.deforming:
         return ops.traverse_deforming(bodies.mesh_set, bodies.tensors, *rest)
@@ -67,10 +70,17 @@ def check_pairs(pairs: Tensor, bodies: MovingBodies) -> Tensor:
     if pairs.device != bodies.device:
         raise ValueError(f"pairs: expected device {bodies.device}, got {pairs.device}")
     count = bodies.scene.body_count
-    valid = ((pairs[:, 0] >= 0) & (pairs[:, 0] < pairs[:, 1]) & (pairs[:, 1] < count)).all()
-    if pairs.device.type == "cpu":
-        if not valid:
-            raise ValueError(f"pairs: expected rows 0 <= i < j < {count}")
-    else:
-        torch._assert_async(valid, f"pairs: expected rows 0 <= i < j < {count}")  # without waiting for the stream
+    in_order = (pairs[:, 0] >= 0) & (pairs[:, 0] < pairs[:, 1]) & (pairs[:, 1] < count)
+    require(in_order, f"pairs: expected rows 0 <= i < j < {count}")
     return pairs.contiguous()
+
+
+def require(valid: Tensor, message: str) -> None:
+    """Raises ValueError unless all of `valid` is true.
+
+    On a GPU the assertion is asynchronous: it does not stall the stream.
+    """
+    if valid.device.type != "cpu":
+        torch._assert_async(valid.all(), message)
+    elif not bool(valid.all()):
+        raise ValueError(message)

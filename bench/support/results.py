@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import importlib.metadata
+import itertools
 import json
 import os
 import platform
@@ -77,9 +78,11 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def command_line() -> str:
-    """The command, without the folders of the machine it ran on."""
+    """The command, without the folders of the machine it ran on, nor where the result went."""
     words = [str(Path(word).resolve().relative_to(ROOT)) if _is_inside(word) else word for word in sys.argv[:1]]
-    words += [Path(word).name if os.path.isabs(word) else word for word in sys.argv[1:]]
+    for before, word in itertools.pairwise(sys.argv):
+        if "--out" not in (before, word):
+            words.append(Path(word).name if os.path.isabs(word) else word)
     return " ".join(["python", *words])
 
 

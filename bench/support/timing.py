@@ -1,11 +1,9 @@
-"""Timing: contenders take turns, every round on other input, so that a disturbed moment of the machine hits all of
-them.
-"""
+"""Timing of calls, and how durations are summed up."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,21 +23,6 @@ def seconds(work: Callable[[], Any], device: torch.device | str = "cpu") -> tupl
     end.record()
     torch.cuda.synchronize()
     return begin.elapsed_time(end) * 1e-3, result
-
-
-def in_turn(
-    contenders: dict[str, Callable[[Any], Any]], inputs: Iterable[Any], warm_up: int = 3
-) -> dict[str, list[float]]:
-    """Seconds of every contender on every input but the first `warm_up`; who goes first changes from round to round."""
-    spent: dict[str, list[float]] = {name: [] for name in contenders}
-    names = list(contenders)
-    for round_index, value in enumerate(inputs):
-        shift = round_index % len(names)
-        for name in names[shift:] + names[:shift]:
-            duration, _ = seconds(lambda work=contenders[name], value=value: work(value))
-            if round_index >= warm_up:
-                spent[name].append(duration)
-    return spent
 
 
 def summary(samples: list[float], unit: float = 1e3) -> dict[str, float]:

@@ -59,8 +59,12 @@ struct RigidPair {
       orientation[side] = rotation_matrix(load_quaternion(bodies.orientation + 4 * body[side]));
       spin[side] = make_spin(load_vec3(bodies.rotation + 3 * body[side]));
     }
-    const double radii = bodies.centres.radius[i] + bodies.centres.radius[j];
-    point_error = kRigidPointUnits * Precision<double>::unit * radii + centre_error(centre);
+    point_error = centre_error(centre);
+    for (int side = 0; side < 2; ++side) {
+      // The angle at a time is rounded relatively, which moves a point by so much more the further it has turned.
+      const double units = kRigidPointUnits + 8.0 * spin[side].angle;
+      point_error += units * Precision<double>::unit * bodies.centres.radius[body[side]];
+    }
   }
 
   template <bool kEdgeEdge>
