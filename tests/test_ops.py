@@ -67,7 +67,10 @@ def test_opcheck(device: torch.device) -> None:
         if seen[name] <= 4 or seen[name] % 5 == 0:
             operator = getattr(torch.ops.pgccd, name).default
             torch.library.opcheck(operator, arguments, test_utils=("test_schema", "test_faketensor"))
-    for name in names - {"refit"}:  # its empty slots hold NaN, which opcheck finds unequal to itself
+    unequal = {"refit"}  # its empty slots hold NaN, which opcheck finds unequal to itself
+    if device.type == "cuda":
+        unequal |= {"traverse_rigid", "traverse_deforming"}  # the order of their candidates is not specified
+    for name in names - unequal:
         arguments = next(a for n, a in calls if n == name)
         torch.library.opcheck(getattr(torch.ops.pgccd, name).default, arguments)
 
