@@ -151,6 +151,7 @@ __global__ void __launch_bounds__(kBlockThreads)
             !stays_out(moving, tree.moving_centre(1 - side, other, k), tree.local_radius(1 - side, other) + distance);
       }
       const uint32_t reaching = __ballot_sync(~0u, reaches);
+      __syncwarp();  // the triangles, and on the first round `meeting`, are written: all lanes may read them
       const uint32_t reaching_i = reaching & 0xffu, reaching_j = (reaching >> kMaxLeafTriangles) & 0xffu;
       const int count_j = __popc(reaching_j), combinations = __popc(reaching_i) * count_j;
       // Triangle pairs, one a lane; the survivors are listed.
@@ -194,12 +195,13 @@ __global__ void __launch_bounds__(kBlockThreads)
         }
         __syncwarp();
       }
+      __syncwarp();  // all lanes have read: the next segment or leaf pair may overwrite
     }
   }
 }
 
-template <class Bodies>
 // All public: device lambdas may not be made in private members.
+template <class Bodies>
 struct Traversal {
   using Sweep = typename SweepOf<Bodies>::type;
 
