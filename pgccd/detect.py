@@ -17,7 +17,7 @@ from pgccd.ops import ContactRows
 from pgccd.scene import Scene
 
 # What one pair of the PCS may need while it is traversed and solved, on the standard scene with room to spare.
-_BYTES_PER_PAIR = 16 * 1024
+_BYTES_PER_PAIR = 1536
 _DEFAULT_BUDGET = 1 << 30
 
 
@@ -85,8 +85,9 @@ def detect(
     for chunk in pairs.split(max(1, budget // _BYTES_PER_PAIR)):
         stats.chunks += 1
         horizon = None
-        if report in ("first", "earliest"):
-            # A good guess at each pair's first contact bounds how far the search for an earlier one need look.
+        if report in ("first", "earliest") and bodies.device.type == "cpu":
+            # A good guess at each pair's first contact bounds how far the search for an earlier one need look. A GPU
+            # has searched all of it sooner than it has found the guess.
             candidates = _traverse(stats, bodies, chunk, min_separation, tolerance, None, leading=True)
             rows = _narrow(stats, bodies, chunk, candidates, "first", min_separation, tolerance, nonzero_toi)
             horizon = torch.ones(len(chunk), dtype=torch.float64, device=bodies.device)

@@ -66,6 +66,8 @@ PGCCD_HD DoubleDouble operator/(DoubleDouble a, DoubleDouble b) {
   return ordered_two_sum(estimate, rest / b.high);
 }
 
+PGCCD_HD DoubleDouble multiply_add(DoubleDouble a, DoubleDouble b, DoubleDouble c) { return a * b + c; }
+
 PGCCD_HD bool operator<(DoubleDouble a, DoubleDouble b) {
   return a.high < b.high || (a.high == b.high && a.low < b.low);
 }

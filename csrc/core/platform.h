@@ -5,7 +5,10 @@
 #define PGCCD_HD __host__ __device__ __forceinline__
 // For templates that are rare and large: kept out of the code that calls them.
 #define PGCCD_HD_RARE __host__ __device__ __noinline__
+// Before a loop whose body is long: devices have small instruction caches.
+#define PGCCD_KEEP_LOOP _Pragma("unroll 1")
 #else
 #define PGCCD_HD inline
 #define PGCCD_HD_RARE [[gnu::noinline]]
+#define PGCCD_KEEP_LOOP
 #endif

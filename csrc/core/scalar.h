@@ -24,6 +24,9 @@ PGCCD_HD T unit_clamp(T x) {
 
 PGCCD_HD float magnitude(float x) { return std::fabs(x); }
 PGCCD_HD double magnitude(double x) { return std::fabs(x); }
+// a b + c, rounded once where the numbers are built in.
+PGCCD_HD float multiply_add(float a, float b, float c) { return std::fma(a, b, c); }
+PGCCD_HD double multiply_add(double a, double b, double c) { return std::fma(a, b, c); }
 PGCCD_HD float square_root(float x) { return std::sqrt(x); }
 PGCCD_HD double square_root(double x) { return std::sqrt(x); }
 

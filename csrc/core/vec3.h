@@ -3,7 +3,7 @@
 
 #include <type_traits>
 
-#include "core/scalar.h"
+#include "core/float8.h"
 
 namespace pgccd {
 
@@ -36,7 +36,7 @@ PGCCD_HD Vec3<T> operator*(S s, Vec3<T> a) {
 }
 template <class T>
 PGCCD_HD T dot(Vec3<T> a, Vec3<T> b) {
-  return (a.x * b.x + a.y * b.y) + a.z * b.z;
+  return multiply_add(a.z, b.z, multiply_add(a.y, b.y, a.x * b.x));
 }
 template <class T>
 PGCCD_HD Vec3<T> cross(Vec3<T> a, Vec3<T> b) {

@@ -41,7 +41,8 @@ constexpr int kMaxRefinements = 64;
 
 // Starts at a time before which the pair is known to be free.
 template <bool kEdgeEdge, class T, class Path>
-PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, T begin = T(0)) {
+PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, T begin = T(0),
+                                       int most_advances = kMaxAdvances) {
   constexpr T unit(Precision<T>::unit);
   const PairError<T> error = path.error();
   // Below the noise of the distance itself nothing can be told.
@@ -59,9 +60,15 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     goal = smaller(goal, T(0.5) * (distance - separation));
     noise = smaller(noise, goal);
   }
-  int advances_left = kMaxAdvances;
+  int advances_left = most_advances;
   Status if_spent = Status::kUnresolved;
   while (advances_left-- > 0) {
+    if (if_spent == Status::kUndecided && distance > separation + T(16) * wanted) {
+      // They have passed each other: what comes later is another matter.
+      goal = larger(wanted, noise);
+      if_spent = Status::kUnresolved;
+      advances_left = most_advances;
+    }
     if (!(distance > separation + goal)) {
       bool is_touch = true;
       if constexpr (Path::kStraight) {

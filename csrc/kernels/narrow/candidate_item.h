@@ -104,6 +104,7 @@ struct RigidPair {
 };
 
 struct DeformingPair {
+  static constexpr double point_error = 0.0;  // the vertices given are the truth
   int64_t body[2];
   int32_t mesh[2];
 
@@ -158,11 +159,48 @@ PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, 
   }
 }
 
+// Most candidates are free, and most of those are seen to be after so many rounds.
+constexpr int kRoundsAtAGlance = 2;
+
+template <bool kEdgeEdge, class Bodies, class Pair>
+PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
+                               const SearchSettings<double>& settings) {
+  if constexpr (std::is_same_v<Bodies, RigidBodies>) {
+    if (uses_arcs(bodies)) {
+      const auto path = pair.template arc_path<kEdgeEdge>(bodies, f);
+      return advance_to_contact<kEdgeEdge>(path, settings, 0.0, kRoundsAtAGlance).status == Status::kFree;
+    }
+  }
+  Vec3<double> t0[4], t1[4];
+  pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
+  const LinearPath<kEdgeEdge, double> path(t0, t1, pair.point_error);
+  return advance_to_contact<kEdgeEdge>(path, settings, 0.0, kRoundsAtAGlance).status == Status::kFree;
+}
+
+template <class Bodies, class Pair>
+PGCCD_HD SearchSettings<double> search_settings(const Bodies& bodies, const Pair& pair, const NarrowSettings& settings,
+                                                double latest) {
+  const double tolerance = pair_tolerance(bodies.centres, pair.body[0], pair.body[1], settings.tolerance);
+  return {settings.separation, tolerance, latest, settings.nonzero_toi};
+}
+
+// The same answer as solve_candidate if that is free; false may still be free. For devices, where the few long searches
+// would hold up the many short ones of their warp.
+template <class Bodies, class Pair>
+PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
+                               const NarrowSettings& settings) {
+  const SearchSettings<double> search = search_settings(bodies, pair, settings, static_cast<double>(INFINITY));
+  const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
+  if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
+    return free_at_a_glance<true>(bodies, pair, f, search);
+  }
+  return free_at_a_glance<false>(bodies, pair, f, search);
+}
+
 template <class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_candidate(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
                                          const NarrowSettings& settings, double latest) {
-  const double tolerance = pair_tolerance(bodies.centres, pair.body[0], pair.body[1], settings.tolerance);
-  const SearchSettings<double> search{settings.separation, tolerance, latest, settings.nonzero_toi};
+  const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
     return solve_features<true>(bodies, pair, f, search);

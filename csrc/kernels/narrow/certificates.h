@@ -4,7 +4,7 @@
 // included).
 #pragma once
 
-#include "kernels/narrow/feature_pair.h"
+#include "kernels/narrow/nearest_points.h"
 
 namespace pgccd {
 

@@ -30,8 +30,8 @@ uint32_t culled_lanes(const T* points_t0, const T* points_t1, int64_t count, flo
   if (count < kLanes) {
     uint32_t culled = 0;
     for (int64_t q = 0; q < count; ++q) {
-      const bool free = stays_apart<kEdgeEdge>(rounded_differences<kEdgeEdge>(points_t0 + 12 * q),
-                                               rounded_differences<kEdgeEdge>(points_t1 + 12 * q), distance);
+      const bool free = stays_apart(rounded_differences<kEdgeEdge>(points_t0 + 12 * q),
+                                    rounded_differences<kEdgeEdge>(points_t1 + 12 * q), distance, kEdgeEdge);
       culled |= static_cast<uint32_t>(free) << q;
     }
     return culled;
@@ -41,7 +41,7 @@ uint32_t culled_lanes(const T* points_t0, const T* points_t1, int64_t count, flo
     start.set(lane, rounded_differences<kEdgeEdge>(points_t0 + 12 * lane));
     end.set(lane, rounded_differences<kEdgeEdge>(points_t1 + 12 * lane));
   }
-  return lane_bits(stays_apart<kEdgeEdge>(start.pairs(), end.pairs(), distance));
+  return lane_bits(stays_apart(start.pairs(), end.pairs(), distance, kEdgeEdge));
 }
 
 }  // namespace

@@ -1,7 +1,7 @@
 // One elementary query on straight paths; the points given are the truth.
 #pragma once
 
-#include "kernels/narrow/cull_item.h"
+#include "core/fixed_directions.h"
 #include "kernels/narrow/precision_ladder.h"
 
 namespace pgccd {
