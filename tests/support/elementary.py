@@ -22,9 +22,10 @@ def solve(
     tolerance: float = 1e-6,
     nonzero_toi: bool = False,
     device: torch.device | str = "cpu",
+    dtype: torch.dtype = torch.float64,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Status, toi and coordinates of points (n, 4, 3) at both ends."""
-    points = [torch.tensor(x, dtype=torch.float64, device=device) for x in (start, end)]
+    """Status, toi and coordinates of points (n, 4, 3) at both ends, handed over as `dtype`."""
+    points = [torch.tensor(x, dtype=dtype, device=device) for x in (start, end)]
     test = pgccd.narrow.vertex_face if is_face else pgccd.narrow.edge_edge
     found = test(*points, min_separation, tolerance, nonzero_toi)
     return found.status.cpu().numpy(), found.toi.cpu().numpy(), found.coordinates.cpu().numpy()
