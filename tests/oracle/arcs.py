@@ -94,7 +94,8 @@ def motions(
     a, b = weights[:, :count], weights[:, count:]
     apart = (a * x).sum(axis=1) - (b * y).sum(axis=1)  # the second centre from the first, when they meet
     speed = (a * vx).sum(axis=1) - (b * vy).sum(axis=1)
-    normal = np.cross(y[:, 1] - y[:, 0], y[:, 2] - y[:, 0]) if is_face else np.cross(x[:, 1] - x[:, 0], y[:, 1] - y[:, 0])
+    edge = y[:, 1] - y[:, 0]
+    normal = np.cross(edge, y[:, 2] - y[:, 0]) if is_face else np.cross(x[:, 1] - x[:, 0], edge)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     way = [plan.travel * size * rng.normal(size=(n, 3)) * rng.random((n, 1)) for _ in range(2)]
     if plan.graze:

@@ -18,7 +18,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from . import linear, separation as separated
+from . import linear
+from . import separation as separated
 from .batch_paths import Paths, StraightPaths, U, Window, first_count
 from .search import CLOSE, NO, YES, Decisions
 

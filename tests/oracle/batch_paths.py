@@ -1,8 +1,8 @@
 """Paths of very many queries at once, for `batch`: float64 with error bounds, arrays (point, axis, query).
 
-Everything is scaled to about unit size by a power of two, query by query. Error model: u = 2^-53 for each of + - * / and
-the square root; sine and cosine of numpy are taken to be within 4 units in the last place. Coordinates lie between
-1e-60 and 1e60 or are zero, so that nothing overflows and what underflows drowns in the bounds.
+Everything is scaled to about unit size by a power of two, query by query. Error model: u = 2^-53 for each of
++ - * / and the square root; sine and cosine of numpy are taken to be within 4 units in the last place. Coordinates lie
+between 1e-60 and 1e60 or are zero, so that nothing overflows and what underflows drowns in the bounds.
 """
 
 from __future__ import annotations

@@ -274,8 +274,8 @@ def random_needles(rng: np.random.Generator, n: int, is_face: bool, bits: int) -
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         middle = x[:, second].mean(axis=1, keepdims=True)
         arm = x[:, second] - middle
-        x[:, second] = middle + arm - (1 - squeeze[:, None]) * axis[:, None] * (arm * axis[:, None]).sum(
-            axis=2, keepdims=True
+        x[:, second] = (
+            middle + arm - (1 - squeeze[:, None]) * axis[:, None] * (arm * axis[:, None]).sum(axis=2, keepdims=True)
         )
         aimed = np.arange(n) % 2 == 0
         x[aimed, 0] += (middle[:, 0] - x[:, 0])[aimed] + 2 * squeeze[aimed] * rng.normal(size=(n, 3))[aimed]

@@ -18,6 +18,8 @@ import pgccd
 from support.elementary import solve
 
 DIGITS = {torch.float64: 53, torch.float32: 24}
+# By how many units of the size the distance at a toi may be off.
+ROUNDING = {torch.float64: 256, torch.float32: 16}
 QUERIES = 4096  # of one family, tolerance, separation and scale: one call
 EXACT_QUERIES = 64
 # Where features touch over whole intervals or hardly at all: the shares that may stay open; elsewhere 2 %.
@@ -149,17 +151,13 @@ def check_straight(
         for column, value in zip(columns, (found.status, found.toi_lower, found.toi_upper), strict=True):
             column[rows] = value
         truth = Decisions(*columns)
-    status, toi, coordinates = solve(
-        start, end, is_face, family.separation, tolerance, device=device, dtype=dtype
-    )
+    status, toi, coordinates = solve(start, end, is_face, family.separation, tolerance, device=device, dtype=dtype)
     unit = 2.0 ** -DIGITS[dtype]
-    rounding = 256 * unit * np.maximum(np.ptp(start, axis=1).max(axis=1), np.ptp(end, axis=1).max(axis=1))
+    rounding = ROUNDING[dtype] * unit * np.maximum(np.ptp(start, axis=1).max(axis=1), np.ptp(end, axis=1).max(axis=1))
     t = np.where(status == pgccd.FREE, 0.0, toi.astype(np.float64))[:, None, None]
     at_toi = (1 - t) * (start - start[:, :1]) + t * (end - end[:, :1])
     allowed = family.separation + tolerance + rounding
     named = allowed + 64 * unit * conditioning(at_toi, is_face)
-    # In few digits even the distance itself suffers from slender faces.
-    allowed = named if dtype == torch.float32 else allowed
     answers = Answers(status, toi.astype(np.float64), coordinates, allowed, named)
 
     def is_near(row: int) -> bool:

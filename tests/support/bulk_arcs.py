@@ -23,9 +23,10 @@ def soup(rng: np.random.Generator, size: float) -> pgccd.Mesh:
     """Triangles anywhere, a quarter of them slivers, some thousands of times as long as wide."""
     middle = rng.normal(size=(FACES, 1, 3))
     corners = middle + 0.7 * rng.normal(size=(FACES, 3, 3))
-    width = 10.0 ** -rng.uniform(1, 3.5, (FACES, 1))
-    thin = corners[:, 0] + rng.random((FACES, 1)) * (corners[:, 1] - corners[:, 0]) + width * rng.normal(size=(FACES, 3))
-    corners[::4, 2] = thin[::4]
+    # Of a quarter the last corner comes to lie next to the edge between the first two.
+    thin, width = corners[::4], 10.0 ** -rng.uniform(1, 3.5, (len(corners[::4]), 1))
+    along = rng.random((len(thin), 1)) * (thin[:, 1] - thin[:, 0])
+    corners[::4, 2] = thin[:, 0] + along + width * rng.normal(size=(len(thin), 3))
     return pgccd.Mesh(size * corners.reshape(-1, 3), np.arange(3 * FACES).reshape(-1, 3))
 
 
@@ -66,9 +67,7 @@ def _solve(
     moving = pgccd.MovingBodies(scene, motion)
     pairs = torch.arange(2 * n, device=device).view(n, 2)
     rows = np.column_stack([np.arange(n), np.full(n, int(kind)), features]).astype(np.int32)
-    found = pgccd.narrow.contacts(
-        moving, pairs, torch.from_numpy(rows).to(device), "all", separation, tolerance
-    )
+    found = pgccd.narrow.contacts(moving, pairs, torch.from_numpy(rows).to(device), "all", separation, tolerance)
     pair, _, _, its_status, its_toi, its_coordinates, *_ = (c.cpu().numpy() for c in found)
     status, toi, coordinates = np.full(n, int(pgccd.FREE)), np.full(n, np.inf), np.zeros((n, 2))
     status[pair], toi[pair], coordinates[pair] = its_status, its_toi, its_coordinates
