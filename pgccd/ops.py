@@ -114,15 +114,15 @@ def narrow_deforming(
 
 def vertex_face(
     points_t0: Tensor, points_t1: Tensor, min_separation: float, tolerance: float, nonzero_toi: bool
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Status (n,), toi (n,) and coordinates (n, 2) of vertex-face queries (n, 4, 3)."""
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Status (n,), toi (n,), coordinates (n, 2), significant bits (n,) of vertex-face queries (n, 4, 3), f32 or f64."""
     return _ops.vertex_face(points_t0, points_t1, min_separation, tolerance, nonzero_toi)
 
 
 def edge_edge(
     points_t0: Tensor, points_t1: Tensor, min_separation: float, tolerance: float, nonzero_toi: bool
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Status (n,), toi (n,) and coordinates (n, 2) of edge-edge queries (n, 4, 3)."""
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Status (n,), toi (n,), coordinates (n, 2), significant bits (n,) of edge-edge queries (n, 4, 3), f32 or f64."""
     return _ops.edge_edge(points_t0, points_t1, min_separation, tolerance, nonzero_toi)
 
 
@@ -200,19 +200,19 @@ def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *_rest: objec
     return _fake_contact_rows(pairs)
 
 
-def _fake_elementary(points_t0: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _fake_elementary(points_t0: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     count = points_t0.shape[0]
-    status = points_t0.new_empty((count,), dtype=torch.int8)
-    return status, points_t0.new_empty((count,)), points_t0.new_empty((count, 2))
+    status, significant_bits = (points_t0.new_empty((count,), dtype=torch.int8) for _ in range(2))
+    return status, points_t0.new_empty((count,)), points_t0.new_empty((count, 2)), significant_bits
 
 
 @torch.library.register_fake("pgccd::vertex_face")
-def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor]:
+def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return _fake_elementary(points_t0)
 
 
 @torch.library.register_fake("pgccd::edge_edge")
-def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor]:
+def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return _fake_elementary(points_t0)
 
 

@@ -12,6 +12,7 @@
 namespace pgccd::bind {
 
 using TensorList = std::vector<Tensor>;
+using ElementaryTensors = std::tuple<Tensor, Tensor, Tensor, Tensor>;
 using ContactTensors = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
 template <class T>
@@ -102,21 +103,32 @@ struct DetectOps {
   }
 
   template <bool kEdgeEdge>
-  static std::tuple<Tensor, Tensor, Tensor> elementary(const Tensor& points_t0, const Tensor& points_t1,
-                                                       double min_separation, double tolerance, bool nonzero_toi) {
-    const double* x0 = rows<double>(points_t0, "points_t0", {kAnySize, 4, 3});
-    const int64_t count = points_t0.size(0);
-    const double* x1 = rows<double>(points_t1, "points_t1", {count, 4, 3});
-    Tensor status = new_tensor<int8_t>(points_t0, {count});
-    Tensor toi = new_tensor<double>(points_t0, {count});
-    Tensor coordinates = new_tensor<double>(points_t0, {count, 2});
-    Backend(points_t0).template elementary<kEdgeEdge>(x0, x1, count, {min_separation, tolerance, nonzero_toi},
-                                                      data<int8_t>(status), data<double>(toi),
-                                                      data<double>(coordinates));
-    return {status, toi, coordinates};
+  static ElementaryTensors elementary(const Tensor& points_t0, const Tensor& points_t1, double min_separation,
+                                      double tolerance, bool nonzero_toi) {
+    const NarrowSettings settings{min_separation, tolerance, nonzero_toi};
+    if (points_t0.scalar_type() == ScalarType::Float) {
+      return elementary_in<kEdgeEdge, float>(points_t0, points_t1, settings);
+    }
+    return elementary_in<kEdgeEdge, double>(points_t0, points_t1, settings);
   }
 
  private:
+  template <bool kEdgeEdge, class T>
+  static ElementaryTensors elementary_in(const Tensor& points_t0, const Tensor& points_t1,
+                                         const NarrowSettings& settings) {
+    const T* x0 = rows<T>(points_t0, "points_t0", {kAnySize, 4, 3});
+    const int64_t count = points_t0.size(0);
+    const T* x1 = rows<T>(points_t1, "points_t1", {count, 4, 3});
+    Tensor status = new_tensor<int8_t>(points_t0, {count});
+    Tensor toi = new_tensor<T>(points_t0, {count});
+    Tensor coordinates = new_tensor<T>(points_t0, {count, 2});
+    Tensor significant_bits = new_tensor<int8_t>(points_t0, {count});
+    const ElementaryColumns<T> out{data<int8_t>(status), data<T>(toi), data<T>(coordinates),
+                                   data<int8_t>(significant_bits)};
+    Backend(points_t0).template elementary<kEdgeEdge>(x0, x1, count, settings, out);
+    return {status, toi, coordinates, significant_bits};
+  }
+
   template <class Bodies>
   static std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs,
                                              const std::optional<Tensor>& horizon, const SweepSettings& settings,

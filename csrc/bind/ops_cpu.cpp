@@ -47,10 +47,10 @@ class CpuBackend {
     copy(found.normal, out.normal);
   }
 
-  template <bool kEdgeEdge>
-  void elementary(const double* x0, const double* x1, int64_t count, const NarrowSettings& settings, int8_t* status,
-                  double* toi, double* coordinates) const {
-    elementary_cpu<kEdgeEdge>(executor_, x0, x1, count, settings, status, toi, coordinates);
+  template <bool kEdgeEdge, class T>
+  void elementary(const T* x0, const T* x1, int64_t count, const NarrowSettings& settings,
+                  const ElementaryColumns<T>& out) const {
+    elementary_cpu<kEdgeEdge>(executor_, x0, x1, count, settings, out);
   }
 
  private:

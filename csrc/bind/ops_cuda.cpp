@@ -33,10 +33,10 @@ class CudaBackend {
   void narrow(const Bodies& bodies, const NarrowInput& input, const ContactOutput& make_output) const {
     narrow_phase_cuda(session_.context(), bodies, input, make_output);
   }
-  template <bool kEdgeEdge>
-  void elementary(const double* x0, const double* x1, int64_t count, const NarrowSettings& settings, int8_t* status,
-                  double* toi, double* coordinates) const {
-    elementary_cuda<kEdgeEdge>(session_.context(), x0, x1, count, settings, status, toi, coordinates);
+  template <bool kEdgeEdge, class T>
+  void elementary(const T* x0, const T* x1, int64_t count, const NarrowSettings& settings,
+                  const ElementaryColumns<T>& out) const {
+    elementary_cuda<kEdgeEdge>(session_.context(), x0, x1, count, settings, out);
   }
 
  private:

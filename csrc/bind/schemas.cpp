@@ -40,10 +40,10 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor)");
   library.def(
       "vertex_face(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) "
-      "-> (Tensor status, Tensor toi, Tensor coordinates)");
+      "-> (Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
   library.def(
       "edge_edge(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) "
-      "-> (Tensor status, Tensor toi, Tensor coordinates)");
+      "-> (Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
 }
 
 // Importing pgccd._C runs the registrations of this binary; as a Python module it is empty.

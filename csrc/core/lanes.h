@@ -2,7 +2,6 @@
 // lane with the same bits. Devices run the float versions.
 #pragma once
 
-#include <cmath>
 #include <cstdint>
 
 #include "core/vec3.h"
@@ -11,7 +10,6 @@ namespace pgccd {
 
 constexpr int kLanes = 8;
 
-PGCCD_HD float square_root(float x) { return std::sqrt(x); }
 PGCCD_HD bool all_lanes(bool mask) { return mask; }
 
 template <class T>

@@ -1,7 +1,6 @@
 // Three-component vectors and 3 x 3 matrices. Evaluation order is part of the contract: the same bits on every backend.
 #pragma once
 
-#include <cmath>
 #include <type_traits>
 
 #include "core/scalar.h"
@@ -49,11 +48,11 @@ PGCCD_HD T norm_squared(Vec3<T> a) {
 }
 template <class T>
 PGCCD_HD T norm(Vec3<T> a) {
-  return std::sqrt(dot(a, a));
+  return square_root(dot(a, a));
 }
 template <class T>
 PGCCD_HD T max_abs(Vec3<T> a) {
-  return larger(larger(std::fabs(a.x), std::fabs(a.y)), std::fabs(a.z));
+  return larger(larger(magnitude(a.x), magnitude(a.y)), magnitude(a.z));
 }
 
 template <class To, class From>

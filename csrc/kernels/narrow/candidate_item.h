@@ -4,17 +4,9 @@
 #include <type_traits>
 
 #include "core/candidate.h"
-#include "kernels/narrow/advancement.h"
-#include "kernels/narrow/paths.h"
+#include "kernels/narrow/precision_ladder.h"
 
 namespace pgccd {
-
-// Caller's settings for a whole call; tolerance as in pair_tolerance.
-struct NarrowSettings {
-  double separation;
-  double tolerance;
-  bool nonzero_toi;
-};
 
 // Which mesh point plays which part: x0 .. x3, and whether the first-named primitive belongs to body i or j.
 struct FeatureVertices {
@@ -114,10 +106,9 @@ struct RigidPair {
 struct DeformingPair {
   int64_t body[2];
   int32_t mesh[2];
-  double point_error;
 
   PGCCD_HD DeformingPair(const DeformingBodies& bodies, int64_t i, int64_t j)
-      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, point_error(0.0) {}
+      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]} {}
 
   // World coordinates as given: only differences of them are used, so no shift is needed.
   template <bool kEdgeEdge>
@@ -153,10 +144,18 @@ PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, 
     if (uses_arcs(bodies)) {
       return advance_to_contact<kEdgeEdge>(pair.template arc_path<kEdgeEdge>(bodies, f), settings);
     }
+    Vec3<double> t0[4], t1[4];
+    pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
+    Outcome<double> outcome =
+        advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error), settings);
+    // What rounding did to the points themselves, no finer arithmetic would undo.
+    if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
+    return outcome;
+  } else {
+    Vec3<double> t0[4], t1[4];
+    pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
+    return solve_straight<kEdgeEdge>(t0, t1, settings).outcome;
   }
-  Vec3<double> t0[4], t1[4];
-  pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-  return advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error), settings);
 }
 
 template <class Bodies, class Pair>

@@ -5,8 +5,6 @@
 // In both, the four points are coplanar where r . (a x b) = 0.
 #pragma once
 
-#include <cmath>
-
 #include "core/rounding.h"
 #include "core/vec3.h"
 
@@ -78,7 +76,7 @@ PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
   const T normal_squared = norm_squared(normal);
   // A face or an angle too slender for its normal to mean anything: its border, at most this slenderness away, stands
   // for it.
-  constexpr T slender = T(64) * Precision<T>::unit;
+  constexpr T slender(64 * Precision<T>::unit);
   const bool has_normal = normal_squared > (slender * slender) * (norm_squared(p.a) * norm_squared(p.b));
   // Edges' lines: u |n|^2 = det(r, b, n), v |n|^2 = det(r, a, n). Projection onto the face: u |n|^2 = det(b, r, n),
   // same v.

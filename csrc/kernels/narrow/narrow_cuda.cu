@@ -2,7 +2,6 @@
 
 #include "kernels/device.cuh"
 #include "kernels/narrow/contact_item.h"
-#include "kernels/narrow/elementary_item.h"
 #include "kernels/narrow/narrow_cuda.h"
 
 namespace pgccd {
@@ -179,21 +178,24 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
 template void narrow_phase_cuda(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactOutput&);
 template void narrow_phase_cuda(const DeviceContext&, const DeformingBodies&, const NarrowInput&, const ContactOutput&);
 
-template <bool kEdgeEdge>
-void elementary_cuda(const DeviceContext& context, const double* points_t0, const double* points_t1, int64_t count,
-                     const NarrowSettings& settings, int8_t* status, double* toi, double* coordinates) {
+template <bool kEdgeEdge, class T>
+void elementary_cuda(const DeviceContext& context, const T* points_t0, const T* points_t1, int64_t count,
+                     const NarrowSettings& settings, const ElementaryColumns<T>& out) {
   for_each_item(context, count, [=] __device__(int64_t q) {
-    const Outcome<double> outcome = solve_elementary<kEdgeEdge>(points_t0 + 12 * q, points_t1 + 12 * q, settings);
-    status[q] = static_cast<int8_t>(outcome.status);
-    toi[q] = outcome.toi;
-    coordinates[2 * q] = outcome.u;
-    coordinates[2 * q + 1] = outcome.v;
+    const T *start = points_t0 + 12 * q, *end = points_t1 + 12 * q;
+    const bool free = stays_apart<kEdgeEdge>(rounded_differences<kEdgeEdge>(start), rounded_differences<kEdgeEdge>(end),
+                                             cull_distance(settings));
+    store(out, q, free ? culled_answer<T>() : solve_elementary<kEdgeEdge>(start, end, settings));
   });
 }
 
+template void elementary_cuda<false>(const DeviceContext&, const float*, const float*, int64_t, const NarrowSettings&,
+                                     const ElementaryColumns<float>&);
+template void elementary_cuda<true>(const DeviceContext&, const float*, const float*, int64_t, const NarrowSettings&,
+                                    const ElementaryColumns<float>&);
 template void elementary_cuda<false>(const DeviceContext&, const double*, const double*, int64_t, const NarrowSettings&,
-                                     int8_t*, double*, double*);
+                                     const ElementaryColumns<double>&);
 template void elementary_cuda<true>(const DeviceContext&, const double*, const double*, int64_t, const NarrowSettings&,
-                                    int8_t*, double*, double*);
+                                    const ElementaryColumns<double>&);
 
 }  // namespace pgccd
