@@ -18,7 +18,7 @@ import torch
 from support import bulk, bulk_arcs
 from support.bulk import Tally
 
-COLUMNS = ("queries", "true", "missed", "late", "invented", "misplaced", "unresolved", "undecided")
+COLUMNS = ("queries", "true", "missed", "late", "invented", "misplaced", "near", "unresolved", "undecided")
 
 
 def stream(arguments: argparse.Namespace) -> Iterator[tuple[str, Tally]]:

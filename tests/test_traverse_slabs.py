@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 from support.shapes import Bodies, tetrahedron
-from support.truth import end_positions, linear_truth
+from support.truth import linear_truth
 from test_traverse import assert_all_there, candidates, moving
 
 import pgccd
@@ -51,10 +51,6 @@ def moved(bodies: Bodies, where: np.ndarray) -> Bodies:
     return replace(bodies, position_t0=np.stack([np.zeros(3), where]))
 
 
-def faces_of(bodies: Bodies) -> list[np.ndarray]:
-    return [m.faces.long().numpy() for m in bodies.meshes]
-
-
 def test_a_turning_sheet_meets_a_speck_before_the_horizon(device: torch.device) -> None:
     rng = np.random.default_rng(1)
     for _ in range(25):
@@ -63,7 +59,8 @@ def test_a_turning_sheet_meets_a_speck_before_the_horizon(device: torch.device) 
         until = rng.uniform(0.02, 0.5)
         t, vertex = until * rng.uniform(0.7, 0.95), rng.integers(len(start))
         bodies = moved(bodies, (1 - t) * start[vertex] + t * end[vertex] + 0.2 * TINY * rng.normal(size=3))
-        truth = linear_truth([end_positions(bodies, b) for b in (0, 1)], faces_of(bodies))
+        rest = bodies.meshes[1].vertices.numpy() + bodies.position_t0[1]
+        truth = linear_truth([[start, end], [rest, rest]], [m.faces.long().numpy() for m in bodies.meshes])
         assert any(c.toi_upper <= until for c in truth.contacts)
         assert_all_there(candidates(moving(bodies, device, "linear"), horizon=[until])[0], truth, until)
 

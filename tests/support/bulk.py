@@ -29,7 +29,11 @@ UNDECIDED = {"near border": 0.03, "grid, coplanar": 0.9, "grid, parallel": 0.25,
 
 @dataclass
 class Tally:
-    """What came of some queries. `undecided`: how many the batch oracle left to the exact one (or, on arcs, open)."""
+    """What came of some queries.
+
+    `near`: reported though they never touch, since they come within the tolerance. `undecided`: left by the batch
+    oracle to the exact one, or (on arcs) open.
+    """
 
     queries: int = 0
     true: int = 0
@@ -37,6 +41,7 @@ class Tally:
     late: int = 0
     invented: int = 0
     misplaced: int = 0
+    near: int = 0
     unresolved: int = 0
     undecided: int = 0
     seconds: float = 0.0
@@ -123,6 +128,7 @@ def compare(
     return Tally(
         queries=len(status),
         true=int(true.sum()),
+        near=int((reported & (truth.status == NO)).sum()),
         unresolved=int((status == pgccd.UNRESOLVED).sum()),
         examples=examples,
         **{what: int(rows.sum()) for what, rows in faults.items()},
