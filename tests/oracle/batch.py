@@ -92,9 +92,12 @@ def apart_by(w: Window, directions: list[tuple[np.ndarray, np.ndarray]], is_face
     best = np.full(w.rounding.shape, -np.inf)
     count = first_count(is_face)
     c = w.control
-    for before, after in directions:
-        with np.errstate(all="ignore"):
-            n = [np.nan_to_num(d / _length(d), nan=0.0) for d in (before, after)]
+    for pair in directions:
+        n = []
+        for d in pair:
+            length = _length(d)
+            usable = (length > 1e-100) & (length < 1e100)  # else its square may be no number to divide by
+            n.append(np.where(usable, d, 0.0) / np.where(usable, length, 1.0))
         n[1] = np.where(_dot(n[0], n[1]) < 0, -n[1], n[1])
         # (control, point, k) along each end's direction
         g, h = (c[:, :, 0] * d[0] + c[:, :, 1] * d[1] + c[:, :, 2] * d[2] for d in n)

@@ -84,6 +84,16 @@ def test_decide_straight_leaves_nothing_open(is_face: bool) -> None:
 
 
 @KINDS
+def test_directions_whose_squares_vanish_prove_nothing(is_face: bool) -> None:
+    start, end = np.random.default_rng(13).normal(size=(2, 50, 4, 3))
+    zero = np.zeros(50)
+    window = StraightPaths(start, end, is_face).over(np.arange(50), zero, zero)
+    for size in (0.0, 1e-300, 1e-170, 1e300):
+        direction = size * np.random.default_rng(14).normal(size=(3, 50))
+        assert (batch.apart_by(window, [(direction, direction)], is_face) == -np.inf).all()
+
+
+@KINDS
 def test_only_until(is_face: bool) -> None:
     q = adversarial.contact_at(np.random.default_rng(5), 200, is_face)
     paths = StraightPaths(q.points_t0, q.points_t1, is_face)
