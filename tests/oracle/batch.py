@@ -95,7 +95,8 @@ def apart_by(w: Window, directions: list[tuple[np.ndarray, np.ndarray]], is_face
     for pair in directions:
         n = []
         for d in pair:
-            length = _length(d)
+            with np.errstate(over="ignore"):
+                length = _length(d)
             usable = (length > 1e-100) & (length < 1e100)  # else its square may be no number to divide by
             n.append(np.where(usable, d, 0.0) / np.where(usable, length, 1.0))
         n[1] = np.where(_dot(n[0], n[1]) < 0, -n[1], n[1])
