@@ -3,6 +3,7 @@
 // agree.
 #pragma once
 
+#include <bit>
 #include <cstdint>
 
 #include "core/bodies.h"
@@ -46,7 +47,12 @@ PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int
   return norm_squared(offset.at_t0 + nearest * travel) <= reach * reach;
 }
 
-// Box of a CBV with half the separation, wide enough for the roundings of the predicate.
+// Radius of a CBV with half the separation, wide enough for the roundings of the predicate.
+PGCCD_HD double swept_reach(const BroadBodies& bodies, int64_t body, Vec3<double> travel) {
+  return (bodies.centres.radius[body] + 0.5 * bodies.separation) * (1.0 + 0x1p-40) + 0x1p-40 * max_abs(travel);
+}
+
+// Its box.
 struct SweptBox {
   Vec3<double> lower, upper;
 };
@@ -54,8 +60,7 @@ struct SweptBox {
 PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
   const Vec3<double> p0 = load_vec3(bodies.centres.position_t0 + 3 * body);
   const Vec3<double> p1 = load_vec3(bodies.centres.position_t1 + 3 * body);
-  const double travel = max_abs(p1 - p0);
-  const double reach = (bodies.centres.radius[body] + 0.5 * bodies.separation) * (1.0 + 0x1p-40) + 0x1p-40 * travel;
+  const double reach = swept_reach(bodies, body, p1 - p0);
   const Vec3<double> r{reach, reach, reach};
   return {Vec3<double>{smaller(p0.x, p1.x), smaller(p0.y, p1.y), smaller(p0.z, p1.z)} - r,
           Vec3<double>{larger(p0.x, p1.x), larger(p0.y, p1.y), larger(p0.z, p1.z)} + r};
@@ -63,14 +68,16 @@ PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
 
 PGCCD_HD double component(Vec3<double> v, int axis) { return axis == 0 ? v.x : (axis == 1 ? v.y : v.z); }
 
-// Float32 bounds measured from the scene's lower corner, rounded outward (subtraction and conversion).
-PGCCD_HD float float_below(double x) {
-  const float rounded = static_cast<float>(x);
-  return std::nextafter(rounded, -static_cast<float>(INFINITY));
+// The next float towards minus infinity, without a library call.
+PGCCD_HD float next_below(float x) {
+  if (!(x > -static_cast<float>(INFINITY))) return x;
+  const uint32_t bits = std::bit_cast<uint32_t>(x);
+  const uint32_t smallest_negative = 0x80000001u;
+  return std::bit_cast<float>(x > 0.0f ? bits - 1u : (x == 0.0f ? smallest_negative : bits + 1u));
 }
-PGCCD_HD float float_above(double x) {
-  const float rounded = static_cast<float>(x);
-  return std::nextafter(rounded, static_cast<float>(INFINITY));
-}
+
+// Float32 bounds measured from the scene's origin, rounded outward (subtraction and conversion).
+PGCCD_HD float float_below(double x) { return next_below(static_cast<float>(x)); }
+PGCCD_HD float float_above(double x) { return -next_below(-static_cast<float>(x)); }
 
 }  // namespace pgccd
