@@ -1,9 +1,10 @@
-#include <algorithm>
+#include <array>
 #include <memory>
 #include <numeric>
 
 #include "kernels/broad/broad.h"
 #include "kernels/broad/grid_frame.h"
+#include "kernels/broad/grid_table.h"
 #include "kernels/broad/pair_list.h"
 
 namespace pgccd {
@@ -34,39 +35,52 @@ GridFrame choose_frame(const BroadBodies& bodies) {
 
 // Bodies in the order of their buckets.
 struct SortedCells {
+  GridTables tables;
   std::unique_ptr<uint32_t[]> start;  // position of each bucket's first body; one more than there are buckets
   std::unique_ptr<FilterBox[]> boxes;
   std::unique_ptr<GridCell[]> cells;
-  uint64_t levels = 0;  // bit set of those that hold bodies
 };
 
 uint32_t world_of(const BroadBodies& bodies, int64_t body) {
   return bodies.world ? static_cast<uint32_t>(bodies.world[body]) : 0u;
 }
 
-SortedCells sort_cells(const Executor& executor, const BroadBodies& bodies, const GridFrame& frame,
-                       const GridTable& table) {
-  const int64_t count = bodies.count, bucket_count = table.bucket_count();
-  const bool alone = executor.worker_count() == 1;
-  struct Place {
-    uint32_t bucket, rank;
-  };
-  SortedCells sorted;
-  sorted.start = std::make_unique<uint32_t[]>(bucket_count + 1);
-  const auto places = std::make_unique_for_overwrite<Place[]>(count);
-  const auto cells = std::make_unique_for_overwrite<GridCell[]>(count);
-  std::vector<uint64_t> levels(executor.worker_count(), 0);
-  parallel_chunks(executor, count, kGrain, [&](int worker, int64_t begin, int64_t end) {
+// Of all bodies, and how many there are in each level.
+std::unique_ptr<GridCell[]> find_cells(const Executor& executor, const BroadBodies& bodies, const GridFrame& frame,
+                                       uint32_t (&level_counts)[kGridLevels]) {
+  auto cells = std::make_unique_for_overwrite<GridCell[]>(bodies.count);
+  std::vector<std::array<uint32_t, kGridLevels>> counts(executor.worker_count());
+  parallel_chunks(executor, bodies.count, kGrain, [&](int worker, int64_t begin, int64_t end) {
     for (int64_t b = begin; b < end; ++b) {
       const GridSpan span = grid_span(frame, swept_box(bodies, b));
       const uint32_t level = grid_level(span);
-      levels[worker] |= uint64_t{1} << level;
       cells[b] = grid_cell(span, level);
-      const uint32_t bucket = table.bucket(cells[b], world_of(bodies, b));
+      ++counts[worker][level];
+    }
+  });
+  for (const auto& part : counts)
+    for (uint32_t level = 0; level < kGridLevels; ++level) level_counts[level] += part[level];
+  return cells;
+}
+
+SortedCells sort_cells(const Executor& executor, const BroadBodies& bodies, const GridFrame& frame) {
+  const int64_t count = bodies.count, bucket_count = most_buckets(count);
+  const bool alone = executor.worker_count() == 1;
+  uint32_t level_counts[kGridLevels] = {};
+  const auto cells = find_cells(executor, bodies, frame, level_counts);
+  SortedCells sorted;
+  divide_buckets(level_counts, count, sorted.tables);
+  sorted.start = std::make_unique<uint32_t[]>(bucket_count + 1);
+  struct Place {
+    uint32_t bucket, rank;
+  };
+  const auto places = std::make_unique_for_overwrite<Place[]>(count);
+  parallel_chunks(executor, count, kGrain, [&](int, int64_t begin, int64_t end) {
+    for (int64_t b = begin; b < end; ++b) {
+      const uint32_t bucket = sorted.tables.of_level[cells[b].level()].bucket(cells[b], world_of(bodies, b));
       places[b] = {bucket, add_shared(sorted.start[bucket], 1u, alone)};
     }
   });
-  for (const uint64_t part : levels) sorted.levels |= part;
   std::exclusive_scan(&sorted.start[0], &sorted.start[bucket_count + 1], &sorted.start[0], 0u);
 
   sorted.boxes = std::make_unique_for_overwrite<FilterBox[]>(count + kScanPadding);
@@ -82,6 +96,46 @@ SortedCells sort_cells(const Executor& executor, const BroadBodies& bodies, cons
   return sorted;
 }
 
+// One body's search.
+class GridSearch {
+ public:
+  GridSearch(const BroadBodies& bodies, const SortedCells& sorted, int64_t position, PairCollector& collector)
+      : sorted_(sorted),
+        position_(position),
+        overlap_(sorted.boxes[position]),
+        world_(world_of(bodies, sorted.boxes[position].body)),
+        collector_(collector) {}
+
+  // Among the bodies of one level, in which the body's box starts in `cell`.
+  template <bool kLater>
+  void look_around(const GridCell& cell) {
+    const GridTable& table = sorted_.tables.of_level[cell.level()];
+    if (table.in_one_tile(cell)) {
+      table.visit_runs_in_tile<kLater>(cell, world_,
+                                       [&](const GridRun& run) { scan<kLater>(run, [](int64_t) { return true; }); });
+    } else {
+      table.visit_runs<kLater>(cell, world_, [&](const GridRun& run) {
+        scan<kLater>(run, [&](int64_t other) { return run.contains(sorted_.cells[other]); });
+      });
+    }
+  }
+
+ private:
+  template <bool kLater, class Keep>
+  void scan(const GridRun& run, Keep&& keep) {
+    const int64_t begin = run.starts_at_home ? position_ + 1 : sorted_.start[run.first_bucket];
+    const int64_t end = sorted_.start[run.last_bucket + 1];
+    // Coarser levels are nearly empty; in a body's own, a look costs less than a branch foretold wrongly.
+    if (kLater || begin < end) collector_.scan(position_, overlap_, begin, end, keep);
+  }
+
+  const SortedCells& sorted_;
+  int64_t position_;
+  BoxOverlap overlap_;
+  uint32_t world_;
+  PairCollector& collector_;
+};
+
 }  // namespace
 
 void grid_cpu(const Executor& executor, const BroadBodies& bodies, const PairOutput& make_output) {
@@ -90,39 +144,19 @@ void grid_cpu(const Executor& executor, const BroadBodies& bodies, const PairOut
     return;
   }
   const GridFrame frame = choose_frame(bodies);
-  const GridTable table = grid_table(bodies.count);
-  const SortedCells sorted = sort_cells(executor, bodies, frame, table);
-  const bool one_level = std::has_single_bit(sorted.levels);
-
+  const SortedCells sorted = sort_cells(executor, bodies, frame);
   std::vector<PairCollector> collectors(executor.worker_count(), PairCollector(bodies, sorted.boxes.get()));
   constexpr int64_t kSearchGrain = 512;
   parallel_chunks(executor, bodies.count, kSearchGrain, [&](int worker, int64_t begin, int64_t end) {
-    PairCollector& collector = collectors[worker];
     for (int64_t p = begin; p < end; ++p) {
       const GridCell cell = sorted.cells[p];
-      const int64_t body = sorted.boxes[p].body;
-      const uint32_t world = world_of(bodies, body);
-      const BoxOverlap overlap(sorted.boxes[p]);
-      const auto scan = [&](const GridRun& run, auto keep) {
-        collector.scan(p, overlap, run.starts_with(cell) ? p + 1 : sorted.start[run.first_bucket],
-                       sorted.start[run.last_bucket + 1], keep);
-      };
-      const auto scan_and_verify = [&](const GridRun& run) {
-        if (sorted.start[run.first_bucket] != sorted.start[run.last_bucket + 1])
-          scan(run, [&](int64_t other) { return run.contains(sorted.cells[other]); });
-      };
-      if (one_level && table.in_one_tile(cell)) {
-        table.visit_runs_in_tile<true>(cell, world,
-                                       [&](const GridRun& run) { scan(run, [](int64_t) { return true; }); });
-        continue;
-      }
-      table.visit_runs<true>(cell, world, scan_and_verify);
-      for (uint64_t rest = sorted.levels >> cell.level() >> 1 << cell.level() << 1; rest != 0; rest &= rest - 1) {
+      GridSearch search(bodies, sorted, p, collectors[worker]);
+      search.look_around<true>(cell);
+      for (uint64_t rest = coarser_levels(sorted.tables.levels, cell.level()); rest != 0; rest &= rest - 1) {
         const uint32_t level = static_cast<uint32_t>(lowest_bit(rest));
-        const bool near = level <= cell.level() + kCoarserLevels;
-        table.visit_runs<false>(
-            near ? coarser_cell(cell, level) : grid_cell(grid_span(frame, swept_box(bodies, body)), level), world,
-            scan_and_verify);
+        search.look_around<false>(level <= cell.level() + kCoarserLevels
+                                      ? coarser_cell(cell, level)
+                                      : grid_cell(grid_span(frame, swept_box(bodies, sorted.boxes[p].body)), level));
       }
     }
   });

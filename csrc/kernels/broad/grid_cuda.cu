@@ -2,6 +2,7 @@
 
 #include "kernels/broad/filter_box.h"
 #include "kernels/broad/grid_frame.h"
+#include "kernels/broad/grid_table.h"
 #include "kernels/broad/pair_list.cuh"
 #include "kernels/broad/scene_sample.cuh"
 
@@ -42,48 +43,57 @@ __device__ uint32_t world_of(const BroadBodies& bodies, int64_t body) {
   return bodies.world ? static_cast<uint32_t>(bodies.world[body]) : 0u;
 }
 
+struct LevelCounts {
+  uint32_t of_level[kGridLevels];
+};
+
+__global__ void __launch_bounds__(kBlockThreads)
+    find_cells(BroadBodies bodies, const GridFrame* frame, GridCell* cells, LevelCounts* counts) {
+  __shared__ LevelCounts block_counts;
+  for (uint32_t level = threadIdx.x; level < kGridLevels; level += blockDim.x) block_counts.of_level[level] = 0;
+  __syncthreads();
+  const GridFrame own_frame = *frame;
+  // A thread's bodies are mostly of one level.
+  uint32_t level = 0, run = 0;
+  const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
+  for (int64_t b = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; b < bodies.count; b += stride) {
+    const GridSpan span = grid_span(own_frame, swept_box(bodies, b));
+    const uint32_t found = grid_level(span);
+    cells[b] = grid_cell(span, found);
+    if (found != level && run != 0) {
+      atomicAdd(&block_counts.of_level[level], run);
+      run = 0;
+    }
+    level = found;
+    ++run;
+  }
+  if (run != 0) atomicAdd(&block_counts.of_level[level], run);
+  __syncthreads();
+  for (uint32_t k = threadIdx.x; k < kGridLevels; k += blockDim.x)
+    if (block_counts.of_level[k] != 0) atomicAdd(&counts->of_level[k], block_counts.of_level[k]);
+}
+
+// By one block.
+__global__ void make_tables(const LevelCounts* counts, int64_t body_count, GridTables* tables) {
+  __shared__ LevelCounts own;  // one read instead of one after the other
+  if (threadIdx.x < kGridLevels) own.of_level[threadIdx.x] = counts->of_level[threadIdx.x];
+  __syncthreads();
+  if (threadIdx.x == 0) divide_buckets(own.of_level, body_count, *tables);
+}
+
 struct Place {
   uint32_t bucket, rank;
 };
 
-struct UnsortedCells {
-  GridCell* cells;
-  Place* places;
-  uint32_t* bucket_counts;
-  unsigned long long* levels;  // bit set of those that hold bodies
-};
-
-__global__ void __launch_bounds__(kBlockThreads)
-    find_cells(BroadBodies bodies, const GridFrame* frame, GridTable table, UnsortedCells out) {
-  __shared__ unsigned long long block_levels;
-  if (threadIdx.x == 0) block_levels = 0;
-  __syncthreads();
-  const GridFrame own_frame = *frame;
-  unsigned long long levels = 0;
-  const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
-  for (int64_t b = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; b < bodies.count; b += stride) {
-    const GridSpan span = grid_span(own_frame, swept_box(bodies, b));
-    const uint32_t level = grid_level(span);
-    levels |= 1ull << level;
-    const GridCell cell = grid_cell(span, level);
-    out.cells[b] = cell;
-    const uint32_t bucket = table.bucket(cell, world_of(bodies, b));
-    out.places[b] = {bucket, atomicAdd(&out.bucket_counts[bucket], 1u)};
-  }
-  atomicOr(&block_levels, levels);
-  __syncthreads();
-  if (threadIdx.x == 0) atomicOr(out.levels, block_levels);
-}
-
 struct SortedCells {
+  const GridTables* tables;
   const uint32_t* start;  // position of each bucket's first body; one more than there are buckets
   const FilterBox* boxes;
   const GridCell* cells;
-  const unsigned long long* levels;
 };
 
 __global__ void __launch_bounds__(kBlockThreads)
-    find_candidates(BroadBodies bodies, const GridFrame* frame, GridTable table, SortedCells sorted, PairList out) {
+    find_candidates(BroadBodies bodies, const GridFrame* frame, SortedCells sorted, PairList out) {
   __shared__ PairBuffer buffer;
   buffer.clear();
   const int64_t p = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
@@ -91,10 +101,8 @@ __global__ void __launch_bounds__(kBlockThreads)
     const FilterBox self = sorted.boxes[p];
     const GridCell cell = sorted.cells[p];
     const uint32_t world = world_of(bodies, self.body);
-    const unsigned long long levels = *sorted.levels;
-    const bool one_level = (levels & (levels - 1)) == 0;
     const auto scan = [&](const GridRun& run, bool verify) {
-      const uint32_t begin = run.starts_with(cell) ? static_cast<uint32_t>(p) + 1u : sorted.start[run.first_bucket];
+      const uint32_t begin = run.starts_at_home ? static_cast<uint32_t>(p) + 1u : sorted.start[run.first_bucket];
       const uint32_t end = sorted.start[run.last_bucket + 1];
       for (uint32_t q = begin; q < end; ++q) {
         const FilterBox other = sorted.boxes[q];
@@ -103,17 +111,20 @@ __global__ void __launch_bounds__(kBlockThreads)
         buffer.append(out, pack_pair(self.body, other.body));
       }
     };
-    if (one_level && table.in_one_tile(cell)) {
-      table.visit_runs_in_tile<true>(cell, world, [&](const GridRun& run) { scan(run, false); });
+    const GridTable own_table = sorted.tables->of_level[cell.level()];
+    if (own_table.in_one_tile(cell)) {
+      own_table.visit_runs_in_tile<true>(cell, world, [&](const GridRun& run) { scan(run, false); });
     } else {
-      table.visit_runs<true>(cell, world, [&](const GridRun& run) { scan(run, true); });
-      for (unsigned long long rest = levels >> cell.level() >> 1 << cell.level() << 1; rest != 0; rest &= rest - 1) {
-        const uint32_t level = static_cast<uint32_t>(lowest_bit(rest));
-        const bool near = level <= cell.level() + kCoarserLevels;
-        const GridCell coarser =
-            near ? coarser_cell(cell, level) : grid_cell(grid_span(*frame, swept_box(bodies, self.body)), level);
-        table.visit_runs<false>(coarser, world, [&](const GridRun& run) { scan(run, true); });
-      }
+      own_table.visit_runs<true>(cell, world, [&](const GridRun& run) { scan(run, true); });
+    }
+    for (uint64_t rest = coarser_levels(sorted.tables->levels, cell.level()); rest != 0; rest &= rest - 1) {
+      const uint32_t level = static_cast<uint32_t>(lowest_bit(rest));
+      const GridCell coarser = level <= cell.level() + kCoarserLevels
+                                   ? coarser_cell(cell, level)
+                                   : grid_cell(grid_span(*frame, swept_box(bodies, self.body)), level);
+      const GridTable table = sorted.tables->of_level[level];
+      const bool verify = !table.in_one_tile(coarser);
+      table.visit_runs<false>(coarser, world, [&](const GridRun& run) { scan(run, verify); });
     }
   }
   buffer.flush(out);
@@ -127,22 +138,29 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
     make_output(0);
     return;
   }
-  const GridTable table = grid_table(count);
-  const int64_t bucket_count = table.bucket_count();
   GridFrame* frame = context.allocate<GridFrame>(1);
-  auto* levels = context.allocate<unsigned long long>(1);
+  LevelCounts* level_counts = context.allocate<LevelCounts>(1);
+  GridTables* tables = context.allocate<GridTables>(1);
   GridCell* unsorted_cells = context.allocate<GridCell>(count);
-  Place* places = context.allocate<Place>(count);
-  uint32_t* start = context.allocate<uint32_t>(bucket_count + 1);
-  fill_bytes(context, levels, 0, 1);
-  fill_bytes(context, start, 0, bucket_count + 1);
+  fill_bytes(context, level_counts, 0, 1);
   choose_frame<<<1, kSampleThreads, 0, context.stream>>>(bodies, frame);
-  find_cells<<<resident_blocks(16), kBlockThreads, 0, context.stream>>>(bodies, frame, table,
-                                                                        {unsorted_cells, places, start, levels});
+  find_cells<<<resident_blocks(16), kBlockThreads, 0, context.stream>>>(bodies, frame, unsorted_cells, level_counts);
+  make_tables<<<1, kBlockThreads, 0, context.stream>>>(level_counts, count, tables);
+  check_cuda(cudaGetLastError(), "broad phase");
+
+  // Counting sort by bucket; the order within one does not matter.
+  const int64_t bucket_count = most_buckets(count);
+  uint32_t* start = context.allocate<uint32_t>(bucket_count + 1);
+  fill_bytes(context, start, 0, bucket_count + 1);
+  Place* places = context.allocate<Place>(count);
+  for_each_item(context, count, [=] __device__(int64_t b) {
+    const GridCell cell = unsorted_cells[b];
+    const uint32_t bucket = tables->of_level[cell.level()].bucket(cell, world_of(bodies, b));
+    places[b] = {bucket, atomicAdd(&start[bucket], 1u)};
+  });
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceScan::ExclusiveSum(scratch, bytes, start, start, bucket_count + 1, context.stream);
   });
-
   FilterBox* boxes = context.allocate<FilterBox>(count);
   GridCell* cells = context.allocate<GridCell>(count);
   for_each_item(context, count, [=] __device__(int64_t b) {
@@ -154,8 +172,7 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
 
   collect_pairs(context, bodies, make_output, [&](const PairList& list) {
     const auto blocks = static_cast<unsigned>((count + kBlockThreads - 1) / kBlockThreads);
-    find_candidates<<<blocks, kBlockThreads, 0, context.stream>>>(bodies, frame, table, {start, boxes, cells, levels},
-                                                                  list);
+    find_candidates<<<blocks, kBlockThreads, 0, context.stream>>>(bodies, frame, {tables, start, boxes, cells}, list);
   });
 }
 
