@@ -155,21 +155,25 @@ def test_threads_do_not_matter() -> None:
     assert all(torch.equal(found[0], pairs) for pairs in found) and len(found[0]) > 1000
 
 
-def test_auto_chooses_by_sizes(device: torch.device) -> None:
+def test_auto_chooses_by_number_and_sizes(device: torch.device) -> None:
     rng = np.random.default_rng(19)
 
-    def bodies(*sizes: float) -> pgccd.MovingBodies:
-        start, turn = rng.normal(size=(12, 3)), unit_quaternions(rng, 12)
-        index = np.arange(12) % len(sizes)
-        scene = pgccd.Scene([tetrahedron(size) for size in sizes], index.tolist(), device)
-        return pgccd.MovingBodies(scene, pgccd.RigidMotion(*tensors(start, turn, start + 0.1, turn, device=device)))
+    def bodies(count: int, *sizes: float) -> pgccd.MovingBodies:
+        start, turn = rng.uniform(-3, 3, (count, 3)), unit_quaternions(rng, 1).repeat(count, axis=0)
+        index = torch.arange(count) % len(sizes)
+        scene = pgccd.Scene([tetrahedron(size) for size in sizes], index, device)
+        return pgccd.MovingBodies(scene, pgccd.RigidMotion(*tensors(start, turn, start, turn, device=device)))
 
-    assert pgccd.broad.choose(bodies(1.0)) == "grid"
-    assert pgccd.broad.choose(bodies(1.0, 1000.0)) == "grid"
-    assert pgccd.broad.choose(bodies(*(2.0**k for k in range(10)))) == "lbvh"
-    moving = bodies(1.0)
+    mixed = tuple(2.0**k for k in range(10))
+    assert pgccd.broad.choose(bodies(100, 1.0)) == pgccd.broad.choose(bodies(100, *mixed)) == "sweep"
+    assert pgccd.broad.choose(bodies(5_000, 1.0)) == pgccd.broad.choose(bodies(5_000, 1.0, 1000.0)) == "grid"
+    assert pgccd.broad.choose(bodies(5_000, *mixed)) == "sweep"
+    assert pgccd.broad.choose(bodies(200_000, *mixed)) == "lbvh"
+    crowd = bodies(20, 1.0)
     for named in ("sweep", "grid", "lbvh"):
-        assert pgccd.broad.choose(moving, named) == named
-        hits = pgccd.detect(moving.scene, moving.motion, broad_phase=named)
+        assert pgccd.broad.choose(crowd, named) == named
+        hits = pgccd.detect(crowd.scene, crowd.motion, broad_phase=named)
         assert hits.stats.broad_phase == named and hits.stats.pcs > 0
-    assert pgccd.detect(moving.scene, moving.motion).stats.broad_phase == "grid"
+    assert pgccd.detect(crowd.scene, crowd.motion).stats.broad_phase == "sweep"
+    pairs = pgccd.broad.find_pairs(crowd)
+    assert pgccd.detect(crowd.scene, crowd.motion, pairs=pairs).stats.broad_phase == "given"

@@ -3,7 +3,6 @@
 // agree.
 #pragma once
 
-#include <bit>
 #include <cstdint>
 
 #include "core/bodies.h"
@@ -68,16 +67,10 @@ PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
 
 PGCCD_HD double component(Vec3<double> v, int axis) { return axis == 0 ? v.x : (axis == 1 ? v.y : v.z); }
 
-// The next float towards minus infinity, without a library call.
-PGCCD_HD float next_below(float x) {
-  if (!(x > -static_cast<float>(INFINITY))) return x;
-  const uint32_t bits = std::bit_cast<uint32_t>(x);
-  const uint32_t smallest_negative = 0x80000001u;
-  return std::bit_cast<float>(x > 0.0f ? bits - 1u : (x == 0.0f ? smallest_negative : bits + 1u));
-}
-
-// Float32 bounds measured from the scene's origin, rounded outward (subtraction and conversion).
-PGCCD_HD float float_below(double x) { return next_below(static_cast<float>(x)); }
-PGCCD_HD float float_above(double x) { return -next_below(-static_cast<float>(x)); }
+// Float32 bounds measured from the scene's origin, rounded outward: by more than subtraction and conversion may be off,
+// and by less than 2^-21 of themselves.
+PGCCD_HD double outward(double x) { return 0x1p-22 * std::fabs(x) + 0x1p-130; }
+PGCCD_HD float float_below(double x) { return static_cast<float>(x - outward(x)); }
+PGCCD_HD float float_above(double x) { return static_cast<float>(x + outward(x)); }
 
 }  // namespace pgccd

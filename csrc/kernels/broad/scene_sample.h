@@ -5,9 +5,9 @@
 
 namespace pgccd {
 
-constexpr int64_t kSceneSample = 4096;
+constexpr int64_t kSceneSample = 1024;
 
-// Every so manieth body is in it.
+// The sample holds every body whose index it divides.
 PGCCD_HD int64_t sample_stride(int64_t body_count) { return larger<int64_t>(1, body_count / kSceneSample); }
 // What each contributes to a mean.
 PGCCD_HD double sample_weight(int64_t body_count) {
