@@ -14,6 +14,7 @@ import torch
 import pgccd
 from pgccd import sim
 from pgccd.about import describe_installation
+from pgccd.broad import BROAD_PHASES
 from pgccd.files import load_motion, load_scene
 from pgccd.narrow import REPORTS, Kind, Status
 from pgccd.sim.progress import terminal_progress
@@ -68,6 +69,7 @@ def _build_parser() -> argparse.ArgumentParser:
     add("--world", choices=sim.PATTERNS, help="how they move (random)")
     add("--mesh", nargs="+", metavar="FILE", help="kinds of robots, dealt out in turn (the built-in robot)")
     add("--device", default="cpu", help="cpu, cuda, cuda:1, ... (cpu)")
+    add("--broad-phase", choices=BROAD_PHASES, default="auto", help="how pairs are found; same results (auto)")
     add("--seed", type=int, help="of all randomness (0)")
     add("--out", type=Path, metavar="DIR", help="where the log, checkpoints and pictures go (out/simulate)")
     add("--checkpoint-every", type=int, default=0, metavar="K", help="steps between checkpoints (one at the end)")
@@ -90,6 +92,7 @@ def _build_parser() -> argparse.ArgumentParser:
     add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="bodies this near collide (0)")
     add("--tolerance", type=float, metavar="LENGTH", help="of a reported contact (1e-6 of the smaller radius)")
     add("--device", default="cpu", help="cpu, cuda, ... (cpu)")
+    add("--broad-phase", choices=BROAD_PHASES, default="auto", help="how pairs are found; same results (auto)")
     add("--json", action="store_true", help="print one JSON object")
     detect.set_defaults(run=_detect)
 
@@ -145,6 +148,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device) -> tuple[s
                     options.steps,
                     meshes=_load_meshes(files, "--mesh"),
                     device=device,
+                    broad_phase=options.broad_phase,
                     checkpoint_every=options.checkpoint_every,
                     progress=progress,
                 )
@@ -173,6 +177,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device) -> tuple[s
             folder,
             meshes=meshes,
             device=device,
+            broad_phase=options.broad_phase,
             checkpoint_every=options.checkpoint_every,
             progress=progress,
         )
@@ -221,7 +226,14 @@ def _detect(options: argparse.Namespace) -> int:
     except (ImportError, ValueError) as error:
         raise ArgumentError(source, error) from error
     try:
-        hits = pgccd.detect(scene, motion, options.report, options.min_separation, tolerance=options.tolerance)
+        hits = pgccd.detect(
+            scene,
+            motion,
+            options.report,
+            options.min_separation,
+            tolerance=options.tolerance,
+            broad_phase=options.broad_phase,
+        )
     except ValueError as error:
         name, _, problem = str(error).partition(": ")
         own = {"min_separation": "--min-separation", "tolerance": "--tolerance"}

@@ -29,7 +29,7 @@ def detect(
     *,
     tolerance: float | None = None,
     nonzero_toi: bool = False,
-    broad_phase: broad.BroadPhase = "sweep",
+    broad_phase: broad.BroadPhase = "auto",
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
 ) -> Contacts:
@@ -48,7 +48,8 @@ def detect(
         tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
             SBV radius of each pair.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
-        broad_phase: how the PCS is found. The result does not depend on it.
+        broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses one by the bodies' sizes
+            and says so in `stats`. The result does not depend on it.
         pairs: (P, 2) int64, i < j, sorted: test these body pairs and no others, without a broad phase (a part of an
             earlier step's, say). The scene's filters are not applied to them.
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB.
@@ -70,15 +71,15 @@ def detect(
     budget = _DEFAULT_BUDGET if memory_budget is None else memory_budget
     if budget <= 0:
         raise ValueError(f"memory_budget: expected a number of bytes > 0, got {memory_budget}")
-    stats = Stats(bodies=scene.body_count, broad_phase=broad_phase)
+    stats = Stats(bodies=scene.body_count)
 
     with _timed(stats, "bounds"):
         bodies = MovingBodies(scene, motion)
     with _timed(stats, "broad"):
+        chosen = broad.choose(bodies, broad_phase)
+        stats.broad_phase = chosen if pairs is None else "given"
         if pairs is None:
-            pairs = broad.find_pairs(bodies, min_separation, broad_phase)
-        else:
-            stats.broad_phase = "given"
+            pairs = broad.find_pairs(bodies, min_separation, chosen)
     stats.pcs = pairs.shape[0]
 
     found = []

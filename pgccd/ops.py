@@ -50,6 +50,34 @@ def sweep(
     return _ops.sweep(position_t0, position_t1, radius, group, mask, world, is_static, min_separation, axis)
 
 
+def grid(
+    position_t0: Tensor,
+    position_t1: Tensor,
+    radius: Tensor,
+    group: Tensor | None,
+    mask: Tensor | None,
+    world: Tensor | None,
+    is_static: Tensor | None,
+    min_separation: float,
+) -> Tensor:
+    """As `sweep`, by a hashed grid."""
+    return _ops.grid(position_t0, position_t1, radius, group, mask, world, is_static, min_separation)
+
+
+def lbvh(
+    position_t0: Tensor,
+    position_t1: Tensor,
+    radius: Tensor,
+    group: Tensor | None,
+    mask: Tensor | None,
+    world: Tensor | None,
+    is_static: Tensor | None,
+    min_separation: float,
+) -> Tensor:
+    """As `sweep`, by a linear bounding volume hierarchy."""
+    return _ops.lbvh(position_t0, position_t1, radius, group, mask, world, is_static, min_separation)
+
+
 def traverse_rigid(
     mesh_set: Sequence[Tensor],
     bodies: Sequence[Tensor],
@@ -151,9 +179,12 @@ def _(
     return (*centres, vertices_t0.new_empty((bodies,)), *blocks)
 
 
-@torch.library.register_fake("pgccd::sweep")
-def _(position_t0: Tensor, *_rest: object) -> Tensor:
+def _fake_pairs(position_t0: Tensor, *_rest: object) -> Tensor:
     return position_t0.new_empty((_unknown_count(), 2), dtype=torch.int64)
+
+
+for _name in ("sweep", "grid", "lbvh"):
+    torch.library.register_fake(f"pgccd::{_name}")(_fake_pairs)
 
 
 def _fake_candidates(pairs: Tensor) -> tuple[Tensor, Tensor]:
@@ -174,20 +205,10 @@ def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *_rest: objec
 
 def _fake_contact_rows(pairs: Tensor) -> ContactRows:
     count = _unknown_count()
-
-    def column(dtype: torch.dtype, *width: int) -> Tensor:
-        return pairs.new_empty((count, *width), dtype=dtype)
-
-    return (
-        column(torch.int32),
-        column(torch.int8),
-        column(torch.int32, 2),
-        column(torch.int8),
-        column(torch.float64),
-        column(torch.float64, 2),
-        column(torch.float64, 3),
-        column(torch.float64, 3),
-    )
+    integers = [((), torch.int32), ((), torch.int8), ((2,), torch.int32), ((), torch.int8)]
+    lengths = [(width, torch.float64) for width in ((), (2,), (3,), (3,))]
+    columns = [pairs.new_empty((count, *width), dtype=dtype) for width, dtype in [*integers, *lengths]]
+    return tuple(columns)  # type: ignore[return-value]
 
 
 @torch.library.register_fake("pgccd::narrow_rigid")

@@ -121,7 +121,7 @@ for _value in (NAN, INF, -1e-9):
     case(f"min_separation {_value}", lambda v=_value: detect(min_separation=v), "min_separation")
     case(f"tolerance {_value}", lambda v=_value: detect(tolerance=v), "tolerance")
 case("report", lambda: detect(report="last"), "report", "last")
-case("broad_phase", lambda: detect(broad_phase="grid"), "broad_phase", "grid")
+case("broad_phase", lambda: detect(broad_phase="octree"), "broad_phase", "octree")
 case("memory_budget", lambda: detect(memory_budget=0), "memory_budget")
 case("axis", lambda: pgccd.broad.sweep(moved(), axis="w"), "axis")
 case("mesh_index range", lambda: scene(mesh_index=[0, 2]), "mesh_index", "2 meshes")

@@ -6,6 +6,7 @@
 
 #include "bind/arguments.h"
 #include "core/candidate.h"
+#include "kernels/broad/pair_output.h"
 #include "kernels/narrow/narrow.h"
 #include "kernels/traverse/traverse.h"
 
@@ -67,12 +68,21 @@ struct DetectOps {
                       int64_t axis) {
     const BroadBodies bodies =
         broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
-    Tensor pairs = radius;
-    Backend(radius).sweep(bodies, static_cast<int>(axis), [&](int64_t count) {
-      pairs = new_tensor<int64_t>(radius, {count, 2});
-      return data<int64_t>(pairs);
+    return collect_pairs(radius, [&](const PairOutput& make_output) {
+      Backend(radius).sweep(bodies, static_cast<int>(axis), make_output);
     });
-    return pairs;
+  }
+
+  // Broad phases without settings.
+  template <void (Backend::*kFind)(const BroadBodies&, const PairOutput&) const>
+  static Tensor find_pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
+                           const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
+                           const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
+                           double min_separation) {
+    const BroadBodies bodies =
+        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
+    const Backend backend(radius);
+    return collect_pairs(radius, [&](const PairOutput& make_output) { (backend.*kFind)(bodies, make_output); });
   }
 
   static std::tuple<Tensor, Tensor> traverse_rigid(const TensorList& mesh_set, const TensorList& bodies,
@@ -150,6 +160,13 @@ struct DetectOps {
     return {candidates, node_tests};
   }
 
+  template <class Find>
+  static Tensor collect_pairs(const Tensor& like, Find&& find) {
+    Tensor pairs = like;
+    find([&](int64_t count) { return data<int64_t>(pairs = new_tensor<int64_t>(like, {count, 2})); });
+    return pairs;
+  }
+
   template <class Bodies>
   static ContactTensors narrow(const Bodies& bodies, const Tensor& pairs, const Tensor& candidates,
                                const NarrowSettings& settings, int64_t report) {
@@ -182,6 +199,8 @@ struct DetectOps {
   library.impl("rotations_between", TORCH_BOX(&DetectOps<Backend>::rotations_between));   \
   library.impl("refit", TORCH_BOX(&DetectOps<Backend>::refit));                           \
   library.impl("sweep", TORCH_BOX(&DetectOps<Backend>::sweep));                           \
+  library.impl("grid", TORCH_BOX(&DetectOps<Backend>::find_pairs<&Backend::grid>));       \
+  library.impl("lbvh", TORCH_BOX(&DetectOps<Backend>::find_pairs<&Backend::lbvh>));       \
   library.impl("traverse_rigid", TORCH_BOX(&DetectOps<Backend>::traverse_rigid));         \
   library.impl("traverse_deforming", TORCH_BOX(&DetectOps<Backend>::traverse_deforming)); \
   library.impl("narrow_rigid", TORCH_BOX(&DetectOps<Backend>::narrow_rigid));             \

@@ -5,7 +5,7 @@
 #include "bind/cpu_executor.h"
 #include "bind/detect_ops.h"
 #include "kernels/bounds/bounds.h"
-#include "kernels/broad/sweep.h"
+#include "kernels/broad/broad.h"
 
 namespace pgccd::bind {
 namespace {
@@ -19,10 +19,14 @@ class CpuBackend {
   }
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const { refit_cpu(executor_, input, bounds); }
 
-  template <class Output>
-  void sweep(const BroadBodies& bodies, int axis, Output&& make_output) const {
-    const std::vector<BodyPair> pairs = sweep_cpu(executor_, bodies, axis);
-    copy(pairs, make_output(static_cast<int64_t>(pairs.size())));
+  void sweep(const BroadBodies& bodies, int axis, const PairOutput& make_output) const {
+    sweep_cpu(executor_, bodies, axis, make_output);
+  }
+  void grid(const BroadBodies& bodies, const PairOutput& make_output) const {
+    grid_cpu(executor_, bodies, make_output);
+  }
+  void lbvh(const BroadBodies& bodies, const PairOutput& make_output) const {
+    lbvh_cpu(executor_, bodies, make_output);
   }
 
   template <class Bodies, class Output>

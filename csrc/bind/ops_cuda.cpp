@@ -24,6 +24,12 @@ class CudaBackend {
   void sweep(const BroadBodies& bodies, int axis, const PairOutput& make_output) const {
     sweep_cuda(session_.context(), bodies, axis, make_output);
   }
+  void grid(const BroadBodies& bodies, const PairOutput& make_output) const {
+    grid_cuda(session_.context(), bodies, make_output);
+  }
+  void lbvh(const BroadBodies& bodies, const PairOutput& make_output) const {
+    lbvh_cuda(session_.context(), bodies, make_output);
+  }
   template <class Bodies>
   void traverse(const Bodies& bodies, const TraverseInput& input, const CandidateOutput& make_output,
                 int64_t* node_tests) const {

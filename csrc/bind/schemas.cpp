@@ -23,6 +23,12 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "sweep(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, float min_separation, int axis) -> Tensor");
   library.def(
+      "grid(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
+      "Tensor? is_static, float min_separation) -> Tensor");
+  library.def(
+      "lbvh(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
+      "Tensor? is_static, float min_separation) -> Tensor");
+  library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
       "float min_separation, float tolerance, bool leading) "
       "-> (Tensor candidates, Tensor node_tests)");
