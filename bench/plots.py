@@ -13,6 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend first)
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter  # noqa: E402
 from support import results  # noqa: E402
 
 Result = dict[str, Any]
@@ -93,7 +94,8 @@ def _broad_phase(result: Result) -> Figure:
         axes.legend(frameon=False, fontsize=7, loc="upper right")
     for row, (name, width) in zip(rows, zip(names, own, strict=True), strict=True):
         axes.text(width * 1.03 + extra[names.index(name)], name, f"{row['ms']['median']:.3g}", va="center", fontsize=7)
-    axes.set(xscale="log", xlabel="milliseconds", xlim=(min(own) / 2, max(own) * 2))
+    axes.set(xscale="log", xlabel="milliseconds", xlim=(min(own) / 2, max(own) * 4))
+    _label_1_2_5(axes)
     where = "one GPU" if "gpu" in result["made"]["device"] else "one CPU thread"
     axes.set_title(f"{result['bodies']:,} swept spheres, {result['true_pairs_a_body']} true pairs a body, {where}")
     axes.invert_yaxis()
@@ -109,8 +111,15 @@ def _broad_phase_scenes(axes: Axes, scenes: list[Result]) -> None:
     labels = [f"{scene['scene']} ({scene['pairs_a_body']:.2g})" for scene in scenes]
     axes.set_yticks(range(len(scenes)), labels, fontsize=7)
     axes.set(xscale="log", xlabel="milliseconds", title="pgccd's, by scene (true pairs a body)")
+    _label_1_2_5(axes)
     axes.invert_yaxis()
     axes.legend(frameon=False, fontsize=7)
+
+
+def _label_1_2_5(axes: Axes) -> None:
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _pair(result: Result) -> Figure:

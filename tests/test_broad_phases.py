@@ -135,7 +135,7 @@ def test_random_scenes(scene: tuple[Arrays, float, dict[str, Any]]) -> None:
 @pytest.mark.parametrize("count", [30_000, 200_000])
 def test_the_same_pairs_in_large_scenes(device: torch.device, count: int) -> None:
     rng = np.random.default_rng(count)
-    for spread, ratio in ((1.3, 1.0), (1.3, 100.0), (0.9, 1.0)):
+    for spread, ratio in ((1.3, 1.0), (0.6, 100.0), (0.9, 1.0)):
         start = spread * count ** (1 / 3) * rng.uniform(-1, 1, (count, 3))
         assert len(agreed(*stirred(rng, start, ratio ** rng.uniform(-1, 0, count)), device=device)) > count // 10
 

@@ -68,6 +68,7 @@ PGCCD_HD double folded_size(double size, double end) {
 
 // Cells a little larger than `cell_size` (in cells of the unit frame), since bodies outside the sample may be.
 PGCCD_HD GridFrame scaled_frame(GridFrame unit, double cell_size) {
+  if (!(cell_size < 0x1p1000)) cell_size = 1.0;
   for (double& scale : unit.scale) scale *= static_cast<double>(1 << kGridUnitLevel) / (cell_size * (1.0 + 1.0 / 64.0));
   return unit;
 }
