@@ -4,7 +4,7 @@
 
 #include <functional>
 
-#include "bind/arguments.h"
+#include "bind/outputs.h"
 #include "core/candidate.h"
 #include "kernels/broad/pair_output.h"
 #include "kernels/narrow/narrow.h"
@@ -13,19 +13,7 @@
 namespace pgccd::bind {
 
 using TensorList = std::vector<Tensor>;
-using ElementaryTensors = std::tuple<Tensor, Tensor, Tensor, Tensor>;
 using ContactTensors = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
-
-template <class T>
-Tensor new_tensor(const Tensor& like, std::initializer_list<int64_t> shape) {
-  const std::vector<int64_t> sizes(shape);
-  return torch::stable::new_empty(like, sizes, scalar_type_of<T>());
-}
-
-template <class T>
-T* data(Tensor& tensor) {
-  return static_cast<T*>(tensor.data_ptr());
-}
 
 template <class Backend>
 struct DetectOps {
@@ -112,33 +100,7 @@ struct DetectOps {
                   report);
   }
 
-  template <bool kEdgeEdge>
-  static ElementaryTensors elementary(const Tensor& points_t0, const Tensor& points_t1, double min_separation,
-                                      double tolerance, bool nonzero_toi) {
-    const NarrowSettings settings{min_separation, tolerance, nonzero_toi};
-    if (points_t0.scalar_type() == ScalarType::Float) {
-      return elementary_in<kEdgeEdge, float>(points_t0, points_t1, settings);
-    }
-    return elementary_in<kEdgeEdge, double>(points_t0, points_t1, settings);
-  }
-
  private:
-  template <bool kEdgeEdge, class T>
-  static ElementaryTensors elementary_in(const Tensor& points_t0, const Tensor& points_t1,
-                                         const NarrowSettings& settings) {
-    const T* x0 = rows<T>(points_t0, "points_t0", {kAnySize, 4, 3});
-    const int64_t count = points_t0.size(0);
-    const T* x1 = rows<T>(points_t1, "points_t1", {count, 4, 3});
-    Tensor status = new_tensor<int8_t>(points_t0, {count});
-    Tensor toi = new_tensor<T>(points_t0, {count});
-    Tensor coordinates = new_tensor<T>(points_t0, {count, 2});
-    Tensor significant_bits = new_tensor<int8_t>(points_t0, {count});
-    const ElementaryColumns<T> out{data<int8_t>(status), data<T>(toi), data<T>(coordinates),
-                                   data<int8_t>(significant_bits)};
-    Backend(points_t0).template elementary<kEdgeEdge>(x0, x1, count, settings, out);
-    return {status, toi, coordinates, significant_bits};
-  }
-
   template <class Bodies>
   static std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs,
                                              const std::optional<Tensor>& horizon, const SweepSettings& settings,
@@ -204,8 +166,6 @@ struct DetectOps {
   library.impl("traverse_rigid", TORCH_BOX(&DetectOps<Backend>::traverse_rigid));         \
   library.impl("traverse_deforming", TORCH_BOX(&DetectOps<Backend>::traverse_deforming)); \
   library.impl("narrow_rigid", TORCH_BOX(&DetectOps<Backend>::narrow_rigid));             \
-  library.impl("narrow_deforming", TORCH_BOX(&DetectOps<Backend>::narrow_deforming));     \
-  library.impl("vertex_face", TORCH_BOX(&DetectOps<Backend>::elementary<false>));         \
-  library.impl("edge_edge", TORCH_BOX(&DetectOps<Backend>::elementary<true>))
+  library.impl("narrow_deforming", TORCH_BOX(&DetectOps<Backend>::narrow_deforming))
 
 }  // namespace pgccd::bind

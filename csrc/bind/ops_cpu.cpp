@@ -4,6 +4,7 @@
 
 #include "bind/cpu_executor.h"
 #include "bind/detect_ops.h"
+#include "bind/elementary_ops.h"
 #include "kernels/bounds/bounds.h"
 #include "kernels/broad/broad.h"
 
@@ -68,6 +69,9 @@ class CpuBackend {
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) { PGCCD_REGISTER_DETECT_OPS(library, CpuBackend); }
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
+  PGCCD_REGISTER_DETECT_OPS(library, CpuBackend);
+  PGCCD_REGISTER_ELEMENTARY_OPS(library, CpuBackend);
+}
 
 }  // namespace pgccd::bind

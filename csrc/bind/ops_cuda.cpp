@@ -3,6 +3,7 @@
 
 #include "bind/cuda_backend.h"
 #include "bind/detect_ops.h"
+#include "bind/elementary_ops.h"
 #include "kernels/bounds/bounds_cuda.h"
 #include "kernels/broad/broad_cuda.h"
 #include "kernels/narrow/narrow_cuda.h"
@@ -51,7 +52,10 @@ class CudaBackend {
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) { PGCCD_REGISTER_DETECT_OPS(library, CudaBackend); }
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
+  PGCCD_REGISTER_DETECT_OPS(library, CudaBackend);
+  PGCCD_REGISTER_ELEMENTARY_OPS(library, CudaBackend);
+}
 
 }  // namespace pgccd::bind
 

@@ -11,10 +11,14 @@ namespace pgccd {
 constexpr int kGroupsPerWarp = kWarp / kBlockWidth;
 constexpr int kGroupsPerBlock = kBlockThreads / kBlockWidth;
 constexpr int kStackSize = 64;
-// Rounds before a group hands back: many while there are tasks enough to fill the device, few while there are not.
-constexpr int kRoundsWhenFull = 20;
-constexpr int kRoundsWhenEmpty = 6;
+// Rounds before a group hands back. While there are not tasks enough to fill the device, few; as launches go on, more:
+// what is left is spread by then.
 constexpr uint32_t kTasksThatFill = 16384;
+PGCCD_HD int rounds_of_launch(int launch, uint32_t task_count) {
+  constexpr int kRounds[] = {6, 6, 12, 48};
+  const int rounds = kRounds[launch < 3 ? launch : 3];
+  return task_count >= kTasksThatFill && rounds < 20 ? 20 : rounds;
+}
 
 // A group's memory: its stack, and what it reads over and over. Two poses serve all pairs that turn little in a step.
 constexpr int kPosesAtHand = 2;
@@ -43,13 +47,13 @@ struct Group {
 
 // `task_at(item)` for items below `count`. All groups of a warp split one node pair a round, each of its own task.
 template <class Bodies, class TaskAt>
-__device__ void descend(const Pairs<Bodies>& pairs, uint32_t count, TaskAt&& task_at, TaskList leaves, TaskList rest,
-                        unsigned long long* node_tests) {
+__device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, TaskAt&& task_at, TaskList leaves,
+                        TaskList rest, unsigned long long* node_tests) {
   using Sweep = typename SweepOf<Bodies>::type;
   __shared__ alignas(Sweep) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
   __shared__ WarpBuffer<Task> buffers[kWarpsPerBlock];
   const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, shift = lane - slot;
-  const int most_rounds = count >= kTasksThatFill ? kRoundsWhenFull : kRoundsWhenEmpty;
+  const int most_rounds = rounds_of_launch(launch, count);
   const uint32_t groups = gridDim.x * kGroupsPerBlock;
   uint32_t item = (blockIdx.x * blockDim.x + threadIdx.x) / kBlockWidth;
   auto& shared = reinterpret_cast<GroupShared<Sweep>*>(memory)[threadIdx.x / kBlockWidth];
@@ -123,14 +127,15 @@ template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     descend_from_roots(Pairs<Bodies> pairs, TaskList leaves, TaskList rest, unsigned long long* node_tests) {
   const auto roots = [](uint32_t pair) { return Task{static_cast<int32_t>(pair), {0, 0}}; };
-  descend(pairs, static_cast<uint32_t>(*pairs.count), roots, leaves, rest, node_tests);
+  descend(pairs, 0, static_cast<uint32_t>(*pairs.count), roots, leaves, rest, node_tests);
 }
 
 // What earlier launches left.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads) descend_further(Pairs<Bodies> pairs, TaskList from, TaskList leaves,
-                                                                 TaskList rest, unsigned long long* node_tests) {
-  descend(pairs, from.size(), [&](uint32_t item) { return from.items[item]; }, leaves, rest, node_tests);
+__global__ void __launch_bounds__(kBlockThreads)
+    descend_further(Pairs<Bodies> pairs, int launch, TaskList from, TaskList leaves, TaskList rest,
+                    unsigned long long* node_tests) {
+  descend(pairs, launch, from.size(), [&](uint32_t item) { return from.items[item]; }, leaves, rest, node_tests);
 }
 
 // Follows the deepest overlap of each body pair down to one pair of leaves.

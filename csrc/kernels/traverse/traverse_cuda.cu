@@ -105,7 +105,7 @@ struct Traversal {
     descend_greedily<Bodies>
         <<<static_cast<unsigned>(blocks), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_greedily");
-    return visit(leaves, out);
+    return visit(leaves, 0, out);
   }
 
   Counters descend_all(uint32_t task_capacity, TaskList leaves, CandidateSink out) {
@@ -117,26 +117,27 @@ struct Traversal {
     descend_from_roots<Bodies><<<resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
         pairs_, leaves, rest[0], &counters->node_tests);
     check_cuda(cudaGetLastError(), "descend_from_roots");
-    for (int from = 0;;) {
-      for (int launch = 0; launch < kLaunchesPerBatch; ++launch, from = 1 - from) {
+    uint32_t visited = 0;
+    for (int from = 0, launch = 1;;) {
+      for (int k = 0; k < kLaunchesPerBatch; ++k, ++launch, from = 1 - from) {
         for_each_item(context_, 1, [=] __device__(int64_t) {
           counters->most_rest = larger(counters->most_rest, counters->rest[from]);
           counters->rest[1 - from] = 0;
         });
         descend_further<Bodies><<<resident_blocks_of(descend_further<Bodies>), kBlockThreads, 0, context_.stream>>>(
-            pairs_, rest[from], leaves, rest[1 - from], &counters->node_tests);
+            pairs_, launch, rest[from], leaves, rest[1 - from], &counters->node_tests);
         check_cuda(cudaGetLastError(), "descend_further");
       }
       // Leaves are visited at once in the hope that none are to come.
-      const Counters seen = visit(leaves, out);
+      const Counters seen = visit(leaves, visited, out);
       if (seen.rest[from] == 0 || larger(seen.most_rest, seen.rest[from]) > task_capacity) return seen;
-      fill_bytes(context_, &counters->edge_edge, 0, 2);
+      visited = smaller(seen.leaves, leaves.capacity);
     }
   }
 
-  Counters visit(TaskList leaves, CandidateSink out) {
+  Counters visit(TaskList leaves, uint32_t begin, CandidateSink out) {
     visit_leaves<Bodies>
-        <<<resident_blocks_of(visit_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, out);
+        <<<resident_blocks_of(visit_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, begin, out);
     check_cuda(cudaGetLastError(), "visit_leaves");
     return read(context_, counters_);
   }
