@@ -174,8 +174,8 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
   search.input = input;
   search.counters = context.allocate<Counters>(1);
   search.best = one_a_pair ? context.allocate<unsigned long long>(input.pair_count) : nullptr;
-  // About one in ten is open in dense scenes; all of them may be.
-  search.capacity = static_cast<uint32_t>(smaller<int64_t>(input.candidate_count, input.candidate_count / 4 + 65536));
+  // About one in four is open; all of them may be.
+  search.capacity = static_cast<uint32_t>(smaller<int64_t>(input.candidate_count, input.candidate_count / 2 + 65536));
   const int64_t blocks = (input.candidate_count + kBlockThreads - 1) / kBlockThreads;
   for (;;) {
     search.open = context.allocate<int32_t>(search.capacity);
