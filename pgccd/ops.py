@@ -50,6 +50,13 @@ def sweep(
     return _ops.sweep(position_t0, position_t1, radius, group, mask, world, is_static, min_separation, axis)
 
 
+def swept_boxes(
+    position_t0: Tensor, position_t1: Tensor, radius: Tensor, min_separation: float
+) -> tuple[Tensor, Tensor]:
+    """Lower and upper corners (N, 3) of the boxes of swept spheres with half the separation, rounded outward."""
+    return _ops.swept_boxes(position_t0, position_t1, radius, min_separation)
+
+
 def traverse_rigid(
     mesh_set: Sequence[Tensor],
     bodies: Sequence[Tensor],
@@ -154,6 +161,11 @@ def _(
 @torch.library.register_fake("pgccd::sweep")
 def _(position_t0: Tensor, *_rest: object) -> Tensor:
     return position_t0.new_empty((_unknown_count(), 2), dtype=torch.int64)
+
+
+@torch.library.register_fake("pgccd::swept_boxes")
+def _(position_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
+    return torch.empty_like(position_t0), torch.empty_like(position_t0)
 
 
 def _fake_candidates(pairs: Tensor) -> tuple[Tensor, Tensor]:
