@@ -86,6 +86,11 @@ class Comm(ABC):
         """Returns once every rank has come here."""
         self.any(False)
 
+    @property
+    @abstractmethod
+    def checkpoint_group(self) -> Any:
+        """A torch.distributed group for checkpoints written in the background; all ranks ask for it at the same time."""
+
     @abstractmethod
     def close(self) -> None:
         """Ends the connection; the last thing every rank calls."""
@@ -130,6 +135,10 @@ class Alone(Comm):
 
     def gather_objects(self, value: Any) -> list[Any]:
         return [value]
+
+    @property
+    def checkpoint_group(self) -> Any:
+        return None
 
     def close(self) -> None:
         self.guard.close()

@@ -101,7 +101,7 @@ def connect(
     if placement.size == 1:
         return Alone()
     device = choose_device(device, placement)
-    if device.type == "cuda":
+    if device.type == "cuda" and torch.cuda.is_available():
         torch.cuda.set_device(device)
     store = _rendezvous(placement, timeout)
     guard = Guard(_second_connection(store), placement.rank, placement.size, timeout)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable
 from itertools import accumulate
@@ -135,7 +136,16 @@ class MpiComm(Comm):
         with self.guard.waiting("gather of objects"):
             return self._world.allgather(value)
 
+    @functools.cached_property
+    def checkpoint_group(self) -> dist.ProcessGroup:
+        if self.control is None:
+            raise RuntimeError("control: checkpoints need a torch.distributed group beside MPI")
+        return dist.new_group(backend="gloo")
+
     def close(self) -> None:
         self.guard.close()
+        # As in torch_comm.
+        vars(self).pop("control", None)
+        vars(self).pop("checkpoint_group", None)
         if self._on_close is not None:
             self._on_close()

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd.distributed.balance import BalanceOptions, CellLoads, imbalance, rank_loads, rebalance
+from pgccd.distributed.balance import BalanceOptions, CellLoads, imbalance, rebalance
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.detection import Detection, Options, detect_distributed
 from pgccd.distributed.exchange import Columns, take_rows
@@ -35,7 +35,6 @@ class RankStep:
     before: RobotState  #: of the robots held, as planned
     settlement: Settlement  #: of the robots held
     record: dict[str, Any]  #: of the whole world: the line in steps.jsonl, the same on all ranks but for the times
-    stop: bool  #: whether any rank was asked to stop
 
 
 @dataclass
@@ -44,7 +43,6 @@ class _Report:
 
     held: int
     arrived: int
-    stop: int
     busy: int  #: nanoseconds at work, not waiting for others
 
 
@@ -93,13 +91,8 @@ class Fleet:
         parts = self.comm.gather_objects(astuple(Census.of(self.state.id)))
         Census.total([Census(*part) for part in parts]).require(self._expected)
 
-    def step(self, index: int, stop: bool = False) -> RankStep:
-        """Moves the robots by one step.
-
-        Args:
-            index: number of the step, from 0.
-            stop: asks all ranks to stop after it.
-        """
+    def step(self, index: int) -> RankStep:
+        """Moves the robots by one step, the `index`-th from 0."""
         guard, clock = self.comm.guard, StageClock()
         guard.activity = f"step {index}"
         world = self.world
@@ -126,7 +119,7 @@ class Fleet:
                 unresolved=found.contacts.stats.unresolved,
             )
         busy = sum(spent for stage, spent in clock.seconds.items() if stage != "halo wait")
-        report = _Report(len(held), self._arrived, int(stop), int(1e9 * busy))
+        report = _Report(len(held), self._arrived, int(1e9 * busy))
         with clock.stage("gather"):
             tallies, reports, censuses = self._tell(tally, report, census)
         Census.total(censuses).require(self._expected)
@@ -144,7 +137,7 @@ class Fleet:
             "moved_cells": moved_cells,
             "imbalance": round(imbalance(torch.tensor([float(part.pcs) for part in tallies])), 4),
         }
-        return RankStep(index, found, before, settlement, record, any(report.stop for report in reports))
+        return RankStep(index, found, before, settlement, record)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
         state = RobotState(**columns)
@@ -205,7 +198,3 @@ def starting_share(comm: Comm, world: World, partition: Partition) -> RobotState
         parts.append(take_rows(block.columns, here))
     return RobotState(**{name: torch.cat([part[name] for part in parts]) for name in parts[0]})
 
-
-def loads_of_ranks(partition: Partition, loads: CellLoads) -> Tensor:
-    """(ranks,) int64 predicted cost."""
-    return rank_loads(loads.cost, partition.owner, partition.ranks)

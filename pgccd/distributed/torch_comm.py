@@ -113,10 +113,14 @@ class TorchComm(Comm):
 
     @functools.cached_property
     def checkpoint_group(self) -> dist.ProcessGroup:
-        """A group of their own for checkpoints written in the background; all ranks must ask for it at the same time."""
-        return dist.new_group(backend="gloo")
+        ranks = dist.get_process_group_ranks(self._group)
+        return dist.new_group(ranks, backend="gloo", use_local_synchronization=True)
 
     def close(self) -> None:
         self.guard.close()
+        # Nothing may hold a group once Python ends: Gloo's threads would still let go of its tensors.
+        vars(self).pop("_group", None)
+        vars(self).pop("control", None)
+        vars(self).pop("checkpoint_group", None)
         if self._on_close is not None:
             self._on_close()
