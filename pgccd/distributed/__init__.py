@@ -14,6 +14,7 @@ from pgccd.distributed.partition import Partition, factorise
 from pgccd.distributed.runner import FleetOptions, find_checkpoint, resume, run
 from pgccd.distributed.step import Fleet, RankStep, starting_share
 from pgccd.distributed.torch_comm import TorchComm
+from pgccd.distributed.world import World
 
 __all__ = [
     "Alone",
@@ -29,6 +30,7 @@ __all__ = [
     "RankFailureError",
     "RankStep",
     "TorchComm",
+    "World",
     "choose_device",
     "connect",
     "factorise",
