@@ -28,8 +28,9 @@ def unpack(packed: Tensor, like: Mapping[str, Tensor]) -> Columns:
     columns, begin = {}, 0
     for name, column in like.items():
         width = prod(column.shape[1:]) * column.element_size()
+        shape = (len(packed), *column.shape[1:])
         part = packed[:, begin : begin + width].clone(memory_format=torch.contiguous_format)
-        columns[name] = part.view(column.dtype).view(len(packed), *column.shape[1:])
+        columns[name] = part.view(column.dtype).view(shape) if width else column.new_empty(shape)
         begin += width
     return columns
 

@@ -43,14 +43,14 @@ def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
         longest = max(range(3), key=lambda axis: extent[axis])
         return cast(Triple, tuple(ranks if axis == longest else 1 for axis in range(3)))
 
-    def surface(counts: Triple) -> float:
+    def badness(counts: Triple) -> tuple[float, int, int]:
         x, y, z = (length / count for length, count in zip(extent, counts, strict=True))
-        return x * y + y * z + z * x
+        # Of (to rounding) equal ones, that with the fewest cuts across z, along which cells are not cut any further.
+        return float(f"{x * y + y * z + z * x:.9g}"), counts[2], counts[1]
 
     divisors = [count for count in range(1, ranks + 1) if ranks % count == 0]
     choices = [(x, y, ranks // (x * y)) for x, y in itertools.product(divisors, divisors) if ranks % (x * y) == 0]
-    # Of equal ones, the first in this order, on every rank alike.
-    return min((counts for counts in choices if axes == 3 or counts[2] == 1), key=surface)
+    return min((counts for counts in choices if axes == 3 or counts[2] == 1), key=badness)
 
 
 @dataclass(frozen=True, eq=False)
