@@ -6,7 +6,7 @@ import argparse
 import functools
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NoReturn
@@ -54,8 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return options.run(options)
     except ArgumentError as error:
-        if distributed.find_placement().rank == 0:  # the others have been told the same
-            print(f"pgccd {options.command}: error: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"pgccd {options.command}: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
@@ -145,18 +144,17 @@ def _print_run(finished: sim.Run, folder: Path, options: argparse.Namespace) -> 
         print(f"interrupted; to continue: pgccd simulate --resume {folder}", file=sys.stderr)
 
 
-def _run_or_resume(
-    options: argparse.Namespace, device: torch.device, comm: distributed.Comm
-) -> tuple[sim.Run, Path]:
+def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: distributed.Comm) -> tuple[sim.Run, Path]:
     out = options.out or Path("out/simulate")
     settings: dict[str, Any] = {"device": device, "checkpoint_every": options.checkpoint_every}
     try:
         folder = command.folder_to_resume(comm, options, out)
         on_ranks = distributed.on_first(comm, lambda: command.needs_ranks(comm, folder))
         if on_ranks:
-            spread = {"options": command.fleet_options(options), "keep_last_step": not options.no_pictures}
-            start = functools.partial(distributed.run, comm, **spread)
-            go_on = functools.partial(distributed.resume, comm, **spread)
+            spread: dict[str, Any] = {"options": command.fleet_options(options)}
+            spread["keep_last_step"] = not options.no_pictures
+            start: Callable[..., sim.Run] = functools.partial(distributed.run, comm, **spread)
+            go_on: Callable[..., sim.Run] = functools.partial(distributed.resume, comm, **spread)
         else:
             start, go_on = sim.run, sim.resume
         if folder is not None:

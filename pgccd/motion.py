@@ -111,7 +111,7 @@ class RigidMotion:
             rotation: (N, 3) rotation vector of the whole step, radians, world frame.
 
         Example:
-            >>> part = pgccd.RigidMotion.from_rotation(m.position_t0[:5], m.orientation_t0[:5], m.position_t1[:5], w[:5])
+            >>> again = pgccd.RigidMotion.from_rotation(m.position_t0, m.orientation_t0, m.position_t1, m.rotation)
         """
         count = _body_count(position_t0, "position_t0")
         motion = cls.__new__(cls)

@@ -1,8 +1,8 @@
 """Checkpoints of a run on many ranks, by torch.distributed.checkpoint; any number of ranks reads them.
 
 A column of all robots is one tensor of which every rank writes its rows; whoever reads takes an equal share of the
-rows, whoever wrote them. Writing goes on in the background while the next steps are made. Robots are written to a folder
-with a temporary name; a pointer file, replaced last and at once, names the whole one.
+rows, whoever wrote them. Writing goes on in the background while the next steps are made. Robots are written to a
+folder with a temporary name; a pointer file, replaced last and at once, names the whole one.
 """
 
 from __future__ import annotations
@@ -93,10 +93,13 @@ class Checkpoints:
     def _write(self, header: Header, columns: dict[str, Tensor], begin: int, total: int) -> None:
         name = f"step-{header.steps_made:09d}"
         unfinished = self._root / f"{name}.unfinished"
-        writer = dcp.FileSystemWriter(unfinished)
-        planner = _SaveRows(begin, total)
+        writer, planner = dcp.FileSystemWriter(unfinished), _SaveRows(begin, total)
         dcp.save(
-            dict(columns), storage_writer=writer, planner=planner, process_group=self._group, no_dist=self._group is None
+            dict(columns),
+            storage_writer=writer,
+            planner=planner,
+            process_group=self._group,
+            no_dist=self._group is None,
         )
         if self._comm.rank != 0:
             return
@@ -213,4 +216,3 @@ class _LoadRows(dcp.DefaultLoadPlanner):
 
 def _chunk(column: Tensor, begin: int) -> ChunkStorageMetadata:
     return ChunkStorageMetadata(torch.Size([begin] + [0] * (column.dim() - 1)), column.shape)
-

@@ -1,6 +1,7 @@
 """How ranks talk: one interface over torch.distributed and MPI; a world of one rank needs neither.
 
-Whatever moves robots or contacts between ranks goes through `Comm`. Only `torch_comm` and `mpi_comm` know what is below.
+Whatever moves bodies or contacts between ranks goes through `Comm`. Only `torch_comm` and `mpi_comm` know what is
+below.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ class Pending:
 class Comm(ABC):
     """Ranks 0 to size - 1, this one among them. Every method must be called by all of them, in the same order.
 
-    Tensors are given and returned on any device; where the transport cannot read a GPU's memory, they are staged through
-    the host.
+    Tensors are given and returned on any device; where the transport cannot read a GPU's memory, they are staged
+    through the host.
     """
 
     #: What carries the messages: "none", "nccl", "gloo", "mpi", ...
@@ -56,7 +57,7 @@ class Comm(ABC):
 
     @abstractmethod
     def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
-        """Ragged all-to-all: rows (K, bytes) uint8, `sent[r]` of them to rank r in order; `received[r]` come from it."""
+        """Ragged all-to-all of rows (K, bytes) uint8: `sent[r]` of them go to rank r, in order; `received[r]` come."""
 
     @abstractmethod
     def exchange_counts(self, counts: Tensor) -> Tensor:
@@ -89,7 +90,7 @@ class Comm(ABC):
     @property
     @abstractmethod
     def checkpoint_group(self) -> Any:
-        """A torch.distributed group for checkpoints written in the background; all ranks ask for it at the same time."""
+        """A torch.distributed group for checkpoints written in the background; asked for by all ranks at once."""
 
     @abstractmethod
     def close(self) -> None:

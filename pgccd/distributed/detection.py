@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -169,7 +170,7 @@ def merge_contacts(parts: list[Contacts], body_count: int) -> Contacts:
         body_count: their number.
     """
     order = _order(torch.cat([part.pairs for part in parts]), body_count)
-    columns = {}
+    columns: dict[str, Any] = {}
     for field in fields(Contacts):
         values = [getattr(part, field.name) for part in parts]
         if field.name != "stats":

@@ -8,7 +8,7 @@ import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 import torch.distributed as dist
@@ -190,7 +190,7 @@ def _connect_store(host: str, port: int, placement: Placement, timeout: float, k
     )
 
 
-def _second_connection(store: dist.Store) -> dist.Store:
+def _second_connection(store: Any) -> dist.Store:
     """For the guard: a store answers one question at a time, and one may wait long."""
     return dist.PrefixStore("guard", store.clone())
 

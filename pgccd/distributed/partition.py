@@ -109,8 +109,8 @@ class Partition:
             raise ValueError(f"cells: {math.prod(shape)} cells in all; expected at most 2^31")
         x, y, z = (torch.arange(size, device=device) // part for size, part in zip(shape, each, strict=True))
         owner = (x[:, None, None] * subspaces[1] + y[:, None]) * subspaces[2] + z
-        corners = (cast(Point, tuple(float(x) for x in corner)) for corner in (lower, upper))
-        return cls(*corners, subspaces, each, owner.flatten())
+        low, high = (cast(Point, tuple(float(x) for x in corner)) for corner in (lower, upper))
+        return cls(low, high, subspaces, each, owner.flatten())
 
     @property
     def ranks(self) -> int:
@@ -127,9 +127,7 @@ class Partition:
 
     @property
     def cell_size(self) -> Point:
-        return cast(
-            Point, tuple((b - a) / n for a, b, n in zip(self.lower, self.upper, self.grid, strict=True))
-        )
+        return cast(Point, tuple((b - a) / n for a, b, n in zip(self.lower, self.upper, self.grid, strict=True)))
 
     def with_owner(self, owner: Tensor) -> Partition:
         """The same cells in other hands.

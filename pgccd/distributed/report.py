@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -54,7 +55,7 @@ def _in_global_ids(found: Detection) -> Columns:
     return columns | {"pairs": found.held.columns["id"][found.contacts.pairs]}
 
 
-def _all_fields(columns: Columns) -> dict[str, Tensor | None]:
+def _all_fields(columns: Columns) -> dict[str, Any]:
     return {field.name: columns.get(field.name) for field in fields(Contacts) if field.name != "stats"}
 
 

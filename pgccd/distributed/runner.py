@@ -19,8 +19,15 @@ from pgccd.distributed.exchange import Columns, make_route, take_rows
 from pgccd.distributed.partition import Partition, Triple
 from pgccd.distributed.step import Fleet, RankStep, starting_share
 from pgccd.mesh import Mesh
-from pgccd.sim.files import CHECKPOINT_FILE, WORLD_FILE, StepLog, forget_checkpoints, load_checkpoint, meshes_digest
-from pgccd.sim.files import write_json
+from pgccd.sim.files import (
+    CHECKPOINT_FILE,
+    WORLD_FILE,
+    StepLog,
+    forget_checkpoints,
+    load_checkpoint,
+    meshes_digest,
+    write_json,
+)
 from pgccd.sim.progress import Progress
 from pgccd.sim.runner import Run, drive
 from pgccd.sim.step import Step, toi_of
@@ -52,8 +59,8 @@ def run(
 ) -> Run:
     """Simulates a world from its start on all ranks; rank 0 writes `world.json` and `steps.jsonl`.
 
-    Checkpoints go to the folder `checkpoints`, which all ranks must see. A signal to any rank ends all of them after the
-    step under way.
+    Checkpoints go to the folder `checkpoints`, which all ranks must see. A signal to any rank ends all of them after
+    the step under way.
 
     Args:
         comm: between the ranks.
@@ -153,9 +160,7 @@ def find_checkpoint(folder: Path) -> tuple[Header, bool]:
     return newest, False
 
 
-def _compare(
-    comm: Comm, world: World, steps: int, folder: Path, checkpoint_every: int, options: FleetOptions
-) -> None:
+def _compare(comm: Comm, world: World, steps: int, folder: Path, checkpoint_every: int, options: FleetOptions) -> None:
     facts = {"configuration": world.config, "steps": steps, "folder": str(folder), "options": options}
     facts |= {"checkpoint_every": checkpoint_every, "device": world.device.type}
     facts |= {"meshes": meshes_digest(world.meshes.meshes), "transport": comm.transport}
@@ -163,10 +168,9 @@ def _compare(
 
 
 def _partition(comm: Comm, world: World, options: FleetOptions) -> Partition:
-    upper = world.half_extent
-    lower = tuple(-x for x in upper)
+    x, y, z = world.half_extent
     return Partition.uniform(
-        lower, upper, comm.size, axes=options.axes, cells=options.cells, device=world.device  # type: ignore[arg-type]
+        (-x, -y, -z), (x, y, z), comm.size, axes=options.axes, cells=options.cells, device=world.device
     )
 
 
@@ -243,4 +247,3 @@ def gather_step(comm: Comm, step: RankStep, after: RobotState) -> Step:
     whole = Contacts(**take_rows(contacts, order), stats=found.stats)
     settlement = replace(step.settlement, fraction=fraction)
     return Step(step.index, RobotState(**before), whole, toi_of(whole), settlement, after, step.record)
-

@@ -143,9 +143,7 @@ class Fleet:
         state = RobotState(**columns)
         return self.world.scene(state.id), self.world.motion(state)
 
-    def _tell(
-        self, tally: Tally, report: _Report, census: Census
-    ) -> tuple[list[Tally], list[_Report], list[Census]]:
+    def _tell(self, tally: Tally, report: _Report, census: Census) -> tuple[list[Tally], list[_Report], list[Census]]:
         """Those of all ranks, in one all-gather."""
         own = [*astuple(tally), *astuple(report), *astuple(census)]
         signed = [value - 2**64 if value >= 2**63 else value for value in own]
@@ -197,4 +195,3 @@ def starting_share(comm: Comm, world: World, partition: Partition) -> RobotState
         here = torch.nonzero(partition.owner_of(block.position) == comm.rank)[:, 0]
         parts.append(take_rows(block.columns, here))
     return RobotState(**{name: torch.cat([part[name] for part in parts]) for name in parts[0]})
-

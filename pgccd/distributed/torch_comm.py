@@ -37,7 +37,7 @@ class TorchComm(Comm):
     ) -> None:
         if not dist.is_initialized():
             raise RuntimeError("group: torch.distributed is not initialised; see pgccd.distributed.connect")
-        self._group = dist.group.WORLD if group is None else group
+        self._group: Any = dist.group.WORLD if group is None else group
         #: For checkpoints and objects.
         self.control = self._group if control is None else control
         self.transport = dist.get_backend(self._group)

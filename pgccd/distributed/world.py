@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -31,9 +31,9 @@ _FILTERS = ("group", "mask", "world", "static")
 class World:
     """Bodies spread over ranks by where they are.
 
-    Each rank brings any share of the bodies; they move to the rank that owns the cell of their centre, and again whenever
-    `move` says that they are elsewhere. Rows of `id`, `position`, `mesh_index` and `payload` are those of the bodies this
-    rank owns now, by ascending id.
+    Each rank brings any share of the bodies; they move to the rank that owns the cell of their centre, and again
+    whenever `move` says that they are elsewhere. Rows of `id`, `position`, `mesh_index` and `payload` are those of the
+    bodies this rank owns now, by ascending id.
 
     Args:
         meshes: alike on all ranks.
@@ -87,7 +87,7 @@ class World:
         self.options = Options(report, min_separation, tolerance, nonzero_toi, overlap)
         self.balance, self.path = balance or BalanceOptions(), path
         filters = {"group": group, "mask": mask, "world": world, "static": static}
-        given = {name: column for name, column in filters.items() if column is not None}
+        given: dict[str, Any] = {name: column for name, column in filters.items() if column is not None}
 
         def prepare() -> Columns:
             if not isinstance(position, Tensor) or position.dim() != 2 or position.shape[1] != 3:
@@ -161,7 +161,9 @@ class World:
             >>> toi = world.first_toi(hits)
         """
         if not isinstance(motion, RigidMotion):
-            raise TypeError(f"motion: expected a RigidMotion, got {type(motion).__name__}: bodies that deform stay whole")
+            raise TypeError(
+                f"motion: expected a RigidMotion, got {type(motion).__name__}: bodies that deform stay whole"
+            )
         if motion.body_count != len(self.id):
             raise ValueError(f"motion: has {motion.body_count} bodies, this rank owns {len(self.id)}")
         if motion.path != self.path:
@@ -223,7 +225,7 @@ class World:
         return rank_loads(total.cost, self.partition.owner, self.comm.size)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
-        filters = {name: columns[name] for name in _FILTERS if name in columns}
+        filters: dict[str, Any] = {name: columns[name] for name in _FILTERS if name in columns}
         if "static" in filters:
             filters["static"] = filters["static"].bool()
         pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])

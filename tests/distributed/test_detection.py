@@ -1,19 +1,26 @@
-"""Every pair is tested by exactly one rank, and every owner is told: the same bits as one process, whoever owns what."""
+"""Every pair is tested by exactly one rank, and every owner is told: the bits of one process, whoever owns what."""
 
 from __future__ import annotations
 
+import functools
+
 import pytest
 import torch
-from distributed.conftest import World
 from support.crowds import crowds
 
 import pgccd
+from distributed.conftest import World
 from pgccd.distributed import BalanceOptions, Comm
 from pgccd.distributed import World as SharedWorld
 from pgccd.distributed.exchange import take_rows
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 REPORTS = ("first", "all", "any", "earliest")
+
+
+@functools.cache
+def by_one_process(name: str, report: str) -> pgccd.Contacts:
+    return crowds()[name].detect(report)
 
 
 def share(comm: Comm, name: str, report: str, seed: int, overlap: bool) -> tuple[SharedWorld, torch.Tensor]:
@@ -52,7 +59,7 @@ def find(comm: Comm, name: str) -> list[tuple[int, int]]:
     """Compares all reports with one process; returns how many pairs and ghosts this rank had, for each assignment."""
     seen = []
     for index, report in enumerate(REPORTS):
-        whole = crowds()[name].detect(report)
+        whole = by_one_process(name, report)
         for seed in (0, 1 + index, 9 + index):
             world, ids = share(comm, name, report, seed, overlap=(seed + index) % 2 == 0)
             mine = world.payload
@@ -74,7 +81,9 @@ def find(comm: Comm, name: str) -> list[tuple[int, int]]:
             # What the ranks tested adds up to the whole, no pair twice.
             assert int(comm.sum(torch.tensor([len(world._found.pairs)]))) == whole.stats.pcs
             ids_tested = world._found.held.columns["id"][world._found.pairs]
-            everything = torch.cat([torch.tensor(rows).view(-1, 2) for rows in comm.gather_objects(ids_tested.tolist())])
+            everything = torch.cat(
+                [torch.tensor(rows).view(-1, 2) for rows in comm.gather_objects(ids_tested.tolist())]
+            )
             assert len(everything.unique(dim=0)) == whole.stats.pcs
             if report == "first":
                 first = pgccd.sim.first_collisions(whole.pairs, whole.toi, len(ids))
@@ -145,7 +154,14 @@ def disagree(comm: Comm) -> list[str]:
 def test_ranks_that_disagree_fail_together(ranks: World) -> None:
     messages = ranks.run(3, disagree)
     assert messages[0] == messages[2]
-    beginnings = ["options: rank 0", "payload: rank 0", "cells: rank 0", "rank 1: id: 7 is given", "rank 1: position", "rank 1: mesh_index"]
+    beginnings = [
+        "options: rank 0",
+        "payload: rank 0",
+        "cells: rank 0",
+        "rank 1: id: 7 is given",
+        "rank 1: position",
+        "rank 1: mesh_index",
+    ]
     for message, beginning in zip(messages[0], beginnings, strict=True):
         assert message.startswith(beginning), message
     assert messages[1][:3] == messages[0][:3] and messages[1][4].startswith("position: ")

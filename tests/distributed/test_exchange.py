@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
-from distributed.conftest import World
 
+from distributed.conftest import World
 from pgccd.distributed import Comm
 from pgccd.distributed.exchange import Columns, make_route, pack, unpack
 from pgccd.distributed.migrate import Census

@@ -61,6 +61,7 @@ def _crowd(
     )
 
 
+@cache
 def crowds() -> dict[str, Crowd]:
     """By what is hard about them."""
     rng = np.random.default_rng(11)
@@ -70,7 +71,9 @@ def crowds() -> dict[str, Crowd]:
     third = np.array([[1.0, 6.5, 4.0], [6.5, 1.0, 4.2], [1.2, 1.2, 4.0]])
     to_third = np.array([[5.4, 0.0, 0.1], [0.0, 5.4, -0.1], [0.1, 0.2, 0.0]])
     corners = np.array([[x, y, z] for x in (2.0, 4.0, 6.0) for y in (2.0, 4.0, 6.0) for z in (3.9, 4.1)])
-    flat = np.array([[4.0, 4.0, -5.2]] + [[x, y, 1.4] for x in np.arange(0.5, 8.0, 1.5) for y in np.arange(0.5, 8.0, 1.5)])
+    flat = np.array(
+        [[4.0, 4.0, -5.2]] + [[x, y, 1.4] for x in np.arange(0.5, 8.0, 1.5) for y in np.arange(0.5, 8.0, 1.5)]
+    )
     down = np.zeros_like(flat)
     down[1:, 2] = -1.0
     return {
@@ -81,7 +84,11 @@ def crowds() -> dict[str, Crowd]:
         "all in one cell": _crowd(5, 0.2 + 0.2 * spread[:25], 0.3 * rng.normal(size=(25, 3)), small[:25]),
         "outside the box": _crowd(6, 3.0 * spread - 8.0, 2.0 * rng.normal(size=spread.shape)),
         "a terrain under all": _crowd(
-            7, flat, down, np.array([2] + [1] * (len(flat) - 1)), filters={"static": torch.tensor([True] + [False] * (len(flat) - 1))}
+            7,
+            flat,
+            down,
+            np.array([2] + [1] * (len(flat) - 1)),
+            filters={"static": torch.tensor([True] + [False] * (len(flat) - 1))},
         ),
         "kept apart, filtered": _crowd(
             8,
