@@ -5,7 +5,7 @@ were launched together. Whatever the number of ranks, the results are the same t
 """
 
 from pgccd.distributed.agreement import DisagreementError, on_first, require_agreement, together
-from pgccd.distributed.balance import BalanceOptions, CellLoads, imbalance, rebalance
+from pgccd.distributed.balance import POLICIES, BalanceOptions, CellLoads, imbalance, rebalance
 from pgccd.distributed.comm import Alone, Comm
 from pgccd.distributed.guard import RankFailureError
 from pgccd.distributed.launch import Placement, choose_device, connect, find_placement
@@ -17,6 +17,7 @@ from pgccd.distributed.torch_comm import TorchComm
 from pgccd.distributed.world import World
 
 __all__ = [
+    "POLICIES",
     "Alone",
     "BalanceOptions",
     "CellLoads",

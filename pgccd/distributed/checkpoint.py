@@ -59,6 +59,8 @@ class Checkpoints:
         self._comm = comm
         self._root = folder / CHECKPOINT_FOLDER
         self._group = None if comm.size == 1 else comm.checkpoint_group
+        for leftover in self._root.glob("*.unfinished") if comm.rank == 0 else ():
+            shutil.rmtree(leftover)  # of a run that was killed while writing
         self._writing: Future[None] | None = None
 
     def begin(self, header: Header, state: RobotState) -> None:

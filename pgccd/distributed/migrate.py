@@ -13,6 +13,9 @@ from pgccd.distributed.exchange import Columns, cat_columns, make_route, take_ro
 from pgccd.distributed.partition import Partition
 from pgccd.sim.hashing import id_hash
 
+# Ids made at a time.
+_BLOCK = 1 << 22
+
 
 def migrate(comm: Comm, partition: Partition, columns: Mapping[str, Tensor], position: Tensor) -> tuple[Columns, int]:
     """Sends every body to the owner of the cell that holds its centre.
@@ -48,6 +51,12 @@ class Census:
     def of(cls, id: Tensor) -> Census:
         """Of one rank's bodies (N,) int64."""
         return cls(len(id), id_hash(id))
+
+    @classmethod
+    def of_range(cls, count: int) -> Census:
+        """Of the ids 0 to count - 1."""
+        begins = range(0, count, _BLOCK)
+        return cls.total([cls.of(torch.arange(begin, min(count, begin + _BLOCK))) for begin in begins])
 
     @classmethod
     def total(cls, parts: list[Census]) -> Census:

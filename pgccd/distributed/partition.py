@@ -7,6 +7,7 @@ to infinity, so that a body that leaves the box is never lost.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Iterator
@@ -144,10 +145,21 @@ class Partition:
 
     def coordinates(self, points: Tensor) -> Tensor:
         """(K, 3) int64: the cell along each axis that holds each of the points (K, 3)."""
-        lower = torch.tensor(self.lower, dtype=torch.float64, device=points.device)
-        per_length = 1.0 / torch.tensor(self.cell_size, dtype=torch.float64, device=points.device)
-        last = torch.tensor(self.grid, dtype=torch.float64, device=points.device) - 1.0
+        lower, per_length, last = self._frame
         return torch.minimum(((points - lower) * per_length).floor().clamp_(min=0.0), last).long()
+
+    @functools.cached_property
+    def _frame(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Lower corner, cells a length unit, and last cell, on the table's device."""
+        lower, size, count = torch.tensor(
+            [self.lower, self.cell_size, self.grid], dtype=torch.float64, device=self.owner.device
+        )
+        return lower, 1.0 / size, count - 1.0
+
+    @functools.lru_cache(maxsize=1)  # noqa: B019  (asked for by one rank, its own, once a step)
+    def foreign(self, rank: int) -> MarkedCells:
+        """The cells that others than `rank` own."""
+        return MarkedCells(self, self.owner != rank)
 
     def index(self, coordinates: Tensor) -> Tensor:
         """(K,) int64 positions in the table of cells (K, 3)."""
@@ -223,8 +235,7 @@ def ranks_reached(partition: Partition, first: Tensor, last: Tensor, rank: int) 
     Example:
         >>> body, destination = ranks_reached(partition, first, last, comm.rank)
     """
-    foreign = MarkedCells(partition, partition.owner != rank)
-    crossing = torch.nonzero(foreign.count(first, last) > 0)[:, 0]
+    crossing = torch.nonzero(partition.foreign(rank).count(first, last) > 0)[:, 0]
     found = []
     for box, cell in partition.reached(first[crossing], last[crossing]):
         owner = partition.owner[cell]

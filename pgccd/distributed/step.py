@@ -75,8 +75,7 @@ class Fleet:
         self.balance = balance or BalanceOptions()
         # nonzero_toi: robots that part after a contact are free.
         self.options = Options(report="first", nonzero_toi=True, overlap=overlap)
-        everybody = Census.of(torch.arange(world.config.robots))
-        self._expected = everybody
+        self._expected = Census.of_range(world.config.robots)
         self._arrived = 0
         self.state = state
         self._migrate(state)
