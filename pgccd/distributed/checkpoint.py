@@ -68,7 +68,7 @@ class Checkpoints:
         self.finish()
         counts = self._comm.all_gather(torch.tensor([len(state)]))[:, 0].tolist()
         begin, total = sum(counts[: self._comm.rank]), sum(counts)
-        columns = {name: column.cpu().clone() for name, column in state.columns.items()}
+        columns = {name: column.detach().to("cpu", copy=True) for name, column in state.columns.items()}
         done: Future[None] = Future()
 
         def work() -> None:

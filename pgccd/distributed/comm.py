@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd.distributed.guard import Guard
+from pgccd.distributed.guard import Guard, RankFailureError
 
 # With more ranks than this, rows go to and come from neighbours alone; up to it, one collective call is faster.
 _NEIGHBOURS_ABOVE = 32
@@ -100,6 +100,9 @@ class Comm(ABC):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _traceback: object) -> None:
+        if isinstance(error, RankFailureError):
+            self.guard.close()  # ending the connection properly would wait for a rank that is no more
+            return
         if error is not None:
             self.guard.report(error)
         self.close()

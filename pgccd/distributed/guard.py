@@ -20,10 +20,13 @@ from typing import Protocol
 _PULSE_SECONDS = 1.0
 # A rank whose pulse has stood still for so long is dead.
 _SILENCE_SECONDS = 4.0
+# A rank whose main thread has not come to an exchange for so long looks whether others are alive.
+_SUSPICION_SECONDS = 10.0
 # What a rank whose exchange cannot end any more is granted for ending it by itself.
 _GRACE_SECONDS = 10.0
 _EXIT_CODE = 70
 _FAILURE = "failure"
+_NO_STORE = "the process that keeps the ranks' store has died: rank 0, or the launcher's agent"
 
 
 class RankFailureError(RuntimeError):
@@ -36,6 +39,7 @@ class Store(Protocol):
     def set(self, key: str, value: str) -> object: ...
     def get(self, key: str) -> bytes: ...
     def check(self, keys: list[str]) -> bool: ...
+    def multi_get(self, keys: list[str]) -> list[bytes]: ...
 
 
 class Guard:
@@ -56,8 +60,7 @@ class Guard:
         self._rank, self._size, self._timeout = rank, size, timeout
         self._lock = threading.Lock()
         self._exchanges = 0
-        self._waiting_since: float | None = None
-        self._what = "the start"
+        self._progress = time.monotonic()
         #: What the rank is about, for messages: set it as often as you like.
         self.activity = "the start"
         self._closed = threading.Event()
@@ -73,7 +76,7 @@ class Guard:
         """Around every exchange. An error in it becomes a `RankFailureError` if another rank is to blame."""
         with self._lock:
             self._exchanges += 1
-            self._what, self._waiting_since = what, time.monotonic()
+            self._progress = time.monotonic()
         try:
             yield
         except RuntimeError as error:
@@ -81,9 +84,6 @@ class Guard:
             if blame is None:
                 raise
             raise RankFailureError(f"{blame} (rank {self._rank} was in {self.activity}, {what})") from error
-        finally:
-            with self._lock:
-                self._waiting_since = None
 
     def report(self, error: BaseException) -> None:
         """Tells all ranks that this one ends with an error of its own."""
@@ -118,57 +118,76 @@ class Guard:
         self._store.set(self._key(self._rank), json.dumps(sign))
 
     def _watch(self) -> None:
-        """The thread: keeps the pulse, and ends the process if its main thread waits for what can never come."""
+        """The thread: keeps the pulse, and ends the process if its main thread waits for what can never come.
+
+        Libraries differ in what they do about a lost rank: Gloo raises an error at once, NCCL never returns.
+        """
         assert self._store is not None
         pulse = 0
         hopeless_since: float | None = None
+        seen: dict[int, tuple[dict, float]] = {}  # each rank's newest sign, and since when it has been that
         while not self._closed.wait(_PULSE_SECONDS):
             pulse += 1
             with self._lock:
-                waited = 0.0 if self._waiting_since is None else time.monotonic() - self._waiting_since
+                still = time.monotonic() - self._progress
+            blame = None
             try:
                 self._beat(pulse)
-                hopeless = self._store.check([_FAILURE])
+                if self._store.check([_FAILURE]) or still > _SUSPICION_SECONDS:
+                    signs, now = self._signs(), time.monotonic()
+                    seen = {
+                        r: seen[r] if r in seen and seen[r][0] == sign else (sign, now) for r, sign in enumerate(signs)
+                    }
+                    silent = [rank for rank, (_, since) in seen.items() if now - since > _SILENCE_SECONDS]
+                    blame = self._judge(signs, silent, hanging=still > self._timeout)
             except RuntimeError:
-                hopeless = True  # the store's rank is gone
-            if not hopeless and waited < self._timeout:
+                blame = _NO_STORE
+            if blame is None:
                 hopeless_since = None
                 continue
             hopeless_since = hopeless_since or time.monotonic()
             if time.monotonic() - hopeless_since < _GRACE_SECONDS or self._closed.is_set():
                 continue
-            blame = self._find_culprit() or "another rank has ended"
             sys.stderr.write(f"pgccd: rank {self._rank} gives up in {self.activity}: {blame}\n")
             sys.stderr.flush()
             os._exit(_EXIT_CODE)  # nothing gentler ends a call into a communication library
 
     def _find_culprit(self) -> str | None:
-        """In words; None if all others are alive and not behind."""
+        """Who made an exchange fail, in words; None if all others are alive and not behind. Takes some seconds."""
         if self._store is None or self._size == 1:
             return None
         try:
-            if self._store.check([_FAILURE]):
-                return self._store.get(_FAILURE).decode()
             before = self._signs()
             time.sleep(_SILENCE_SECONDS)
-            if self._store.check([_FAILURE]):
-                return self._store.get(_FAILURE).decode()
             after = self._signs()
+            return self._judge(after, [rank for rank in range(self._size) if before[rank] == after[rank]], hanging=True)
         except RuntimeError:
-            return "the rank that keeps the store (rank 0, or the launcher's agent) has died"
+            return _NO_STORE
+
+    def _judge(self, signs: list[dict], silent: list[int], hanging: bool) -> str | None:
+        """Who is to blame, in words: who said so itself, who is silent, and (if `hanging` ones are looked for) who is
+        behind.
+        """
+        assert self._store is not None
+        if self._store.check([_FAILURE]):
+            return self._store.get(_FAILURE).decode()
         others = [rank for rank in range(self._size) if rank != self._rank]
-        dead = [rank for rank in others if "pulse" in after[rank] and before[rank] == after[rank]]
+        dead = [rank for rank in others if rank in silent and "pulse" in signs[rank]]
         if dead:
-            return self._and([f"{self._name(rank, after[rank])} has died" for rank in dead])
-        behind = [rank for rank in others if after[rank].get("exchanges", self._exchanges) < self._exchanges]
+            return self._and([f"{self._name(rank, signs[rank])} has died" for rank in dead])
+        if not hanging:
+            return None
+        behind = [rank for rank in others if signs[rank].get("exchanges", self._exchanges) < self._exchanges]
         if behind:
-            return self._and([f"{self._name(rank, after[rank])} hangs in {after[rank]['activity']}" for rank in behind])
-        finished = [rank for rank in others if after[rank].get("finished")]
+            return self._and([f"{self._name(rank, signs[rank])} hangs in {signs[rank]['activity']}" for rank in behind])
+        finished = [rank for rank in others if signs[rank].get("finished")]
         return self._and([f"rank {rank} has ended early" for rank in finished]) if finished else None
 
     def _signs(self) -> list[dict]:
         assert self._store is not None
         keys = [self._key(rank) for rank in range(self._size)]
+        if self._store.check(keys):
+            return [json.loads(sign) for sign in self._store.multi_get(keys)]
         return [json.loads(self._store.get(key)) if self._store.check([key]) else {} for key in keys]
 
     def _name(self, rank: int, sign: dict | None = None) -> str:

@@ -20,6 +20,7 @@ from pgccd.distributed.torch_comm import TorchComm
 Transport = Literal["auto", "nccl", "gloo", "torch-mpi", "mpi4py"]
 TRANSPORTS: tuple[str, ...] = get_args(Transport)
 DEFAULT_TIMEOUT = 300.0
+_NCCL_MARGIN = 60.0
 
 # The variables of rank, size and local rank, by launcher. srun sets SLURM_STEP_NUM_TASKS; a batch script, which is one
 # process, has only SLURM_NTASKS.
@@ -106,8 +107,10 @@ def connect(
     store = _rendezvous(placement, timeout)
     guard = Guard(_second_connection(store), placement.rank, placement.size, timeout)
     backend = _backend(transport, device, placement, store)
+    # NCCL's own watchdog names nobody: the guard gets the time to.
+    patience = timeout + _NCCL_MARGIN if backend == "nccl" else timeout
     dist.init_process_group(
-        backend, store=store, rank=placement.rank, world_size=placement.size, timeout=_delta(timeout)
+        backend, store=store, rank=placement.rank, world_size=placement.size, timeout=_delta(patience)
     )
     control = dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=_delta(timeout))
     if transport == "mpi4py":
@@ -132,7 +135,9 @@ def _backend(transport: Transport, device: torch.device, placement: Placement, s
         return transport
     # NCCL wants a GPU for every rank; whether there is one must look the same to all.
     keys = [f"device/{rank}" for rank in range(placement.size)]
-    store.set(keys[placement.rank], f"{socket.gethostname()} {device}" if device.type == "cuda" else "none")
+    # Its own number: where each rank is shown one GPU only, all of them call it cuda:0.
+    has_gpu = device.type == "cuda" and torch.cuda.is_available()
+    store.set(keys[placement.rank], str(torch.cuda.get_device_properties(device).uuid) if has_gpu else "none")
     store.wait(keys)
     devices = store.multi_get(keys)
     usable = b"none" not in devices and len(set(devices)) == len(devices)
