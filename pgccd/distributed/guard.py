@@ -177,11 +177,13 @@ class Guard:
             return self._and([f"{self._name(rank, signs[rank])} has died" for rank in dead])
         if not hanging:
             return None
+        finished = [rank for rank in others if signs[rank].get("finished")]
+        if finished:
+            return self._and([f"rank {rank} has ended early" for rank in finished])
         behind = [rank for rank in others if signs[rank].get("exchanges", self._exchanges) < self._exchanges]
         if behind:
             return self._and([f"{self._name(rank, signs[rank])} hangs in {signs[rank]['activity']}" for rank in behind])
-        finished = [rank for rank in others if signs[rank].get("finished")]
-        return self._and([f"rank {rank} has ended early" for rank in finished]) if finished else None
+        return None
 
     def _signs(self) -> list[dict]:
         assert self._store is not None
