@@ -49,14 +49,22 @@ class Guard:
         store: a connection that nobody else uses; None: without others to watch, errors pass as they are.
         rank, size: of this one; of all.
         timeout: seconds after which an exchange that does not end means that some rank hangs.
+        keeps_store: whether the store goes when this process does.
 
     Example:
         >>> with guard.waiting("halo"):
         ...     work.wait()
     """
 
-    def __init__(self, store: Store | None = None, rank: int = 0, size: int = 1, timeout: float = 300.0) -> None:
-        self._store = store
+    def __init__(
+        self,
+        store: Store | None = None,
+        rank: int = 0,
+        size: int = 1,
+        timeout: float = 300.0,
+        keeps_store: bool = False,
+    ) -> None:
+        self._store, self._keeps_store = store, keeps_store
         self._rank, self._size, self._timeout = rank, size, timeout
         self._lock = threading.Lock()
         self._exchanges = 0
@@ -83,6 +91,7 @@ class Guard:
             blame = self._find_culprit()
             if blame is None:
                 raise
+            self._publish(blame)
             raise RankFailureError(f"{blame} (rank {self._rank} was in {self.activity}, {what})") from error
 
     def report(self, error: BaseException) -> None:
@@ -90,22 +99,48 @@ class Guard:
         if self._store is None or self._size == 1 or isinstance(error, RankFailureError):
             return
         first_line = f"{type(error).__name__}: {error}".splitlines()[0]
-        try:
-            if not self._store.check([_FAILURE]):
-                self._store.set(_FAILURE, f"{self._name(self._rank)} failed in {self.activity}: {first_line}")
-        except RuntimeError:
-            return  # the store has gone with the rank that kept it: the others know already
-        if self._rank == 0:
-            time.sleep(2 * _PULSE_SECONDS)  # it may be this process that keeps the store: let the others read it
+        self._publish(f"{self._name(self._rank)} failed in {self.activity}: {first_line}")
 
     def close(self) -> None:
         """Stops the pulse: a rank that has finished is not missed."""
-        if not self._closed.is_set() and self._store is not None and self._size > 1:
-            self._closed.set()
-            self._thread.join(_GRACE_SECONDS)
-            try:
-                self._store.set(self._key(self._rank), json.dumps({"finished": True}))
-            except RuntimeError:
+        if self._closed.is_set() or self._store is None or self._size == 1:
+            return
+        self._closed.set()
+        self._thread.join(_GRACE_SECONDS)
+        self._sign_off()
+
+    def _publish(self, blame: str) -> None:
+        """The first to find out says it, so that all say the same."""
+        assert self._store is not None
+        try:
+            if not self._store.check([_FAILURE]):
+                self._store.set(_FAILURE, blame)
+        except RuntimeError:
+            return
+
+    def _sign_off(self) -> None:
+        """The last sign of life."""
+        assert self._store is not None
+        try:
+            self._store.set(self._key(self._rank), json.dumps({"finished": True}))
+            if self._keeps_store and self._store.check([_FAILURE]):
+                self._linger()
+        except RuntimeError:
+            return  # the store has gone with the rank that kept it
+
+    def _linger(self) -> None:
+        """Keeps the store until the others have read what happened, or cannot any more."""
+        deadline = time.monotonic() + 2.0 * _GRACE_SECONDS
+        seen = self._signs()
+        since = time.monotonic()
+        while time.monotonic() < deadline:
+            time.sleep(0.2 * _PULSE_SECONDS)
+            signs = self._signs()
+            alive = [rank for rank, sign in enumerate(signs) if "pulse" in sign]
+            if time.monotonic() - since > _SILENCE_SECONDS:
+                alive = [rank for rank in alive if signs[rank] != seen[rank]]
+                seen, since = signs, time.monotonic()
+            if not alive:
                 return
 
     def _key(self, rank: int) -> str:
@@ -148,8 +183,10 @@ class Guard:
             hopeless_since = hopeless_since or time.monotonic()
             if time.monotonic() - hopeless_since < _GRACE_SECONDS or self._closed.is_set():
                 continue
+            self._publish(blame)
             sys.stderr.write(f"pgccd: rank {self._rank} gives up in {self.activity}: {blame}\n")
             sys.stderr.flush()
+            self._sign_off()
             os._exit(_EXIT_CODE)  # nothing gentler ends a call into a communication library
 
     def _find_culprit(self) -> str | None:

@@ -105,7 +105,9 @@ def connect(
     if device.type == "cuda" and torch.cuda.is_available():
         torch.cuda.set_device(device)
     store = _rendezvous(placement, timeout)
-    guard = Guard(_second_connection(store), placement.rank, placement.size, timeout)
+    # A process that keeps the store is the last to go.
+    keeps = placement.rank == 0 and os.environ.get("TORCHELASTIC_USE_AGENT_STORE") != "True"
+    guard = Guard(_second_connection(store), placement.rank, placement.size, timeout, keeps)
     backend = _backend(transport, device, placement, store)
     # NCCL's own watchdog names nobody: the guard gets the time to.
     patience = timeout + _NCCL_MARGIN if backend == "nccl" else timeout

@@ -55,6 +55,7 @@ def test_nobody_is_blamed_when_all_are_alive(guards: list[Guard], exits: list[in
 
 def test_a_silent_rank_has_died(guards: list[Guard], exits: list[int]) -> None:
     guards[1]._closed.set()  # its thread stops, as when the process is killed
+    guards[1]._thread.join()
     guards[0].activity = "step 7"
     message = fail(guards[0])
     assert message.startswith("rank 1 (process ") and "has died (rank 0 was in step 7, halo)" in message
@@ -76,7 +77,8 @@ def test_a_rank_that_failed_says_so(guards: list[Guard], exits: list[int]) -> No
     guards[2].activity = "step 3"
     guards[2].report(MemoryError("8 GiB\nand a long story"))
     assert "failed in step 3: MemoryError: 8 GiB (rank 0" in fail(guards[0])
-    # What follows from that is not reported as a cause of its own.
+    # What follows from that is not reported as a cause of its own; nor is a rank blamed that gave up because of it.
+    guards[0].close()
     guards[1].report(RankFailureError("rank 2 failed"))
     assert "rank 2 (process" in fail(guards[0])
 
