@@ -11,8 +11,10 @@ import json
 import os
 import shutil
 import threading
+import warnings
+from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -96,13 +98,14 @@ class Checkpoints:
         name = f"step-{header.steps_made:09d}"
         unfinished = self._root / f"{name}.unfinished"
         writer, planner = dcp.FileSystemWriter(unfinished), _SaveRows(begin, total)
-        dcp.save(
-            dict(columns),
-            storage_writer=writer,
-            planner=planner,
-            process_group=self._group,
-            no_dist=self._group is None,
-        )
+        with _without_group_warning():
+            dcp.save(
+                dict(columns),
+                storage_writer=writer,
+                planner=planner,
+                process_group=self._group,
+                no_dist=self._group is None,
+            )
         if self._comm.rank != 0:
             return
         # The coordinator comes here once all ranks have written.
@@ -156,10 +159,19 @@ def load_share(comm: Comm, folder: Path) -> RobotState:
         columns = _empty_columns(end - begin)
         # Every rank reads for itself: what is there is whole, and nothing need be agreed.
         reader = dcp.FileSystemReader(root / content["folder"])
-        dcp.load(dict(columns), storage_reader=reader, planner=_LoadRows(begin), no_dist=True)
+        with _without_group_warning():
+            dcp.load(dict(columns), storage_reader=reader, planner=_LoadRows(begin), no_dist=True)
     except Exception as error:
         raise ValueError(f"{root} holds no checkpoint that can be read: {error}") from error
     return RobotState(**columns)
+
+
+@contextmanager
+def _without_group_warning() -> Iterator[None]:
+    """It is on purpose that one process writes or reads by itself."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "torch.distributed is disabled", UserWarning)
+        yield
 
 
 def _empty_columns(count: int) -> dict[str, Tensor]:

@@ -46,7 +46,6 @@ class Detection:
 
     held: Held
     scene: Scene  #: of all bodies held
-    motion: RigidMotion
     pairs: Tensor  #: (P, 2) int64: the potentially colliding pairs this rank tests, rows of bodies held, sorted
     cell: Tensor  #: (P,) int64: the cell of each one's reference point
     contacts: Contacts  #: of these pairs
@@ -99,7 +98,7 @@ def detect_distributed(
             found = merge_contacts([found, share.contacts(scene, motion, crossing)], len(held))
             pairs = torch.cat([pairs, crossing])
             pairs = pairs[_order(pairs, len(held))]
-    return Detection(held, scene, motion, pairs, boxes.reference_cell(partition, pairs), found)
+    return Detection(held, scene, pairs, boxes.reference_cell(partition, pairs), found)
 
 
 class _Share:

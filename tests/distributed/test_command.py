@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from support.launch import SUPPORT, environment, finish, mpirun, start_ranks, torchrun
 
 from pgccd import sim
 from pgccd.cli import main
 
-pytestmark = [pytest.mark.ranks, pytest.mark.xdist_group("commands")]
+pytestmark = pytest.mark.ranks
 
 WORLD = ["--robots", "150", "--world", "skewed", "--seed", "4", "--no-pictures"]
 CONFIG = sim.WorldConfig(robots=150, pattern="skewed", seed=4)
@@ -53,6 +54,16 @@ def test_torchrun_then_fewer_ranks_then_one(tmp_path: Path, expected: list[dict[
     # And by one, without a launcher.
     assert main(["simulate", "--resume", str(tmp_path), "--no-pictures", "--steps", "30"]) == 0
     assert log(tmp_path) == expected[:30]
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(torch.cuda.device_count() < 2, reason="fewer than two CUDA devices")
+def test_nccl_does_the_same(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
+    ranks = min(4, torch.cuda.device_count())
+    arguments = [*WORLD, "--device", "cuda", "--transport", "nccl", "--checkpoint-every", "7", "--out", str(tmp_path)]
+    done = finish(torchrun(ranks, *SIMULATE, *arguments, "--steps", "20"))
+    assert done.returncode == 0, done.stdout
+    assert log(tmp_path) == expected[:20]
 
 
 def test_mpirun_does_the_same(tmp_path: Path, expected: list[dict[str, Any]]) -> None:

@@ -60,7 +60,7 @@ def find(comm: Comm, name: str) -> list[tuple[int, int]]:
     seen = []
     for index, report in enumerate(REPORTS):
         whole = by_one_process(name, report)
-        for seed in (0, 1 + index, 9 + index):
+        for seed in (0, 1 + index) if comm.size > 1 else (0,):
             world, ids = share(comm, name, report, seed, overlap=(seed + index) % 2 == 0)
             mine = world.payload
             motion = pgccd.RigidMotion.from_velocity(
@@ -88,6 +88,7 @@ def find(comm: Comm, name: str) -> list[tuple[int, int]]:
             if report == "first":
                 first = pgccd.sim.first_collisions(whole.pairs, whole.toi, len(ids))
                 assert torch.equal(world.first_toi(hits), first[torch.searchsorted(ids, world.id)])
+            assert int(world.loads().sum()) == len(ids) + 8 * whole.stats.pcs
             owners = world._found.held.owner[world._found.pairs]
             seen.append((len(whole), int((owners != comm.rank).all(dim=1).sum())))
     return seen

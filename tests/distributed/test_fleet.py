@@ -40,18 +40,20 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if name not in TIMES}
 
 
-def make_fleet(comm: Comm, name: str, policy: str, overlap: bool) -> Fleet:
-    world = sim.World(sim.WorldConfig(**WORLDS[name]))
+def make_fleet(comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu") -> Fleet:
+    world = sim.World(sim.WorldConfig(**WORLDS[name]), device=device)
     upper = world.half_extent
-    partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=4)
+    partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=4, device=device)
     start = starting_share(comm, world, partition)
     return Fleet(comm, world, partition, start, BalanceOptions(policy), overlap)
 
 
-def follow(comm: Comm, name: str, policy: str, steps: int, random_owners: bool, overlap: bool) -> dict[str, int]:
+def follow(
+    comm: Comm, name: str, policy: str, steps: int, random_owners: bool, overlap: bool, device: str = "cpu"
+) -> dict[str, int]:
     """Compares every step's log and the last step's columns with one process."""
     records, last = single_run(name, steps)
-    fleet = make_fleet(comm, name, policy, overlap)
+    fleet = make_fleet(comm, name, policy, overlap, device)
     generator = torch.Generator().manual_seed(17)
     seen = {"moved cells": 0, "arrived": 0, "contacts": 0}
     for index in range(steps):
@@ -73,12 +75,12 @@ def follow(comm: Comm, name: str, policy: str, steps: int, random_owners: bool, 
     step = gather_step(comm, made, state)
     if comm.rank == 0:
         for column, expected in last.after.columns.items():
-            assert torch.equal(step.after.columns[column], expected), column
+            assert torch.equal(step.after.columns[column].cpu(), expected), column
         for column, expected in last.before.columns.items():
-            assert torch.equal(step.before.columns[column], expected), column
+            assert torch.equal(step.before.columns[column].cpu(), expected), column
         for column in ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status"):
-            assert torch.equal(getattr(step.contacts, column), getattr(last.contacts, column)), column
-        assert torch.equal(step.settlement.fraction, last.settlement.fraction)
+            assert torch.equal(getattr(step.contacts, column).cpu(), getattr(last.contacts, column)), column
+        assert torch.equal(step.settlement.fraction.cpu(), last.settlement.fraction)
     return seen
 
 
@@ -99,6 +101,13 @@ def test_same_bits_as_one_process(world: World, name: str, policy: str, random_o
         assert seen[0]["arrived"] > 20
         if policy != "none":
             assert seen[0]["moved cells"] > 0
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@pytest.mark.parametrize(("name", "policy"), [("random", "cost"), ("skewed", "one-cell")])
+def test_same_bits_on_a_gpu_that_ranks_share(world: World, name: str, policy: str) -> None:
+    world(follow, name, policy, 24, policy == "cost", True, "cuda")
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import multiprocessing.connection
+import os
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -57,6 +58,7 @@ class RankPool:
 
 def _serve(rank: int, pipe: multiprocessing.connection.Connection) -> None:
     torch.set_num_threads(1)
+    os.environ["GLOO_SOCKET_IFNAME"] = "lo"  # without asking for the machine's own name, which can take seconds
     while True:
         pipe.send(_work(rank, *pipe.recv()))
 
