@@ -16,7 +16,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.broad import check_separation
 from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Arrival, Columns, Route, cat_columns, make_route, take_rows
+from pgccd.distributed.exchange import Arrival, Columns, Route, make_route, merge_columns, merged_rows
 from pgccd.distributed.partition import Partition, ranks_reached
 from pgccd.motion import RigidMotion
 
@@ -90,10 +90,8 @@ class Halo:
     def wait(self) -> Held:
         """The bodies held, once all ghosts are here."""
         ghosts = self._arrival.wait()
-        own_count, source = len(self._own["id"]), self._route.source
-        columns = cat_columns([self._own, ghosts])
-        order = torch.argsort(columns["id"])
-        row = torch.empty_like(order)
-        row[order] = torch.arange(len(order), device=order.device)
-        owner = torch.cat([torch.full_like(self._own["id"], self._route.comm.rank), source])
-        return Held(take_rows(columns, order), owner[order], row[:own_count], row[own_count:], self._route)
+        own, came = rows = merged_rows(self._own["id"], ghosts["id"])
+        columns = merge_columns(self._own, ghosts, rows)
+        owner = torch.full_like(columns["id"], self._route.comm.rank)
+        owner[came] = self._route.source
+        return Held(columns, owner, own, came, self._route)

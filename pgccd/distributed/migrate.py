@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Columns, cat_columns, make_route, take_rows
+from pgccd.distributed.exchange import Columns, make_route, merge_columns, merged_rows, take_rows
 from pgccd.distributed.partition import Partition
 from pgccd.sim.hashing import id_hash
 
@@ -23,7 +23,8 @@ def migrate(comm: Comm, partition: Partition, columns: Mapping[str, Tensor], pos
     Args:
         comm: between the ranks.
         partition: the same on all of them.
-        columns: of this rank's bodies, "id" (N,) int64 among them; any dtypes and widths, alike on all ranks.
+        columns: of this rank's bodies, "id" (N,) int64 among them, ascending. Any dtypes and widths, alike on all
+            ranks.
         position: (N, 3) centres.
 
     Returns:
@@ -36,8 +37,9 @@ def migrate(comm: Comm, partition: Partition, columns: Mapping[str, Tensor], pos
     leaves = owner != comm.rank
     leaving, staying = torch.nonzero(leaves)[:, 0], torch.nonzero(~leaves)[:, 0]
     arrived = make_route(comm, leaving, owner[leaving]).forward(columns).wait()
-    joined = cat_columns([take_rows(columns, staying), arrived])
-    return take_rows(joined, torch.argsort(joined["id"])), len(arrived["id"])
+    kept = take_rows(columns, staying)
+    rows = merged_rows(kept["id"], arrived["id"])
+    return merge_columns(kept, arrived, rows), len(arrived["id"])
 
 
 @dataclass(frozen=True)

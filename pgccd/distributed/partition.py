@@ -235,7 +235,10 @@ def ranks_reached(partition: Partition, first: Tensor, last: Tensor, rank: int) 
     Example:
         >>> body, destination = ranks_reached(partition, first, last, comm.rank)
     """
-    crossing = torch.nonzero(partition.foreign(rank).count(first, last) > 0)[:, 0]
+    # Most boxes lie in one cell, and that is the rank's own.
+    unsure = (first != last).any(dim=1) | (partition.owner[partition.index(first)] != rank)
+    rows = torch.nonzero(unsure)[:, 0]
+    crossing = rows[partition.foreign(rank).count(first[rows], last[rows]) > 0]
     found = []
     for box, cell in partition.reached(first[crossing], last[crossing]):
         owner = partition.owner[cell]

@@ -76,9 +76,7 @@ class Fleet:
         # nonzero_toi: robots that part after a contact are free.
         self.options = Options(report="first", nonzero_toi=True, overlap=overlap)
         self._expected = Census.of_range(world.config.robots)
-        self._arrived = 0
-        self.state = state
-        self._migrate(state)
+        self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()
 
     def verify(self) -> None:
@@ -172,6 +170,7 @@ class Fleet:
             return int((self.partition.owner != former.owner).sum())
 
     def _migrate(self, state: RobotState) -> None:
+        """Hands robots over; the state's ids ascend."""
         columns, self._arrived = migrate(self.comm, self.partition, state.columns, state.position)
         self.state = RobotState(**columns)
 

@@ -14,7 +14,7 @@ from pgccd.distributed.agreement import require_agreement, together
 from pgccd.distributed.balance import BalanceOptions, CellLoads, rank_loads, rebalance
 from pgccd.distributed.comm import Alone, Comm
 from pgccd.distributed.detection import Detection, Options, detect_distributed
-from pgccd.distributed.exchange import Columns, make_route
+from pgccd.distributed.exchange import Columns, make_route, take_rows
 from pgccd.distributed.migrate import Census, migrate
 from pgccd.distributed.partition import Partition, Point, Triple
 from pgccd.distributed.report import earliest_for_all, tell_owners
@@ -117,7 +117,7 @@ class World:
         _require_unique(self.comm, columns["id"])
         self._census = self._count(columns)
         self._found: Detection | None = None
-        self._columns = columns
+        self._columns = take_rows(columns, torch.argsort(columns["id"]))
         self._change_hands()
 
     @property

@@ -108,6 +108,22 @@ def workers(parent: int) -> list[int]:
     return [int(child) for child in children]
 
 
+def test_a_signal_to_one_rank_stops_all_after_the_same_step(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
+    started = start_ranks(3, [*SIMULATE, *WORLD, "--steps", "1000", "--out", str(tmp_path)])
+    deadline = time.monotonic() + 60
+    while len(sim.read_log(tmp_path)) < 3:
+        assert all(process.poll() is None for process in started) and time.monotonic() < deadline
+        time.sleep(0.02)
+    started[1].send_signal(signal.SIGINT)
+    outputs = [process.communicate(timeout=60)[0] for process in started]
+    assert [process.returncode for process in started] == [130] * 3, outputs
+    made = len(log(tmp_path))
+    assert "to continue: pgccd simulate --resume" in outputs[0]
+    assert main(["simulate", "--resume", str(tmp_path), "--no-pictures", "--steps", str(made + 1)]) == 0
+    compared = min(made + 1, len(expected))
+    assert log(tmp_path)[:compared] == expected[:compared]
+
+
 @pytest.mark.parametrize(
     ("fault", "said"),
     [

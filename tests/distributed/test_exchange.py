@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from distributed.conftest import World
 from pgccd.distributed import Comm
-from pgccd.distributed.exchange import Columns, make_route, pack, unpack
+from pgccd.distributed.exchange import Columns, make_route, merge_columns, merged_rows, pack, unpack
 from pgccd.distributed.migrate import Census
 
 
@@ -30,6 +34,18 @@ def test_packing_is_lossless() -> None:
         whole = unpack(pack(columns, rows), columns)
         for name, column in columns.items():
             assert whole[name].dtype == column.dtype and torch.equal(whole[name], column[rows])
+
+
+@given(st.sets(st.integers(0, 60)), st.randoms(use_true_random=False))
+def test_merging_is_sorting(ids: set[int], random: Random) -> None:
+    first = sorted(random.sample(sorted(ids), random.randint(0, len(ids))))
+    second = random.sample(sorted(ids - set(first)), len(ids) - len(first))
+    parts = [{"id": torch.tensor(rows, dtype=torch.int64), "x": 0.5 * torch.tensor(rows)} for rows in (first, second)]
+    rows = merged_rows(parts[0]["id"], parts[1]["id"])
+    merged = merge_columns(*parts, rows)
+    assert merged["id"].tolist() == sorted(ids)
+    assert torch.equal(merged["x"], 0.5 * merged["id"])
+    assert torch.equal(merged["id"][rows[0]], parts[0]["id"]) and torch.equal(merged["id"][rows[1]], parts[1]["id"])
 
 
 def send_about(comm: Comm, neighbours_above: int) -> None:
