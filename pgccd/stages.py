@@ -8,6 +8,8 @@ from contextlib import contextmanager
 
 import torch
 
+_WORK = ("plan", "bounds", "broad", "traverse", "narrow")
+
 
 class StageClock:
     """Seconds by stage, and since the clock was made.
@@ -36,6 +38,11 @@ class StageClock:
         """Adds times measured by others."""
         for name, spent in seconds.items():
             self.seconds[name] = self.seconds.get(name, 0.0) + spent
+
+    @property
+    def work(self) -> float:
+        """Seconds in stages in which a rank never waits for another."""
+        return sum(self.seconds.get(stage, 0.0) for stage in _WORK)
 
     @property
     def total(self) -> float:

@@ -62,6 +62,10 @@ class BalanceOptions:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
 
+    def applies(self, steps_made: int, ranks: int) -> bool:
+        """Whether to decide anew after so many steps."""
+        return self.policy != "none" and ranks > 1 and steps_made > 0 and steps_made % self.every == 0
+
 
 @dataclass(frozen=True)
 class CellLoads:

@@ -115,8 +115,7 @@ class Fleet:
                 candidates=found.contacts.stats.candidates,
                 unresolved=found.contacts.stats.unresolved,
             )
-        busy = sum(spent for stage, spent in clock.seconds.items() if stage != "halo wait")
-        report = _Report(len(held), self._arrived, int(1e9 * busy))
+        report = _Report(len(held), self._arrived, int(1e9 * clock.work))
         with clock.stage("gather"):
             tallies, reports, censuses = self._tell(tally, report, census)
         Census.total(censuses).require(self._expected)
@@ -159,7 +158,7 @@ class Fleet:
         self, index: int, found: Detection, planned: RobotState, reports: list[_Report], clock: StageClock
     ) -> int:
         """Shares the cells out anew; returns how many moved."""
-        if self.balance.policy == "none" or self.comm.size == 1 or (index + 1) % self.balance.every:
+        if not self.balance.applies(index + 1, self.comm.size):
             return 0
         with clock.stage("balance"):
             loads = cell_loads(self.partition, planned.position, found)

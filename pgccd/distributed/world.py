@@ -117,6 +117,7 @@ class World:
         _require_unique(self.comm, columns["id"])
         self._census = self._count(columns)
         self._found: Detection | None = None
+        self._seconds, self._steps = 0.0, 0
         self._columns = take_rows(columns, torch.argsort(columns["id"]))
         self._change_hands()
 
@@ -172,8 +173,9 @@ class World:
         own |= {"position_t0": motion.position_t0, "orientation_t0": motion.orientation_t0}
         own |= {"position_t1": motion.position_t1, "rotation": motion.rotation}
         self.comm.guard.activity = "step"
-        found = detect_distributed(self.comm, self.partition, own, self._build, self.options, StageClock())
-        self._found = found
+        clock = StageClock()
+        found = detect_distributed(self.comm, self.partition, own, self._build, self.options, clock)
+        self._found, self._seconds, self._steps = found, clock.work, self._steps + 1
         if self.options.report == "earliest":
             return earliest_for_all(self.comm, found)
         return tell_owners(self.comm, found)
@@ -232,14 +234,16 @@ class World:
         return Scene(self._meshes, columns["mesh_index"], **filters), RigidMotion.from_rotation(*pose, path=self.path)
 
     def _cell_loads(self) -> CellLoads:
-        assert self._found is not None
+        if self._found is None:
+            raise RuntimeError("no step has been made yet")
         held = self._found.held
         own = cell_loads(self.partition, held.columns["position_t0"][held.own], self._found)
         return CellLoads.unstacked(self.comm.sum(own.stacked()))
 
     def _change_hands(self) -> None:
-        if self._found is not None and self.comm.size > 1 and self.balance.policy != "none":
-            self.partition = rebalance(self.partition, self._cell_loads(), self.balance)
+        if self.balance.applies(self._steps, self.comm.size):
+            seconds = self.comm.all_gather(torch.tensor([self._seconds], dtype=torch.float64))[:, 0]
+            self.partition = rebalance(self.partition, self._cell_loads(), self.balance, seconds)
         self._columns, _ = migrate(self.comm, self.partition, self._columns, self._columns["position"])
         self._count(self._columns).require(self._census)
 

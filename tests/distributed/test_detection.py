@@ -103,6 +103,51 @@ def test_same_bits_as_one_process(world: World, name: str) -> None:
         assert any(strangers for rank in seen for _, strangers in rank)
 
 
+def tumble(comm: Comm, policy: str) -> list[str]:
+    """A loop of one's own over some steps, whose bodies change hands; a hash of all that happened, step by step."""
+    crowd = crowds()["kept apart, filtered"]
+    mine = torch.arange(comm.rank, len(crowd.position), comm.size).flip(0)  # in any order
+    columns = {"orientation": crowd.orientation, "velocity": crowd.velocity, "rotation": crowd.rotation}
+    world = SharedWorld(
+        crowd.meshes,
+        (0.0,) * 3,
+        (8.0,) * 3,
+        crowd.position[mine],
+        id=mine,
+        mesh_index=crowd.mesh_index[mine],
+        payload={**take_rows(columns, mine), "tag": 7 * mine},
+        comm=comm,
+        nonzero_toi=True,
+        cells=4,
+        balance=BalanceOptions(policy, every=2, start=0.0, goal=0.0, moving=0.0),
+    )
+    seen, owners = [], set()
+    for _ in range(8):
+        payload = world.payload
+        motion = pgccd.RigidMotion.from_velocity(
+            world.position, payload["orientation"], payload["velocity"], payload["rotation"], dt=0.2
+        )
+        hits = world.step(motion)
+        toi = world.first_toi(hits)
+        assert torch.equal(payload["tag"], 7 * world.id)
+        free = torch.isinf(toi)[:, None]
+        rows = pgccd.sim.contacts_hash(torch.stack([world.id, world.id], dim=1), toi)
+        seen.append(f"{int(comm.sum(torch.tensor([rows - 2**64 if rows >= 2**63 else rows]))) % 2**64:016x}")
+        owners.add(tuple(world.partition.owner.tolist()))
+        velocity = torch.where(free, payload["velocity"], -payload["velocity"])
+        world.move(torch.where(free, motion.position_t1, world.position), velocity=velocity)
+    assert comm.size == 1 or policy == "none" or len(owners) > 1
+    return seen
+
+
+@pytest.mark.parametrize("policy", ["cost", "measured", "none"])
+def test_loops_of_one_s_own_come_out_alike(ranks: World, policy: str) -> None:
+    alone = ranks.run(1, tumble, policy)[0]
+    assert len(set(alone)) > 4
+    for size in (2, 3, 4):
+        assert ranks.run(size, tumble, policy)[0] == alone
+
+
 def leave_alone(comm: Comm) -> None:
     """A world needs neither payload nor bodies on every rank, nor ids; and says what is wrong with what it is given."""
     mesh = crowds()["one body"].meshes[0]
