@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NoReturn
 
 import torch
 
 import pgccd
-from pgccd import sim
+from pgccd import distributed, sim
 from pgccd.about import describe_installation
 from pgccd.broad import BROAD_PHASES
+from pgccd.distributed import command
 from pgccd.files import load_motion, load_scene
 from pgccd.narrow import REPORTS, Kind, Status
-from pgccd.sim.progress import terminal_progress
+from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.summary import summary_lines, totals, write_pictures
 
 _MESH_LIST = "meshes.json"
@@ -37,7 +40,7 @@ class ArgumentError(Exception):
     """What is wrong with an argument, in one line."""
 
     def __init__(self, argument: str, problem: object) -> None:
-        super().__init__(f"argument {argument}: {problem}")
+        super().__init__(f"argument {argument}: {problem}" if argument else str(problem))
 
 
 class _Parser(argparse.ArgumentParser):
@@ -75,6 +78,7 @@ def _build_parser() -> argparse.ArgumentParser:
     add("--checkpoint-every", type=int, default=0, metavar="K", help="steps between checkpoints (one at the end)")
     add("--resume", type=Path, metavar="DIR", help="continue the run in this folder")
     add("--no-pictures", action="store_true", help="leave out world.png and world.html")
+    command.add_arguments(simulate)
     simulate.set_defaults(run=_simulate)
 
     detect = commands.add_parser(
@@ -103,7 +107,6 @@ def _build_parser() -> argparse.ArgumentParser:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    device = _device(options.device)
     if options.resume is not None:
         for name in ("robots", "world", "seed", "out"):
             if getattr(options, name) is not None:
@@ -114,13 +117,22 @@ def _simulate(options: argparse.Namespace) -> int:
         raise ArgumentError("--steps", f"expected a number >= 0, got {options.steps}")
     if options.checkpoint_every < 0:
         raise ArgumentError("--checkpoint-every", f"expected a number >= 0, got {options.checkpoint_every}")
+    with command.connected(options) as comm:
+        try:
+            device = distributed.together(comm, lambda: _device(options.device))
+            finished, folder = _run_or_resume(options, device, comm)
+        except NotImplementedError as error:
+            raise ArgumentError("--device", f"this build of pgccd has no kernels for {options.device}") from error
+        except torch.OutOfMemoryError as error:
+            raise ArgumentError("--robots", f"too many for the memory of {options.device}: {error}") from error
+        except ValueError as error:  # what another rank was told, or what ranks do not agree on
+            raise ArgumentError("", error) from error
+        if comm.rank == 0:
+            _print_run(finished, folder, options)
+    return 130 if finished.interrupted else 0
 
-    try:
-        finished, folder = _run_or_resume(options, device)
-    except NotImplementedError as error:
-        raise ArgumentError("--device", f"this build of pgccd has no kernels for {device.type}") from error
-    except torch.OutOfMemoryError as error:
-        raise ArgumentError("--robots", f"too many for the memory of {device}: {error}") from error
+
+def _print_run(finished: sim.Run, folder: Path, options: argparse.Namespace) -> None:
     for line in summary_lines(finished):
         print(line)
     print(f"log: {folder / sim.LOG_FILE}")
@@ -133,55 +145,54 @@ def _simulate(options: argparse.Namespace) -> int:
     print(" ".join(f"{name}={value}" for name, value in figures.items()))
     if finished.interrupted:
         print(f"interrupted; to continue: pgccd simulate --resume {folder}", file=sys.stderr)
-    return 130 if finished.interrupted else 0
 
 
-def _run_or_resume(options: argparse.Namespace, device: torch.device) -> tuple[sim.Run, Path]:
-    if options.resume is not None:
-        folder = options.resume
-        try:
-            checkpoint = sim.load_checkpoint(folder)
-            files = options.mesh or _listed_meshes(folder)
-            with terminal_progress(checkpoint.steps_made, options.steps or checkpoint.steps_wanted) as progress:
-                finished = sim.resume(
-                    folder,
-                    options.steps,
-                    meshes=_load_meshes(files, "--mesh"),
-                    device=device,
-                    broad_phase=options.broad_phase,
-                    checkpoint_every=options.checkpoint_every,
-                    progress=progress,
-                )
-        except (ValueError, OSError) as error:
-            raise ArgumentError("--resume", error) from error
-        return finished, folder
-    settings = {"robots": options.robots, "pattern": options.world, "seed": options.seed}
+def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: distributed.Comm) -> tuple[sim.Run, Path]:
+    out = options.out or Path("out/simulate")
+    settings: dict[str, Any] = {"device": device, "checkpoint_every": options.checkpoint_every}
     try:
-        config = sim.WorldConfig(**{name: value for name, value in settings.items() if value is not None})
+        folder = command.folder_to_resume(comm, options, out)
+        on_ranks = distributed.on_first(comm, lambda: command.needs_ranks(comm, folder))
+        if on_ranks:
+            spread: dict[str, Any] = {"options": command.fleet_options(options)}
+            spread["keep_last_step"] = not options.no_pictures
+            start: Callable[..., sim.Run] = functools.partial(distributed.run, comm, **spread)
+            go_on: Callable[..., sim.Run] = functools.partial(distributed.resume, comm, **spread)
+        else:
+            start = functools.partial(sim.run, broad_phase=options.broad_phase)
+            go_on = functools.partial(sim.resume, broad_phase=options.broad_phase)
+        if folder is not None:
+            header, _ = distributed.on_first(comm, lambda: distributed.find_checkpoint(folder))
+            files = options.mesh or distributed.on_first(comm, lambda: _listed_meshes(folder))
+            meshes = distributed.together(comm, lambda: _load_meshes(files, "--mesh"))
+            with _progress(comm, header.steps_made, options.steps or header.steps_wanted) as progress:
+                return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
+    except (ValueError, OSError) as error:
+        raise ArgumentError("--resume", error) from error
+    wishes = {"robots": options.robots, "pattern": options.world, "seed": options.seed}
+    try:
+        config = sim.WorldConfig(**{name: value for name, value in wishes.items() if value is not None})
     except ValueError as error:
         field, _, problem = str(error).partition(": ")
         raise ArgumentError("--" + field.replace("pattern", "world"), problem) from error
-    meshes = _load_meshes(options.mesh, "--mesh")
+    meshes = distributed.together(comm, lambda: _load_meshes(options.mesh, "--mesh"))
     steps = 20 if options.steps is None else options.steps
-    folder = options.out or Path("out/simulate")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        listed = [str(Path(name).resolve()) for name in options.mesh or []]
-        (folder / _MESH_LIST).write_text(json.dumps(listed) + "\n")
-    except OSError as error:
-        raise ArgumentError("--out", f"cannot write to {folder}: {error.strerror}") from error
-    with terminal_progress(0, steps) as progress:
-        finished = sim.run(
-            config,
-            steps,
-            folder,
-            meshes=meshes,
-            device=device,
-            broad_phase=options.broad_phase,
-            checkpoint_every=options.checkpoint_every,
-            progress=progress,
-        )
-    return finished, folder
+
+    def list_meshes() -> None:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            listed = [str(Path(name).resolve()) for name in options.mesh or []]
+            (out / _MESH_LIST).write_text(json.dumps(listed) + "\n")
+        except OSError as error:
+            raise ArgumentError("--out", f"cannot write to {out}: {error.strerror}") from error
+
+    distributed.on_first(comm, list_meshes)
+    with _progress(comm, 0, steps) as progress:
+        return start(config, steps, out, meshes=meshes, progress=progress, **settings), out
+
+
+def _progress(comm: distributed.Comm, steps_made: int, steps: int) -> AbstractContextManager[Progress | None]:
+    return terminal_progress(steps_made, steps) if comm.rank == 0 else nullcontext()
 
 
 def _listed_meshes(folder: Path) -> list[str] | None:
@@ -201,6 +212,7 @@ def _device(name: str) -> torch.device:
         device = torch.device(name)
     except RuntimeError as error:
         raise ArgumentError("--device", f"expected cpu, cuda or cuda:INDEX, got {name!r}") from error
+    device = distributed.choose_device(device)
     if device.type not in ("cpu", "cuda"):
         raise ArgumentError("--device", f"expected cpu, cuda or cuda:INDEX, got {name!r}")
     if device.type == "cuda" and not 0 <= (device.index or 0) < torch.cuda.device_count():

@@ -94,6 +94,34 @@ class RigidMotion:
         motion._check_now()
         return motion
 
+    @classmethod
+    def from_rotation(
+        cls,
+        position_t0: Tensor,
+        orientation_t0: Tensor,
+        position_t1: Tensor,
+        rotation: Tensor,
+        path: Literal["rigid", "linear"] = "rigid",
+    ) -> RigidMotion:
+        """From where the centres go and how the bodies turn; made of another motion's rows, it is that one to the bit.
+
+        Args:
+            position_t0, position_t1: (N, 3), as for the constructor.
+            orientation_t0: (N, 4), at t0.
+            rotation: (N, 3) rotation vector of the whole step, radians, world frame.
+
+        Example:
+            >>> again = pgccd.RigidMotion.from_rotation(m.position_t0, m.orientation_t0, m.position_t1, m.rotation)
+        """
+        count = _body_count(position_t0, "position_t0")
+        motion = cls.__new__(cls)
+        motion._set(position_t0, orientation_t0, position_t1, path)
+        motion.rotation = _rows(rotation, "rotation", count, 3, position_t0.device)
+        turn = torch.linalg.vector_norm(motion.rotation, dim=1)
+        motion._faults["rotation"] = _first_row(~(turn <= _LARGEST_TURN))
+        motion._check_now()
+        return motion
+
     def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: str) -> None:
         if path not in ("rigid", "linear"):
             raise ValueError(f'path: expected "rigid" or "linear", got {path!r}')
@@ -202,6 +230,6 @@ def _raise_faults(faults: dict[str, Tensor], count: int, row: str = "body") -> N
             expected = f"finite numbers up to {_LARGEST_COORDINATE:g}"
             if name.startswith("orientation"):
                 expected = "a unit quaternion (w, x, y, z)"
-            if name == "angular_velocity":
-                expected = f"a turn of at most {_LARGEST_TURN:g} radians in dt"
+            if name in ("angular_velocity", "rotation"):
+                expected = f"a turn of at most {_LARGEST_TURN:g} radians in the step"
             raise ValueError(f"{name}: {row} {index}: expected {expected}")

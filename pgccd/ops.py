@@ -78,6 +78,13 @@ def lbvh(
     return _ops.lbvh(position_t0, position_t1, radius, group, mask, world, is_static, min_separation)
 
 
+def swept_boxes(
+    position_t0: Tensor, position_t1: Tensor, radius: Tensor, min_separation: float
+) -> tuple[Tensor, Tensor]:
+    """Lower and upper corners (N, 3) of the boxes of swept spheres with half the separation, rounded outward."""
+    return _ops.swept_boxes(position_t0, position_t1, radius, min_separation)
+
+
 def traverse_rigid(
     mesh_set: Sequence[Tensor],
     bodies: Sequence[Tensor],
@@ -187,6 +194,11 @@ for _name in ("sweep", "grid", "lbvh"):
     torch.library.register_fake(f"pgccd::{_name}")(_fake_pairs)
 
 
+@torch.library.register_fake("pgccd::swept_boxes")
+def _(position_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
+    return torch.empty_like(position_t0), torch.empty_like(position_t0)
+
+
 def _fake_candidates(pairs: Tensor) -> tuple[Tensor, Tensor]:
     return pairs.new_empty((_unknown_count(), 4), dtype=torch.int32), pairs.new_empty((1,))
 
@@ -221,20 +233,14 @@ def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *_rest: objec
     return _fake_contact_rows(pairs)
 
 
-def _fake_elementary(points_t0: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _fake_elementary(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     count = points_t0.shape[0]
     status, significant_bits = (points_t0.new_empty((count,), dtype=torch.int8) for _ in range(2))
     return status, points_t0.new_empty((count,)), points_t0.new_empty((count, 2)), significant_bits
 
 
-@torch.library.register_fake("pgccd::vertex_face")
-def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    return _fake_elementary(points_t0)
-
-
-@torch.library.register_fake("pgccd::edge_edge")
-def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    return _fake_elementary(points_t0)
+for _name in ("vertex_face", "edge_edge"):
+    torch.library.register_fake(f"pgccd::{_name}")(_fake_elementary)
 
 
 def simulate_start(id: Tensor, integers: Sequence[int], scales: Sequence[float]) -> tuple[Tensor, ...]:

@@ -19,6 +19,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Leaves slow tests to those who ask for them: pytest -m slow."""
     if not config.option.markexpr:
         config.option.markexpr = "not slow"
+    if getattr(config.option, "dist", "no") == "load":  # of xdist, where it is installed
+        config.option.dist = "loadgroup"
 
 
 @pytest.fixture(params=DEVICES)

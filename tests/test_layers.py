@@ -112,6 +112,20 @@ def test_single_device_modules_do_not_know_the_cluster() -> None:
             assert not any("distributed.comm" in n or n.startswith("torch.distributed") for n in imports(path)), path
 
 
+def test_one_process_needs_no_ranks() -> None:
+    for path in python_files(PACKAGE / "sim", PACKAGE / "viz"):
+        assert not any(name.startswith("pgccd.distributed") for name in imports(path)), path
+
+
+def test_few_files_know_what_carries_messages() -> None:
+    knowing = {
+        library: {path.name for path in python_files(PACKAGE) if any(n.startswith(library) for n in imports(path))}
+        for library in ("torch.distributed", "mpi4py")
+    }
+    assert knowing["torch.distributed"] == {"torch_comm.py", "mpi_comm.py", "launch.py", "checkpoint.py"}
+    assert knowing["mpi4py"] == {"mpi_comm.py", "launch.py"}
+
+
 def test_oracle_shares_nothing_with_the_product() -> None:
     for path in python_files(TESTS / "oracle", TESTS / "strategies"):
         assert not any(name.split(".")[0] == "pgccd" for name in imports(path)), path

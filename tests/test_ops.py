@@ -50,6 +50,8 @@ def recorded(device: torch.device) -> list[Call]:
                 [m.vertices + torch.from_numpy(p) for m, p in zip(bodies.meshes, bodies.position_t0, strict=True)]
             )
             pgccd.detect(scene, pgccd.VertexMotion(x.to(device), (x + 0.3).to(device)))
+            moving = pgccd.MovingBodies(scene, bodies.motion(device=device))
+            ops.swept_boxes(moving.position_t0, moving.position_t1, moving.radius, 0.01)
             turn = bodies.orientation_t0
             pgccd.RigidMotion(*tensors(bodies.position_t0, turn, bodies.position_t1, turn[::-1].copy(), device=device))
             for test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):

@@ -1,10 +1,11 @@
-"""What a run leaves in its folder: `world.json`, `steps.jsonl` and `checkpoint.pt`."""
+"""What a run leaves in its folder: `world.json`, `steps.jsonl` and `checkpoint.pt` (or `checkpoints/`)."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from pgccd.sim.world import RobotState, WorldConfig
 WORLD_FILE = "world.json"
 LOG_FILE = "steps.jsonl"
 CHECKPOINT_FILE = "checkpoint.pt"
+CHECKPOINT_FOLDER = "checkpoints"  # of runs on many ranks
 _FORMAT = 1
 
 
@@ -86,6 +88,13 @@ def load_checkpoint(folder: Path) -> Checkpoint:
         )
     except Exception as error:
         raise ValueError(f"{path} is not a checkpoint of a simulation: {error}") from error
+
+
+def forget_checkpoints(folder: Path) -> None:
+    """Removes all that an earlier run left to continue from."""
+    (folder / CHECKPOINT_FILE).unlink(missing_ok=True)
+    if (folder / CHECKPOINT_FOLDER).is_dir():
+        shutil.rmtree(folder / CHECKPOINT_FOLDER)
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

@@ -60,3 +60,12 @@ def state_hash(state: RobotState) -> int:
     """
     rows = torch.cat([state.position, state.orientation, state.velocity, state.angular_velocity], dim=1)
     return _sum_of_rows([state.id, *rows.view(torch.int64).unbind(dim=1)])
+
+
+def id_hash(id: Tensor) -> int:
+    """Hash over ids (N,) int64, as `contacts_hash`.
+
+    Example:
+        >>> f"{pgccd.sim.hashing.id_hash(state.id):016x}"
+    """
+    return _sum_of_rows([id])

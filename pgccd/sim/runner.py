@@ -5,21 +5,21 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 
 from pgccd.broad import BroadPhase
 from pgccd.mesh import Mesh
 from pgccd.sim.files import (
-    CHECKPOINT_FILE,
     WORLD_FILE,
     Checkpoint,
     StepLog,
+    forget_checkpoints,
     load_checkpoint,
     meshes_digest,
     save_checkpoint,
@@ -80,7 +80,7 @@ def run(
         raise ValueError(f"steps: expected a number >= 0, got {steps}")
     world = World(config, meshes, device)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / CHECKPOINT_FILE).unlink(missing_ok=True)  # an earlier run's would not fit the log that starts now
+    forget_checkpoints(folder)  # an earlier run's would not fit the log that starts now
     write_json(folder / WORLD_FILE, world.describe())
     return _continue(world, world.start(), 0, steps, folder, broad_phase, checkpoint_every, progress)
 
@@ -122,6 +122,51 @@ def resume(
     return _continue(world, state, checkpoint.steps_made, steps, folder, broad_phase, checkpoint_every, progress)
 
 
+class Machine(Protocol):
+    """Makes the steps of a run."""
+
+    def stops(self, wish: bool) -> bool:
+        """Whether to stop now, given whether this process was asked to."""
+        ...
+
+    def step(self, index: int) -> dict[str, Any]:
+        """Makes a step; returns its line in the log."""
+        ...
+
+    def save(self, steps_made: int, steps_wanted: int) -> None:
+        """Begins to write a checkpoint."""
+        ...
+
+    def finish(self) -> None:
+        """Waits until the last checkpoint is whole."""
+        ...
+
+
+class _WorldMachine:
+    """All robots in this process."""
+
+    def __init__(self, world: World, state: RobotState, folder: Path, broad_phase: BroadPhase) -> None:
+        self.world, self.state, self._folder, self._broad_phase = world, state, folder, broad_phase
+        self._scene = world.scene(state.id)
+        self._digest = meshes_digest(world.meshes.meshes)
+        self.last_step: Step | None = None
+
+    def stops(self, wish: bool) -> bool:
+        return wish
+
+    def step(self, index: int) -> dict[str, Any]:
+        self.last_step = make_step(self.world, self._scene, self.state, index, self._broad_phase)
+        self.state = self.last_step.after
+        return self.last_step.record
+
+    def save(self, steps_made: int, steps_wanted: int) -> None:
+        checkpoint = Checkpoint(self.world.config, steps_made, steps_wanted, self._digest, self.state)
+        save_checkpoint(self._folder, checkpoint)
+
+    def finish(self) -> None:
+        pass
+
+
 def _continue(
     world: World,
     state: RobotState,
@@ -132,23 +177,48 @@ def _continue(
     checkpoint_every: int,
     progress: Progress | None,
 ) -> Run:
+    machine = _WorldMachine(world, state, folder, broad_phase)
+    log = StepLog(folder, steps_made)
+    made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
+    return Run(world, machine.state, made, log.records, machine.last_step, interrupted=made < steps)
+
+
+def drive(
+    machine: Machine,
+    log: StepLog | None,
+    steps_made: int,
+    steps: int,
+    checkpoint_every: int,
+    progress: Progress | None,
+) -> int:
+    """Makes steps until there are enough, or a signal asks to stop; then writes a checkpoint.
+
+    Args:
+        machine: makes them.
+        log: closed at the end; None: another process keeps it.
+        steps_made: so far.
+        steps: in all.
+        checkpoint_every: steps between checkpoints; 0: one at the end only.
+        progress: told about every step.
+
+    Returns:
+        The number of steps made in all.
+    """
     if checkpoint_every < 0:
         raise ValueError(f"checkpoint_every: expected a number >= 0, got {checkpoint_every}")
     progress = progress or Silent()
-    scene = world.scene(state.id)
-    digest = meshes_digest(world.meshes.meshes)
-    last_step = None
-    with StepLog(folder, steps_made) as log, _stop_requests() as stop:
-        while steps_made < steps and not stop.is_set():
-            last_step = make_step(world, scene, state, steps_made, broad_phase)
-            state = last_step.after
-            log.append(last_step.record)
+    with log or nullcontext(), _stop_requests() as stop:
+        while steps_made < steps and not machine.stops(stop.is_set()):
+            record = machine.step(steps_made)
+            if log is not None:
+                log.append(record)
             steps_made += 1
-            progress.advance(last_step.record)
+            progress.advance(record)
             if checkpoint_every and steps_made % checkpoint_every == 0 and steps_made < steps:
-                save_checkpoint(folder, Checkpoint(world.config, steps_made, steps, digest, state))
-        save_checkpoint(folder, Checkpoint(world.config, steps_made, steps, digest, state))
-        return Run(world, state, steps_made, log.records, last_step, interrupted=steps_made < steps)
+                machine.save(steps_made, steps)
+        machine.save(steps_made, steps)
+        machine.finish()
+    return steps_made
 
 
 @contextmanager

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from pgccd import broad
@@ -17,8 +14,9 @@ from pgccd.contacts import Contacts
 from pgccd.detect import detect
 from pgccd.scene import Scene
 from pgccd.sim.hashing import contacts_hash, state_hash
-from pgccd.sim.response import Settlement, respond, settle
+from pgccd.sim.response import FindContacts, Settlement, respond, settle
 from pgccd.sim.world import RobotState, World
+from pgccd.stages import StageClock
 
 
 @dataclass
@@ -50,61 +48,92 @@ def make_step(
         >>> step = pgccd.sim.make_step(world, scene, world.start(), 0)
         >>> step.after, step.record["contacts"]
     """
-    seconds: dict[str, float] = {}
-    start = time.perf_counter()
-    with _timed(seconds, "plan"):
+    clock = StageClock()
+    with clock.stage("plan"):
         before = world.plan(state, index)
         motion = world.motion(before)
-    with _timed(seconds, "broad"):
+    with clock.stage("broad"):
         pairs = broad.find_pairs(MovingBodies(scene, motion), broad_phase=broad_phase)
     # nonzero_toi: robots that part after a contact are free.
     contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=pairs)
-    for stage, spent in contacts.stats.seconds.items():
-        seconds[stage] = seconds.get(stage, 0.0) + spent
-    toi = _column(contacts)
+    clock.add(contacts.stats.seconds)
+    toi = toi_of(contacts)
+    with clock.stage("respond"):
+        settlement = settle(contacts.pairs, toi, len(before), partners(world, scene, before, pairs))
+        after = respond(before, settlement.fraction)
+    with clock.stage("hash"):
+        tally = Tally(
+            robots=len(after),
+            pcs=contacts.stats.pcs,
+            contacts=len(contacts),
+            contacts_hash=contacts_hash(before.id[contacts.pairs], toi),
+            state_hash=state_hash(after),
+            stopped=int(settlement.stopped.sum()),
+            secondary_contacts=settlement.secondary_contacts,
+            touching_at_t0=int((toi == 0.0).sum()),
+            candidates=contacts.stats.candidates,
+            unresolved=contacts.stats.unresolved,
+        )
+    return Step(index, before, contacts, toi, settlement, after, tally.record(index, settlement.rounds, clock))
+
+
+@dataclass
+class Tally:
+    """What is counted in a step. The tallies of parts of a world add up to that of the whole."""
+
+    robots: int
+    pcs: int
+    contacts: int
+    contacts_hash: int  #: modulo 2^64, as the next
+    state_hash: int
+    stopped: int
+    secondary_contacts: int
+    touching_at_t0: int
+    candidates: int
+    unresolved: int
+
+    @classmethod
+    def total(cls, parts: Sequence[Tally]) -> Tally:
+        """Of the whole."""
+        sums = {field.name: sum(getattr(part, field.name) for part in parts) for field in fields(cls)}
+        for name in ("contacts_hash", "state_hash"):
+            sums[name] %= 2**64
+        return cls(**sums)
+
+    def record(self, index: int, rounds: int, clock: StageClock) -> dict[str, Any]:
+        """The line of steps.jsonl."""
+        return {
+            "step": index,
+            "robots": self.robots,
+            "pcs": self.pcs,
+            "contacts": self.contacts,
+            "contacts_hash": f"{self.contacts_hash:016x}",
+            "state_hash": f"{self.state_hash:016x}",
+            "stopped": self.stopped,
+            "secondary_contacts": self.secondary_contacts,
+            "settle_rounds": rounds,
+            "touching_at_t0": self.touching_at_t0,
+            "candidates": self.candidates,
+            "unresolved": self.unresolved,
+            "seconds": round(clock.total, 6),
+            "stage_seconds": {stage: round(spent, 6) for stage, spent in clock.seconds.items()},
+        }
+
+
+def partners(world: World, scene: Scene, before: RobotState, pairs: Tensor) -> FindContacts:
+    """What `settle` asks, answered for the potentially colliding pairs (P, 2) of a planned state's rows."""
 
     def find_contacts(changed: Tensor, fraction: Tensor) -> tuple[Tensor, Tensor]:
         # A slowed robot stays within the volume it was to sweep: it meets nobody but its partners in the PCS.
         concerned = pairs[changed[pairs].any(dim=1)]
         found = detect(scene, world.motion(before, fraction), report="first", nonzero_toi=True, pairs=concerned)
-        return found.pairs, _column(found)
+        return found.pairs, toi_of(found)
 
-    with _timed(seconds, "respond"):
-        settlement = settle(contacts.pairs, toi, len(before), find_contacts)
-        after = respond(before, settlement.fraction)
-        stopped, touching = int(settlement.stopped.sum()), int((toi == 0.0).sum())
-    with _timed(seconds, "hash"):
-        hashes = contacts_hash(before.id[contacts.pairs], toi), state_hash(after)
-    record = {
-        "step": index,
-        "robots": len(after),
-        "pcs": contacts.stats.pcs,
-        "contacts": len(contacts),
-        "contacts_hash": f"{hashes[0]:016x}",
-        "state_hash": f"{hashes[1]:016x}",
-        "stopped": stopped,
-        "secondary_contacts": settlement.secondary_contacts,
-        "settle_rounds": settlement.rounds,
-        "touching_at_t0": touching,
-        "candidates": contacts.stats.candidates,
-        "unresolved": contacts.stats.unresolved,
-        "seconds": round(time.perf_counter() - start, 6),
-        "stage_seconds": {stage: round(spent, 6) for stage, spent in seconds.items()},
-    }
-    return Step(index, before, contacts, toi, settlement, after, record)
+    return find_contacts
 
 
-def _column(contacts: Contacts) -> Tensor:
+def toi_of(contacts: Contacts) -> Tensor:
+    """(K,) float64: the column, which `detect(report="first")` always gives."""
     if contacts.toi is None:
         raise AssertionError("detect(report='first') gives a toi")
     return contacts.toi
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
-    start = time.perf_counter()
-    yield
-    # Work still queued on a GPU belongs to the stage that queued it; all stages but the first wait for results anyway.
-    if torch.cuda.is_initialized():
-        torch.cuda.current_stream().synchronize()
-    seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start

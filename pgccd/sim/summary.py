@@ -11,7 +11,7 @@ from pgccd.sim.runner import Run
 def totals(run: Run) -> dict[str, Any]:
     """Robots, steps, pcs and contacts of all steps together, and mean seconds a step."""
     return {
-        "robots": len(run.state),
+        "robots": run.world.config.robots,
         "steps": run.steps_made,
         "pcs": _sum(run, "pcs"),
         "contacts": _sum(run, "contacts"),
@@ -21,7 +21,7 @@ def totals(run: Run) -> dict[str, Any]:
 
 def summary_lines(run: Run) -> list[str]:
     """A table: figure, value, what to compare it with."""
-    steps, robots = max(1, len(run.records)), len(run.state)
+    steps, robots = max(1, len(run.records)), run.world.config.robots
     pcs, contacts, stopped = _sum(run, "pcs"), _sum(run, "contacts"), _sum(run, "stopped")
     slowest = max((record["seconds"] for record in run.records), default=0.0)
     rows = [

@@ -1,0 +1,223 @@
+"""What limits 64 to 1,024 GPUs: the decomposition of up to a billion bodies, really made (on the CPU, in blocks,
+without detection), and a model of a step's time on top of it.
+
+Counted for every number of ranks: bodies, ghosts and neighbours of each rank, bytes in the halo, the size of the table
+of cells. Then a skewed density (a peak in each corner of the box) is balanced for some steps by the policy of
+`pgccd.distributed.balance` itself. The model adds up, for the most loaded rank:
+
+    detection   time a robot (from bench/results/world-cuda.json, or given) x (bodies + ghosts) x imbalance
+    halo        messages x latency + bytes / bandwidth, out and in
+    settling    `--rounds` x (two exchanges of 8 bytes a ghost, and one all-reduce)
+    gather      one all-gather of 160 bytes a rank
+    balance     one all-reduce of 24 bytes a cell, and the decision, which is timed here once the loads are even
+
+and says which share of a step each is. Robots have the size, the speed and the density of the standard world and are
+spread evenly.
+
+    python bench/cluster_model.py --robots 1000000000 --ranks 1024
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from typing import Any
+
+import torch
+from support import results, timing
+
+from pgccd import ops, sim
+from pgccd.distributed import BalanceOptions, CellLoads, Partition, imbalance, rebalance
+from pgccd.distributed.balance import rank_loads
+from pgccd.distributed.halo import Boxes
+
+_BLOCK = 1 << 20
+_STATE_BYTES = 128  # of a robot in the halo
+_RECORD_BYTES = 160
+_CELL_BYTES = 24
+
+
+def main() -> None:
+    """Runs the benchmark."""
+    arguments = parse_arguments()
+    world = sim.World(sim.WorldConfig(robots=arguments.robots))
+    begin = time.perf_counter()
+    counts = [Counts(world, ranks, arguments) for ranks in arguments.ranks]
+    for first in range(0, arguments.robots, _BLOCK):
+        state = world.start(torch.arange(first, min(arguments.robots, first + _BLOCK)))
+        # Anywhere: in the lattice of the start, whole layers would lie on one side of a border.
+        place = ops.random_uniforms(state.id, 0, 0, 0)[:, :3] - 0.5
+        state.position = 2.0 * place * torch.tensor(world.half_extent, dtype=torch.float64)
+        motion, radius = world.motion(state), world.scene(state.id).radius
+        for count in counts:
+            count.add(motion, radius)
+    streamed = time.perf_counter() - begin
+    rows = [count.row(arguments) for count in counts]
+    results.table([flat(row) for row in rows])
+    assumed = {name: value for name, value in vars(arguments).items() if name not in ("out", "ranks")}
+    content = {"robots": arguments.robots, "assumed": assumed, "seconds_streamed": round(streamed, 1), "rows": rows}
+    results.write("cluster_model", "cpu", content, arguments.out)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = results.parser(__doc__)
+    parser.add_argument("--robots", type=int, default=10_000_000, help="in all, up to 2^31 - 1")
+    parser.add_argument("--ranks", type=int, nargs="+", default=[64, 128, 256, 512, 1024])
+    parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
+    parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
+    parser.add_argument("--robot-ns", type=float, default=robot_nanoseconds(), help="detection, a robot, one GPU")
+    parser.add_argument("--latency-us", type=float, default=10.0, help="of a message between machines")
+    parser.add_argument("--gigabytes", type=float, default=50.0, help="a second and rank between machines")
+    parser.add_argument("--rounds", type=int, default=3, help="of settling a step")
+    parser.add_argument("--balance-steps", type=int, default=30, help="of the skewed density")
+    return parser.parse_args()
+
+
+def robot_nanoseconds() -> float:
+    """Measured: the largest world in the results, or 131 if there are none."""
+    path = results.FOLDER / "world-cuda.json"
+    if not path.exists():
+        return 131.0
+    row = json.loads(path.read_text())["rows"][-1]
+    return timing.rounded(1e6 * row["ms"]["median"] / row["robots"])
+
+
+class Counts:
+    """The decomposition for one number of ranks, counted block by block."""
+
+    def __init__(self, world: sim.World, ranks: int, arguments: argparse.Namespace) -> None:
+        x, y, z = world.half_extent
+        upper = (x, y, z)
+        self.partition = Partition.uniform((-x, -y, -z), upper, ranks, axes=arguments.axes, cells=arguments.cells)
+        self.bodies = torch.zeros(self.partition.cell_count, dtype=torch.int64)
+        #: From rank to rank.
+        self.ghosts = torch.zeros(ranks * ranks, dtype=torch.int64)
+
+    def add(self, motion: Any, radius: torch.Tensor) -> None:
+        """A block of bodies."""
+        partition, ranks = self.partition, self.partition.ranks
+        boxes = Boxes.of(partition, motion, radius)
+        centre = partition.cell_of(motion.position_t0)
+        self.bodies += torch.bincount(centre, minlength=partition.cell_count)
+        wide = torch.nonzero((boxes.first != boxes.last).any(dim=1))[:, 0]
+        owner = partition.owner[centre[wide]]
+        for body, cell in partition.reached(boxes.first[wide], boxes.last[wide]):
+            key = torch.unique(body * ranks + partition.owner[cell])
+            source, destination = owner[key // ranks], key % ranks
+            away = source != destination
+            self.ghosts += torch.bincount((source * ranks + destination)[away], minlength=ranks * ranks)
+
+    def row(self, arguments: argparse.Namespace) -> dict[str, Any]:
+        """Counts, balance and the model."""
+        partition, ranks = self.partition, self.partition.ranks
+        table = self.ghosts.view(ranks, ranks)
+        sent, received = table.sum(1), table.sum(0)
+        neighbours = (table > 0).sum(1)
+        own = rank_loads(self.bodies, partition.owner, ranks)
+        balance = balance_skewed(partition, arguments.balance_steps)
+        row = {
+            "ranks": ranks,
+            "robots": int(own.sum()),
+            "subspaces": partition.subspaces,
+            "cells": partition.cell_count,
+            "table_bytes": 8 * partition.cell_count,
+            "bodies_a_rank": spread(own),
+            "ghosts_a_rank": spread(received),
+            "neighbours_a_rank": spread(neighbours),
+            "halo_bytes_a_rank": spread(sent * _STATE_BYTES),
+            "skewed": balance,
+        }
+        return row | {"model": model(row, arguments), "model_skewed": model(row, arguments, balance["imbalance"][-1])}
+
+
+def spread(values: torch.Tensor) -> dict[str, float]:
+    """Least, mean, most."""
+    return {
+        "least": int(values.min()),
+        "mean": timing.rounded(float(values.double().mean())),
+        "most": int(values.max()),
+    }
+
+
+def balance_skewed(partition: Partition, steps: int) -> dict[str, Any]:
+    """Imbalance step by step of robots that crowd in the eight corners, four times as dense there as on average."""
+    centre = [(torch.arange(count) + 0.5) / count for count in partition.grid]
+    off = torch.stack(
+        [torch.minimum(axis, 1.0 - axis)[index] for axis, index in zip(centre, _grid(partition), strict=True)]
+    )
+    density = 1.0 + 12.0 * torch.exp(-((off / 0.12) ** 2).sum(dim=0))
+    bodies = (1e9 / len(density) * density / density.mean()).long()
+    pairs = (bodies * density / density.mean() * 0.75).long()  # partners grow with the density
+    loads = CellLoads(bodies, pairs, pairs // 20)
+    seen, moved, decision = [], [], []
+    for _ in range(steps):
+        seen.append(timing.rounded(imbalance(rank_loads(loads.cost, partition.owner, partition.ranks))))
+        begin = time.perf_counter()
+        new = rebalance(partition, loads, BalanceOptions("cost"))
+        decision.append(time.perf_counter() - begin)
+        moved.append(int((new.owner != partition.owner).sum()))
+        partition = new
+    return {
+        "imbalance": seen,
+        "moved_cells": moved,
+        "longest_decision_ms": timing.rounded(1e3 * max(decision)),
+        "decision_ms": timing.rounded(1e3 * decision[-1]),
+    }
+
+
+def _grid(partition: Partition) -> tuple[torch.Tensor, ...]:
+    return torch.unravel_index(torch.arange(partition.cell_count), partition.grid)
+
+
+def model(row: dict[str, Any], arguments: argparse.Namespace, uneven: float | None = None) -> dict[str, Any]:
+    """Milliseconds of a step on the most loaded rank, and the efficiency against one GPU with its share alone."""
+    ranks, latency = row["ranks"], 1e-3 * arguments.latency_us
+    a_millisecond = 1e6 * arguments.gigabytes
+    bodies, ghosts = row["bodies_a_rank"]["mean"], row["ghosts_a_rank"]["most"]
+    messages, halo_bytes = row["neighbours_a_rank"]["most"], row["halo_bytes_a_rank"]["most"]
+    uneven = uneven or row["bodies_a_rank"]["most"] / bodies
+    tree = math.ceil(math.log2(ranks)) * latency
+    exchange = messages * latency
+    parts = {
+        "detection": 1e-6 * arguments.robot_ns * bodies,
+        "imbalance": 1e-6 * arguments.robot_ns * bodies * (uneven - 1.0),
+        "ghosts": 1e-6 * arguments.robot_ns * ghosts,
+        "halo": tree + exchange + 2.0 * halo_bytes / a_millisecond,
+        "settling": arguments.rounds * (2.0 * (exchange + 8.0 * ghosts / a_millisecond) + tree),
+        "gather": tree + _RECORD_BYTES * ranks / a_millisecond,
+        "balance": 2.0 * tree + 2.0 * _CELL_BYTES * row["cells"] / a_millisecond + row["skewed"]["decision_ms"],
+    }
+    total = sum(parts.values())
+    return {
+        "ms": timing.rounded(total),
+        "parts_ms": {name: timing.rounded(part) for name, part in parts.items()},
+        "efficiency": timing.rounded(parts["detection"] / total),
+    }
+
+
+def flat(row: dict[str, Any]) -> dict[str, Any]:
+    """A row of the table."""
+    ghosts = row["ghosts_a_rank"]["most"] / row["bodies_a_rank"]["mean"]
+    limits = sorted(row["model"]["parts_ms"].items(), key=lambda item: -item[1])[1]
+    return {
+        "ranks": row["ranks"],
+        "robots/rank": row["bodies_a_rank"]["mean"],
+        "ghosts/rank": row["ghosts_a_rank"]["most"],
+        "ghosts/body": ghosts,
+        "messages": row["neighbours_a_rank"]["most"],
+        "halo MB": row["halo_bytes_a_rank"]["most"] / 1e6,
+        "table kB": row["table_bytes"] / 1e3,
+        "model ms": row["model"]["ms"],
+        "efficiency": row["model"]["efficiency"],
+        "first limit": limits[0],
+        "skewed": f"{row['skewed']['imbalance'][0]:.2f} -> {row['skewed']['imbalance'][-1]:.2f}",
+        "eff. skewed": row["model_skewed"]["efficiency"],
+        "longest decision ms": row["skewed"]["longest_decision_ms"],
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,213 @@
+"""Strong and weak scaling and balance of the nanorobot world over ranks, and where the time of a step goes.
+
+Run it once for each number of ranks; every run adds its row to the same file and compares it with the rows there:
+
+    python bench/cluster_scaling.py --robots 4000000 --device cuda
+    torchrun --nproc-per-node 4 bench/cluster_scaling.py --robots 4000000 --device cuda
+    torchrun --nproc-per-node 4 bench/cluster_scaling.py --robots-a-rank 1000000 --device cuda
+
+With one rank the single-device program is timed beside, step by step from the same states. A step is timed from barrier
+to barrier. `waiting` is what a rank spends in the all-gather at the end of the step, until the slowest has come.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+from support import results, timing
+
+from pgccd import distributed, sim
+from pgccd.distributed.launch import TRANSPORTS
+
+# What the stages of a step are summed up to.
+PARTS = {
+    "detect": ("bounds", "broad", "traverse", "narrow"),
+    "halo": ("halo", "halo wait"),
+    "respond": ("plan", "respond"),
+    "migrate": ("migrate",),
+    "balance": ("balance",),
+    "waiting": ("gather",),
+    "hash": ("hash",),
+}
+
+
+def main() -> None:
+    """Runs the benchmark on all ranks; rank 0 writes."""
+    arguments = parse_arguments()
+    if arguments.device == "cpu":
+        torch.set_num_threads(1)
+    with distributed.connect(arguments.device, arguments.transport) as comm:
+        row = measure(comm, arguments)
+        if comm.rank == 0:
+            report(row, comm.transport, arguments)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = results.parser(__doc__)
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--robots", type=int, default=20_000, help="in all (strong scaling)")
+    size.add_argument("--robots-a-rank", type=int, help="weak scaling")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda")
+    parser.add_argument("--transport", choices=TRANSPORTS, default="auto")
+    parser.add_argument("--pattern", choices=sim.PATTERNS, default="random")
+    parser.add_argument("--balance", choices=distributed.POLICIES, default="cost")
+    parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
+    parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
+    parser.add_argument("--no-overlap", action="store_true", help="wait for the ghosts before any detection")
+    parser.add_argument("--steps-before", type=int, default=20, help="steps made before the first is timed")
+    parser.add_argument("--rounds", type=int, default=20, help="steps timed")
+    parser.add_argument("--seed", type=int, default=0)
+    return parser.parse_args()
+
+
+def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, Any]:
+    """One row; the same on all ranks."""
+    weak = arguments.robots_a_rank is not None
+    robots = arguments.robots_a_rank * comm.size if weak else arguments.robots
+    config = sim.WorldConfig(robots=robots, pattern=arguments.pattern, seed=arguments.seed)
+    device = distributed.choose_device(arguments.device)
+    fleet = start(comm, config, device, arguments)
+    for index in range(arguments.steps_before):
+        fleet.step(index)
+    whole, single, parts, ranks = [], [], [], []
+    for index in range(arguments.steps_before, arguments.steps_before + arguments.rounds):
+        state = fleet.state
+        duration, made = timed_step(comm, fleet, index, device)
+        whole.append(duration)
+        parts.append({name: sum(seconds_of(made, stages)) for name, stages in PARTS.items()})
+        ranks.append(made.record["ranks"])
+        if comm.size == 1:
+            scene = fleet.world.scene(state.id)
+            seconds, alone = wall(lambda: sim.make_step(fleet.world, scene, state, index), device)  # noqa: B023
+            single.append(seconds)
+            if alone.record["state_hash"] != made.record["state_hash"]:
+                raise SystemExit(f"step {index}: one rank and one process differ")
+    everybody = comm.gather_objects(parts)
+    return {
+        "scaling": "weak" if weak else "strong",
+        "ranks": comm.size,
+        "robots": robots,
+        "pattern": arguments.pattern,
+        "balance": arguments.balance,
+        "cells": arguments.cells,
+        "axes": arguments.axes,
+        "overlap": not arguments.no_overlap,
+        "ms": timing.summary(whole),
+        "single_process_ms": timing.summary(single) if single else None,
+        "mean_of_ranks_ms": {name: over_ranks(everybody, name, mean) for name in PARTS},
+        "slowest_rank_ms": {name: over_ranks(everybody, name, max) for name in PARTS},
+        "imbalance_by_step": [step["imbalance"] for step in ranks],
+        "busy_imbalance": timing.rounded(mean([ratio(step["busy_seconds"]) for step in ranks])),
+        "ghosts_a_body": timing.rounded(mean([sum(step["ghosts"]) / robots for step in ranks])),
+        "moved_cells_a_step": timing.rounded(mean([step["moved_cells"] for step in ranks])),
+        "state_hash": made.record["state_hash"],
+    }
+
+
+def start(
+    comm: distributed.Comm, config: sim.WorldConfig, device: torch.device, arguments: argparse.Namespace
+) -> distributed.Fleet:
+    """The world before step 0."""
+    world = sim.World(config, device=device)
+    x, y, z = world.half_extent
+    partition = distributed.Partition.uniform(
+        (-x, -y, -z), (x, y, z), comm.size, axes=arguments.axes, cells=arguments.cells, device=device
+    )
+    share = distributed.starting_share(comm, world, partition)
+    balance = distributed.BalanceOptions(arguments.balance)
+    return distributed.Fleet(comm, world, partition, share, balance, not arguments.no_overlap)
+
+
+def timed_step(
+    comm: distributed.Comm, fleet: distributed.Fleet, index: int, device: torch.device
+) -> tuple[float, distributed.RankStep]:
+    """Seconds from barrier to barrier, and the step."""
+    comm.barrier()
+
+    def step() -> distributed.RankStep:
+        made = fleet.step(index)
+        comm.barrier()
+        return made
+
+    return wall(step, device)
+
+
+def wall(work: Any, device: torch.device) -> tuple[float, Any]:
+    """By the wall clock, since most of what is measured happens between devices."""
+    if device.type == "cuda":
+        torch.cuda.synchronize()
+    begin = time.perf_counter()
+    result = work()
+    if device.type == "cuda":
+        torch.cuda.synchronize()
+    return time.perf_counter() - begin, result
+
+
+def seconds_of(made: distributed.RankStep, stages: tuple[str, ...]) -> list[float]:
+    """Of this rank."""
+    return [made.record["stage_seconds"].get(stage, 0.0) for stage in stages]
+
+
+def over_ranks(parts: list[list[dict[str, float]]], name: str, combine: Any) -> float:
+    """Median over the steps of the mean, or the largest, of all ranks; milliseconds."""
+    steps = [combine([rank[step][name] for rank in parts]) for step in range(len(parts[0]))]
+    return timing.summary(steps)["median"]
+
+
+def mean(values: list[float]) -> float:
+    """Of a list that is not empty."""
+    return sum(values) / len(values)
+
+
+def ratio(values: list[float]) -> float:
+    """The largest over the mean."""
+    return max(values) / mean(values)
+
+
+def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -> None:
+    """Adds the row to the file, and prints all of them."""
+    path = arguments.out or results.FOLDER / f"cluster_scaling-{arguments.device.partition(':')[0]}.json"
+    rows = json.loads(Path(path).read_text())["rows"] if Path(path).exists() else []
+    key = ("scaling", "ranks", "robots", "pattern", "balance", "cells", "axes", "overlap", "transport")
+    row["transport"] = transport
+    rows = [other for other in rows if [other[name] for name in key] != [row[name] for name in key]] + [row]
+    rows.sort(key=lambda other: (other["scaling"], other["pattern"], other["ranks"], other["robots"]))
+    results.table([flat(other, rows) for other in rows])
+    results.write("cluster_scaling", arguments.device, {"rows": rows}, Path(path))
+
+
+def flat(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """A row of the table, with its efficiency against the single process of the same world."""
+    a_rank = row["robots"] // row["ranks"]
+    wanted = row["robots"] if row["scaling"] == "strong" else a_rank
+    base = [
+        other
+        for other in rows
+        if other["ranks"] == 1 and other["robots"] == wanted and other["pattern"] == row["pattern"]
+    ]
+    efficiency = None
+    if base:
+        speedup = base[0]["single_process_ms"]["median"] / row["ms"]["median"]
+        efficiency = speedup / row["ranks"] if row["scaling"] == "strong" else speedup
+    return {
+        "scaling": row["scaling"],
+        "world": row["pattern"],
+        "ranks": row["ranks"],
+        "robots": row["robots"],
+        "ms": row["ms"]["median"],
+        "efficiency": efficiency,
+        **{f"{name} ms": value for name, value in row["mean_of_ranks_ms"].items()},
+        "ghosts/body": row["ghosts_a_body"],
+        "imbalance": row["imbalance_by_step"][-1],
+        "moved cells": row["moved_cells_a_step"],
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,8 @@
+// Boxes of swept spheres: what shares bodies out among ranks.
+#include <torch/csrc/stable/library.h>
+
+STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
+  library.def(
+      "swept_boxes(Tensor position_t0, Tensor position_t1, Tensor radius, float min_separation) -> (Tensor lower, "
+      "Tensor upper)");
+}

@@ -1,0 +1,54 @@
+"""A thousand tumbling boxes on several ranks, in a loop of one's own. The same bits come out however many there are:
+
+python examples/04_many_ranks.py
+torchrun --nproc-per-node 2 examples/04_many_ranks.py         (add "cuda" for one GPU a rank)
+"""
+
+import sys
+
+import torch
+import trimesh
+
+import pgccd
+from pgccd import distributed
+
+with distributed.connect(sys.argv[1] if len(sys.argv) > 1 else "cpu") as comm:
+    device = distributed.choose_device(sys.argv[1] if len(sys.argv) > 1 else "cpu")
+    box = pgccd.Mesh.from_trimesh(trimesh.creation.box((1.0, 0.6, 0.3)).subdivide())
+
+    torch.manual_seed(0)
+    position = 1.5 * torch.cartesian_prod(*[torch.arange(10.0, dtype=torch.float64)] * 3)
+    orientation = torch.nn.functional.normalize(torch.randn(1000, 4, dtype=torch.float64))
+    velocity, spin = torch.randn(2, 1000, 3, dtype=torch.float64)
+
+    # Each rank brings a share of the bodies, here every so many-th; they move to where they belong.
+    mine = torch.arange(comm.rank, 1000, comm.size)
+    world = distributed.World(
+        [box],
+        (0.0, 0.0, 0.0),
+        (13.5, 13.5, 13.5),
+        position[mine].to(device),
+        id=mine,
+        payload={
+            "orientation": orientation[mine].to(device),
+            "velocity": velocity[mine].to(device),
+            "spin": spin[mine].to(device),
+        },
+        comm=comm,
+        nonzero_toi=True,
+    )
+    for step in range(20):
+        mine = world.payload  # of the bodies that this rank owns now
+        motion = pgccd.RigidMotion.from_velocity(
+            world.position, mine["orientation"], mine["velocity"], mine["spin"], dt=0.1
+        )
+        toi = world.first_toi(world.step(motion))
+        # Those who touch stay where they are and turn round; the others go on.
+        free = torch.isinf(toi)[:, None]
+        world.move(
+            torch.where(free, motion.position_t1, world.position),
+            velocity=torch.where(free, mine["velocity"], -mine["velocity"]),
+        )
+        stopped = int(comm.sum((~free).sum()[None]))
+        if comm.rank == 0:
+            print(f"step {step:2d}: {stopped} bodies stopped; rank 0 owns {len(world.id)}")

@@ -1,0 +1,48 @@
+"""The system on many ranks: one process a GPU (or CPU core), any number of machines.
+
+`World` spreads a scene of one's own over ranks, `run` and `resume` the nanorobot world; `connect` finds the ranks that
+were launched together. Whatever the number of ranks, the results are the same to the last bit.
+"""
+
+from pgccd.distributed.agreement import DisagreementError, on_first, require_agreement, together
+from pgccd.distributed.balance import POLICIES, BalanceOptions, CellLoads, imbalance, rebalance
+from pgccd.distributed.comm import Alone, Comm
+from pgccd.distributed.guard import RankFailureError
+from pgccd.distributed.launch import Placement, choose_device, connect, find_placement
+from pgccd.distributed.mpi_comm import MpiComm
+from pgccd.distributed.partition import Partition, factorise
+from pgccd.distributed.runner import FleetOptions, find_checkpoint, resume, run
+from pgccd.distributed.step import Fleet, RankStep, starting_share
+from pgccd.distributed.torch_comm import TorchComm
+from pgccd.distributed.world import World
+
+__all__ = [
+    "POLICIES",
+    "Alone",
+    "BalanceOptions",
+    "CellLoads",
+    "Comm",
+    "DisagreementError",
+    "Fleet",
+    "FleetOptions",
+    "MpiComm",
+    "Partition",
+    "Placement",
+    "RankFailureError",
+    "RankStep",
+    "TorchComm",
+    "World",
+    "choose_device",
+    "connect",
+    "factorise",
+    "find_checkpoint",
+    "find_placement",
+    "imbalance",
+    "on_first",
+    "rebalance",
+    "require_agreement",
+    "resume",
+    "run",
+    "starting_share",
+    "together",
+]

@@ -1,0 +1,239 @@
+"""Who owns which cells: policies that move cells from loaded ranks to idle ones.
+
+Pure functions of what all ranks know alike, so that all come to the same decision without asking. The results of a
+simulation never depend on it.
+"""
+
+from __future__ import annotations
+
+import bisect
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pgccd.distributed.partition import Partition
+
+Policy = Literal["cost", "measured", "one-cell", "none"]
+POLICIES: tuple[str, ...] = get_args(Policy)
+
+# What a potentially colliding pair costs, in bodies: integrating, sweeping and moving one body.
+PAIR_COST = 8
+# In one step by all ranks: choosing one takes some 50 microseconds, on every rank alike.
+_MOST_MOVES = 4096
+
+
+@dataclass(frozen=True)
+class BalanceOptions:
+    """How cells are shared out.
+
+    Raises:
+        ValueError: naming the field.
+    """
+
+    #: "cost": several cells a step, by the cost predicted of each. "measured": the same, each rank's speed as measured,
+    #: so that the assignment (never the result) differs from run to run. "one-cell": the policy of Du, Liu & Suzumura
+    #: 2017, 4.2. "none": cells stay where they are.
+    policy: Policy = "cost"
+    #: one-cell: difference between the most and the least loaded rank, relative to the most loaded.
+    threshold: float = 0.1
+    #: cost: cells move once the largest load exceeds the mean by `start`, until it exceeds it by `goal` at most.
+    start: float = 0.04
+    goal: float = 0.02
+    #: cost: moving a body costs as much as `moving` steps of one body; the gain counts for `horizon` steps.
+    moving: float = 4.0
+    horizon: int = 32
+    #: cost: cells moved in one step, at most, a rank.
+    most_moves: int = 16
+    #: Steps between decisions.
+    every: int = 1
+
+    def __post_init__(self) -> None:
+        if self.policy not in POLICIES:
+            raise ValueError(f"policy: expected one of {list(POLICIES)}, got {self.policy!r}")
+        for name in ("threshold", "start", "goal", "moving"):
+            if not 0.0 <= getattr(self, name) < float("inf"):
+                raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)}")
+        if self.goal > self.start:
+            raise ValueError(f"goal: expected at most start = {self.start}, got {self.goal}")
+        for name in ("horizon", "most_moves", "every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
+
+    def applies(self, steps_made: int, ranks: int) -> bool:
+        """Whether to decide anew after so many steps."""
+        return self.policy != "none" and ranks > 1 and steps_made > 0 and steps_made % self.every == 0
+
+
+@dataclass(frozen=True)
+class CellLoads:
+    """What happened in each cell in the last step; those of ranks add up."""
+
+    bodies: Tensor  #: (cell_count,) int64: centres in it
+    pairs: Tensor  #: potentially colliding pairs whose reference point lies in it
+    contacts: Tensor  #: those of them that collide
+
+    def stacked(self) -> Tensor:
+        """(3 * cell_count,) int64, to be added up over ranks."""
+        return torch.cat([self.bodies, self.pairs, self.contacts])
+
+    @classmethod
+    def unstacked(cls, sums: Tensor) -> CellLoads:
+        """The reverse."""
+        return cls(*sums.view(3, -1).unbind())
+
+    @property
+    def cost(self) -> Tensor:
+        """(cell_count,) int64: predicted, in bodies."""
+        return self.bodies + PAIR_COST * self.pairs
+
+
+def rank_loads(load: Tensor, owner: Tensor, ranks: int) -> Tensor:
+    """(ranks,): the loads of each one's cells together."""
+    return torch.zeros(ranks, dtype=load.dtype, device=load.device).index_add(0, owner, load)
+
+
+def imbalance(load: Tensor) -> float:
+    """The largest of the loads (ranks,) over their mean; 1.0 is perfect."""
+    total = float(load.sum())
+    return float(load.max()) * len(load) / total if total > 0.0 else 1.0
+
+
+def rebalance(
+    partition: Partition, loads: CellLoads, options: BalanceOptions, seconds: Tensor | None = None
+) -> Partition:
+    """The partition of the next step.
+
+    Args:
+        partition: of the last step.
+        loads: of all ranks together.
+        options: which policy, and how eager.
+        seconds: (ranks,) each was at work; for "measured".
+
+    Example:
+        >>> partition = rebalance(partition, loads, BalanceOptions("one-cell"))
+    """
+    owner = partition.owner.cpu()
+    if options.policy == "one-cell":
+        moved = one_cell(owner, loads.contacts.cpu(), partition.ranks, options.threshold)
+    elif options.policy in ("cost", "measured"):
+        speed = torch.ones(partition.ranks, dtype=torch.float64)
+        if options.policy == "measured" and seconds is not None:
+            speed = relative_speeds(rank_loads(loads.cost.cpu(), owner, partition.ranks), seconds.cpu())
+        moved = several_cells(partition, owner, loads.cost.cpu(), loads.bodies.cpu(), speed, options)
+    else:
+        return partition
+    return partition if torch.equal(moved, owner) else partition.with_owner(moved)
+
+
+def one_cell(owner: Tensor, load: Tensor, ranks: int, threshold: float) -> Tensor:
+    """The paper's policy: one cell from the most to the least loaded rank, if they differ by more than the threshold.
+
+    Of its cells, the one that comes nearest to making both equal, and does not turn the difference round.
+
+    Args:
+        owner: (cells,) int64.
+        load: (cells,) number of colliding pairs.
+        ranks: their number.
+        threshold: relative to the larger load.
+
+    Returns:
+        (cells,) int64 owners.
+    """
+    loads = rank_loads(load, owner, ranks)
+    most, least = int(torch.argmax(loads)), int(torch.argmin(loads))
+    difference = int(loads[most] - loads[least])
+    if difference <= threshold * int(loads[most]):
+        return owner
+    # Equal ones: the first. A move of the whole difference would only swap the two ranks' loads.
+    useful = (owner == most) & (load > 0) & (load < difference)
+    if not bool(useful.any()):
+        return owner
+    off = torch.where(useful, (2 * load - difference).abs(), torch.iinfo(torch.int64).max)
+    moved = owner.clone()
+    moved[int(torch.argmin(off))] = least
+    return moved
+
+
+def relative_speeds(cost: Tensor, seconds: Tensor) -> Tensor:
+    """(ranks,) float64, mean 1: what each rank gets done a second, of the cost (ranks,) it was given.
+
+    A rank with (almost) nothing to do says nothing about its speed; nobody counts as more than four times slower or
+    faster than the middle one.
+    """
+    busy = (cost > 0) & (seconds > 0.0)
+    if not bool(busy.any()):
+        return torch.ones(len(cost), dtype=torch.float64)
+    speed = cost.double() / seconds.double().clamp(min=1e-9)
+    middle = speed[busy].median()
+    speed = torch.where(busy, speed, middle).clamp(0.25 * middle, 4.0 * middle)
+    return speed / speed.mean()
+
+
+def several_cells(
+    partition: Partition, owner: Tensor, cost: Tensor, bodies: Tensor, speed: Tensor, options: BalanceOptions
+) -> Tensor:
+    """Cells from the most loaded ranks to the least loaded ones, one after the other, until the loads are even enough.
+
+    A cell goes if what it takes off the most loaded rank, over the horizon, is more than moving its bodies costs. Of
+    those that fit, cells that border on the receiver go first: they keep territories, and so halos, compact.
+
+    Args:
+        partition: for which cells are neighbours.
+        owner: (cells,) int64.
+        cost: (cells,) int64 predicted.
+        bodies: (cells,) int64 that would have to move.
+        speed: (ranks,) float64, relative.
+        options: hysteresis, cost of moving.
+
+    Returns:
+        (cells,) int64 owners.
+    """
+    ranks = partition.ranks
+    table = owner.numpy().copy()
+    costs, rates, weights = cost.numpy().astype(np.float64), speed.numpy(), bodies.numpy()
+    load = np.bincount(table, costs, minlength=ranks) / rates
+    even = costs.sum() / rates.sum()
+    if even <= 0.0 or load.max() <= (1.0 + options.start) * even:
+        return owner
+    grid = table.reshape(partition.grid)
+    held: list[list[int]] = [np.flatnonzero(table == rank).tolist() for rank in range(ranks)]
+    for _ in range(min(options.most_moves * ranks, _MOST_MOVES)):
+        giver, taker = int(np.argmax(load)), int(np.argmin(load))
+        if load[giver] <= (1.0 + options.goal) * even:
+            break
+        cells = np.array(held[giver])
+        given, taken = costs[cells] / rates[giver], costs[cells] / rates[taker]
+        # Neither ends up above where the giver is now; the best move leaves the larger of the two loads smallest.
+        after = np.maximum(load[giver] - given, load[taker] + taken)
+        gain = (load[giver] - after) * options.horizon
+        worth = (gain > weights[cells] * options.moving) & (given > 0.0)
+        if not worth.any():
+            break
+        score = np.where(worth, gain - weights[cells] * options.moving, -np.inf)
+        near = worth & _borders_on(grid, cells, taker)
+        if near.any() and score[near].max() >= 0.5 * score.max():
+            score = np.where(near, score, -np.inf)
+        cell = int(cells[np.argmax(score)])  # of equal ones the first
+        table[cell] = taker
+        held[giver].remove(cell)
+        bisect.insort(held[taker], cell)
+        load[giver] -= costs[cell] / rates[giver]
+        load[taker] += costs[cell] / rates[taker]
+    return torch.from_numpy(table)
+
+
+def _borders_on(grid: np.ndarray, cells: np.ndarray, rank: int) -> np.ndarray:
+    """(len(cells),) bool: has a face in common with a cell of this rank."""
+    at = np.stack(np.unravel_index(cells, grid.shape), axis=1)
+    found = np.zeros(len(cells), dtype=bool)
+    for axis in range(3):
+        for step in (-1, 1):
+            beside = at.copy()
+            beside[:, axis] += step
+            inside = (beside[:, axis] >= 0) & (beside[:, axis] < grid.shape[axis])
+            beside[:, axis] = np.clip(beside[:, axis], 0, grid.shape[axis] - 1)
+            found |= inside & (grid[tuple(beside.T)] == rank)
+    return found

@@ -1,0 +1,232 @@
+"""Checkpoints of a run on many ranks, by torch.distributed.checkpoint; any number of ranks reads them.
+
+A column of all robots is one tensor of which every rank writes its rows; whoever reads takes an equal share of the
+rows, whoever wrote them. Writing goes on in the background while the next steps are made. Robots are written to a
+folder with a temporary name; a pointer file, replaced last and at once, names the whole one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import threading
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.distributed.checkpoint as dcp
+from torch import Tensor
+from torch.distributed.checkpoint.metadata import ChunkStorageMetadata, MetadataIndex, TensorProperties
+from torch.distributed.checkpoint.planner import LoadPlan, ReadItem, SavePlan, TensorWriteData, WriteItem, WriteItemType
+from torch.distributed.checkpoint.planner_helpers import create_read_items_for_chunk_list
+
+from pgccd.distributed.comm import Comm
+from pgccd.sim.files import CHECKPOINT_FOLDER
+from pgccd.sim.world import RobotState, WorldConfig
+
+POINTER = "newest.json"
+_FORMAT = 1
+
+
+@dataclass
+class Header:
+    """A run between two steps, without its robots."""
+
+    config: WorldConfig
+    steps_made: int
+    steps_wanted: int
+    meshes: str  #: their `meshes_digest`
+
+
+class Checkpoints:
+    """Writes the checkpoints of a run.
+
+    Args:
+        comm: between the ranks; all of them make and use one together.
+        folder: of the run, seen by all ranks.
+
+    Example:
+        >>> checkpoints = Checkpoints(comm, folder)
+        >>> checkpoints.begin(Header(config, 10, 20, digest), state)
+        >>> checkpoints.finish()
+    """
+
+    def __init__(self, comm: Comm, folder: Path) -> None:
+        self._comm = comm
+        self._root = folder / CHECKPOINT_FOLDER
+        self._group = None if comm.size == 1 else comm.checkpoint_group
+        for leftover in self._root.glob("*.unfinished") if comm.rank == 0 else ():
+            shutil.rmtree(leftover)  # of a run that was killed while writing
+        self._writing: Future[None] | None = None
+
+    def begin(self, header: Header, state: RobotState) -> None:
+        """Starts to write; returns once the robots have been copied. Waits for the checkpoint before, if need be."""
+        self.finish()
+        counts = self._comm.all_gather(torch.tensor([len(state)]))[:, 0].tolist()
+        begin, total = sum(counts[: self._comm.rank]), sum(counts)
+        columns = {name: column.detach().to("cpu", copy=True) for name, column in state.columns.items()}
+        done: Future[None] = Future()
+
+        def work() -> None:
+            try:
+                self._write(header, columns, begin, total)
+                done.set_result(None)
+            except BaseException as error:
+                done.set_exception(error)
+
+        self._writing = done
+        threading.Thread(target=work, name="pgccd-checkpoint", daemon=True).start()
+
+    def finish(self) -> None:
+        """Waits until the last checkpoint is whole.
+
+        Raises:
+            OSError, RuntimeError: it could not be written.
+        """
+        writing, self._writing = self._writing, None
+        if writing is not None:
+            with self._comm.guard.waiting("checkpoint") if self._comm.size > 1 else nullcontext():
+                writing.result()
+
+    def _write(self, header: Header, columns: dict[str, Tensor], begin: int, total: int) -> None:
+        name = f"step-{header.steps_made:09d}"
+        unfinished = self._root / f"{name}.unfinished"
+        writer, planner = dcp.FileSystemWriter(unfinished), _SaveRows(begin, total)
+        with _without_group_warning():
+            dcp.save(
+                dict(columns),
+                storage_writer=writer,
+                planner=planner,
+                process_group=self._group,
+                no_dist=self._group is None,
+            )
+        if self._comm.rank != 0:
+            return
+        # The coordinator comes here once all ranks have written.
+        final = self._root / name
+        if final.exists():  # by a run that was interrupted later, and came to the same state
+            shutil.rmtree(final)
+        os.replace(unfinished, final)
+        content = {"format": _FORMAT, "folder": name, "robots": total} | asdict(header)
+        pointer = self._root / POINTER
+        temporary = pointer.with_suffix(".unfinished")
+        with open(temporary, "w") as file:
+            json.dump(content, file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, pointer)
+        for other in self._root.glob("step-*"):
+            if other != final:
+                shutil.rmtree(other, ignore_errors=True)
+
+
+def newest_header(folder: Path) -> Header | None:
+    """Of the newest whole checkpoint in a run's folder; None if there is none.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
+    path = folder / CHECKPOINT_FOLDER / POINTER
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text())
+        if content["format"] != _FORMAT:
+            raise ValueError(f"its format is {content['format']}, this version reads {_FORMAT}")
+        config = content["config"] | {"stay_steps": tuple(content["config"]["stay_steps"])}
+        return Header(WorldConfig(**config), content["steps_made"], content["steps_wanted"], content["meshes"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is not a checkpoint of a simulation: {error}") from error
+
+
+def load_share(comm: Comm, folder: Path) -> RobotState:
+    """An equal share of the robots of the newest checkpoint, on the CPU; all ranks together get all of them.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
+    root = folder / CHECKPOINT_FOLDER
+    try:
+        content = json.loads((root / POINTER).read_text())
+        total = content["robots"]
+        begin, end = total * comm.rank // comm.size, total * (comm.rank + 1) // comm.size
+        columns = _empty_columns(end - begin)
+        # Every rank reads for itself: what is there is whole, and nothing need be agreed.
+        reader = dcp.FileSystemReader(root / content["folder"])
+        with _without_group_warning():
+            dcp.load(dict(columns), storage_reader=reader, planner=_LoadRows(begin), no_dist=True)
+    except Exception as error:
+        raise ValueError(f"{root} holds no checkpoint that can be read: {error}") from error
+    return RobotState(**columns)
+
+
+@contextmanager
+def _without_group_warning() -> Iterator[None]:
+    """It is on purpose that one process writes or reads by itself."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "torch.distributed is disabled", UserWarning)
+        yield
+
+
+def _empty_columns(count: int) -> dict[str, Tensor]:
+    widths = {"id": 0, "position": 3, "orientation": 4, "velocity": 3, "angular_velocity": 3}
+    columns = {}
+    for name in (field.name for field in fields(RobotState)):
+        width = widths.get(name, 0)
+        shape, dtype = ((count, width), torch.float64) if width else ((count,), torch.int64)
+        columns[name] = torch.empty(shape, dtype=dtype)
+    return columns
+
+
+class _SaveRows(dcp.DefaultSavePlanner):
+    """Every rank's tensors are rows [begin, ...) of tensors with `total` rows."""
+
+    def __init__(self, begin: int, total: int) -> None:
+        super().__init__(flatten_state_dict=False, flatten_sharded_tensors=False)
+        self._begin, self._total = begin, total
+
+    def create_local_plan(self) -> SavePlan:
+        items = []
+        for name, column in self.state_dict.items():
+            if len(column):
+                chunk = _chunk(column, self._begin)
+                size = torch.Size([self._total, *column.shape[1:]])
+                data = TensorWriteData(chunk, TensorProperties.create_from_tensor(column), size)
+                items.append(WriteItem(MetadataIndex(name, chunk.offsets), WriteItemType.SHARD, tensor_data=data))
+        self.plan = SavePlan(items)
+        return self.plan
+
+    def lookup_object(self, index: MetadataIndex) -> Any:
+        return self.state_dict[index.fqn]
+
+
+class _LoadRows(dcp.DefaultLoadPlanner):
+    """Reads rows [begin, ...) of tensors, whoever wrote which."""
+
+    def __init__(self, begin: int) -> None:
+        super().__init__(flatten_state_dict=False, flatten_sharded_tensors=False)
+        self._begin = begin
+
+    def create_local_plan(self) -> LoadPlan:
+        assert self.metadata is not None
+        items: list[ReadItem] = []
+        for name, column in self.state_dict.items():
+            stored: Any = self.metadata.state_dict_metadata[name]
+            if stored.properties.dtype != column.dtype or stored.size[1:] != column.shape[1:]:
+                raise ValueError(f"{name} is {stored.properties.dtype} {tuple(stored.size)}")
+            if len(column):
+                items += create_read_items_for_chunk_list(name, stored, [_chunk(column, self._begin)])
+        return LoadPlan(items)
+
+    def lookup_tensor(self, index: MetadataIndex) -> Tensor:
+        return self.state_dict[index.fqn]
+
+
+def _chunk(column: Tensor, begin: int) -> ChunkStorageMetadata:
+    return ChunkStorageMetadata(torch.Size([begin] + [0] * (column.dim() - 1)), column.shape)

@@ -1,0 +1,79 @@
+"""What `pgccd simulate` needs to run on many ranks."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+import torch
+
+from pgccd.distributed.agreement import on_first
+from pgccd.distributed.balance import POLICIES, BalanceOptions
+from pgccd.distributed.comm import Comm
+from pgccd.distributed.guard import RankFailureError
+from pgccd.distributed.launch import DEFAULT_TIMEOUT, TRANSPORTS, connect, find_placement
+from pgccd.distributed.runner import FleetOptions, find_checkpoint
+
+_FAILURE_CODE = 70
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that only matter with several ranks."""
+    add = parser.add_argument_group(
+        "on many ranks", "started by torchrun, mpirun or srun; none of these changes the result"
+    ).add_argument
+    add("--transport", choices=TRANSPORTS, default="auto", help="what carries messages (NCCL for GPUs, else Gloo)")
+    add("--timeout", type=float, default=DEFAULT_TIMEOUT, metavar="SECONDS", help="longest wait for another rank (300)")
+    add("--axes", type=int, choices=(1, 2, 3), default=3, help="along which space is cut; 1: slabs (3)")
+    add("--cells", type=int, default=16, metavar="M", help="each rank starts with M x M cells (16)")
+    add("--balance", choices=POLICIES, default="cost", help="how cells change hands (cost)")
+
+
+def fleet_options(options: argparse.Namespace) -> FleetOptions:
+    """Of the command line."""
+    return FleetOptions(options.axes, options.cells, BalanceOptions(options.balance), broad_phase=options.broad_phase)
+
+
+@contextmanager
+def connected(options: argparse.Namespace) -> Iterator[Comm]:
+    """All processes that were started together; a rank that is lost ends this one with a message that names it."""
+    if find_placement().size > 1 and "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(1)  # ranks share the cores of their machine
+    try:
+        with connect(options.device, options.transport, options.timeout) as comm:
+            yield comm
+    except RankFailureError as error:
+        _give_up(error)
+
+
+def _give_up(error: RankFailureError) -> NoReturn:
+    sys.stderr.write(f"pgccd simulate: rank {find_placement().rank} stops: {error}\n")
+    sys.stderr.flush()
+    # Ordinary ways out would wait for messages of a rank that is no more.
+    os._exit(_FAILURE_CODE)
+
+
+def folder_to_resume(comm: Comm, options: argparse.Namespace, out: Path) -> Path | None:
+    """The run to continue: the one asked for, or, once torchrun has started all ranks again, the one under way."""
+    if options.resume is not None:
+        return options.resume
+
+    def has_checkpoint() -> bool:
+        try:
+            find_checkpoint(out)
+        except FileNotFoundError:
+            return False
+        return True
+
+    restarted = find_placement().restarts > 0
+    return out if restarted and on_first(comm, has_checkpoint) else None
+
+
+def needs_ranks(comm: Comm, folder: Path | None) -> bool:
+    """Whether a run must be made by `pgccd.distributed`: there are ranks, or it continues one of several."""
+    return comm.size > 1 or (folder is not None and not find_checkpoint(folder)[1])

@@ -1,0 +1,151 @@
+"""Ranks over MPI by mpi4py. GPU memory is given to the library where it says that it reads it, else staged."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable
+from itertools import accumulate
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+from pgccd.distributed.comm import Comm, Pending, split_rows
+from pgccd.distributed.guard import Guard
+
+# What MPI libraries that read GPU memory are told to do so by.
+_CUDA_SWITCHES = {
+    "MPICH_GPU_SUPPORT_ENABLED": "1",  # Cray MPICH
+    "MPIR_CVAR_ENABLE_GPU": "1",  # MPICH
+    "OMPI_MCA_opal_cuda_support": "true",  # Open MPI
+    "MV2_USE_CUDA": "1",  # MVAPICH
+    "PGCCD_MPI_CUDA": "1",  # any other
+}
+
+
+class MpiComm(Comm):
+    """The ranks of MPI's world.
+
+    Args:
+        control: a torch.distributed group for objects and checkpoints; None: there are no checkpoints.
+        guard: default: one that knows nothing of the other ranks.
+        on_close: called at the end.
+
+    Raises:
+        ImportError: mpi4py is not installed, or finds no MPI library.
+
+    Example:
+        >>> comm = pgccd.distributed.MpiComm()  # under mpirun
+    """
+
+    transport = "mpi"
+
+    def __init__(
+        self,
+        control: dist.ProcessGroup | None = None,
+        guard: Guard | None = None,
+        on_close: Callable[[], None] | None = None,
+    ) -> None:
+        try:
+            from mpi4py import MPI
+        except RuntimeError as error:
+            raise ImportError(f"mpi4py: {error}") from error
+        self._mpi = MPI
+        self._world = MPI.COMM_WORLD.Dup()  # messages of the user's own do not get between ours
+        self.control = control
+        self.rank, self.size = self._world.Get_rank(), self._world.Get_size()
+        self.guard = guard or Guard()
+        self._on_close = on_close
+        self.reads_gpu = any(os.environ.get(name) == value for name, value in _CUDA_SWITCHES.items())
+
+    def _stage(self, tensor: Tensor) -> Tensor:
+        if not tensor.is_cuda:
+            return tensor
+        if not self.reads_gpu:
+            return tensor.cpu()
+        torch.cuda.current_stream().synchronize()  # MPI knows no streams
+        return tensor
+
+    @staticmethod
+    def _buffer(tensor: Tensor) -> Any:
+        """As mpi4py takes it: an array, or a tensor that offers the CUDA array interface."""
+        return tensor if tensor.is_cuda else tensor.numpy()
+
+    def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
+        device, rows = rows.device, self._stage(rows.contiguous())
+        arriving = rows.new_empty((sum(received), rows.shape[1]))
+        with self.guard.waiting("exchange"):
+            if self.size > self.neighbours_above:
+                requests = self._to_neighbours(rows, arriving, sent, received)
+            else:
+                requests = [self._to_all(rows, arriving, sent, received)]
+
+        def wait(rows: Tensor = rows) -> Tensor:  # holds what is being sent
+            self._mpi.Request.Waitall(requests)
+            return arriving.to(device)
+
+        return Pending(wait, self.guard)
+
+    def _to_all(self, rows: Tensor, arriving: Tensor, sent: list[int], received: list[int]) -> Any:
+        width = rows.shape[1]
+
+        def message(tensor: Tensor, counts: list[int]) -> list[Any]:
+            bytes_each = [count * width for count in counts]
+            begins = [0, *accumulate(bytes_each)][:-1]
+            return [self._buffer(tensor), (bytes_each, begins), self._mpi.BYTE]
+
+        return self._world.Ialltoallv(message(rows, sent), message(arriving, received))
+
+    def _to_neighbours(self, rows: Tensor, arriving: Tensor, sent: list[int], received: list[int]) -> list[Any]:
+        if sent[self.rank]:
+            split_rows(arriving, received)[self.rank].copy_(split_rows(rows, sent)[self.rank])
+        requests = []
+        for start, tensor, counts in ((self._world.Irecv, arriving, received), (self._world.Isend, rows, sent)):
+            for other, part in enumerate(split_rows(tensor, counts)):
+                if len(part) and other != self.rank:
+                    requests.append(start([self._buffer(part), self._mpi.BYTE], other))
+        return requests
+
+    def exchange_counts(self, counts: Tensor) -> Tensor:
+        staged = counts.cpu()
+        arriving = torch.empty_like(staged)
+        with self.guard.waiting("exchange of counts"):
+            self._world.Alltoall(staged.numpy(), arriving.numpy())
+        return arriving.to(counts.device)
+
+    def all_gather(self, values: Tensor) -> Tensor:
+        staged = values.cpu().contiguous()
+        gathered = staged.new_empty((self.size, len(staged)))
+        with self.guard.waiting("all-gather"):
+            self._world.Allgather(staged.numpy(), gathered.numpy())
+        return gathered.to(values.device)
+
+    def sum(self, values: Tensor) -> Tensor:
+        staged = values.cpu().clone()
+        with self.guard.waiting("sum"):
+            self._world.Allreduce(self._mpi.IN_PLACE, staged.numpy(), op=self._mpi.SUM)
+        return staged.to(values.device)
+
+    def any(self, flag: bool) -> bool:
+        with self.guard.waiting("agreement"):
+            return bool(self._world.allreduce(int(flag), op=self._mpi.MAX))
+
+    def gather_objects(self, value: Any) -> list[Any]:
+        with self.guard.waiting("gather of objects"):
+            return self._world.allgather(value)
+
+    @functools.cached_property
+    def checkpoint_group(self) -> dist.ProcessGroup:
+        if self.control is None:
+            raise RuntimeError("control: checkpoints need a torch.distributed group beside MPI")
+        return dist.new_group(backend="gloo")
+
+    def close(self) -> None:
+        self.guard.close()
+        # As in torch_comm.
+        vars(self).pop("control", None)
+        vars(self).pop("checkpoint_group", None)
+        if self._on_close is not None:
+            self._on_close()

@@ -1,0 +1,65 @@
+"""Contacts on their way from the rank that found them to those whose bodies they concern."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pgccd.contacts import Contacts
+from pgccd.distributed.comm import Comm
+from pgccd.distributed.detection import Detection
+from pgccd.distributed.exchange import Columns, make_route, take_rows
+
+
+def tell_owners(comm: Comm, found: Detection) -> Contacts:
+    """All contacts of the bodies this rank owns, in global ids, sorted by them.
+
+    Args:
+        comm: between the ranks.
+        found: what each rank found among the pairs it tested.
+    """
+    columns = _in_global_ids(found)
+    owner = found.held.owner[found.contacts.pairs]
+    everything = torch.arange(len(owner), device=owner.device)
+    second = everything[owner[:, 0] != owner[:, 1]]
+    rows, destination = torch.cat([everything, second]), torch.cat([owner[:, 0], owner[second, 1]])
+    told = make_route(comm, rows, destination).forward(columns).wait()
+    return Contacts(**_all_fields(take_rows(told, _canonical_order(told["pairs"]))), stats=found.contacts.stats)
+
+
+def earliest_for_all(comm: Comm, found: Detection) -> Contacts:
+    """The first contact of the scene, on every rank: of equal toi that of the smallest pair.
+
+    Args:
+        comm: between the ranks.
+        found: the earliest contact (or none) among the pairs that each rank tested.
+    """
+    columns = _in_global_ids(found)
+    toi = columns["toi"]
+    mine = torch.full((3,), torch.iinfo(torch.int64).max, device=toi.device)
+    if len(toi):
+        # The bits of floats >= 0 are in the floats' order.
+        mine = torch.stack([toi.view(torch.int64)[0], *columns["pairs"][0]])
+    everybody = comm.all_gather(mine).tolist()
+    first = min(range(comm.size), key=lambda rank: everybody[rank])
+    destination = torch.arange(comm.size if comm.rank == first and len(toi) else 0, device=toi.device)
+    told = make_route(comm, torch.zeros_like(destination), destination).forward(columns).wait()
+    return Contacts(**_all_fields(told), stats=found.contacts.stats)
+
+
+def _in_global_ids(found: Detection) -> Columns:
+    columns = {name: value for name, value in vars(found.contacts).items() if isinstance(value, Tensor)}
+    return columns | {"pairs": found.held.columns["id"][found.contacts.pairs]}
+
+
+def _all_fields(columns: Columns) -> dict[str, Any]:
+    return {field.name: columns.get(field.name) for field in fields(Contacts) if field.name != "stats"}
+
+
+def _canonical_order(pairs: Tensor) -> Tensor:
+    """By first id, then second; contacts of one pair come from one rank, which has put them in order."""
+    by_second = torch.argsort(pairs[:, 1], stable=True)
+    return by_second[torch.argsort(pairs[by_second, 0], stable=True)]

@@ -1,0 +1,253 @@
+"""Runs of the nanorobot world on many ranks: what `pgccd.sim.run` does, with the same result to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pgccd.broad import BroadPhase
+from pgccd.contacts import Contacts
+from pgccd.distributed.agreement import on_first, require_agreement, together
+from pgccd.distributed.balance import BalanceOptions
+from pgccd.distributed.checkpoint import Checkpoints, Header, load_share, newest_header
+from pgccd.distributed.comm import Comm
+from pgccd.distributed.exchange import Columns, make_route, take_rows
+from pgccd.distributed.partition import Partition, Triple
+from pgccd.distributed.step import Fleet, RankStep, starting_share
+from pgccd.mesh import Mesh
+from pgccd.sim.files import (
+    CHECKPOINT_FILE,
+    WORLD_FILE,
+    StepLog,
+    forget_checkpoints,
+    load_checkpoint,
+    meshes_digest,
+    write_json,
+)
+from pgccd.sim.progress import Progress
+from pgccd.sim.runner import Run, drive
+from pgccd.sim.step import Step, toi_of
+from pgccd.sim.world import RobotState, World, WorldConfig
+
+
+@dataclass(frozen=True)
+class FleetOptions:
+    """How a world is spread over ranks. No result depends on it."""
+
+    axes: int = 3  #: that subspaces are cut along: 1 (slabs), 2 or 3
+    cells: int | Triple = 16  #: of each subspace: m stands for m x m in X-Y
+    balance: BalanceOptions = field(default_factory=BalanceOptions)
+    overlap: bool = True  #: test own bodies while ghosts are under way
+    broad_phase: BroadPhase = "auto"  #: as for `pgccd.detect`
+
+
+def run(
+    comm: Comm,
+    config: WorldConfig,
+    steps: int,
+    folder: str | Path,
+    *,
+    meshes: Sequence[Mesh] | None = None,
+    device: torch.device | str = "cpu",
+    options: FleetOptions | None = None,
+    checkpoint_every: int = 0,
+    progress: Progress | None = None,
+    keep_last_step: bool = False,
+) -> Run:
+    """Simulates a world from its start on all ranks; rank 0 writes `world.json` and `steps.jsonl`.
+
+    Checkpoints go to the folder `checkpoints`, which all ranks must see. A signal to any rank ends all of them after
+    the step under way.
+
+    Args:
+        comm: between the ranks.
+        config, steps, folder, meshes, checkpoint_every, progress: as for `pgccd.sim.run`; alike on all ranks.
+        device: of this rank.
+        options: how the world is spread.
+        keep_last_step: gather the robots and the contacts of the last step on rank 0 (for pictures).
+
+    Returns:
+        On rank 0 the run, with its state only if it was to be kept; on other ranks the same without records.
+
+    Raises:
+        ValueError: naming the argument; on all ranks.
+
+    Example:
+        >>> with pgccd.distributed.connect() as comm:
+        ...     pgccd.distributed.run(comm, pgccd.sim.WorldConfig(robots=10**6), 100, "out/million")
+    """
+    folder, options = Path(folder), options or FleetOptions()
+    if steps < 0:
+        raise ValueError(f"steps: expected a number >= 0, got {steps}")
+    world = together(comm, lambda: World(config, meshes, device))
+    _compare(comm, world, steps, folder, checkpoint_every, options)
+
+    def prepare() -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        forget_checkpoints(folder)  # an earlier run's would not fit the log that starts now
+        write_json(folder / WORLD_FILE, world.describe())
+
+    on_first(comm, prepare)
+    partition = _partition(comm, world, options)
+    share = starting_share(comm, world, partition)
+    fleet = Fleet(comm, world, partition, share, options.balance, options.overlap, options.broad_phase)
+    return _continue(fleet, 0, steps, folder, checkpoint_every, progress, keep_last_step)
+
+
+def resume(
+    comm: Comm,
+    folder: str | Path,
+    steps: int | None = None,
+    *,
+    meshes: Sequence[Mesh] | None = None,
+    device: torch.device | str = "cpu",
+    options: FleetOptions | None = None,
+    checkpoint_every: int = 0,
+    progress: Progress | None = None,
+    keep_last_step: bool = False,
+) -> Run:
+    """Continues a run from its newest checkpoint, on as many ranks as there are now, to the same result as if it had
+    not been interrupted. The checkpoint may be one of `pgccd.sim.run`.
+
+    Args:
+        comm, folder, meshes, device, options, checkpoint_every, progress, keep_last_step: as for `run`.
+        steps: how many to make in all; default: as many as the run was to make.
+
+    Raises:
+        FileNotFoundError: there is no checkpoint.
+        ValueError: it cannot be read, or does not fit the meshes, the log or the number of steps; on all ranks.
+
+    Example:
+        >>> pgccd.distributed.resume(comm, "out/million", steps=200)
+    """
+    folder, options = Path(folder), options or FleetOptions()
+    header, is_single = on_first(comm, lambda: find_checkpoint(folder))
+    world = together(comm, lambda: World(header.config, meshes, device))
+    if meshes_digest(world.meshes.meshes) != header.meshes:
+        raise ValueError(f"meshes: the run in {folder} was made with others")
+    steps = header.steps_wanted if steps is None else steps
+    if steps < header.steps_made:
+        raise ValueError(f"steps: the run in {folder} has made {header.steps_made} already, got {steps}")
+    _compare(comm, world, steps, folder, checkpoint_every, options)
+
+    def read() -> RobotState:
+        if not is_single:
+            return load_share(comm, folder)
+        whole = load_checkpoint(folder).state
+        return RobotState(**take_rows(whole.columns, torch.arange(comm.rank, len(whole), comm.size)))
+
+    state = together(comm, read).to(world.device)
+    partition = _partition(comm, world, options)
+    fleet = Fleet(comm, world, partition, state, options.balance, options.overlap, options.broad_phase)
+    return _continue(fleet, header.steps_made, steps, folder, checkpoint_every, progress, keep_last_step)
+
+
+def find_checkpoint(folder: Path) -> tuple[Header, bool]:
+    """The newest checkpoint in a run's folder, and whether it is one of a single process.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it cannot be read.
+    """
+    newest = newest_header(folder)
+    if (folder / CHECKPOINT_FILE).is_file():
+        single = load_checkpoint(folder)
+        if newest is None or single.steps_made > newest.steps_made:
+            return Header(single.config, single.steps_made, single.steps_wanted, single.meshes), True
+    if newest is None:
+        raise FileNotFoundError(f"no checkpoint at {folder}")
+    return newest, False
+
+
+def _compare(comm: Comm, world: World, steps: int, folder: Path, checkpoint_every: int, options: FleetOptions) -> None:
+    facts = {"configuration": world.config, "steps": steps, "folder": str(folder), "options": options}
+    facts |= {"checkpoint_every": checkpoint_every, "device": world.device.type}
+    facts |= {"meshes": meshes_digest(world.meshes.meshes), "transport": comm.transport}
+    require_agreement(comm, facts)
+
+
+def _partition(comm: Comm, world: World, options: FleetOptions) -> Partition:
+    x, y, z = world.half_extent
+    return Partition.uniform(
+        (-x, -y, -z), (x, y, z), comm.size, axes=options.axes, cells=options.cells, device=world.device
+    )
+
+
+class _FleetMachine:
+    """A fleet as `drive` sees it."""
+
+    def __init__(self, fleet: Fleet, folder: Path, digest: str) -> None:
+        self.fleet, self._digest = fleet, digest
+        self._checkpoints = Checkpoints(fleet.comm, folder)
+        self.last_step: RankStep | None = None
+
+    def stops(self, wish: bool) -> bool:
+        return self.fleet.comm.any(wish)
+
+    def step(self, index: int) -> dict[str, Any]:
+        self.last_step = self.fleet.step(index)
+        return self.last_step.record
+
+    def save(self, steps_made: int, steps_wanted: int) -> None:
+        self.fleet.verify()
+        header = Header(self.fleet.world.config, steps_made, steps_wanted, self._digest)
+        self._checkpoints.begin(header, self.fleet.state)
+
+    def finish(self) -> None:
+        self._checkpoints.finish()
+
+
+def _continue(
+    fleet: Fleet,
+    steps_made: int,
+    steps: int,
+    folder: Path,
+    checkpoint_every: int,
+    progress: Progress | None,
+    keep_last_step: bool,
+) -> Run:
+    comm, world = fleet.comm, fleet.world
+    machine = _FleetMachine(fleet, folder, meshes_digest(world.meshes.meshes))
+    log = together(comm, lambda: StepLog(folder, steps_made) if comm.rank == 0 else None)
+    made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
+    comm.barrier()  # rank 0 has made the last checkpoint whole
+    state, last_step = fleet.state, None
+    if keep_last_step:
+        state = gather_state(comm, fleet.state)
+        last_step = None if machine.last_step is None else gather_step(comm, machine.last_step, state)
+    records = [] if log is None else log.records
+    return Run(world, state, made, records, last_step, interrupted=made < steps)
+
+
+def gather_columns(comm: Comm, columns: Columns) -> Columns:
+    """All ranks' rows on rank 0, by rank; none on the others."""
+    first = next(iter(columns.values()))
+    rows = torch.arange(len(first), device=first.device)
+    return make_route(comm, rows, torch.zeros_like(rows)).forward(columns).wait()
+
+
+def gather_state(comm: Comm, state: RobotState) -> RobotState:
+    """All robots on rank 0, by ascending id; nobody on the others."""
+    columns = gather_columns(comm, state.columns)
+    return RobotState(**take_rows(columns, torch.argsort(columns["id"])))
+
+
+def gather_step(comm: Comm, step: RankStep, after: RobotState) -> Step:
+    """A whole step on rank 0, as a single process makes it. The row of a robot is its id."""
+    held, found = step.detection.held, step.detection.contacts
+    own = take_rows(step.before.columns | {"fraction": step.settlement.fraction}, held.own)
+    before = gather_columns(comm, own)
+    before = take_rows(before, torch.argsort(before["id"]))
+    fraction = before.pop("fraction")
+    columns = {name: value for name, value in vars(found).items() if isinstance(value, Tensor)}
+    columns["pairs"] = step.before.id[found.pairs]
+    contacts = gather_columns(comm, columns)
+    order = torch.argsort(contacts["pairs"][:, 0] * max(1, len(fraction)) + contacts["pairs"][:, 1])
+    whole = Contacts(**take_rows(contacts, order), stats=found.stats)
+    settlement = replace(step.settlement, fraction=fraction)
+    return Step(step.index, RobotState(**before), whole, toi_of(whole), settlement, after, step.record)

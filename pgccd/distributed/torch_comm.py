@@ -1,0 +1,126 @@
+"""Ranks over torch.distributed: NCCL for GPUs, Gloo for CPUs, MPI where torch was built with it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+from pgccd.distributed.comm import Comm, Pending, split_rows
+from pgccd.distributed.guard import Guard
+
+
+class TorchComm(Comm):
+    """The ranks of a process group.
+
+    Args:
+        group: default: the default group, which must have been initialised.
+        control: a group that carries objects between CPUs; default: `group`, if its backend does that.
+        guard: default: one that knows nothing of the other ranks.
+        on_close: called at the end.
+
+    Example:
+        >>> torch.distributed.init_process_group("nccl")
+        >>> comm = pgccd.distributed.TorchComm()
+    """
+
+    def __init__(
+        self,
+        group: dist.ProcessGroup | None = None,
+        control: dist.ProcessGroup | None = None,
+        guard: Guard | None = None,
+        on_close: Callable[[], None] | None = None,
+    ) -> None:
+        if not dist.is_initialized():
+            raise RuntimeError("group: torch.distributed is not initialised; see pgccd.distributed.connect")
+        self._group: Any = dist.group.WORLD if group is None else group
+        #: For checkpoints and objects.
+        self.control = self._group if control is None else control
+        self.transport = dist.get_backend(self._group)
+        self.rank = dist.get_rank(self._group)
+        self.size = dist.get_world_size(self._group)
+        self.guard = guard or Guard()
+        self._on_close = on_close
+
+    def _stage(self, tensor: Tensor) -> Tensor:
+        """Where the backend can read it: NCCL takes GPUs' memory alone, Gloo the host's."""
+        if self.transport == "nccl":
+            return tensor if tensor.is_cuda else tensor.cuda()
+        return tensor.cpu() if self.transport == "gloo" else tensor
+
+    def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
+        device, rows = rows.device, self._stage(rows).contiguous()
+        arriving = rows.new_empty((sum(received), rows.shape[1]))
+        with self.guard.waiting("exchange"):
+            if self.size > self.neighbours_above:
+                works = self._to_neighbours(rows, arriving, sent, received)
+            else:
+                works = [dist.all_to_all_single(arriving, rows, received, sent, group=self._group, async_op=True)]
+
+        def wait(rows: Tensor = rows) -> Tensor:  # holds what is being sent
+            for work in works:
+                work.wait()
+            return arriving.to(device)
+
+        return Pending(wait, self.guard)
+
+    def _to_neighbours(self, rows: Tensor, arriving: Tensor, sent: list[int], received: list[int]) -> list[Any]:
+        if sent[self.rank]:
+            split_rows(arriving, received)[self.rank].copy_(split_rows(rows, sent)[self.rank])
+        messages = []
+        for operation, tensor, counts in ((dist.irecv, arriving, received), (dist.isend, rows, sent)):
+            for other, part in enumerate(split_rows(tensor, counts)):
+                if len(part) and other != self.rank:
+                    peer = dist.get_global_rank(self._group, other)
+                    messages.append(dist.P2POp(operation, part, peer, group=self._group))
+        return dist.batch_isend_irecv(messages) if messages else []
+
+    def exchange_counts(self, counts: Tensor) -> Tensor:
+        staged = self._stage(counts)
+        arriving = torch.empty_like(staged)
+        with self.guard.waiting("exchange of counts"):
+            dist.all_to_all_single(arriving, staged, group=self._group)
+            return arriving.to(counts.device)
+
+    def all_gather(self, values: Tensor) -> Tensor:
+        staged = self._stage(values)
+        gathered = staged.new_empty((self.size, len(staged)))
+        with self.guard.waiting("all-gather"):
+            dist.all_gather(list(gathered.unbind()), staged, group=self._group)
+            return gathered.to(values.device)
+
+    def sum(self, values: Tensor) -> Tensor:
+        staged = self._stage(values.clone())
+        with self.guard.waiting("sum"):
+            dist.all_reduce(staged, group=self._group)
+            return staged.to(values.device)
+
+    def any(self, flag: bool) -> bool:
+        value = self._stage(torch.tensor([int(flag)]))
+        with self.guard.waiting("agreement"):
+            dist.all_reduce(value, op=dist.ReduceOp.MAX, group=self._group)
+            return bool(value.item())
+
+    def gather_objects(self, value: Any) -> list[Any]:
+        values: list[Any] = [None] * self.size
+        with self.guard.waiting("gather of objects"):
+            dist.all_gather_object(values, value, group=self.control)
+        return values
+
+    @functools.cached_property
+    def checkpoint_group(self) -> dist.ProcessGroup:
+        ranks = dist.get_process_group_ranks(self._group)
+        return dist.new_group(ranks, backend="gloo", use_local_synchronization=True)
+
+    def close(self) -> None:
+        self.guard.close()
+        # Nothing may hold a group once Python ends: Gloo's threads would still let go of its tensors.
+        vars(self).pop("_group", None)
+        vars(self).pop("control", None)
+        vars(self).pop("checkpoint_group", None)
+        if self._on_close is not None:
+            self._on_close()

@@ -1,0 +1,287 @@
+"""A scene of the user's own, spread over ranks: bodies in, contacts out, whatever the motion and the response."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from pgccd import broad, narrow
+from pgccd.contacts import Contacts
+from pgccd.distributed.agreement import require_agreement, together
+from pgccd.distributed.balance import BalanceOptions, CellLoads, rank_loads, rebalance
+from pgccd.distributed.comm import Alone, Comm
+from pgccd.distributed.detection import Detection, Options, detect_distributed
+from pgccd.distributed.exchange import Columns, make_route, take_rows
+from pgccd.distributed.migrate import Census, migrate
+from pgccd.distributed.partition import Partition, Point, Triple
+from pgccd.distributed.report import earliest_for_all, tell_owners
+from pgccd.distributed.step import cell_loads
+from pgccd.mesh import Mesh, MeshSet
+from pgccd.motion import RigidMotion
+from pgccd.scene import Scene
+from pgccd.sim.files import meshes_digest
+from pgccd.stages import StageClock
+
+_FILTERS = ("group", "mask", "world", "static")
+
+
+class World:
+    """Bodies spread over ranks by where they are.
+
+    Each rank brings any share of the bodies; they move to the rank that owns the cell of their centre, and again
+    whenever `move` says that they are elsewhere. Rows of `id`, `position`, `mesh_index` and `payload` are those of the
+    bodies this rank owns now, by ascending id.
+
+    Args:
+        meshes: alike on all ranks.
+        lower, upper: corners of the world's box, length units. Bodies may leave it.
+        position: (N, 3) float64 SBV centres of this rank's share of bodies, on the device where all will be.
+        id: (N,) int64 global ids >= 0, no two alike on any ranks. Default: counted through, rank by rank.
+        mesh_index: (N,) integers: which mesh each body is. Default: all the first.
+        group, mask, world, static: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
+        payload: named tensors (N, ...) that travel with the bodies: orientations, velocities, anything.
+        comm: between the ranks. Default: one rank.
+        report, min_separation, tolerance, nonzero_toi: as for `pgccd.detect`.
+        path: of all motions, as for `pgccd.RigidMotion`.
+        axes, cells: how space is cut, see `Partition.uniform`.
+        balance: how cells change hands.
+        overlap: test own bodies while those of others are under way. The result does not depend on it.
+        broad_phase: as for `pgccd.detect`.
+
+    Raises:
+        TypeError, ValueError: naming the argument; on all ranks.
+
+    Example:
+        >>> world = pgccd.distributed.World([rock], (0, 0, 0), (9, 9, 9), x, payload={"velocity": v}, comm=comm)
+        >>> hits = world.step(pgccd.RigidMotion.from_velocity(world.position, q, world.payload["velocity"], w, dt=0.1))
+    """
+
+    def __init__(
+        self,
+        meshes: Sequence[Mesh],
+        lower: Point,
+        upper: Point,
+        position: Tensor,
+        *,
+        id: Tensor | None = None,
+        mesh_index: Tensor | None = None,
+        group: Tensor | None = None,
+        mask: Tensor | None = None,
+        world: Tensor | None = None,
+        static: Tensor | None = None,
+        payload: dict[str, Tensor] | None = None,
+        comm: Comm | None = None,
+        report: narrow.Report = "first",
+        min_separation: float = 0.0,
+        tolerance: float | None = None,
+        nonzero_toi: bool = False,
+        path: Literal["rigid", "linear"] = "rigid",
+        axes: int = 3,
+        cells: int | Triple = 16,
+        balance: BalanceOptions | None = None,
+        overlap: bool = True,
+        broad_phase: broad.BroadPhase = "auto",
+    ) -> None:
+        self.comm = comm or Alone()
+        self.options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)
+        self.balance, self.path = balance or BalanceOptions(), path
+        filters = {"group": group, "mask": mask, "world": world, "static": static}
+        given: dict[str, Any] = {name: column for name, column in filters.items() if column is not None}
+
+        def prepare() -> Columns:
+            if not isinstance(position, Tensor) or position.dim() != 2 or position.shape[1] != 3:
+                raise ValueError(f"position: expected a tensor (N, 3), got {getattr(position, 'shape', position)}")
+            self._meshes = MeshSet(list(meshes), position.device)
+            self.partition = Partition.uniform(
+                lower, upper, self.comm.size, axes=axes, cells=cells, device=position.device
+            )
+            index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
+            scene = Scene(self._meshes, index, **given)  # checks them
+            if scene.body_count != len(position):
+                raise ValueError(f"mesh_index: expected {len(position)} values, one a body, got {scene.body_count}")
+            columns = {"id": _ids(id, len(position), position.device), "mesh_index": scene.mesh_index}
+            columns["position"] = position.to(torch.float64)
+            columns |= {name: getattr(scene, name) for name in given}
+            return columns | _payload_columns(payload or {}, len(position), position.device)
+
+        columns = together(self.comm, prepare)
+        kinds = {name: (str(column.dtype), tuple(column.shape[1:])) for name, column in columns.items()}
+        facts = {"payload": kinds, "lower, upper": (lower, upper), "options": self.options, "path": path}
+        facts |= {"axes": axes, "cells": cells, "balance": self.balance, "id": id is None}
+        facts |= {"meshes": meshes_digest(self._meshes.meshes), "position": position.device.type}
+        require_agreement(self.comm, facts)
+        if id is None:
+            counts = self.comm.all_gather(torch.tensor([len(position)]))[:, 0].tolist()
+            columns["id"] = columns["id"] + sum(counts[: self.comm.rank])
+        _require_unique(self.comm, columns["id"])
+        self._census = self._count(columns)
+        self._found: Detection | None = None
+        self._seconds, self._steps = 0.0, 0
+        self._columns = take_rows(columns, torch.argsort(columns["id"]))
+        self._change_hands()
+
+    @property
+    def id(self) -> Tensor:
+        """(N,) int64, ascending: the bodies this rank owns."""
+        return self._columns["id"]
+
+    @property
+    def position(self) -> Tensor:
+        """(N, 3) float64: their centres, as last told."""
+        return self._columns["position"]
+
+    @property
+    def mesh_index(self) -> Tensor:
+        """(N,) int32."""
+        return self._columns["mesh_index"]
+
+    @property
+    def payload(self) -> dict[str, Tensor]:
+        """What the user's tensors are now, by name."""
+        own = ("id", "position", "mesh_index", *_FILTERS)
+        return {name.removeprefix("."): column for name, column in self._columns.items() if name not in own}
+
+    def step(self, motion: RigidMotion) -> Contacts:
+        """Finds the collisions of one step.
+
+        Args:
+            motion: of the bodies this rank owns, in the order of `id`.
+
+        Returns:
+            All contacts of bodies this rank owns (with whomever), `pairs` in global ids i < j, sorted; a contact of
+            bodies of two ranks is told to both. With report="earliest", the one of the whole scene, on every rank.
+            `stats` are those of the pairs that this rank tested.
+
+        Raises:
+            TypeError: the motion is not rigid: deforming bodies are not spread over ranks.
+            ValueError: it has another number of bodies or another path.
+
+        Example:
+            >>> hits = world.step(motion)
+            >>> toi = world.first_toi(hits)
+        """
+        if not isinstance(motion, RigidMotion):
+            raise TypeError(
+                f"motion: expected a RigidMotion, got {type(motion).__name__}: bodies that deform stay whole"
+            )
+        if motion.body_count != len(self.id):
+            raise ValueError(f"motion: has {motion.body_count} bodies, this rank owns {len(self.id)}")
+        if motion.path != self.path:
+            raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
+        own = {name: self._columns[name] for name in ("id", "mesh_index", *_FILTERS) if name in self._columns}
+        own |= {"position_t0": motion.position_t0, "orientation_t0": motion.orientation_t0}
+        own |= {"position_t1": motion.position_t1, "rotation": motion.rotation}
+        self.comm.guard.activity = "step"
+        clock = StageClock()
+        found = detect_distributed(self.comm, self.partition, own, self._build, self.options, clock)
+        self._found, self._seconds, self._steps = found, clock.work, self._steps + 1
+        if self.options.report == "earliest":
+            return earliest_for_all(self.comm, found)
+        return tell_owners(self.comm, found)
+
+    def first_toi(self, hits: Contacts) -> Tensor:
+        """(N,) float64: the first toi of each body this rank owns, inf for those that do not collide.
+
+        Args:
+            hits: as `step` returned them.
+        """
+        if hits.toi is None:
+            raise ValueError('hits: report="any" gives no toi')
+        first = torch.full((len(self.id),), torch.inf, dtype=torch.float64, device=self.id.device)
+        bodies, toi = hits.pairs.reshape(-1), hits.toi.repeat_interleave(2)
+        row = torch.searchsorted(self.id, bodies).clamp_(max=max(0, len(self.id) - 1))
+        own = self.id[row] == bodies if len(self.id) else torch.zeros_like(bodies, dtype=torch.bool)
+        return first.scatter_reduce(0, row[own], toi[own], "amin")
+
+    def move(self, position: Tensor, **payload: Tensor) -> None:
+        """Says where the bodies are now; those in cells of other ranks go there, with their payload.
+
+        Args:
+            position: (N, 3), in the order of `id`.
+            payload: new values of the tensors named; the others stay as they are.
+
+        Raises:
+            ValueError: naming the argument.
+            RuntimeError: bodies were lost or doubled between ranks.
+
+        Example:
+            >>> world.move(x, velocity=v)
+        """
+        for name, values in {"position": position, **payload}.items():
+            key = name if name == "position" else "." + name
+            former = self._columns.get(key)
+            if former is None:
+                raise ValueError(f"{name}: not a payload of this world, which has {sorted(self.payload)}")
+            if values.shape != former.shape or values.dtype != former.dtype or values.device != former.device:
+                expected = f"{tuple(former.shape)} {former.dtype} on {former.device}"
+                raise ValueError(f"{name}: expected {expected}, got {tuple(values.shape)} {values.dtype}")
+            self._columns[key] = values.detach()
+        if not bool(torch.isfinite(position).all()):
+            raise ValueError("position: expected finite numbers")
+        self._change_hands()
+
+    def loads(self) -> Tensor:
+        """(ranks,) int64: the predicted cost of each rank in the last step, the same on all of them."""
+        total = self._cell_loads()
+        return rank_loads(total.cost, self.partition.owner, self.comm.size)
+
+    def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
+        filters: dict[str, Any] = {name: columns[name] for name in _FILTERS if name in columns}
+        if "static" in filters:
+            filters["static"] = filters["static"].bool()
+        pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
+        return Scene(self._meshes, columns["mesh_index"], **filters), RigidMotion.from_rotation(*pose, path=self.path)
+
+    def _cell_loads(self) -> CellLoads:
+        if self._found is None:
+            raise RuntimeError("no step has been made yet")
+        held = self._found.held
+        own = cell_loads(self.partition, held.columns["position_t0"][held.own], self._found)
+        return CellLoads.unstacked(self.comm.sum(own.stacked()))
+
+    def _change_hands(self) -> None:
+        if self.balance.applies(self._steps, self.comm.size):
+            seconds = self.comm.all_gather(torch.tensor([self._seconds], dtype=torch.float64))[:, 0]
+            self.partition = rebalance(self.partition, self._cell_loads(), self.balance, seconds)
+        self._columns, _ = migrate(self.comm, self.partition, self._columns, self._columns["position"])
+        self._count(self._columns).require(self._census)
+
+    def _count(self, columns: Columns) -> Census:
+        mine = Census.of(columns["id"])
+        return Census.total([Census(*part) for part in self.comm.gather_objects((mine.count, mine.ids))])
+
+
+def _ids(id: Tensor | None, count: int, device: torch.device) -> Tensor:
+    if id is None:
+        return torch.arange(count, device=device)
+    if not isinstance(id, Tensor) or id.dtype != torch.int64 or id.shape != (count,):
+        raise ValueError(f"id: expected ({count},) int64, got {getattr(id, 'shape', id)} {getattr(id, 'dtype', '')}")
+    if count and int(id.min()) < 0:
+        raise ValueError("id: expected numbers >= 0")
+    return id.to(device)
+
+
+def _payload_columns(payload: dict[str, Tensor], count: int, device: torch.device) -> Columns:
+    columns = {}
+    for name in sorted(payload):  # in one order on all ranks
+        values = payload[name]
+        if not isinstance(values, Tensor) or values.shape[:1] != (count,) or values.device != device:
+            raise ValueError(f"payload[{name!r}]: expected a tensor ({count}, ...) on {device}")
+        columns["." + name] = values.detach()
+    return columns
+
+
+def _require_unique(comm: Comm, id: Tensor) -> None:
+    """Each id goes to one rank that sees all like it."""
+    rows = torch.arange(len(id), device=id.device)
+    seen = make_route(comm, rows, id % comm.size).forward({"id": id}).wait()["id"].sort().values
+    twice = seen[1:][seen[1:] == seen[:-1]]
+
+    def check() -> None:
+        if len(twice):
+            raise ValueError(f"id: {int(twice[0])} is given to more than one body")
+
+    together(comm, check)

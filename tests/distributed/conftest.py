@@ -1,0 +1,33 @@
+"""Fixtures of the tests on several ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from support.ranks import RankPool
+
+World = Callable[..., list[Any]]
+
+
+@pytest.hookimpl(tryfirst=True)  # before xdist looks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests that share the processes run in one worker of xdist."""
+    for item in items:
+        if "ranks" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.xdist_group("ranks"))
+            item.add_marker(pytest.mark.ranks)
+
+
+@pytest.fixture(scope="session")
+def ranks() -> Iterator[RankPool]:
+    pool = RankPool()
+    yield pool
+    pool.close()
+
+
+@pytest.fixture(params=[1, 2, 3, 4])
+def world(request: pytest.FixtureRequest, ranks: RankPool) -> World:
+    """Runs world(job, *arguments) on 1, 2, 3 and 4 ranks in turn; returns their results."""
+    return lambda job, *arguments: ranks.run(request.param, job, *arguments)

@@ -1,0 +1,124 @@
+"""Balancing: who may gain from a move, how many there are, and that it ends."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pgccd.distributed import BalanceOptions, CellLoads, Partition, imbalance, rebalance
+from pgccd.distributed.balance import one_cell, rank_loads, relative_speeds
+
+
+@st.composite
+def situations(draw: st.DrawFn) -> tuple[Partition, CellLoads]:
+    """Any owners and loads, even and skewed, empty cells and empty ranks among them."""
+    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, draw(st.integers(1, 9)), cells=draw(st.integers(1, 4)))
+    generator = torch.Generator().manual_seed(draw(st.integers(0, 9999)))
+    count = partition.cell_count
+    if draw(st.booleans()):
+        partition = partition.with_owner(torch.randint(partition.ranks, (count,), generator=generator))
+    skew = draw(st.sampled_from([1, 4]))
+    bodies = (100.0 * torch.rand(count, generator=generator) ** skew).long()
+    pairs = (2.0 * bodies * torch.rand(count, generator=generator)).long()
+    return partition, CellLoads(bodies, pairs, pairs // 3)
+
+
+@given(situations(), st.floats(0.0, 0.5))
+def test_one_cell_moves_one_from_the_most_to_the_least_loaded(
+    situation: tuple[Partition, CellLoads], threshold: float
+) -> None:
+    partition, loads = situation
+    load = loads.contacts
+    before = rank_loads(load, partition.owner, partition.ranks)
+    moved = one_cell(partition.owner, load, partition.ranks, threshold)
+    after = rank_loads(load, moved, partition.ranks)
+    changed = torch.nonzero(moved != partition.owner)[:, 0]
+    assert len(changed) <= 1
+    if len(changed):
+        cell = int(changed[0])
+        assert before[partition.owner[cell]] == before.max() and before[moved[cell]] == before.min()
+        assert before.max() - before.min() > threshold * before.max()
+        assert after[partition.owner[cell]] < before.max() and after[moved[cell]] < before.max()
+    elif before.max() - before.min() > threshold * before.max():
+        # Then no cell of the most loaded would do any good.
+        own = load[(partition.owner == torch.argmax(before)) & (load > 0)]
+        assert bool((own >= before.max() - before.min()).all())
+
+
+@given(situations(), st.sampled_from(["cost", "measured", "one-cell", "none"]))
+def test_decisions_are_reproducible_and_never_make_it_worse(
+    situation: tuple[Partition, CellLoads], policy: str
+) -> None:
+    partition, loads = situation
+    options = BalanceOptions(policy)
+    owner = partition.owner.clone()
+    seconds = 0.5 + torch.rand(partition.ranks, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    new, again = (rebalance(partition, loads, options, seconds).owner for _ in range(2))
+    assert torch.equal(new, again) and torch.equal(partition.owner, owner)
+    load = loads.contacts.double() if policy == "one-cell" else loads.cost.double()
+    speed = torch.ones(partition.ranks, dtype=torch.float64)
+    if policy == "measured":
+        speed = relative_speeds(rank_loads(loads.cost, owner, partition.ranks), seconds)
+    before, after = (rank_loads(load, table, partition.ranks) / speed for table in (owner, new))
+    assert after.max() <= before.max() * (1.0 + 1e-12)
+    if policy == "none":
+        assert torch.equal(new, owner)
+
+
+def skewed(ranks: int, cells: int = 16) -> tuple[Partition, CellLoads]:
+    """Bodies crowd in one corner: the cell there has 20 times the bodies of the one opposite."""
+    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, ranks, cells=cells)
+    at = torch.cartesian_prod(*[torch.arange(count) / count for count in partition.grid])
+    bodies = (20.0 + 400.0 * torch.exp(-3.0 * at.norm(dim=1))).long()
+    return partition, CellLoads(bodies, bodies, bodies // 20)
+
+
+@pytest.mark.parametrize("ranks", [2, 4, 12])
+def test_ten_steps_even_out_a_skewed_world(ranks: int) -> None:
+    partition, loads = skewed(ranks)
+    assert imbalance(rank_loads(loads.cost, partition.owner, ranks)) > 1.2
+    for _ in range(10):
+        partition = rebalance(partition, loads, BalanceOptions("cost"))
+    assert imbalance(rank_loads(loads.cost, partition.owner, ranks)) <= 1.04
+    settled = rebalance(partition, loads, BalanceOptions("cost"))
+    assert settled is partition
+
+
+def test_the_paper_s_policy_gets_below_its_threshold() -> None:
+    partition, loads = skewed(4, cells=8)
+    for _ in range(100):
+        partition = rebalance(partition, loads, BalanceOptions("one-cell"))
+    load = rank_loads(loads.contacts, partition.owner, 4)
+    assert int(load.max() - load.min()) <= 0.1 * int(load.max())
+
+
+def test_a_slow_rank_gets_less() -> None:
+    partition, loads = skewed(4)
+    # Rank 1 needs twice as long for the same.
+    for _ in range(20):
+        cost = rank_loads(loads.cost, partition.owner, 4).double()
+        partition = rebalance(partition, loads, BalanceOptions("measured"), cost * torch.tensor([1.0, 2.0, 1.0, 1.0]))
+    time = rank_loads(loads.cost, partition.owner, 4) * torch.tensor([1.0, 2.0, 1.0, 1.0])
+    assert imbalance(time) < 1.05
+
+
+def test_small_differences_and_dear_moves_are_left_alone() -> None:
+    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
+    level = CellLoads(*(torch.full((8,), count) for count in (100, 100, 10)))
+    uneven = CellLoads(level.bodies + torch.tensor([9] * 4 + [0] * 4), level.pairs, level.contacts)
+    assert rebalance(partition, uneven, BalanceOptions("cost")) is partition
+    assert rebalance(partition, uneven, BalanceOptions("cost", start=0.0, goal=0.0)) is partition  # no cell fits
+    skew = CellLoads(level.bodies, level.pairs * torch.tensor([4] * 4 + [1] * 4), level.contacts)
+    assert rebalance(partition, skew, BalanceOptions("cost")) is not partition
+    assert rebalance(partition, skew, BalanceOptions("cost", moving=1e9)) is partition
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("policy", "fair"), ("threshold", -0.1), ("goal", 0.5), ("horizon", 0), ("every", 0), ("start", float("nan"))],
+)
+def test_mistakes_are_named(field: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"^{field}: "):
+        BalanceOptions(**{field: value})

@@ -1,0 +1,151 @@
+"""`pgccd simulate` on ranks, as users start it: the same log, checkpoints for any number of ranks, lost ranks."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from support.launch import SUPPORT, environment, finish, mpirun, start_ranks, torchrun
+
+from pgccd import sim
+from pgccd.cli import main
+
+pytestmark = pytest.mark.ranks
+
+WORLD = ["--robots", "150", "--world", "skewed", "--seed", "4", "--no-pictures"]
+CONFIG = sim.WorldConfig(robots=150, pattern="skewed", seed=4)
+SIMULATE = ["-m", "pgccd", "simulate"]
+
+
+def log(folder: Path) -> list[dict[str, Any]]:
+    left_out = ("seconds", "stage_seconds", "ranks")
+    return [{k: v for k, v in record.items() if k not in left_out} for record in sim.read_log(folder)]
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """The log of 60 steps by one process."""
+    folder = tmp_path_factory.mktemp("single")
+    sim.run(CONFIG, 60, folder)
+    return log(folder)
+
+
+def test_torchrun_then_fewer_ranks_then_one(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
+    out = ["--out", str(tmp_path)]
+    first = finish(torchrun(4, *SIMULATE, *WORLD, "--steps", "12", "--checkpoint-every", "5", *out))
+    assert first.returncode == 0, first.stdout
+    assert log(tmp_path) == expected[:12]
+    last_line = first.stdout.strip().splitlines()[-1]
+    assert re.fullmatch(r"robots=150 steps=12 pcs=\d+ contacts=\d+ seconds_per_step=\d+\.\d+", last_line)
+    assert len(sim.read_log(tmp_path)[-1]["ranks"]["pcs"]) == 4
+    # Saved by 4, resumed by 2.
+    resume = [*SIMULATE, "--resume", str(tmp_path), "--no-pictures"]
+    second = finish(torchrun(2, *resume, "--steps", "24"))
+    assert second.returncode == 0, second.stdout
+    assert log(tmp_path) == expected[:24]
+    # And by one, without a launcher.
+    assert main(["simulate", "--resume", str(tmp_path), "--no-pictures", "--steps", "30"]) == 0
+    assert log(tmp_path) == expected[:30]
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(torch.cuda.device_count() < 2, reason="fewer than two CUDA devices")
+def test_nccl_does_the_same(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
+    ranks = min(4, torch.cuda.device_count())
+    arguments = [*WORLD, "--device", "cuda", "--transport", "nccl", "--checkpoint-every", "7", "--out", str(tmp_path)]
+    done = finish(torchrun(ranks, *SIMULATE, *arguments, "--steps", "20"))
+    assert done.returncode == 0, done.stdout
+    assert log(tmp_path) == expected[:20]
+
+
+def test_mpirun_does_the_same(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
+    sim.run(CONFIG, 6, tmp_path)
+    steps = ["--resume", str(tmp_path), "--steps", "14", "--transport", "mpi4py", "--no-pictures"]
+    done = finish(mpirun(3, *SIMULATE, *steps))
+    assert done.returncode == 0, done.stdout
+    assert log(tmp_path) == expected[:14]
+
+
+def test_everything_over_mpi(tmp_path: Path) -> None:
+    done = finish(mpirun(3, str(SUPPORT / "mpi_job.py"), str(tmp_path)))
+    assert done.returncode == 0, done.stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["rank-0", "rank-1", "rank-2"]
+
+
+def test_killed_rank_torchrun_starts_all_again(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
+    command = torchrun(3, "--max-restarts", "2", *SIMULATE, *WORLD, "--steps", "60", "--checkpoint-every", "8")
+    process = subprocess.Popen(
+        [*command, "--out", str(tmp_path)],
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "checkpoints" / "newest.json").exists():
+        assert process.poll() is None and time.monotonic() < deadline, process.communicate(timeout=10)[0]
+        time.sleep(0.02)
+    os.kill(workers(process.pid)[-1], signal.SIGKILL)
+    output, _ = process.communicate(timeout=100)
+    assert process.returncode == 0, output
+    assert "Signal 9 (SIGKILL)" in output or "exitcode: -9" in output, "nobody was killed"
+    assert log(tmp_path) == expected
+    assert sim.read_log(tmp_path)[-1]["state_hash"] == expected[-1]["state_hash"]
+
+
+def workers(parent: int) -> list[int]:
+    """Children of a process."""
+    children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
+    assert len(children) >= 3
+    return [int(child) for child in children]
+
+
+def test_a_signal_to_one_rank_stops_all_after_the_same_step(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
+    started = start_ranks(3, [*SIMULATE, *WORLD, "--steps", "1000", "--out", str(tmp_path)])
+    deadline = time.monotonic() + 60
+    while len(sim.read_log(tmp_path)) < 3:
+        assert all(process.poll() is None for process in started) and time.monotonic() < deadline
+        time.sleep(0.02)
+    started[1].send_signal(signal.SIGINT)
+    outputs = [process.communicate(timeout=60)[0] for process in started]
+    assert [process.returncode for process in started] == [130] * 3, outputs
+    made = len(log(tmp_path))
+    assert "to continue: pgccd simulate --resume" in outputs[0]
+    assert main(["simulate", "--resume", str(tmp_path), "--no-pictures", "--steps", str(made + 1)]) == 0
+    compared = min(made + 1, len(expected))
+    assert log(tmp_path)[:compared] == expected[:compared]
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ("dies", "rank 1 (process {pid} on {host}) has died"),
+        ("hangs", "rank 1 (process {pid} on {host}) hangs in step 2"),
+        ("memory", "rank 1 (process {pid} on {host}) failed in step 2: OutOfMemoryError: tried to allocate"),
+    ],
+)
+def test_a_lost_rank_ends_all_and_is_named(fault: str, said: str) -> None:
+    started = start_ranks(3, [str(SUPPORT / "faulty_rank.py"), fault])
+    begin = time.monotonic()
+    outputs = [process.communicate(timeout=90)[0] for process in started]
+    assert time.monotonic() - begin < 60
+    assert all(process.returncode != 0 for process in started)
+    message = said.format(pid=started[1].pid, host=os.uname().nodename)
+    for rank in (0, 2):
+        assert message in outputs[rank], outputs[rank]
+
+
+def test_ranks_started_with_different_things_all_fail_at_once(tmp_path: Path) -> None:
+    shell = f'exec "$PYTHON" -m pgccd simulate --robots $((100 + RANK / 2)) --steps 3 --out {tmp_path}'
+    done = finish(torchrun(3, "--no-python", "bash", "-c", shell), PYTHON=sys.executable)
+    assert done.returncode != 0
+    assert re.search(r"pgccd simulate: error: configuration: rank 0 has .*, rank 2 has ", done.stdout), done.stdout
+    assert not (tmp_path / "steps.jsonl").exists()

@@ -1,0 +1,213 @@
+"""Every pair is tested by exactly one rank, and every owner is told: the bits of one process, whoever owns what."""
+
+from __future__ import annotations
+
+import functools
+
+import pytest
+import torch
+from support.crowds import crowds
+
+import pgccd
+from distributed.conftest import World
+from pgccd.distributed import BalanceOptions, Comm
+from pgccd.distributed import World as SharedWorld
+from pgccd.distributed.exchange import take_rows
+
+COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
+REPORTS = ("first", "all", "any", "earliest")
+
+
+@functools.cache
+def by_one_process(name: str, report: str) -> pgccd.Contacts:
+    return crowds()[name].detect(report)
+
+
+def share(comm: Comm, name: str, report: str, seed: int, overlap: bool) -> tuple[SharedWorld, torch.Tensor]:
+    """A crowd's bodies on ranks, dealt out at random, with a random table of owners; and ids by row of the crowd."""
+    crowd = crowds()[name]
+    generator = torch.Generator().manual_seed(seed)
+    count = len(crowd.position)
+    ids = 10 * torch.arange(count) + 3  # global ids are not row numbers
+    mine = torch.nonzero(torch.randint(comm.size, (count,), generator=generator) == comm.rank)[:, 0]
+    columns = {"orientation": crowd.orientation, "velocity": crowd.velocity, "rotation": crowd.rotation}
+    world = SharedWorld(
+        crowd.meshes,
+        (0.0,) * 3,
+        (8.0,) * 3,
+        crowd.position[mine],
+        id=ids[mine],
+        mesh_index=crowd.mesh_index[mine],
+        payload=take_rows(columns, mine),
+        comm=comm,
+        report=report,
+        min_separation=crowd.min_separation,
+        cells=4,
+        balance=BalanceOptions("none"),
+        overlap=overlap,
+        **take_rows(crowd.filters, mine),
+    )
+    if seed:
+        owner = torch.randint(comm.size, (world.partition.cell_count,), generator=generator)
+        world.partition = world.partition.with_owner(owner)
+        world.move(world.position)
+    assert bool((world.partition.owner_of(world.position) == comm.rank).all())
+    return world, ids
+
+
+def find(comm: Comm, name: str) -> list[tuple[int, int]]:
+    """Compares all reports with one process; returns how many pairs and ghosts this rank had, for each assignment."""
+    seen = []
+    for index, report in enumerate(REPORTS):
+        whole = by_one_process(name, report)
+        for seed in (0, 1 + index) if comm.size > 1 else (0,):
+            world, ids = share(comm, name, report, seed, overlap=(seed + index) % 2 == 0)
+            mine = world.payload
+            motion = pgccd.RigidMotion.from_velocity(
+                world.position, mine["orientation"], mine["velocity"], mine["rotation"], dt=1.0
+            )
+            hits = world.step(motion)
+            expected_pairs = ids[whole.pairs]
+            concerned = torch.isin(expected_pairs, world.id).any(dim=1)
+            if report == "earliest":
+                concerned[:] = True
+            for column in COLUMNS:
+                expected, found = getattr(whole, column), getattr(hits, column)
+                if expected is None:
+                    assert found is None
+                    continue
+                expected = (expected_pairs if column == "pairs" else expected)[concerned]
+                assert torch.equal(found, expected), (report, seed, column)
+            # What the ranks tested adds up to the whole, no pair twice.
+            assert int(comm.sum(torch.tensor([len(world._found.pairs)]))) == whole.stats.pcs
+            ids_tested = world._found.held.columns["id"][world._found.pairs]
+            everything = torch.cat(
+                [torch.tensor(rows).view(-1, 2) for rows in comm.gather_objects(ids_tested.tolist())]
+            )
+            assert len(everything.unique(dim=0)) == whole.stats.pcs
+            if report == "first":
+                first = pgccd.sim.first_collisions(whole.pairs, whole.toi, len(ids))
+                assert torch.equal(world.first_toi(hits), first[torch.searchsorted(ids, world.id)])
+            assert int(world.loads().sum()) == len(ids) + 8 * whole.stats.pcs
+            owners = world._found.held.owner[world._found.pairs]
+            seen.append((len(whole), int((owners != comm.rank).all(dim=1).sum())))
+    return seen
+
+
+@pytest.mark.parametrize("name", list(crowds()))
+def test_same_bits_as_one_process(world: World, name: str) -> None:
+    seen = world(find, name)
+    if name not in ("one body", "nobody"):
+        assert max(contacts for contacts, _ in seen[0]) > 0, "nothing collides: nothing was tested"
+    if name == "met in a third rank's cell" and len(seen) == 4:
+        assert any(strangers for rank in seen for _, strangers in rank)
+
+
+def tumble(comm: Comm, policy: str) -> list[str]:
+    """A loop of one's own over some steps, whose bodies change hands; a hash of all that happened, step by step."""
+    crowd = crowds()["kept apart, filtered"]
+    mine = torch.arange(comm.rank, len(crowd.position), comm.size).flip(0)  # in any order
+    columns = {"orientation": crowd.orientation, "velocity": crowd.velocity, "rotation": crowd.rotation}
+    world = SharedWorld(
+        crowd.meshes,
+        (0.0,) * 3,
+        (8.0,) * 3,
+        crowd.position[mine],
+        id=mine,
+        mesh_index=crowd.mesh_index[mine],
+        payload={**take_rows(columns, mine), "tag": 7 * mine},
+        comm=comm,
+        nonzero_toi=True,
+        cells=4,
+        balance=BalanceOptions(policy, every=2, start=0.0, goal=0.0, moving=0.0),
+    )
+    seen, owners = [], set()
+    for _ in range(8):
+        payload = world.payload
+        motion = pgccd.RigidMotion.from_velocity(
+            world.position, payload["orientation"], payload["velocity"], payload["rotation"], dt=0.2
+        )
+        hits = world.step(motion)
+        toi = world.first_toi(hits)
+        assert torch.equal(payload["tag"], 7 * world.id)
+        free = torch.isinf(toi)[:, None]
+        rows = pgccd.sim.contacts_hash(torch.stack([world.id, world.id], dim=1), toi)
+        seen.append(f"{int(comm.sum(torch.tensor([rows - 2**64 if rows >= 2**63 else rows]))) % 2**64:016x}")
+        owners.add(tuple(world.partition.owner.tolist()))
+        velocity = torch.where(free, payload["velocity"], -payload["velocity"])
+        world.move(torch.where(free, motion.position_t1, world.position), velocity=velocity)
+    assert comm.size == 1 or policy == "none" or len(owners) > 1
+    return seen
+
+
+@pytest.mark.parametrize("policy", ["cost", "measured", "none"])
+def test_loops_of_one_s_own_come_out_alike(ranks: World, policy: str) -> None:
+    alone = ranks.run(1, tumble, policy)[0]
+    assert len(set(alone)) > 4
+    for size in (2, 3, 4):
+        assert ranks.run(size, tumble, policy)[0] == alone
+
+
+def leave_alone(comm: Comm) -> None:
+    """A world needs neither payload nor bodies on every rank, nor ids; and says what is wrong with what it is given."""
+    mesh = crowds()["one body"].meshes[0]
+    count = 5 if comm.rank == 0 else 0
+    position = 2.0 * torch.arange(3.0 * count, dtype=torch.float64).view(count, 3)
+    world = SharedWorld([mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
+    assert int(comm.sum(torch.tensor([len(world.id)]))) == 5
+    with pytest.raises(TypeError, match="^motion: expected a RigidMotion, got VertexMotion"):
+        world.step(pgccd.VertexMotion(mesh.vertices, mesh.vertices))
+    still = torch.zeros((len(world.id) + 1, 3), dtype=torch.float64)
+    upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).expand(len(still), 4)
+    with pytest.raises(ValueError, match="^motion: has .* bodies"):
+        world.step(pgccd.RigidMotion(still, upright, still, upright))
+    linear = pgccd.RigidMotion(still[1:], upright[1:], still[1:], upright[1:], path="linear")
+    with pytest.raises(ValueError, match="^motion: its path is 'linear'"):
+        world.step(linear)
+    with pytest.raises(ValueError, match="^mood: not a payload"):
+        world.move(world.position, mood=still)
+    with pytest.raises(ValueError, match="^position: expected"):
+        world.move(still)
+
+
+def test_mistakes_are_named(world: World) -> None:
+    world(leave_alone)
+
+
+def disagree(comm: Comm) -> list[str]:
+    """Whatever ranks do differently, all of them are told, with the same words."""
+    mesh = crowds()["one body"].meshes[0]
+    odd = comm.rank == 1
+    position = torch.zeros((1, 3), dtype=torch.float64)
+    messages = []
+    for arguments in (
+        {"min_separation": 0.1 if odd else 0.0},
+        {"payload": {"mood": position} if odd else {}},
+        {"cells": 3 if odd else 4},
+        {"id": torch.tensor([7])},
+        {"position": position[:, :2] if odd else position},
+        {"mesh_index": torch.tensor([1 if odd else 0])},
+    ):
+        with pytest.raises(ValueError) as caught:
+            SharedWorld([mesh], (0.0,) * 3, (8.0,) * 3, **({"position": position, "comm": comm} | arguments))
+        messages.append(str(caught.value))
+    with pytest.raises(ValueError, match="^meshes: rank 0 has .*, rank 1 has"):
+        other = pgccd.Mesh(mesh.vertices * 2.0, mesh.faces)
+        SharedWorld([other if odd else mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
+    return messages
+
+
+def test_ranks_that_disagree_fail_together(ranks: World) -> None:
+    messages = ranks.run(3, disagree)
+    assert messages[0] == messages[2]
+    beginnings = [
+        "options: rank 0",
+        "payload: rank 0",
+        "cells: rank 0",
+        "rank 1: id: 7 is given",
+        "rank 1: position",
+        "rank 1: mesh_index",
+    ]
+    for message, beginning in zip(messages[0], beginnings, strict=True):
+        assert message.startswith(beginning), message
+    assert messages[1][:3] == messages[0][:3] and messages[1][4].startswith("position: ")

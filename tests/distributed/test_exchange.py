@@ -1,0 +1,111 @@
+"""Rows arrive where they were sent, whole, in order, and whatever their type; over both ways of sending."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from distributed.conftest import World
+from pgccd.distributed import Comm
+from pgccd.distributed.exchange import Columns, make_route, merge_columns, merged_rows, pack, unpack
+from pgccd.distributed.migrate import Census
+
+
+def columns_of(rank: int, count: int) -> Columns:
+    generator = torch.Generator().manual_seed(rank)
+    return {
+        "id": 1000 * rank + torch.arange(count),
+        "flag": torch.rand(count, generator=generator) < 0.5,
+        "pair": torch.randint(99, (count, 2), generator=generator, dtype=torch.int32),
+        "byte": torch.randint(99, (count, 3), generator=generator).to(torch.uint8),
+        "matrix": torch.rand((count, 2, 2), generator=generator, dtype=torch.float64),
+        "nothing": torch.empty((count, 0)),
+    }
+
+
+def test_packing_is_lossless() -> None:
+    for count in (0, 1, 17):
+        columns = columns_of(3, count)
+        rows = torch.arange(count).flip(0)
+        whole = unpack(pack(columns, rows), columns)
+        for name, column in columns.items():
+            assert whole[name].dtype == column.dtype and torch.equal(whole[name], column[rows])
+
+
+@given(st.sets(st.integers(0, 60)), st.randoms(use_true_random=False))
+def test_merging_is_sorting(ids: set[int], random: Random) -> None:
+    first = sorted(random.sample(sorted(ids), random.randint(0, len(ids))))
+    second = random.sample(sorted(ids - set(first)), len(ids) - len(first))
+    parts = [{"id": torch.tensor(rows, dtype=torch.int64), "x": 0.5 * torch.tensor(rows)} for rows in (first, second)]
+    rows = merged_rows(parts[0]["id"], parts[1]["id"])
+    merged = merge_columns(*parts, rows)
+    assert merged["id"].tolist() == sorted(ids)
+    assert torch.equal(merged["x"], 0.5 * merged["id"])
+    assert torch.equal(merged["id"][rows[0]], parts[0]["id"]) and torch.equal(merged["id"][rows[1]], parts[1]["id"])
+
+
+def send_about(comm: Comm, neighbours_above: int) -> None:
+    comm.neighbours_above = neighbours_above
+    for seed in range(4):
+        # Every rank can work out what every other sends. Some send nothing, some to themselves, some a row twice.
+        def plan(rank: int, seed: int = seed) -> tuple[torch.Tensor, torch.Tensor]:
+            generator = torch.Generator().manual_seed(100 * seed + rank)
+            count = 0 if (rank + seed) % 3 == 0 else 20
+            rows = torch.randint(9, (count,), generator=generator)
+            return rows, torch.randint(comm.size, (count,), generator=generator)
+
+        rows, destination = plan(comm.rank)
+        mine = columns_of(comm.rank, 9)
+        route = make_route(comm, rows, destination)
+        under_way = route.forward(mine)
+        received = under_way.wait()
+        expected, source = [], []
+        for rank in range(comm.size):
+            their_rows, their_destination = plan(rank)
+            chosen = their_rows[their_destination == comm.rank]
+            expected.append({name: column[chosen] for name, column in columns_of(rank, 9).items()})
+            source += [rank] * len(chosen)
+        assert route.source.tolist() == source
+        for name in mine:
+            assert torch.equal(received[name], torch.cat([part[name] for part in expected])), name
+        # And back again, in the order in which they left.
+        returned = route.back({"twice": 2 * received["id"]}).wait()["twice"]
+        assert torch.equal(returned, 2 * mine["id"][route.rows])
+
+
+@pytest.mark.parametrize("neighbours_above", [32, 0], ids=["all to all", "neighbours"])
+def test_rows_arrive(world: World, neighbours_above: int) -> None:
+    world(send_about, neighbours_above)
+
+
+def reduce_values(comm: Comm) -> None:
+    big = torch.tensor([2**62 + comm.rank, -comm.rank])
+    gathered = comm.all_gather(big)
+    assert gathered.tolist() == [[2**62 + rank, -rank] for rank in range(comm.size)]
+    # Sums wrap, as hashes need.
+    assert int(comm.sum(big)[0]) % 2**64 == sum(2**62 + rank for rank in range(comm.size)) % 2**64
+    assert float(comm.sum(torch.tensor([0.5], dtype=torch.float64))) == 0.5 * comm.size
+    assert comm.any(comm.rank == comm.size - 1) and not comm.any(False)
+    assert comm.gather_objects({"rank": comm.rank}) == [{"rank": rank} for rank in range(comm.size)]
+    assert comm.broadcast_object(("of", comm.rank)) == ("of", 0)
+    assert comm.exchange_counts(10 * comm.rank + torch.arange(comm.size)).tolist() == [
+        10 * rank + comm.rank for rank in range(comm.size)
+    ]
+    comm.barrier()
+
+
+def test_reductions(world: World) -> None:
+    world(reduce_values)
+
+
+def test_the_census_sees_lost_doubled_and_exchanged_bodies() -> None:
+    everybody = Census.of(torch.arange(10))
+    parts = [Census.of(torch.tensor([0, 2, 4, 6, 8])), Census.of(torch.tensor([9, 7, 5, 3, 1]))]
+    Census.total(parts).require(everybody)
+    for wrong in ([0, 2, 4, 6], [0, 2, 4, 6, 8, 8], [0, 2, 4, 6, 6]):
+        with pytest.raises(RuntimeError, match="migration: expected 10 bodies"):
+            Census.total([Census.of(torch.tensor(wrong)), parts[1]]).require(everybody)

@@ -1,0 +1,146 @@
+"""The nanorobot world on ranks: the same log and the same state as one process, whoever owns what and however often
+that changes.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import pytest
+import torch
+
+from distributed.conftest import World
+from pgccd import sim
+from pgccd.distributed import BalanceOptions, Comm, Fleet, Partition, starting_share
+from pgccd.distributed.runner import gather_state, gather_step
+
+TIMES = ("seconds", "stage_seconds", "ranks")
+# Fast robots in a small world, so that much happens in few steps.
+WORLDS = {
+    "random": {"robots": 240, "speed": 0.3, "spin": 0.5, "seed": 3},
+    "skewed": {"robots": 300, "pattern": "skewed", "speed": 0.25, "seed": 5},
+}
+
+
+@functools.cache
+def single_run(name: str, steps: int) -> tuple[list[dict[str, Any]], sim.Step]:
+    """By one process."""
+    world = sim.World(sim.WorldConfig(**WORLDS[name]))
+    state = world.start()
+    scene, records = world.scene(state.id), []
+    for index in range(steps):
+        step = sim.make_step(world, scene, state, index)
+        state = step.after
+        records.append(without_times(step.record))
+    return records, step
+
+
+def without_times(record: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in record.items() if name not in TIMES}
+
+
+def make_fleet(comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu") -> Fleet:
+    world = sim.World(sim.WorldConfig(**WORLDS[name]), device=device)
+    upper = world.half_extent
+    partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=4, device=device)
+    start = starting_share(comm, world, partition)
+    return Fleet(comm, world, partition, start, BalanceOptions(policy), overlap)
+
+
+def follow(
+    comm: Comm, name: str, policy: str, steps: int, random_owners: bool, overlap: bool, device: str = "cpu"
+) -> dict[str, int]:
+    """Compares every step's log and the last step's columns with one process."""
+    records, last = single_run(name, steps)
+    fleet = make_fleet(comm, name, policy, overlap, device)
+    generator = torch.Generator().manual_seed(17)
+    seen = {"moved cells": 0, "arrived": 0, "contacts": 0}
+    for index in range(steps):
+        if random_owners and index % 5 == 2:
+            # As though balancing had gone mad. Until the next migration, ranks have robots that they should not have.
+            owner = torch.randint(comm.size, (fleet.partition.cell_count,), generator=generator)
+            fleet.partition = fleet.partition.with_owner(owner)
+        made = fleet.step(index)
+        assert without_times(made.record) == records[index]
+        ranks = made.record["ranks"]
+        for part, whole in (("bodies", "robots"), ("pcs", "pcs"), ("contacts", "contacts")):
+            assert len(ranks[part]) == comm.size and sum(ranks[part]) == made.record[whole]
+        assert bool((fleet.partition.owner_of(fleet.state.position) == comm.rank).all())
+        seen["moved cells"] += ranks["moved_cells"]
+        seen["arrived"] += sum(ranks["arrived"])
+        seen["contacts"] += made.record["contacts"]
+    fleet.verify()
+    state = gather_state(comm, fleet.state)
+    step = gather_step(comm, made, state)
+    if comm.rank == 0:
+        for column, expected in last.after.columns.items():
+            assert torch.equal(step.after.columns[column].cpu(), expected), column
+        for column, expected in last.before.columns.items():
+            assert torch.equal(step.before.columns[column].cpu(), expected), column
+        for column in ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status"):
+            assert torch.equal(getattr(step.contacts, column).cpu(), getattr(last.contacts, column)), column
+        assert torch.equal(step.settlement.fraction.cpu(), last.settlement.fraction)
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("name", "policy", "random_owners", "overlap"),
+    [
+        ("random", "cost", False, True),
+        ("skewed", "one-cell", False, False),
+        ("skewed", "measured", False, True),
+        ("random", "none", True, True),
+    ],
+    ids=["cost", "one cell", "measured", "random owners"],
+)
+def test_same_bits_as_one_process(world: World, name: str, policy: str, random_owners: bool, overlap: bool) -> None:
+    seen = world(follow, name, policy, 24, random_owners, overlap)
+    assert seen[0]["contacts"] > 100
+    if len(seen) > 1:
+        assert seen[0]["arrived"] > 20
+        if policy != "none":
+            assert seen[0]["moved cells"] > 0
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@pytest.mark.parametrize(("name", "policy"), [("random", "cost"), ("skewed", "one-cell")])
+def test_same_bits_on_a_gpu_that_ranks_share(world: World, name: str, policy: str) -> None:
+    world(follow, name, policy, 24, policy == "cost", True, "cuda")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(WORLDS))
+@pytest.mark.parametrize("policy", ["cost", "measured", "one-cell"])
+def test_same_bits_for_two_hundred_steps(world: World, name: str, policy: str) -> None:
+    world(follow, name, policy, 200, False, True)
+
+
+def lose_one(comm: Comm) -> None:
+    fleet = make_fleet(comm, "random", "none", True)
+    fleet.step(0)
+    if comm.rank == comm.size - 1:
+        kept = torch.arange(len(fleet.state) - 1)
+        fleet.state = sim.RobotState(**{name: column[kept] for name, column in fleet.state.columns.items()})
+    with pytest.raises(RuntimeError, match="migration: expected 240 bodies .* there are 239"):
+        fleet.verify()
+    with pytest.raises(RuntimeError, match="migration: expected 240 bodies"):
+        fleet.step(1)
+
+
+def test_a_lost_robot_is_noticed_in_the_next_step(world: World) -> None:
+    world(lose_one)
+
+
+def crowd_together(comm: Comm) -> list[float]:
+    """Imbalance of the potentially colliding pairs, step by step, from an assignment that gives rank 0 all."""
+    fleet = make_fleet(comm, "random", "cost", True)
+    fleet.partition = fleet.partition.with_owner(torch.zeros_like(fleet.partition.owner))
+    return [fleet.step(index).record["ranks"]["imbalance"] for index in range(12)]
+
+
+def test_balance_spreads_what_one_rank_had(ranks: World) -> None:
+    imbalances = ranks.run(4, crowd_together)[0]
+    assert imbalances[0] == 4.0
+    assert imbalances[-1] < 1.6  # 64 cells for 240 robots: no better can be expected of so few

@@ -1,0 +1,86 @@
+"""Boxes of swept spheres: who may collide overlaps, as computed, wherever in the world; the same on every device."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from support.shapes import directions, tensors
+
+import pgccd
+from pgccd import ops, sim
+from pgccd.distributed import Partition
+from pgccd.distributed.halo import Boxes
+
+
+def touching_spheres(seed: int, offset: float, separation: float) -> list[torch.Tensor]:
+    """Pairs of moving spheres that just touch, to rounding, at t0, at t1, or on the way: centres and radii."""
+    rng = np.random.default_rng(seed)
+    count = 200
+    radius = 10.0 ** rng.uniform(-2, 2, (2, count))
+    # Along an axis the boxes just touch too.
+    axis = np.eye(3)[rng.integers(3, size=count)] * rng.choice([-1.0, 1.0], (count, 1))
+    towards = np.where(rng.random((count, 1)) < 0.7, axis, directions(rng, count))
+    gap = (radius.sum(axis=0) + separation)[:, None] * (1.0 + rng.choice([-1e-15, 0.0, 1e-15], (count, 1)))
+    first = offset * rng.uniform(-1, 1, (count, 3))
+    travel = rng.normal(size=(count, 3)) * rng.choice([0.0, 1.0, 30.0], (count, 1))
+    away = rng.choice([0.0, 1.0], (count, 1)) * towards
+    second = first + gap * towards
+    ends = np.concatenate([first + travel, second + travel + away])
+    return tensors(np.concatenate([first, second]), ends, radius.reshape(-1))
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0.0, 1.0, 1e4, 1e9]), st.sampled_from([0.0, 0.3]))
+def test_boxes_of_potentially_colliding_pairs_overlap(seed: int, offset: float, separation: float) -> None:
+    start, end, radius = touching_spheres(seed, offset, separation)
+    pairs = ops.sweep(start, end, radius, None, None, None, None, separation, -1)
+    assert len(pairs) > 50
+    lower, upper = ops.swept_boxes(start, end, radius, separation)
+    i, j = pairs.unbind(dim=1)
+    assert bool(((lower[i] <= upper[j]) & (lower[j] <= upper[i])).all())
+    # So the cell of the reference point is one that both reach.
+    partition = Partition.uniform((-offset - 1.0,) * 3, (offset + 1.0,) * 3, 64, cells=(8, 8, 8))
+    cell = partition.coordinates(torch.maximum(lower[i], lower[j]))
+    for body in (i, j):
+        assert bool((partition.coordinates(lower[body]) <= cell).all())
+        assert bool((cell <= partition.coordinates(upper[body])).all())
+
+
+def test_boxes_hold_their_bodies_and_are_tight(device: torch.device) -> None:
+    start, end, radius = touching_spheres(7, 3.0, 0.0)
+    lower, upper = (x.cpu() for x in ops.swept_boxes(start.to(device), end.to(device), radius.to(device), 0.5))
+    reach = radius[:, None] + 0.25
+    least, most = torch.minimum(start, end) - reach, torch.maximum(start, end) + reach
+    assert bool((lower <= least).all()) and bool((upper >= most).all())
+    assert bool(((least - lower) <= 1e-11 * (reach + (end - start).abs().amax(dim=1, keepdim=True))).all())
+    on_cpu = ops.swept_boxes(start, end, radius, 0.5)
+    assert torch.equal(lower, on_cpu[0]) and torch.equal(upper, on_cpu[1])
+
+
+def test_bad_poses_and_separations_are_named() -> None:
+    world = sim.World(sim.WorldConfig(robots=8))
+    state = world.start()
+    partition = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 2)
+    radius = world.scene(state.id).radius
+    with pytest.raises(ValueError, match="^min_separation: "):
+        Boxes.of(partition, world.motion(state), radius, -1.0)
+    state.position[3, 1] = torch.nan
+    with pytest.raises(ValueError, match="^position_t0: body 3"):
+        Boxes.of(partition, world.motion(state), radius)
+
+
+def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:
+    world = sim.World(sim.WorldConfig(robots=50))
+    state = world.start()
+    motion = world.motion(state)
+    rows = torch.tensor([4, 17, 33])
+    columns = (motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation)
+    part = pgccd.RigidMotion.from_rotation(*(column[rows] for column in columns))
+    for name in ("position_t0", "orientation_t0", "position_t1", "rotation"):
+        assert torch.equal(getattr(part, name), getattr(motion, name)[rows])
+    with pytest.raises(ValueError, match="^rotation: body 1"):
+        pgccd.RigidMotion.from_rotation(*columns[:3], torch.tensor([[0.0], [1e7]]).expand(2, 3).repeat(25, 1).double())
+    with pytest.raises(ValueError, match="^rotation: expected shape"):
+        pgccd.RigidMotion.from_rotation(*columns[:3], motion.rotation[1:])

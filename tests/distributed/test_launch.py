@@ -1,0 +1,65 @@
+"""Launchers, read from the environment alone."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from pgccd.distributed import Placement, choose_device, connect, find_placement
+from pgccd.distributed.launch import first_host
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({}, Placement("none", 0, 1, 0)),
+        ({"RANK": "5", "WORLD_SIZE": "8", "LOCAL_RANK": "1"}, Placement("torchrun", 5, 8, 1)),
+        (
+            {"RANK": "0", "WORLD_SIZE": "2", "LOCAL_RANK": "0", "TORCHELASTIC_RESTART_COUNT": "2"},
+            Placement("torchrun", 0, 2, 0, 2),
+        ),
+        ({"PMI_RANK": "3", "PMI_SIZE": "4", "MPI_LOCALRANKID": "3"}, Placement("MPICH", 3, 4, 3)),
+        (
+            {"OMPI_COMM_WORLD_RANK": "1", "OMPI_COMM_WORLD_SIZE": "6", "OMPI_COMM_WORLD_LOCAL_RANK": "1"},
+            Placement("Open MPI", 1, 6, 1),
+        ),
+        (
+            {"SLURM_PROCID": "9", "SLURM_STEP_NUM_TASKS": "16", "SLURM_LOCALID": "1", "SLURM_NTASKS": "32"},
+            Placement("srun", 9, 16, 1),
+        ),
+        # A batch script is one process, however many tasks were asked for.
+        ({"SLURM_PROCID": "0", "SLURM_NTASKS": "32", "SLURM_LOCALID": "0"}, Placement("none", 0, 1, 0)),
+    ],
+)
+def test_placement(environment: dict[str, str], expected: Placement) -> None:
+    assert find_placement(environment) == expected
+
+
+def test_numbers_that_are_none_are_named() -> None:
+    with pytest.raises(ValueError, match="^WORLD_SIZE: expected a number, got 'many'"):
+        find_placement({"RANK": "0", "WORLD_SIZE": "many"})
+
+
+@pytest.mark.parametrize(
+    ("nodes", "first"),
+    [("gpu[007-012,020],login1", "gpu007"), ("node3", "node3"), ("a1,b2", "a1"), ("n-1-[2,4]", "n-1-2")],
+)
+def test_first_host_of_slurm_s_short_form(nodes: str, first: str) -> None:
+    assert first_host(nodes) == first
+
+
+def test_devices_by_local_rank(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 4)
+    placement = Placement("torchrun", 6, 8, 2)
+    assert choose_device("cuda", placement) == torch.device("cuda:2")
+    assert choose_device("cuda:1", placement) == torch.device("cuda:1")
+    assert choose_device("cpu", placement) == torch.device("cpu")
+    assert choose_device("cuda", Placement("none", 0, 1, 0)) == torch.device("cuda")
+
+
+def test_one_process_needs_no_launcher() -> None:
+    with connect() as comm:
+        assert (comm.rank, comm.size, comm.transport) == (0, 1, "none")
+    for arguments in ({"transport": "pigeon"}, {"timeout": 0.0}):
+        with pytest.raises(ValueError, match=f"^{next(iter(arguments))}: "):
+            connect(**arguments)

@@ -1,0 +1,127 @@
+"""The decomposition: every point has one owner, every box reaches what brute force says it reaches."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pgccd.distributed import Partition, factorise
+from pgccd.distributed.partition import MarkedCells, ranks_reached
+
+counts = st.integers(1, 24)
+
+
+@st.composite
+def partitions(draw: st.DrawFn) -> Partition:
+    """Any shape of box, any number of ranks and cells, any owners."""
+    lower = draw(st.tuples(*[st.floats(-1e3, 1e3)] * 3))
+    upper = tuple(x + draw(st.floats(0.1, 1e3)) for x in lower)
+    cells = draw(st.one_of(st.integers(1, 4), st.tuples(*[st.integers(1, 3)] * 3)))
+    partition = Partition.uniform(lower, upper, draw(counts), axes=draw(st.integers(1, 3)), cells=cells)
+    if draw(st.booleans()):
+        generator = torch.Generator().manual_seed(draw(st.integers(0, 99)))
+        owner = torch.randint(partition.ranks, (partition.cell_count,), generator=generator)
+        partition = partition.with_owner(owner)
+    return partition
+
+
+@st.composite
+def boxes(draw: st.DrawFn, partition: Partition) -> tuple[torch.Tensor, torch.Tensor]:
+    """Corners (K, 3) in and around the world's box, some of them points, some larger than everything."""
+    generator = torch.Generator().manual_seed(draw(st.integers(0, 999)))
+    extent = torch.tensor(partition.upper, dtype=torch.float64) - torch.tensor(partition.lower, dtype=torch.float64)
+    lower = torch.tensor(partition.lower) + extent * (3.0 * torch.rand((12, 3), generator=generator) - 1.0)
+    size = extent * torch.rand((12, 3), generator=generator) ** 3 * torch.randint(3, (12, 1), generator=generator)
+    return lower, lower + size
+
+
+@given(st.data())
+def test_a_box_reaches_the_ranks_that_brute_force_finds(data: st.DataObject) -> None:
+    partition = data.draw(partitions())
+    lower, upper = data.draw(boxes(partition))
+    first, last = partition.coordinates(lower), partition.coordinates(upper)
+    expected_cells, expected_ranks = [], {rank: [] for rank in range(partition.ranks)}
+    marked = torch.rand(partition.cell_count, generator=torch.Generator().manual_seed(1)) < 0.5
+    expected_marked = []
+    for box in range(len(first)):
+        axes = [range(int(a), int(b) + 1) for a, b in zip(first[box], last[box], strict=True)]
+        cells = [(x * partition.grid[1] + y) * partition.grid[2] + z for x, y, z in itertools.product(*axes)]
+        expected_cells += [(box, cell) for cell in cells]
+        expected_marked.append(int(marked[cells].sum()))
+        for rank in range(partition.ranks):
+            others = {int(partition.owner[cell]) for cell in cells} - {rank}
+            expected_ranks[rank] += [(box, other) for other in sorted(others)]
+    found = [(int(b), int(c)) for rows in partition.reached(first, last) for b, c in zip(*rows, strict=True)]
+    assert found == expected_cells
+    assert MarkedCells(partition, marked).count(first, last).tolist() == expected_marked
+    for rank in range(partition.ranks):
+        body, other = ranks_reached(partition, first, last, rank)
+        assert list(zip(body.tolist(), other.tolist(), strict=True)) == expected_ranks[rank]
+
+
+@given(st.data())
+def test_cells_are_monotone_and_hold_every_point(data: st.DataObject) -> None:
+    partition = data.draw(partitions())
+    lower, upper = data.draw(boxes(partition))
+    middle = lower + torch.rand((len(lower), 3), dtype=torch.float64) * (upper - lower)
+    first, inner, last = (partition.coordinates(x) for x in (lower, middle, upper))
+    assert bool(((first <= inner) & (inner <= last)).all())
+    assert bool((first >= 0).all()) and bool((last < torch.tensor(partition.grid)).all())
+    assert torch.equal(partition.owner_of(middle), partition.owner[partition.index(inner)])
+
+
+@given(counts, st.tuples(*[st.floats(0.1, 100.0)] * 3), st.integers(1, 3))
+def test_subspaces_multiply_up_and_have_the_least_surface(ranks: int, extent: tuple, axes: int) -> None:
+    chosen = factorise(ranks, extent, axes)
+    assert math.prod(chosen) == ranks
+    if axes == 1:
+        assert max(chosen) == ranks
+        return
+    assert axes == 3 or chosen[2] == 1
+
+    def surface(parts: tuple[int, ...]) -> float:
+        x, y, z = (length / count for length, count in zip(extent, parts, strict=True))
+        return x * y + y * z + z * x
+
+    for other in itertools.product(range(1, ranks + 1), repeat=3):
+        if math.prod(other) == ranks and (axes == 3 or other[2] == 1):
+            assert surface(chosen) <= surface(other) * (1.0 + 1e-8)
+
+
+def test_the_paper_s_decomposition() -> None:
+    """n subspaces of m x m cells in X-Y, each at first its rank's; points outside belong to the border."""
+    partition = Partition.uniform((0.0, 0.0, 0.0), (8.0, 8.0, 8.0), 8, cells=4)
+    assert partition.subspaces == (2, 2, 2) and partition.grid == (8, 8, 2)
+    assert torch.bincount(partition.owner).tolist() == [16] * 8
+    points = torch.tensor([[1.0, 1.0, 1.0], [1.0, 1.0, 7.0], [7.0, 1.0, 1.0], [-1e9, 9e9, -5.0], [1e150, 4.0, 8.0]])
+    assert partition.owner_of(points).tolist() == [0, 1, 4, 2, 7]
+    slabs = Partition.uniform((0.0, 0.0, 0.0), (1.0, 5.0, 1.0), 4, axes=1, cells=1)
+    assert slabs.subspaces == (1, 4, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"upper": (1.0, 1.0, 0.0)}, "^upper: .*volume"),
+        ({"lower": (0.0, 0.0, math.nan)}, "^lower: "),
+        ({"ranks": 0}, "^ranks: "),
+        ({"axes": 4}, "^axes: "),
+        ({"cells": 0}, "^cells: "),
+        ({"cells": (2, 2)}, "^cells: "),
+        ({"cells": 2**18}, "^cells: .*in all"),
+    ],
+)
+def test_mistakes_are_named(change: dict, message: str) -> None:
+    good = {"lower": (0.0, 0.0, 0.0), "upper": (1.0, 1.0, 1.0), "ranks": 2, "axes": 3, "cells": 2}
+    with pytest.raises(ValueError, match=message):
+        Partition.uniform(**{**good, **change})
+    partition = Partition.uniform(**good)
+    with pytest.raises(ValueError, match="^owner: values in"):
+        partition.with_owner(torch.full_like(partition.owner, 2))
+    with pytest.raises(ValueError, match="^owner: expected"):
+        partition.with_owner(partition.owner[1:])

@@ -1,0 +1,78 @@
+"""Programs on several ranks, started as a user starts them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SUPPORT = Path(__file__).resolve().parent
+SECONDS = 120
+
+
+def environment(**more: str) -> dict[str, str]:
+    """Of a process that finds pgccd and the tests, and no launcher of the one that runs the tests."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PMI_", "OMPI_", "SLURM_"))}
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")])
+    return kept | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"} | more
+
+
+def torchrun(ranks: int, *arguments: str) -> list[str]:
+    """The command; arguments: torchrun's, then the program's."""
+    command = [sys.executable, "-m", "torch.distributed.run", "--master-port", str(free_port())]
+    return [*command, "--nproc-per-node", str(ranks), "--monitor-interval", "0.1", *arguments]
+
+
+def mpirun(ranks: int, *arguments: str) -> list[str]:
+    """The command; skips the test where there is no MPI."""
+    beside = Path(sys.executable).parent / "mpirun"
+    program = str(beside) if beside.exists() else shutil.which("mpirun")
+    probe = subprocess.run([sys.executable, "-c", "from mpi4py import MPI"], capture_output=True)
+    if program is None or probe.returncode:
+        pytest.skip("no mpirun, or no mpi4py")
+    return [program, "-n", str(ranks), sys.executable, *arguments]
+
+
+def finish(command: list[str], **more: str) -> subprocess.CompletedProcess[str]:
+    """Runs a command to its end; both its outputs as one text."""
+    return subprocess.run(
+        command,
+        env=environment(**more),
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=SECONDS,
+    )
+
+
+def start_ranks(ranks: int, program: list[str]) -> list[subprocess.Popen[str]]:
+    """Processes with the variables of torchrun, but no torchrun that would end them all with the first."""
+    port = str(free_port())
+    started = []
+    for rank in range(ranks):
+        variables = {"RANK": str(rank), "WORLD_SIZE": str(ranks), "LOCAL_RANK": str(rank)}
+        variables |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+        process = subprocess.Popen(
+            [sys.executable, *program],
+            env=environment(**variables),
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        started.append(process)
+    return started
+
+
+def free_port() -> int:
+    """One that was free a moment ago."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

@@ -1,0 +1,21 @@
+"""What the tests do over Gloo, over MPI: run by mpirun. Writes a file a rank when all went well."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import torch
+from distributed import test_detection, test_exchange, test_fleet
+
+from pgccd.distributed import MpiComm
+
+torch.set_num_threads(1)
+comm = MpiComm()
+for neighbours_above in (32, 0):
+    test_exchange.send_about(comm, neighbours_above)
+test_exchange.reduce_values(comm)
+test_detection.find(comm, "on corners of many cells")
+test_fleet.follow(comm, "random", "cost", 12, True, True)
+comm.close()
+Path(sys.argv[1], f"rank-{comm.rank}").touch()

@@ -1,0 +1,78 @@
+"""Processes that stand ready to be ranks: starting Python with torch takes seconds, a job takes a fraction of one."""
+
+from __future__ import annotations
+
+import multiprocessing
+import multiprocessing.connection
+import os
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+import torch
+import torch.distributed as dist
+
+from pgccd.distributed import Alone, TorchComm
+
+MOST_RANKS = 4
+# A job that takes longer has hung.
+_SECONDS = 120
+
+
+class RankPool:
+    """Up to four processes. `run` makes as many as asked for ranks of one world, over Gloo."""
+
+    def __init__(self) -> None:
+        # One process imports torch, and forks the ranks before it has started any thread.
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["pgccd.distributed"])
+        self._pipes, self._processes = [], []
+        for rank in range(MOST_RANKS):
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_serve, args=(rank, theirs), daemon=True)
+            process.start()
+            self._pipes.append(ours)
+            self._processes.append(process)
+
+    def run(self, size: int, job: Callable[..., Any], *arguments: Any) -> list[Any]:
+        """job(comm, *arguments) on every rank; returns their results. `job` is a module's function."""
+        # One store a job, kept by this process, so that no port is taken twice.
+        store = dist.TCPStore("127.0.0.1", 0, size + 1, is_master=True, wait_for_workers=False)
+        for pipe in self._pipes[:size]:
+            pipe.send((store.port, size, job, arguments))
+        answers = []
+        for rank, pipe in enumerate(self._pipes[:size]):
+            if not pipe.poll(_SECONDS):
+                raise TimeoutError(f"rank {rank} of {size} did not answer: {job.__name__}")
+            answers.append(pipe.recv())
+        errors = [f"rank {rank}: {error}" for rank, (_, error) in enumerate(answers) if error]
+        if errors:
+            raise AssertionError("\n".join(errors))
+        return [result for result, _ in answers]
+
+    def close(self) -> None:
+        """Ends the processes."""
+        for process in self._processes:
+            process.kill()
+
+
+def _serve(rank: int, pipe: multiprocessing.connection.Connection) -> None:
+    torch.set_num_threads(1)
+    os.environ["GLOO_SOCKET_IFNAME"] = "lo"  # without asking for the machine's own name, which can take seconds
+    while True:
+        pipe.send(_work(rank, *pipe.recv()))
+
+
+def _work(rank: int, port: int, size: int, job: Callable[..., Any], arguments: tuple) -> tuple[Any, str]:
+    result, error = None, ""
+    comm: Any = Alone()
+    if size > 1:
+        store = dist.TCPStore("127.0.0.1", port, size + 1, is_master=False)
+        dist.init_process_group("gloo", store=store, rank=rank, world_size=size)
+        comm = TorchComm(on_close=dist.destroy_process_group)
+    try:
+        result = job(comm, *arguments)
+    except BaseException:
+        error = traceback.format_exc()
+    comm.close()
+    return result, error
