@@ -25,7 +25,12 @@ BUILD = ROOT / "build"
 sys.path.insert(0, str(ROOT))  # a PEP 517 build does not put the project's folder on the path
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])  # for the venv's ninja
 
-from build_support.cuda_toolkit import CudaToolkit, cudart_link_directory, find_cuda_toolkit  # noqa: E402
+from build_support.cuda_toolkit import (  # noqa: E402
+    CudaToolkit,
+    architecture_flags,
+    cudart_link_directory,
+    find_cuda_toolkit,
+)
 
 try:
     import torch
@@ -109,6 +114,7 @@ if platform.machine() == "x86_64":
 # -isystem: no warnings about other people's headers.
 CXX_FLAGS = ["-std=c++20", *HOST_FLAGS, "-isystem", TORCH_INCLUDE]
 NVCC_FLAGS = ["-std=c++20", "-O3", "-lineinfo", "--fmad=false", "--expt-relaxed-constexpr", "--extended-lambda"]
+NVCC_FLAGS += architecture_flags(architectures) if toolkit else []
 NVCC_FLAGS += ["-Xcompiler=" + ",".join(HOST_FLAGS), "-isystem", TORCH_INCLUDE]
 
 TORCH_MACROS = [("TORCH_TARGET_VERSION", "0x020b000000000000ULL")]  # the stable ABI as of torch 2.11

@@ -11,7 +11,9 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend first)
+from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter  # noqa: E402
 from support import results  # noqa: E402
 
 Result = dict[str, Any]
@@ -22,6 +24,8 @@ _STAGES = {
     "plan": "#56b4e9", "bounds": "#cc79a7", "broad": "#e69f00", "traverse": "#0072b2",
     "narrow": "#009e73", "respond": "#d55e00", "hash": "#b0b0b0",
 }  # fmt: skip
+
+_BROAD_PHASES = {"sweep": "#e69f00", "grid": "#0072b2", "lbvh": "#009e73"}
 
 
 def main() -> None:
@@ -69,24 +73,53 @@ def _world(result: Result) -> Figure:
 
 
 def _broad_phase(result: Result) -> Figure:
-    figure, axes = plt.subplots(figsize=(6.5, 3.2))
+    scenes = result.get("scenes", [])
+    figure, panels = plt.subplots(1, 1 + bool(scenes), figsize=(6.5 + 4.5 * bool(scenes), 3.2), squeeze=False)
+    axes = panels[0][0]
     rows = result["rows"]
     names = [row["method"] for row in rows]
     own = [row["ms"]["median"] for row in rows]
     extra = [(row["exact_test_ms"] or {"median": 0.0})["median"] for row in rows]
     axes.barh(names, own, color=[_colour(name) for name in names])
-    axes.barh(
-        names, extra, left=own, color="none", edgecolor=_PEER, linewidth=0.8, label="exact test of the surplus (NumPy)"
-    )
+    if any(extra):
+        axes.barh(
+            names,
+            extra,
+            left=own,
+            color="none",
+            edgecolor=_PEER,
+            linewidth=0.8,
+            label="exact test of the surplus (NumPy)",
+        )
+        axes.legend(frameon=False, fontsize=7, loc="upper right")
     for row, (name, width) in zip(rows, zip(names, own, strict=True), strict=True):
         axes.text(width * 1.03 + extra[names.index(name)], name, f"{row['ms']['median']:.3g}", va="center", fontsize=7)
-    axes.set(xscale="log", xlabel="milliseconds", xlim=(min(own) / 2, max(own) * 2))
-    axes.set_title(
-        f"{result['bodies']:,} swept spheres, {result['true_pairs_a_body']} true pairs a body, one CPU thread"
-    )
+    axes.set(xscale="log", xlabel="milliseconds", xlim=(min(own) / 2, max(own) * 4))
+    _label_1_2_5(axes)
+    where = "one GPU" if "gpu" in result["made"]["device"] else "one CPU thread"
+    axes.set_title(f"{result['bodies']:,} swept spheres, {result['true_pairs_a_body']} true pairs a body, {where}")
     axes.invert_yaxis()
-    axes.legend(frameon=False, fontsize=7, loc="upper right")
+    if scenes:
+        _broad_phase_scenes(panels[0][1], scenes)
     return figure
+
+
+def _broad_phase_scenes(axes: Axes, scenes: list[Result]) -> None:
+    for offset, (name, colour) in enumerate(_BROAD_PHASES.items()):
+        places = [index + 0.27 * (offset - 1) for index in range(len(scenes))]
+        axes.barh(places, [scene["ms"][name] for scene in scenes], height=0.25, color=colour, label=name)
+    labels = [f"{scene['scene']} ({scene['pairs_a_body']:.2g})" for scene in scenes]
+    axes.set_yticks(range(len(scenes)), labels, fontsize=7)
+    axes.set(xscale="log", xlabel="milliseconds", title="pgccd's, by scene (true pairs a body)")
+    _label_1_2_5(axes)
+    axes.invert_yaxis()
+    axes.legend(frameon=False, fontsize=7)
+
+
+def _label_1_2_5(axes: Axes) -> None:
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _pair(result: Result) -> Figure:

@@ -26,6 +26,23 @@ def find_cuda_toolkit(torch_cuda_version: str) -> CudaToolkit | None:
     return None
 
 
+def architecture_flags(architectures: str) -> list[str]:
+    """What nvcc is to be told for a list such as "8.0;9.0+PTX" (names as in TORCH_CUDA_ARCH_LIST).
+
+    torch adds such flags itself only if no other flag contains "arch", which `-march` does.
+    """
+    flags = []
+    for name in re.split(r"[ ;]+", architectures.strip()):
+        match = re.fullmatch(r"(\d+)\.(\d+[af]?)(\+PTX)?", name)
+        if not match:
+            raise ValueError(f"TORCH_CUDA_ARCH_LIST: expected names such as 9.0 or 9.0+PTX, got {name!r}")
+        number = match[1] + match[2]
+        flags.append(f"-gencode=arch=compute_{number},code=sm_{number}")
+        if match[3]:
+            flags.append(f"-gencode=arch=compute_{number},code=compute_{number}")
+    return flags
+
+
 def cudart_link_directory(toolkit: CudaToolkit, scratch: Path) -> Path:
     """A folder in which the linker finds `libcudart.so`.
 

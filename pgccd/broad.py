@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from collections.abc import Callable
+from typing import Literal, get_args
 
 from torch import Tensor
 
 from pgccd import ops
 from pgccd.bodies import MovingBodies
 
-BroadPhase = Literal["sweep"]
+BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
+BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
 
+# Where "auto" goes from one to another, as measured on a CPU (bench/bench_broad_phase.py): fewer bodies are swept
+# faster than sorted into cells; every octave of sizes is a level of the grid that bodies look into; a sweep's work
+# grows with the power 5/3 of the bodies.
+_FEW_BODIES = 2_000
+_GRID_OCTAVES = 3
+_MANY_BODIES = 150_000
 _AXES = {"auto": -1, "x": 0, "y": 1, "z": 2}
 
 
@@ -31,25 +40,89 @@ def sweep(bodies: MovingBodies, min_separation: float = 0.0, axis: Literal["auto
     """
     if axis not in _AXES:
         raise ValueError(f"axis: expected one of {list(_AXES)}, got {axis!r}")
+    return ops.sweep(*_columns(bodies), check_separation(min_separation), _AXES[axis])
+
+
+def grid(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
+    """A hashed uniform grid with a level for each octave of body sizes (Ericson 2005, Real-Time Collision Detection,
+    7.2), then the same test as `sweep`.
+
+    Fastest where bodies are of a few sizes. Memory is proportional to their number, wherever they are.
+
+    Args:
+        bodies: the scene in motion.
+        min_separation: length; bodies this close count as colliding.
+
+    Returns:
+        (P, 2) int64: the pairs of `sweep`, bit for bit.
+
+    Example:
+        >>> pairs = pgccd.broad.grid(bodies)
+    """
+    return ops.grid(*_columns(bodies), check_separation(min_separation))
+
+
+def lbvh(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
+    """A bounding volume hierarchy over the bodies in Morton order (Karras 2012, Maximizing parallelism in the
+    construction of BVHs, octrees, and k-d trees), then the same test as `sweep`.
+
+    For bodies of very many sizes.
+
+    Args:
+        bodies: the scene in motion.
+        min_separation: length; bodies this close count as colliding.
+
+    Returns:
+        (P, 2) int64: the pairs of `sweep`, bit for bit.
+
+    Example:
+        >>> pairs = pgccd.broad.lbvh(bodies)
+    """
+    return ops.lbvh(*_columns(bodies), check_separation(min_separation))
+
+
+def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase:
+    """The broad phase meant: what "auto" stands for in this scene, else the one named.
+
+    Looks at what the host knows without waiting for a device: the number of bodies and the sizes of the meshes.
+
+    Raises:
+        ValueError: there is no such broad phase.
+
+    Example:
+        >>> pgccd.broad.choose(bodies)
+        'grid'
+    """
+    if broad_phase not in BROAD_PHASES:
+        raise ValueError(f"broad_phase: expected one of {list(BROAD_PHASES)}, got {broad_phase!r}")
+    if broad_phase != "auto":
+        return broad_phase
+    if bodies.scene.body_count < _FEW_BODIES:
+        return "sweep"
+    octaves = {math.frexp(mesh.radius)[1] for mesh in bodies.scene.meshes.meshes}
+    if len(octaves) <= _GRID_OCTAVES:
+        return "grid"
+    return "lbvh" if bodies.scene.body_count >= _MANY_BODIES else "sweep"
+
+
+def find_pairs(bodies: MovingBodies, min_separation: float = 0.0, broad_phase: BroadPhase = "auto") -> Tensor:
+    """The PCS by the broad phase named, or by the one that `choose` thinks fastest. All of them give the same pairs.
+
+    Example:
+        >>> pairs = pgccd.broad.find_pairs(bodies, min_separation=0.01)
+    """
+    return _FINDERS[choose(bodies, broad_phase)](bodies, min_separation)
+
+
+_FINDERS: dict[str, Callable[[MovingBodies, float], Tensor]] = {"sweep": sweep, "grid": grid, "lbvh": lbvh}
+
+
+def _columns(
+    bodies: MovingBodies,
+) -> tuple[Tensor, Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]:
     scene = bodies.scene
-    return ops.sweep(
-        bodies.position_t0,
-        bodies.position_t1,
-        bodies.radius,
-        scene.group,
-        scene.mask,
-        scene.world,
-        scene.static,
-        check_separation(min_separation),
-        _AXES[axis],
-    )
-
-
-def find_pairs(bodies: MovingBodies, min_separation: float = 0.0, broad_phase: BroadPhase = "sweep") -> Tensor:
-    """The PCS by the broad phase named. All of them give the same pairs."""
-    if broad_phase != "sweep":
-        raise ValueError(f'broad_phase: expected "sweep", got {broad_phase!r}')
-    return sweep(bodies, min_separation)
+    filters = scene.group, scene.mask, scene.world, scene.static
+    return bodies.position_t0, bodies.position_t1, bodies.radius, *filters
 
 
 def check_separation(min_separation: float) -> float:

@@ -16,6 +16,7 @@ import torch
 import pgccd
 from pgccd import distributed, sim
 from pgccd.about import describe_installation
+from pgccd.broad import BROAD_PHASES
 from pgccd.distributed import command
 from pgccd.files import load_motion, load_scene
 from pgccd.narrow import REPORTS, Kind, Status
@@ -71,6 +72,7 @@ def _build_parser() -> argparse.ArgumentParser:
     add("--world", choices=sim.PATTERNS, help="how they move (random)")
     add("--mesh", nargs="+", metavar="FILE", help="kinds of robots, dealt out in turn (the built-in robot)")
     add("--device", default="cpu", help="cpu, cuda, cuda:1, ... (cpu)")
+    add("--broad-phase", choices=BROAD_PHASES, default="auto", help="how pairs are found; same results (auto)")
     add("--seed", type=int, help="of all randomness (0)")
     add("--out", type=Path, metavar="DIR", help="where the log, checkpoints and pictures go (out/simulate)")
     add("--checkpoint-every", type=int, default=0, metavar="K", help="steps between checkpoints (one at the end)")
@@ -94,6 +96,7 @@ def _build_parser() -> argparse.ArgumentParser:
     add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="bodies this near collide (0)")
     add("--tolerance", type=float, metavar="LENGTH", help="of a reported contact (1e-6 of the smaller radius)")
     add("--device", default="cpu", help="cpu, cuda, ... (cpu)")
+    add("--broad-phase", choices=BROAD_PHASES, default="auto", help="how pairs are found; same results (auto)")
     add("--json", action="store_true", help="print one JSON object")
     detect.set_defaults(run=_detect)
 
@@ -146,7 +149,8 @@ def _print_run(finished: sim.Run, folder: Path, options: argparse.Namespace) -> 
 
 def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: distributed.Comm) -> tuple[sim.Run, Path]:
     out = options.out or Path("out/simulate")
-    settings: dict[str, Any] = {"device": device, "checkpoint_every": options.checkpoint_every}
+    settings: dict[str, Any] = {"device": device, "broad_phase": options.broad_phase}
+    settings["checkpoint_every"] = options.checkpoint_every
     try:
         folder = command.folder_to_resume(comm, options, out)
         on_ranks = distributed.on_first(comm, lambda: command.needs_ranks(comm, folder))
@@ -234,7 +238,14 @@ def _detect(options: argparse.Namespace) -> int:
     except (ImportError, ValueError) as error:
         raise ArgumentError(source, error) from error
     try:
-        hits = pgccd.detect(scene, motion, options.report, options.min_separation, tolerance=options.tolerance)
+        hits = pgccd.detect(
+            scene,
+            motion,
+            options.report,
+            options.min_separation,
+            tolerance=options.tolerance,
+            broad_phase=options.broad_phase,
+        )
     except ValueError as error:
         name, _, problem = str(error).partition(": ")
         own = {"min_separation": "--min-separation", "tolerance": "--tolerance"}

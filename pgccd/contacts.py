@@ -17,7 +17,7 @@ class Stats:
     candidates: int = 0  #: feature pairs that survived it
     contacts: int = 0  #: rows reported
     unresolved: int = 0  #: rows reported because the iteration budget was spent
-    broad_phase: str = ""
+    broad_phase: str = ""  #: "sweep", "grid" or "lbvh"; "given" if the pairs were
     chunks: int = 0  #: pieces in which the PCS was streamed
     seconds: dict[str, float] = field(default_factory=dict)
 

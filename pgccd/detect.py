@@ -17,7 +17,7 @@ from pgccd.ops import ContactRows
 from pgccd.scene import Scene
 
 # What one pair of the PCS may need while it is traversed and solved, on the standard scene with room to spare.
-_BYTES_PER_PAIR = 16 * 1024
+_BYTES_PER_PAIR = 1536
 _DEFAULT_BUDGET = 1 << 30
 
 
@@ -29,7 +29,7 @@ def detect(
     *,
     tolerance: float | None = None,
     nonzero_toi: bool = False,
-    broad_phase: broad.BroadPhase = "sweep",
+    broad_phase: broad.BroadPhase = "auto",
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
 ) -> Contacts:
@@ -48,11 +48,12 @@ def detect(
         tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
             SBV radius of each pair.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
-        broad_phase: how the PCS is found. The result does not depend on it.
+        broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses one by the bodies' sizes
+            and says so in `stats`. The result does not depend on it.
         pairs: (P, 2) int64, i < j, sorted: test these body pairs and no others, without a broad phase (a part of an
             earlier step's, say). The scene's filters are not applied to them.
-        memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB.
-            The result does not depend on it.
+        memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB,
+            or a quarter of what is free on a GPU if that is more. The result does not depend on it.
 
     Returns:
         Contacts, on the scene's device.
@@ -67,44 +68,62 @@ def detect(
     if report not in narrow.REPORTS:
         raise ValueError(f"report: expected one of {list(narrow.REPORTS)}, got {report!r}")
     broad.check_separation(min_separation)
-    budget = _DEFAULT_BUDGET if memory_budget is None else memory_budget
-    if budget <= 0:
+    if memory_budget is not None and memory_budget <= 0:
         raise ValueError(f"memory_budget: expected a number of bytes > 0, got {memory_budget}")
-    stats = Stats(bodies=scene.body_count, broad_phase=broad_phase)
+    stats = Stats(bodies=scene.body_count)
 
     with _timed(stats, "bounds"):
         bodies = MovingBodies(scene, motion)
     with _timed(stats, "broad"):
+        chosen = broad.choose(bodies, broad_phase)
+        stats.broad_phase = chosen if pairs is None else "given"
         if pairs is None:
-            pairs = broad.find_pairs(bodies, min_separation, broad_phase)
+            pairs = broad.find_pairs(bodies, min_separation, chosen)
         else:
-            stats.broad_phase = "given"
+            pairs = traverse.check_pairs(pairs, bodies)
     stats.pcs = pairs.shape[0]
 
+    node_tests: list[Tensor] = []
     found = []
-    for chunk in pairs.split(max(1, budget // _BYTES_PER_PAIR)):
+    for chunk in pairs.split(max(1, _budget(memory_budget, len(pairs), bodies.device) // _BYTES_PER_PAIR)):
         stats.chunks += 1
         horizon = None
-        if report in ("first", "earliest"):
-            # A good guess at each pair's first contact bounds how far the search for an earlier one need look.
-            candidates = _traverse(stats, bodies, chunk, min_separation, tolerance, None, leading=True)
+        if report in ("first", "earliest") and bodies.device.type == "cpu":
+            # A good guess at each pair's first contact bounds how far the search for an earlier one need look. A GPU
+            # has searched all of it sooner than it has found the guess.
+            candidates, tests = _traverse(stats, bodies, chunk, min_separation, tolerance, None, leading=True)
+            node_tests.append(tests)
             rows = _narrow(stats, bodies, chunk, candidates, "first", min_separation, tolerance, nonzero_toi)
             horizon = torch.ones(len(chunk), dtype=torch.float64, device=bodies.device)
             horizon[rows[0].long()] = rows[4]
             if report == "earliest" and len(horizon):
                 horizon = horizon.min().expand_as(horizon).contiguous()
-        candidates = _traverse(stats, bodies, chunk, min_separation, tolerance, horizon, leading=False)
+        candidates, tests = _traverse(stats, bodies, chunk, min_separation, tolerance, horizon, leading=False)
+        node_tests.append(tests)
         rows = _narrow(stats, bodies, chunk, candidates, report, min_separation, tolerance, nonzero_toi)
         found.append((chunk[rows[0].long()], *rows[1:]))
-    rows = tuple(torch.cat(column) for column in zip(*found, strict=True))  # type: ignore[assignment]
+    rows = found[0] if len(found) == 1 else tuple(torch.cat(column) for column in zip(*found, strict=True))  # type: ignore[assignment]
     if report == "earliest":  # of the chunks' earliest ones
         rows = narrow.keep_earliest(rows)
     pair, kind, features, status, toi, coordinates, point, normal = rows
     stats.contacts = pair.shape[0]
-    stats.unresolved = int((status == narrow.Status.UNRESOLVED).sum())
+    # Read together: on a GPU every look at a number waits for it.
+    unresolved = (status == narrow.Status.UNRESOLVED).sum().reshape(1)
+    stats.unresolved, *tests_made = torch.cat([unresolved, *node_tests]).tolist()
+    stats.node_tests = sum(tests_made)
     if report == "any":
         return Contacts(pair, None, None, None, None, None, None, None, stats)
     return Contacts(pair, toi, kind, features, coordinates, point, normal, status, stats)
+
+
+def _budget(wanted: int | None, pair_count: int, device: torch.device) -> int:
+    """Bytes of scratch memory to aim at. What a GPU has free is only asked where it matters: asking takes time."""
+    if wanted is not None:
+        return wanted
+    if device.type != "cuda" or pair_count * _BYTES_PER_PAIR <= _DEFAULT_BUDGET:
+        return _DEFAULT_BUDGET
+    free, _ = torch.cuda.mem_get_info(device)
+    return max(_DEFAULT_BUDGET, free // 4)
 
 
 def _traverse(
@@ -115,12 +134,11 @@ def _traverse(
     tolerance: float | None,
     horizon: Tensor | None,
     leading: bool,
-) -> Tensor:
+) -> tuple[Tensor, Tensor]:
     with _timed(stats, "traverse"):
-        candidates, node_tests = traverse.bvtt(bodies, pairs, min_separation, tolerance, horizon, leading)
-        stats.node_tests += int(node_tests)
+        candidates, node_tests = traverse.search(bodies, pairs, min_separation, tolerance, horizon, leading)
         stats.candidates += candidates.shape[0]
-    return candidates
+    return candidates, node_tests
 
 
 def _narrow(

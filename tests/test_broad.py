@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,11 +17,18 @@ import pgccd
 from pgccd import ops
 
 AXES = (-1, 0, 1, 2)
+# Each broad phase, the sweep along each axis.
+WAYS: tuple[tuple[Callable[..., torch.Tensor], tuple[int, ...]], ...] = (
+    *((ops.sweep, (axis,)) for axis in AXES),
+    (ops.grid, ()),
+    (ops.lbvh, ()),
+)
 ROUNDING = 1e-12
 
 
-def swept(start: Any, end: Any, radius: Any, separation: float = 0.0, axis: int = -1, **filters: Any) -> np.ndarray:
+def found_by(way: Any, start: Any, end: Any, radius: Any, separation: float = 0.0, **filters: Any) -> torch.Tensor:
     """The operator on arrays (on the device of `filters["device"]`)."""
+    operator, settings = way
     device = filters.pop("device", "cpu")
     columns = tensors(*(np.asarray(a, dtype=np.float64) for a in (start, end, radius)), device=device)
     types = {"group": torch.int64, "mask": torch.int64, "world": torch.int32, "static": torch.uint8}
@@ -29,16 +36,15 @@ def swept(start: Any, end: Any, radius: Any, separation: float = 0.0, axis: int 
         torch.as_tensor(filters[k], dtype=t, device=device) if filters.get(k) is not None else None
         for k, t in types.items()
     ]
-    return ops.sweep(*columns, *bits, separation, axis).cpu().numpy()
+    return operator(*columns, *bits, separation, *settings).cpu()
 
 
 def check(start: Any, end: Any, radius: Any, separation: float = 0.0, **filters: Any) -> np.ndarray:
-    """Compares all axes with the oracle; returns the pairs."""
+    """Compares all broad phases with the oracle; returns the pairs."""
     device = filters.pop("device", "cpu")
     start, end, radius = (np.asarray(a, dtype=np.float64) for a in (start, end, radius))
-    found = [swept(start, end, radius, separation, axis, device=device, **filters) for axis in AXES]
-    assert all(np.array_equal(found[0], f) for f in found), "the pairs depend on the axis"
-    pairs = [tuple(p) for p in found[0].tolist()]
+    found = agreed(start, end, radius, separation, device=device, **filters)
+    pairs = [tuple(p) for p in found.tolist()]
     assert pairs == sorted(set(pairs)) and all(i < j for i, j in pairs), "not sorted, or listed twice"
     truth = {tuple(p) for p in sphere_pairs(start, end, radius, separation, **filters).tolist()}
     assert truth - set(pairs) == set(), "missed"
@@ -47,6 +53,15 @@ def check(start: Any, end: Any, radius: Any, separation: float = 0.0, **filters:
         size = np.abs(start[j] - start[i]).max() + np.abs(end[j] - end[i]).max() + radius[i] + radius[j] + separation
         assert spheres_meet(start[both], end[both], radius[i], radius[j], separation + ROUNDING * size), "invented"
         assert tuple(both) in {tuple(p) for p in sphere_pairs(start, end, 1e300 + 0 * radius, **filters).tolist()}
+    return found.numpy()
+
+
+def agreed(start: Any, end: Any, radius: Any, separation: float = 0.0, **options: Any) -> torch.Tensor:
+    """What all broad phases find."""
+    found = [found_by(way, start, end, radius, separation, **options) for way in WAYS]
+    names = [f"{operator.__name__}{settings}" for operator, settings in WAYS]
+    different = [name for name, pairs in zip(names, found, strict=True) if not torch.equal(pairs, found[0])]
+    assert different == [], "these differ from the sweep"
     return found[0]
 
 
@@ -168,18 +183,20 @@ def test_scene_filters_and_separation(device: torch.device) -> None:
     scene = pgccd.Scene([mesh], [0] * count, device, group=group, mask=mask, world=world.tolist(), static=static)
     bodies = pgccd.MovingBodies(scene, pgccd.RigidMotion(*tensors(start, turn, end, turn, device=device)))
     radius = np.full(count, mesh.radius)
-    for separation, axis in product((0.0, 0.4), ("auto", "x", "y", "z")):
-        found = pgccd.broad.sweep(bodies, separation, axis).cpu().numpy()
-        filters: dict[str, Any] = {"group": group, "mask": mask, "world": world, "static": static}
-        assert np.array_equal(found, sphere_pairs(start, end, radius, separation, **filters))
-        assert len(found) > 10
-    assert torch.equal(pgccd.broad.find_pairs(bodies, 0.4), pgccd.broad.sweep(bodies, 0.4))
+    filters: dict[str, Any] = {"group": group, "mask": mask, "world": world, "static": static}
+    for separation in (0.0, 0.4):
+        truth = sphere_pairs(start, end, radius, separation, **filters)
+        assert len(truth) > 10
+        for axis in ("auto", "x", "y", "z"):
+            assert np.array_equal(pgccd.broad.sweep(bodies, separation, axis).cpu().numpy(), truth)
+        for broad_phase in pgccd.broad.BROAD_PHASES:
+            assert np.array_equal(pgccd.broad.find_pairs(bodies, separation, broad_phase).cpu().numpy(), truth)
 
 
 def test_group_alone_means_all_mask_bits() -> None:
     x = np.zeros((3, 3))
-    assert swept(x, x, np.ones(3), group=[1, 0, 2]).tolist() == [[0, 2]]
-    assert swept(x, x, np.ones(3), mask=[1, 0, 2]).tolist() == [[0, 2]]
+    assert agreed(x, x, np.ones(3), group=[1, 0, 2]).tolist() == [[0, 2]]
+    assert agreed(x, x, np.ones(3), mask=[1, 0, 2]).tolist() == [[0, 2]]
 
 
 @pytest.mark.slow

@@ -75,6 +75,25 @@ def test_detect_prints_the_contact(meshes: list[str], poses: str, capsys: pytest
     assert len(lines) == 2 and lines[0].startswith("pair=0,1  toi=0.37") and "contacts=1" in lines[1]
 
 
+@pytest.mark.parametrize("broad_phase", ["auto", "sweep", "grid", "lbvh"])
+def test_broad_phase_is_named_and_changes_nothing(
+    broad_phase: str, tmp_path: Path, meshes: list[str], poses: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["detect", *meshes, "--motion", poses, "--json"]) == 0
+    default = json.loads(capsys.readouterr().out)
+    assert main(["detect", *meshes, "--motion", poses, "--json", "--broad-phase", broad_phase]) == 0
+    named = json.loads(capsys.readouterr().out)
+    assert named["contacts"] == default["contacts"] != []
+    assert named["stats"]["broad_phase"] == ("sweep" if broad_phase == "auto" else broad_phase)
+
+    folders = [tmp_path / "default", tmp_path / "named"]
+    world = ["simulate", "--robots", "80", "--steps", "3", "--no-pictures", "--out"]
+    assert main([*world, str(folders[0])]) == main([*world, str(folders[1]), "--broad-phase", broad_phase]) == 0
+    logs = [(folder / "steps.jsonl").read_text().splitlines() for folder in folders]
+    hashes = [[json.loads(line)["state_hash"] for line in log] for log in logs]
+    assert hashes[0] == hashes[1] and len(hashes[0]) == 3
+
+
 def test_detect_as_json_and_by_scene_and_velocity(
     tmp_path: Path, meshes: list[str], poses: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -123,6 +142,7 @@ def test_info_names_version_and_kernels(meshes: list[str], capsys: pytest.Captur
         (["simulate", "--resume", "nowhere"], "argument --resume: no checkpoint at nowhere"),
         (["simulate", "--resume", "nowhere", "--robots", "5"], "argument --robots: not allowed with --resume"),
         (["simulate", "--out", "file.txt/sub"], "argument --out"),
+        (["simulate", "--broad-phase", "octree"], "argument --broad-phase"),
         (["detect"], "argument MESH"),
         (["detect", "A", "B"], "argument --motion"),
         (["detect", "A", "B", "--motion", "poses.npz"], "argument MESH: no mesh file at A"),

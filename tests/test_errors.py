@@ -121,7 +121,7 @@ for _value in (NAN, INF, -1e-9):
     case(f"min_separation {_value}", lambda v=_value: detect(min_separation=v), "min_separation")
     case(f"tolerance {_value}", lambda v=_value: detect(tolerance=v), "tolerance")
 case("report", lambda: detect(report="last"), "report", "last")
-case("broad_phase", lambda: detect(broad_phase="grid"), "broad_phase", "grid")
+case("broad_phase", lambda: detect(broad_phase="octree"), "broad_phase", "octree")
 case("memory_budget", lambda: detect(memory_budget=0), "memory_budget")
 case("axis", lambda: pgccd.broad.sweep(moved(), axis="w"), "axis")
 case("mesh_index range", lambda: scene(mesh_index=[0, 2]), "mesh_index", "2 meshes")
@@ -152,7 +152,8 @@ case("from_trimesh", lambda: pgccd.Mesh.from_trimesh(object()), "mesh", "no tria
 QUERY = torch.zeros(2, 4, 3, dtype=torch.float64)
 for _test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
     _name = _test.__name__
-    case(f"{_name} dtype", lambda t=_test: t(QUERY.float(), QUERY), "points_t0", "float64")
+    case(f"{_name} dtype", lambda t=_test: t(QUERY.half(), QUERY), "points_t0", "float64")
+    case(f"{_name} dtypes", lambda t=_test: t(QUERY.float(), QUERY), "points_t1", "float32")
     case(f"{_name} type", lambda t=_test: t(QUERY, QUERY.numpy()), "points_t1")
     case(f"{_name} shape", lambda t=_test: t(QUERY, QUERY[:, :3]), "points_t1", "4, 3")
     case(f"{_name} count", lambda t=_test: t(QUERY, QUERY[:1]), "points_t1", "2, 4, 3")

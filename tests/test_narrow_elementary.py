@@ -65,6 +65,47 @@ def run_separated(generator: Generator, is_face: bool, count: int, seed: int, de
             check(*points, is_face, separation, 1e-6 * 2.0**exponent, most_unresolved=1.0, device=device)
 
 
+def to_float32(queries: np.ndarray) -> np.ndarray:
+    """The nearest numbers that float32 holds, at a scale where it holds the differences too."""
+    return queries.astype(np.float32).astype(np.float64)
+
+
+@KINDS
+@ALL
+def test_float32(generator: Generator, is_face: bool, device: torch.device) -> None:
+    queries = generator(np.random.default_rng(8), 60, is_face)
+    points = to_float32(queries.points_t0), to_float32(queries.points_t1)
+    for separation in (0.0, 0.1):
+        for tolerance in (1e-3, 1e-6):
+            options = {"most_unresolved": 1.0, "device": device, "dtype": torch.float32}
+            check(*points, is_face, separation, tolerance, **options)
+
+
+@KINDS
+def test_float32_settles_most_free_queries_itself(is_face: bool, device: torch.device) -> None:
+    rng = np.random.default_rng(9)
+    start, end = (torch.tensor(x, dtype=torch.float32, device=device) for x in rng.normal(size=(2, 4000, 4, 3)))
+    test = pgccd.narrow.vertex_face if is_face else pgccd.narrow.edge_edge
+    single, double = test(start, end), test(start.double(), end.double())
+    assert torch.equal(single.status == pgccd.FREE, double.status == pgccd.FREE)
+    assert single.toi.dtype == single.coordinates.dtype == torch.float32
+    assert (single.toi.double() - double.toi)[double.toi < 1].abs().max() < 1e-6
+    free = single.status == pgccd.FREE
+    assert (single.significant_bits[free] == 24).float().mean() > 0.95
+
+
+@KINDS
+def test_near_misses_are_free(is_face: bool, device: torch.device) -> None:
+    """Whether features touch or pass within an ulp of each other is decided, whatever the tolerance."""
+    queries = next(g for g in GENERATORS if g.__name__ == "near_miss")(np.random.default_rng(10), 400, is_face)
+    hits = truth(queries.points_t0, queries.points_t1, is_face)
+    touching = np.array([hit is not None for hit in hits])
+    status = solve(queries.points_t0, queries.points_t1, is_face, tolerance=1e-3, device=device)[0]
+    assert 40 < touching.sum() < 360
+    assert (status[touching] != pgccd.FREE).all()
+    assert (status[~touching] == pgccd.FREE).mean() > 0.98
+
+
 @KINDS
 @ALL
 def test_separation(generator: Generator, is_face: bool, device: torch.device) -> None:

@@ -43,6 +43,8 @@ def recorded(device: torch.device) -> list[Call]:
                 scene = pgccd.Scene(bodies.meshes, device=device, **options)
                 for report in ("any", "first", "all", "earliest"):
                     pgccd.detect(scene, bodies.motion(device=device), report, 0.01)  # type: ignore[arg-type]
+                for broad_phase in ("grid", "lbvh"):  # few bodies are swept
+                    pgccd.detect(scene, bodies.motion(device=device), "any", broad_phase=broad_phase)
             pgccd.detect(scene, bodies.motion("linear", device))
             x = torch.cat(
                 [m.vertices + torch.from_numpy(p) for m, p in zip(bodies.meshes, bodies.position_t0, strict=True)]

@@ -47,7 +47,7 @@ class Pgccd:
     def batch(self, points: Queries) -> tuple[np.ndarray, int, float]:
         """Which collide, how many of them are unresolved, and the seconds of the call."""
         ends = _ends(points)
-        seconds, (status, _, _) = timing.seconds(lambda: self._operator(*ends, 0.0, self._tolerance, False))
+        seconds, (status, *_) = timing.seconds(lambda: self._operator(*ends, 0.0, self._tolerance, False))
         return (status != pgccd.FREE).numpy(), int((status == pgccd.UNRESOLVED).sum()), seconds
 
     def mean_seconds(self, points: Queries, rounds: int = 20) -> float | None:

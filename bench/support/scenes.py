@@ -55,11 +55,11 @@ class MixedWorld:
 
 @dataclass
 class MovingSpheres:
-    """Spheres of radius 1 whose centres move straight."""
+    """Spheres whose centres move straight."""
 
     position_t0: np.ndarray  #: (N, 3) float64
     position_t1: np.ndarray
-    radius: float = 1.0
+    radius: float | np.ndarray = 1.0  #: of all, or (N,)
 
     def meet(self, pairs: np.ndarray) -> np.ndarray:
         """(P,) bool: do the two come within the sum of their radii at some time of the step?"""
@@ -74,20 +74,55 @@ class MovingSpheres:
         with np.errstate(invalid="ignore", divide="ignore"):
             t = np.nan_to_num(np.clip(-(start * travel).sum(1) / length_squared, 0.0, 1.0))
         nearest = start + t[:, None] * travel
-        return (nearest * nearest).sum(1) - (2.0 * self.radius) ** 2
+        radius = np.broadcast_to(self.radius, len(self.position_t0))
+        return (nearest * nearest).sum(1) - radius[pairs].sum(1) ** 2
 
 
-def random_spheres(count: int, seed: int, speed: float = 0.1, fraction: float = 0.25) -> MovingSpheres:
+def random_spheres(
+    count: int, seed: int, speed: float = 0.1, fraction: float = 0.25, size_ratio: float = 1.0
+) -> MovingSpheres:
     """Centres uniform in a box that the spheres would fill to `fraction`, free to overlap; steps as in the standard
-    world.
+    world, in proportion to the radii. These are 1, or lie between 1 / `size_ratio` and 1, uniform in their logarithm.
 
-    On average 4 x `fraction` spheres overlap pairwise at rest for each sphere: about one pair a body.
+    On average 4 x `fraction` spheres of one size overlap pairwise at rest for each sphere: about one pair a body.
     """
     random = np.random.default_rng(seed)
-    edge = (count * 4.0 / 3.0 * math.pi / fraction) ** (1.0 / 3.0)
-    position = random.uniform(-0.5 * edge, 0.5 * edge, (count, 3))
+    sizes = np.geomspace(1.0 / size_ratio, 1.0, 31)
+    radius = 1.0 if size_ratio == 1.0 else random.choice(sizes, count)
+    volume = 4.0 / 3.0 * math.pi * np.sum(np.broadcast_to(radius, count) ** 3)
+    position = random.uniform(-0.5, 0.5, (count, 3)) * (volume / fraction) ** (1.0 / 3.0)
+    return _stirred(random, position, radius, speed)
+
+
+def spheres_on_a_huge_one(count: int, seed: int, speed: float = 0.1) -> MovingSpheres:
+    """Pebbles of radius 1 in a layer on one sphere that is as large as the whole scene, about one pair among pebbles a
+    body."""
+    random = np.random.default_rng(seed)
+    width = math.sqrt(count * 4.0 / 3.0 * math.pi)
+    huge = 4.0 * width
+    position = random.uniform(-0.5, 0.5, (count, 3)) * [width, width, 4.0]
+    position[:, 2] += np.sqrt(huge**2 - (position[:, :2] ** 2).sum(1))
+    position[0] = 0.0
+    radius = np.ones(count)
+    radius[0] = huge
+    return _stirred(random, position, radius, speed * (radius == 1.0))
+
+
+def clustered_spheres(count: int, seed: int, speed: float = 0.1, clusters: int = 1000) -> MovingSpheres:
+    """Gaussian clusters of spheres of radius 1, far from one another."""
+    random = np.random.default_rng(seed)
+    middle = 100.0 * clusters ** (1.0 / 3.0) * random.uniform(-1.0, 1.0, (clusters, 3))
+    deviation = (count / clusters) ** (1.0 / 3.0)
+    position = middle[random.integers(0, clusters, count)] + deviation * random.normal(size=(count, 3))
+    return _stirred(random, position, 1.0, speed)
+
+
+def _stirred(
+    random: np.random.Generator, position: np.ndarray, radius: float | np.ndarray, speed: float | np.ndarray
+) -> MovingSpheres:
+    count = len(position)
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     # The standard world's speeds: uniform from half the mean to half as much again.
-    length = speed * random.uniform(0.5, 1.5, (count, 1))
-    return MovingSpheres(position, position + length * direction)
+    length = speed * radius * random.uniform(0.5, 1.5, count)
+    return MovingSpheres(position, position + length[:, None] * direction, radius)

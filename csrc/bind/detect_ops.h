@@ -4,8 +4,9 @@
 
 #include <functional>
 
-#include "bind/arguments.h"
+#include "bind/outputs.h"
 #include "core/candidate.h"
+#include "kernels/broad/pair_output.h"
 #include "kernels/narrow/narrow.h"
 #include "kernels/traverse/traverse.h"
 
@@ -13,17 +14,6 @@ namespace pgccd::bind {
 
 using TensorList = std::vector<Tensor>;
 using ContactTensors = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
-
-template <class T>
-Tensor new_tensor(const Tensor& like, std::initializer_list<int64_t> shape) {
-  const std::vector<int64_t> sizes(shape);
-  return torch::stable::new_empty(like, sizes, scalar_type_of<T>());
-}
-
-template <class T>
-T* data(Tensor& tensor) {
-  return static_cast<T*>(tensor.data_ptr());
-}
 
 template <class Backend>
 struct DetectOps {
@@ -66,12 +56,21 @@ struct DetectOps {
                       int64_t axis) {
     const BroadBodies bodies =
         broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
-    Tensor pairs = radius;
-    Backend(radius).sweep(bodies, static_cast<int>(axis), [&](int64_t count) {
-      pairs = new_tensor<int64_t>(radius, {count, 2});
-      return data<int64_t>(pairs);
+    return collect_pairs(radius, [&](const PairOutput& make_output) {
+      Backend(radius).sweep(bodies, static_cast<int>(axis), make_output);
     });
-    return pairs;
+  }
+
+  // Broad phases without settings.
+  template <void (Backend::*kFind)(const BroadBodies&, const PairOutput&) const>
+  static Tensor find_pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
+                           const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
+                           const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
+                           double min_separation) {
+    const BroadBodies bodies =
+        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
+    const Backend backend(radius);
+    return collect_pairs(radius, [&](const PairOutput& make_output) { (backend.*kFind)(bodies, make_output); });
   }
 
   static std::tuple<Tensor, Tensor> traverse_rigid(const TensorList& mesh_set, const TensorList& bodies,
@@ -101,21 +100,6 @@ struct DetectOps {
                   report);
   }
 
-  template <bool kEdgeEdge>
-  static std::tuple<Tensor, Tensor, Tensor> elementary(const Tensor& points_t0, const Tensor& points_t1,
-                                                       double min_separation, double tolerance, bool nonzero_toi) {
-    const double* x0 = rows<double>(points_t0, "points_t0", {kAnySize, 4, 3});
-    const int64_t count = points_t0.size(0);
-    const double* x1 = rows<double>(points_t1, "points_t1", {count, 4, 3});
-    Tensor status = new_tensor<int8_t>(points_t0, {count});
-    Tensor toi = new_tensor<double>(points_t0, {count});
-    Tensor coordinates = new_tensor<double>(points_t0, {count, 2});
-    Backend(points_t0).template elementary<kEdgeEdge>(x0, x1, count, {min_separation, tolerance, nonzero_toi},
-                                                      data<int8_t>(status), data<double>(toi),
-                                                      data<double>(coordinates));
-    return {status, toi, coordinates};
-  }
-
  private:
   template <class Bodies>
   static std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs,
@@ -136,6 +120,13 @@ struct DetectOps {
     };
     Backend(pairs).traverse(bodies, input, make_candidates, data<int64_t>(node_tests));
     return {candidates, node_tests};
+  }
+
+  template <class Find>
+  static Tensor collect_pairs(const Tensor& like, Find&& find) {
+    Tensor pairs = like;
+    find([&](int64_t count) { return data<int64_t>(pairs = new_tensor<int64_t>(like, {count, 2})); });
+    return pairs;
   }
 
   template <class Bodies>
@@ -170,11 +161,11 @@ struct DetectOps {
   library.impl("rotations_between", TORCH_BOX(&DetectOps<Backend>::rotations_between));   \
   library.impl("refit", TORCH_BOX(&DetectOps<Backend>::refit));                           \
   library.impl("sweep", TORCH_BOX(&DetectOps<Backend>::sweep));                           \
+  library.impl("grid", TORCH_BOX(&DetectOps<Backend>::find_pairs<&Backend::grid>));       \
+  library.impl("lbvh", TORCH_BOX(&DetectOps<Backend>::find_pairs<&Backend::lbvh>));       \
   library.impl("traverse_rigid", TORCH_BOX(&DetectOps<Backend>::traverse_rigid));         \
   library.impl("traverse_deforming", TORCH_BOX(&DetectOps<Backend>::traverse_deforming)); \
   library.impl("narrow_rigid", TORCH_BOX(&DetectOps<Backend>::narrow_rigid));             \
-  library.impl("narrow_deforming", TORCH_BOX(&DetectOps<Backend>::narrow_deforming));     \
-  library.impl("vertex_face", TORCH_BOX(&DetectOps<Backend>::elementary<false>));         \
-  library.impl("edge_edge", TORCH_BOX(&DetectOps<Backend>::elementary<true>))
+  library.impl("narrow_deforming", TORCH_BOX(&DetectOps<Backend>::narrow_deforming))
 
 }  // namespace pgccd::bind

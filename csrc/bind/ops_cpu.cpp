@@ -4,8 +4,9 @@
 
 #include "bind/cpu_executor.h"
 #include "bind/detect_ops.h"
+#include "bind/elementary_ops.h"
 #include "kernels/bounds/bounds.h"
-#include "kernels/broad/sweep.h"
+#include "kernels/broad/broad.h"
 
 namespace pgccd::bind {
 namespace {
@@ -19,10 +20,14 @@ class CpuBackend {
   }
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const { refit_cpu(executor_, input, bounds); }
 
-  template <class Output>
-  void sweep(const BroadBodies& bodies, int axis, Output&& make_output) const {
-    const std::vector<BodyPair> pairs = sweep_cpu(executor_, bodies, axis);
-    copy(pairs, make_output(static_cast<int64_t>(pairs.size())));
+  void sweep(const BroadBodies& bodies, int axis, const PairOutput& make_output) const {
+    sweep_cpu(executor_, bodies, axis, make_output);
+  }
+  void grid(const BroadBodies& bodies, const PairOutput& make_output) const {
+    grid_cpu(executor_, bodies, make_output);
+  }
+  void lbvh(const BroadBodies& bodies, const PairOutput& make_output) const {
+    lbvh_cpu(executor_, bodies, make_output);
   }
 
   template <class Bodies, class Output>
@@ -47,10 +52,10 @@ class CpuBackend {
     copy(found.normal, out.normal);
   }
 
-  template <bool kEdgeEdge>
-  void elementary(const double* x0, const double* x1, int64_t count, const NarrowSettings& settings, int8_t* status,
-                  double* toi, double* coordinates) const {
-    elementary_cpu<kEdgeEdge>(executor_, x0, x1, count, settings, status, toi, coordinates);
+  template <bool kEdgeEdge, class T>
+  void elementary(const T* x0, const T* x1, int64_t count, const NarrowSettings& settings,
+                  const ElementaryColumns<T>& out) const {
+    elementary_cpu<kEdgeEdge>(executor_, x0, x1, count, settings, out);
   }
 
  private:
@@ -64,6 +69,9 @@ class CpuBackend {
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) { PGCCD_REGISTER_DETECT_OPS(library, CpuBackend); }
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
+  PGCCD_REGISTER_DETECT_OPS(library, CpuBackend);
+  PGCCD_REGISTER_ELEMENTARY_OPS(library, CpuBackend);
+}
 
 }  // namespace pgccd::bind

@@ -3,6 +3,7 @@
 
 #include "bind/cuda_backend.h"
 #include "bind/detect_ops.h"
+#include "bind/elementary_ops.h"
 #include "kernels/bounds/bounds_cuda.h"
 #include "kernels/broad/broad_cuda.h"
 #include "kernels/narrow/narrow_cuda.h"
@@ -24,6 +25,12 @@ class CudaBackend {
   void sweep(const BroadBodies& bodies, int axis, const PairOutput& make_output) const {
     sweep_cuda(session_.context(), bodies, axis, make_output);
   }
+  void grid(const BroadBodies& bodies, const PairOutput& make_output) const {
+    grid_cuda(session_.context(), bodies, make_output);
+  }
+  void lbvh(const BroadBodies& bodies, const PairOutput& make_output) const {
+    lbvh_cuda(session_.context(), bodies, make_output);
+  }
   template <class Bodies>
   void traverse(const Bodies& bodies, const TraverseInput& input, const CandidateOutput& make_output,
                 int64_t* node_tests) const {
@@ -33,10 +40,10 @@ class CudaBackend {
   void narrow(const Bodies& bodies, const NarrowInput& input, const ContactOutput& make_output) const {
     narrow_phase_cuda(session_.context(), bodies, input, make_output);
   }
-  template <bool kEdgeEdge>
-  void elementary(const double* x0, const double* x1, int64_t count, const NarrowSettings& settings, int8_t* status,
-                  double* toi, double* coordinates) const {
-    elementary_cuda<kEdgeEdge>(session_.context(), x0, x1, count, settings, status, toi, coordinates);
+  template <bool kEdgeEdge, class T>
+  void elementary(const T* x0, const T* x1, int64_t count, const NarrowSettings& settings,
+                  const ElementaryColumns<T>& out) const {
+    elementary_cuda<kEdgeEdge>(session_.context(), x0, x1, count, settings, out);
   }
 
  private:
@@ -45,7 +52,10 @@ class CudaBackend {
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) { PGCCD_REGISTER_DETECT_OPS(library, CudaBackend); }
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
+  PGCCD_REGISTER_DETECT_OPS(library, CudaBackend);
+  PGCCD_REGISTER_ELEMENTARY_OPS(library, CudaBackend);
+}
 
 }  // namespace pgccd::bind
 

@@ -23,6 +23,12 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "sweep(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, float min_separation, int axis) -> Tensor");
   library.def(
+      "grid(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
+      "Tensor? is_static, float min_separation) -> Tensor");
+  library.def(
+      "lbvh(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
+      "Tensor? is_static, float min_separation) -> Tensor");
+  library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
       "float min_separation, float tolerance, bool leading) "
       "-> (Tensor candidates, Tensor node_tests)");
@@ -40,10 +46,10 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor)");
   library.def(
       "vertex_face(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) "
-      "-> (Tensor status, Tensor toi, Tensor coordinates)");
+      "-> (Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
   library.def(
       "edge_edge(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) "
-      "-> (Tensor status, Tensor toi, Tensor coordinates)");
+      "-> (Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
 }
 
 // Importing pgccd._C runs the registrations of this binary; as a Python module it is empty.

@@ -1,17 +1,12 @@
-// Eight floats at a time, on the host: the compiler's vector types obey the same templates as a plain float, lane by
-// lane with the same bits. Devices run the float versions.
+// Loading lanes, and asking about all of them. Devices run the versions for a plain float.
 #pragma once
 
-#include <cmath>
 #include <cstdint>
 
 #include "core/vec3.h"
 
 namespace pgccd {
 
-constexpr int kLanes = 8;
-
-PGCCD_HD float square_root(float x) { return std::sqrt(x); }
 PGCCD_HD bool all_lanes(bool mask) { return mask; }
 
 template <class T>
@@ -21,19 +16,10 @@ PGCCD_HD T load(const float* first) {
 
 #if !defined(__CUDACC__)
 
-using Float8 = float __attribute__((vector_size(32)));
-using Mask8 = int32_t __attribute__((vector_size(32)));
-
 template <>
 inline Float8 load<Float8>(const float* first) {
   Float8 out;
   __builtin_memcpy(&out, first, sizeof(out));
-  return out;
-}
-
-inline Float8 square_root(Float8 x) {
-  Float8 out;
-  for (int lane = 0; lane < kLanes; ++lane) out[lane] = std::sqrt(x[lane]);
   return out;
 }
 

@@ -3,8 +3,9 @@
 
 #include <cfloat>
 #include <cmath>
+#include <type_traits>
 
-#include "core/platform.h"
+#include "core/double_double.h"
 
 namespace pgccd {
 
@@ -17,6 +18,10 @@ struct Precision<double> {
 template <>
 struct Precision<float> {
   static constexpr float unit = 0x1p-24f;
+};
+template <>
+struct Precision<DoubleDouble> {
+  static constexpr double unit = 0x1p-101;
 };
 
 // Computed offsets of mesh points from their body's centre differ from the exact path by at most this many units of the
@@ -39,6 +44,26 @@ PGCCD_HD T add_down(T a, T b) {
   const T b_part = sum - a;
   const T error = (a - (sum - b_part)) + (b - b_part);
   return error < T(0) ? std::nextafter(sum, -static_cast<T>(INFINITY)) : sum;
+}
+PGCCD_HD DoubleDouble add_down(DoubleDouble a, DoubleDouble b) {
+  const DoubleDouble sum = a + b;
+  return sum - magnitude(sum) * DoubleDouble(4.0 * Precision<DoubleDouble>::unit);
+}
+
+// The number of another kind that is next to x, from below or above; x itself where the kind is a finer one.
+template <class To>
+PGCCD_HD To round_down(double x) {
+  if constexpr (!std::is_same_v<To, float>) return To(x);
+  const float nearest = static_cast<float>(x);
+  return static_cast<double>(nearest) > x ? std::nextafter(nearest, -static_cast<float>(INFINITY)) : nearest;
+}
+template <class To>
+PGCCD_HD To round_up(double x) {
+  return -round_down<To>(-x);
+}
+template <class To>
+PGCCD_HD To round_down(DoubleDouble x) {
+  return round_down<To>(x.low < 0.0 ? std::nextafter(x.high, -static_cast<double>(INFINITY)) : x.high);
 }
 
 }  // namespace pgccd

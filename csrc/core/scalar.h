@@ -1,6 +1,8 @@
-// Minimum, maximum and clamp by comparison: one instruction each, the same on every backend. A NaN in the first
-// argument yields the second.
+// Minimum, maximum, clamp, magnitude and root, each one name for every kind of number; one instruction each for
+// built-in ones, the same on every backend. A NaN in the first argument of a comparison yields the second.
 #pragma once
+
+#include <cmath>
 
 #include "core/platform.h"
 
@@ -19,5 +21,13 @@ template <class T>
 PGCCD_HD T unit_clamp(T x) {
   return smaller(larger(x, T(0)), T(1));
 }
+
+PGCCD_HD float magnitude(float x) { return std::fabs(x); }
+PGCCD_HD double magnitude(double x) { return std::fabs(x); }
+// a b + c, rounded once where the numbers are built in.
+PGCCD_HD float multiply_add(float a, float b, float c) { return std::fma(a, b, c); }
+PGCCD_HD double multiply_add(double a, double b, double c) { return std::fma(a, b, c); }
+PGCCD_HD float square_root(float x) { return std::sqrt(x); }
+PGCCD_HD double square_root(double x) { return std::sqrt(x); }
 
 }  // namespace pgccd

@@ -1,10 +1,9 @@
 // Three-component vectors and 3 x 3 matrices. Evaluation order is part of the contract: the same bits on every backend.
 #pragma once
 
-#include <cmath>
 #include <type_traits>
 
-#include "core/scalar.h"
+#include "core/float8.h"
 
 namespace pgccd {
 
@@ -37,7 +36,7 @@ PGCCD_HD Vec3<T> operator*(S s, Vec3<T> a) {
 }
 template <class T>
 PGCCD_HD T dot(Vec3<T> a, Vec3<T> b) {
-  return (a.x * b.x + a.y * b.y) + a.z * b.z;
+  return multiply_add(a.z, b.z, multiply_add(a.y, b.y, a.x * b.x));
 }
 template <class T>
 PGCCD_HD Vec3<T> cross(Vec3<T> a, Vec3<T> b) {
@@ -49,11 +48,11 @@ PGCCD_HD T norm_squared(Vec3<T> a) {
 }
 template <class T>
 PGCCD_HD T norm(Vec3<T> a) {
-  return std::sqrt(dot(a, a));
+  return square_root(dot(a, a));
 }
 template <class T>
 PGCCD_HD T max_abs(Vec3<T> a) {
-  return larger(larger(std::fabs(a.x), std::fabs(a.y)), std::fabs(a.z));
+  return larger(larger(magnitude(a.x), magnitude(a.y)), magnitude(a.z));
 }
 
 template <class To, class From>

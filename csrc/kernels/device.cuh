@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <string>
 
+#include "core/scalar.h"
 #include "kernels/device_context.h"
 
 namespace pgccd {
@@ -18,6 +19,12 @@ inline void check_cuda(cudaError_t result, const char* what) {
 template <class T>
 void fill_bytes(const DeviceContext& context, T* target, int value, int64_t count) {
   check_cuda(cudaMemsetAsync(target, value, count * sizeof(T), context.stream), "cudaMemsetAsync");
+}
+
+template <class T>
+void copy(const DeviceContext& context, const T* source, int64_t count, T* target) {
+  check_cuda(cudaMemcpyAsync(target, source, count * sizeof(T), cudaMemcpyDeviceToDevice, context.stream),
+             "cudaMemcpyAsync");
 }
 
 // Waits for the stream: only where a size must be known on the host.
@@ -62,13 +69,38 @@ void for_each_item(const DeviceContext& context, int64_t count, Fn fn) {
   check_cuda(cudaGetLastError(), "kernel launch");
 }
 
-// As many blocks as fill the device; for kernels that find out on the device how much there is to do.
-inline int resident_blocks(int blocks_per_multiprocessor) {
+inline int resident_blocks(int blocks_a_multiprocessor) {
   int device = 0, multiprocessors = 0;
   check_cuda(cudaGetDevice(&device), "cudaGetDevice");
   check_cuda(cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, device),
              "cudaDeviceGetAttribute");
-  return multiprocessors * blocks_per_multiprocessor;
+  return multiprocessors * blocks_a_multiprocessor;
+}
+
+// As many blocks as the device holds at once; for kernels that find out on the device how much there is to do.
+template <class Kernel>
+int resident_blocks_of(Kernel kernel, int block_threads = kBlockThreads) {
+  int blocks = 0;
+  check_cuda(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, kernel, block_threads, 0),
+             "cudaOccupancyMaxActiveBlocksPerMultiprocessor");
+  return resident_blocks(larger(blocks, 1));
+}
+
+namespace device_detail {
+
+template <class Count, class Fn>
+__global__ void __launch_bounds__(kBlockThreads) for_each_counted_kernel(const Count* count, Fn fn) {
+  const int64_t end = static_cast<int64_t>(*count), stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
+  for (int64_t item = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; item < end; item += stride) fn(item);
+}
+
+}  // namespace device_detail
+
+// Runs fn(item) for every item in [0, *count), a count that only the device knows.
+template <class Count, class Fn>
+void for_each_counted(const DeviceContext& context, const Count* count, Fn fn) {
+  device_detail::for_each_counted_kernel<<<resident_blocks(8), kBlockThreads, 0, context.stream>>>(count, fn);
+  check_cuda(cudaGetLastError(), "kernel launch");
 }
 
 // Threads of a warp that append to one list share one atomic. Returns this thread's position.

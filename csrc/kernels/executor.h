@@ -32,4 +32,13 @@ void parallel_chunks(const Executor& executor, int64_t count, int64_t grain, Fn&
   });
 }
 
+// Adds to a counter that other workers may add to at the same time, unless there are none; returns what it was.
+template <class T>
+T add_shared(T& counter, T amount, bool alone) {
+  if (!alone) return std::atomic_ref<T>(counter).fetch_add(amount, std::memory_order_relaxed);
+  const T before = counter;
+  counter += amount;
+  return before;
+}
+
 }  // namespace pgccd

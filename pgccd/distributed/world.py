@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from pgccd import narrow
+from pgccd.broad import BroadPhase
 from pgccd.contacts import Contacts
 from pgccd.distributed.agreement import require_agreement, together
 from pgccd.distributed.balance import BalanceOptions, CellLoads, rank_loads, rebalance
@@ -44,7 +45,7 @@ class World:
         group, mask, world, static: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
         payload: named tensors (N, ...) that travel with the bodies: orientations, velocities, anything.
         comm: between the ranks. Default: one rank.
-        report, min_separation, tolerance, nonzero_toi: as for `pgccd.detect`.
+        report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
         path: of all motions, as for `pgccd.RigidMotion`.
         axes, cells: how space is cut, see `Partition.uniform`.
         balance: how cells change hands.
@@ -77,6 +78,7 @@ class World:
         min_separation: float = 0.0,
         tolerance: float | None = None,
         nonzero_toi: bool = False,
+        broad_phase: BroadPhase = "auto",
         path: Literal["rigid", "linear"] = "rigid",
         axes: int = 3,
         cells: int | Triple = 16,
@@ -84,7 +86,7 @@ class World:
         overlap: bool = True,
     ) -> None:
         self.comm = comm or Alone()
-        self.options = Options(report, min_separation, tolerance, nonzero_toi, overlap)
+        self.options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)
         self.balance, self.path = balance or BalanceOptions(), path
         filters = {"group": group, "mask": mask, "world": world, "static": static}
         given: dict[str, Any] = {name: column for name, column in filters.items() if column is not None}

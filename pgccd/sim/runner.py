@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import torch
 
+from pgccd.broad import BroadPhase
 from pgccd.mesh import Mesh
 from pgccd.sim.files import (
     WORLD_FILE,
@@ -48,6 +49,7 @@ def run(
     *,
     meshes: Sequence[Mesh] | None = None,
     device: torch.device | str = "cpu",
+    broad_phase: BroadPhase = "auto",
     checkpoint_every: int = 0,
     progress: Progress | None = None,
 ) -> Run:
@@ -62,6 +64,7 @@ def run(
         folder: made if missing; the files of an earlier run in it are replaced.
         meshes: kinds of robots; default `robot_mesh()`.
         device: where to compute. The result does not depend on it.
+        broad_phase: as for `detect`.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
         progress: told about every step.
 
@@ -79,7 +82,7 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)
     forget_checkpoints(folder)  # an earlier run's would not fit the log that starts now
     write_json(folder / WORLD_FILE, world.describe())
-    return _continue(world, world.start(), 0, steps, folder, checkpoint_every, progress)
+    return _continue(world, world.start(), 0, steps, folder, broad_phase, checkpoint_every, progress)
 
 
 def resume(
@@ -88,6 +91,7 @@ def resume(
     *,
     meshes: Sequence[Mesh] | None = None,
     device: torch.device | str = "cpu",
+    broad_phase: BroadPhase = "auto",
     checkpoint_every: int = 0,
     progress: Progress | None = None,
 ) -> Run:
@@ -97,7 +101,7 @@ def resume(
         folder: of the run.
         steps: how many to make in all; default: as many as the run was to make.
         meshes: those of the run.
-        device, checkpoint_every, progress: as for `run`.
+        device, broad_phase, checkpoint_every, progress: as for `run`.
 
     Raises:
         FileNotFoundError: there is no checkpoint.
@@ -115,7 +119,7 @@ def resume(
     if steps < checkpoint.steps_made:
         raise ValueError(f"steps: the run in {folder} has made {checkpoint.steps_made} already, got {steps}")
     state = checkpoint.state.to(world.device)
-    return _continue(world, state, checkpoint.steps_made, steps, folder, checkpoint_every, progress)
+    return _continue(world, state, checkpoint.steps_made, steps, folder, broad_phase, checkpoint_every, progress)
 
 
 class Machine(Protocol):
@@ -141,8 +145,8 @@ class Machine(Protocol):
 class _WorldMachine:
     """All robots in this process."""
 
-    def __init__(self, world: World, state: RobotState, folder: Path) -> None:
-        self.world, self.state, self._folder = world, state, folder
+    def __init__(self, world: World, state: RobotState, folder: Path, broad_phase: BroadPhase) -> None:
+        self.world, self.state, self._folder, self._broad_phase = world, state, folder, broad_phase
         self._scene = world.scene(state.id)
         self._digest = meshes_digest(world.meshes.meshes)
         self.last_step: Step | None = None
@@ -151,7 +155,7 @@ class _WorldMachine:
         return wish
 
     def step(self, index: int) -> dict[str, Any]:
-        self.last_step = make_step(self.world, self._scene, self.state, index)
+        self.last_step = make_step(self.world, self._scene, self.state, index, self._broad_phase)
         self.state = self.last_step.after
         return self.last_step.record
 
@@ -169,10 +173,11 @@ def _continue(
     steps_made: int,
     steps: int,
     folder: Path,
+    broad_phase: BroadPhase,
     checkpoint_every: int,
     progress: Progress | None,
 ) -> Run:
-    machine = _WorldMachine(world, state, folder)
+    machine = _WorldMachine(world, state, folder, broad_phase)
     log = StepLog(folder, steps_made)
     made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
     return Run(world, machine.state, made, log.records, machine.last_step, interrupted=made < steps)

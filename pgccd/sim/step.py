@@ -32,7 +32,9 @@ class Step:
     record: dict[str, Any]  #: its line in steps.jsonl
 
 
-def make_step(world: World, scene: Scene, state: RobotState, index: int) -> Step:
+def make_step(
+    world: World, scene: Scene, state: RobotState, index: int, broad_phase: broad.BroadPhase = "auto"
+) -> Step:
     """Moves the robots by one step.
 
     Args:
@@ -40,6 +42,7 @@ def make_step(world: World, scene: Scene, state: RobotState, index: int) -> Step
         scene: `world.scene(state.id)`.
         state: of all robots, after step `index` - 1.
         index: number of the step, from 0.
+        broad_phase: as for `detect`.
 
     Example:
         >>> step = pgccd.sim.make_step(world, scene, world.start(), 0)
@@ -50,7 +53,7 @@ def make_step(world: World, scene: Scene, state: RobotState, index: int) -> Step
         before = world.plan(state, index)
         motion = world.motion(before)
     with clock.stage("broad"):
-        pairs = broad.sweep(MovingBodies(scene, motion))
+        pairs = broad.find_pairs(MovingBodies(scene, motion), broad_phase=broad_phase)
     # nonzero_toi: robots that part after a contact are free.
     contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=pairs)
     clock.add(contacts.stats.seconds)

@@ -4,4 +4,6 @@
 `rigid`: rigorous decisions on rigid arcs. `broad`: exact pairs of moving spheres. `mesh`: edges, feature pairs, SBV.
 `detect`: all contacts of two bodies by brute force. `distance`: distances at one time. `adversarial`, `constructed`:
 queries. Beneath them: `polynomial`, `interval`, `search`, `filters`.
+For queries by the million: `batch` over `batch_paths` decides nearly all of them, certainly, and leaves the rest to the
+above; `families` and `arcs` make them.
 """

@@ -46,7 +46,12 @@ PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int
   return norm_squared(offset.at_t0 + nearest * travel) <= reach * reach;
 }
 
-// Box of a CBV with half the separation, wide enough for the roundings of the predicate.
+// Radius of a CBV with half the separation, wide enough for the roundings of the predicate.
+PGCCD_HD double swept_reach(const BroadBodies& bodies, int64_t body, Vec3<double> travel) {
+  return (bodies.centres.radius[body] + 0.5 * bodies.separation) * (1.0 + 0x1p-40) + 0x1p-40 * max_abs(travel);
+}
+
+// Its box.
 struct SweptBox {
   Vec3<double> lower, upper;
 };
@@ -54,8 +59,7 @@ struct SweptBox {
 PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
   const Vec3<double> p0 = load_vec3(bodies.centres.position_t0 + 3 * body);
   const Vec3<double> p1 = load_vec3(bodies.centres.position_t1 + 3 * body);
-  const double travel = max_abs(p1 - p0);
-  const double reach = (bodies.centres.radius[body] + 0.5 * bodies.separation) * (1.0 + 0x1p-40) + 0x1p-40 * travel;
+  const double reach = swept_reach(bodies, body, p1 - p0);
   const Vec3<double> r{reach, reach, reach};
   return {Vec3<double>{smaller(p0.x, p1.x), smaller(p0.y, p1.y), smaller(p0.z, p1.z)} - r,
           Vec3<double>{larger(p0.x, p1.x), larger(p0.y, p1.y), larger(p0.z, p1.z)} + r};
@@ -63,14 +67,10 @@ PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
 
 PGCCD_HD double component(Vec3<double> v, int axis) { return axis == 0 ? v.x : (axis == 1 ? v.y : v.z); }
 
-// Float32 bounds measured from the scene's lower corner, rounded outward (subtraction and conversion).
-PGCCD_HD float float_below(double x) {
-  const float rounded = static_cast<float>(x);
-  return std::nextafter(rounded, -static_cast<float>(INFINITY));
-}
-PGCCD_HD float float_above(double x) {
-  const float rounded = static_cast<float>(x);
-  return std::nextafter(rounded, static_cast<float>(INFINITY));
-}
+// Float32 bounds measured from the scene's origin, rounded outward: by more than subtraction and conversion may be off,
+// and by less than 2^-21 of themselves.
+PGCCD_HD double outward(double x) { return 0x1p-22 * std::fabs(x) + 0x1p-130; }
+PGCCD_HD float float_below(double x) { return static_cast<float>(x - outward(x)); }
+PGCCD_HD float float_above(double x) { return static_cast<float>(x + outward(x)); }
 
 }  // namespace pgccd

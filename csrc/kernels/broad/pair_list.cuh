@@ -1,60 +1,79 @@
-// How the broad phases on the device collect the pairs they find, in any number, and put them in order.
+// How the broad phases on the device collect the pairs they come across, in any number, test them, and put them in
+// order.
 #pragma once
-
-#include <cub/cub.cuh>
 
 #include "kernels/broad/broad_cuda.h"
 #include "kernels/device.cuh"
 
 namespace pgccd {
 
-// Pairs as i * 2^32 + j. What does not fit is counted all the same.
+// Packed pairs. What does not fit is counted all the same.
 struct PairList {
   unsigned long long* count;
   uint64_t* pairs;
   int64_t capacity;
 
-  __device__ void append(int64_t i, int64_t j) const {
-    const unsigned long long at = atomicAdd(count, 1ull);
-    if (static_cast<int64_t>(at) < capacity) pairs[at] = (static_cast<uint64_t>(i) << 32) | static_cast<uint64_t>(j);
+  // Threads of a warp that append together share one atomic.
+  __device__ void append(uint64_t pair) const {
+    const unsigned active = __activemask();
+    const unsigned lane = threadIdx.x & 31u;
+    const int leader = __ffs(static_cast<int>(active)) - 1;
+    unsigned long long base = 0;
+    if (lane == static_cast<unsigned>(leader)) base = atomicAdd(count, static_cast<unsigned long long>(__popc(active)));
+    base = __shfl_sync(active, base, leader) + __popc(active & ((1u << lane) - 1u));
+    if (static_cast<int64_t>(base) < capacity) pairs[base] = pair;
   }
 };
 
-inline int bit_width(int64_t count) {
-  int bits = 1;
-  while ((count >> bits) != 0) ++bits;
-  return bits;
-}
-
-// Rows (i, j) of the pairs, sorted by i, then j.
-inline void write_sorted(const DeviceContext& context, const uint64_t* pairs, int64_t count, int64_t body_count,
-                         int64_t* out) {
-  if (count == 0) return;
-  uint64_t* sorted = context.allocate<uint64_t>(count);
-  run_cub(context, [&](void* scratch, size_t& bytes) {
-    return cub::DeviceRadixSort::SortKeys(scratch, bytes, pairs, sorted, count, 0, 32 + bit_width(body_count),
-                                          context.stream);
-  });
-  for_each_item(context, count, [=] __device__(int64_t row) {
-    out[2 * row] = static_cast<int64_t>(sorted[row] >> 32);
-    out[2 * row + 1] = static_cast<int64_t>(sorted[row] & 0xffffffffu);
-  });
-}
-
-// Runs `launch` with a list that it fills; once more, with enough room, if the first guess was too small. Waits once
-// (or twice) for the number of pairs, which the output's size depends on.
-template <class Launch>
-void collect_pairs(const DeviceContext& context, int64_t body_count, const PairOutput& make_output, Launch&& launch) {
-  auto* counter = context.allocate<unsigned long long>(1);
-  for (int64_t capacity = 4 * body_count + 1024;;) {
-    uint64_t* found = context.allocate<uint64_t>(capacity);
-    fill_bytes(context, counter, 0, 1);
-    launch(PairList{counter, found, capacity});
-    check_cuda(cudaGetLastError(), "broad phase");
-    const int64_t count = static_cast<int64_t>(read(context, counter));
-    if (count <= capacity) return write_sorted(context, found, count, body_count, make_output(count));
-    capacity = count;
+// A block's part of a list, in shared memory: one atomic on the list for hundreds of pairs.
+class PairBuffer {
+ public:
+  __device__ void clear() {
+    if (threadIdx.x == 0) count_ = 0;
+    __syncthreads();
   }
-}
+
+  __device__ void append(const PairList& list, uint64_t pair) {
+    const unsigned at = atomicAdd(&count_, 1u);
+    if (at < kCapacity) {
+      pairs_[at] = pair;
+    } else {
+      list.append(pair);
+    }
+  }
+
+  // Moves all to the list and calls moved(position, pair) for each that fits. By all threads of the block.
+  template <class Moved>
+  __device__ void flush(const PairList& list, Moved&& moved) {
+    __syncthreads();
+    const unsigned size = count_ < kCapacity ? count_ : kCapacity;
+    if (threadIdx.x == 0 && size != 0) base_ = atomicAdd(list.count, static_cast<unsigned long long>(size));
+    __syncthreads();
+    for (unsigned k = threadIdx.x; k < size; k += blockDim.x) {
+      const int64_t position = static_cast<int64_t>(base_) + k;
+      if (position >= list.capacity) break;
+      list.pairs[position] = pairs_[k];
+      moved(position, pairs_[k]);
+    }
+    __syncthreads();
+    clear();
+  }
+  __device__ void flush(const PairList& list) {
+    flush(list, [](int64_t, uint64_t) {});
+  }
+
+ private:
+  static constexpr unsigned kCapacity = 1024;
+  uint64_t pairs_[kCapacity];
+  unsigned long long base_;
+  unsigned count_;
+};
+
+// `launch(list)` fills the list with candidates on the stream, each pair at most once; those with
+// is_potentially_colliding are handed over. `launch` is called once more, with enough room, if the first guess was too
+// small. Waits once (or twice) for the number of pairs, which the output's size depends on.
+using CandidateLaunch = std::function<void(const PairList& list)>;
+void collect_pairs(const DeviceContext& context, const BroadBodies& bodies, const PairOutput& make_output,
+                   const CandidateLaunch& launch);
 
 }  // namespace pgccd

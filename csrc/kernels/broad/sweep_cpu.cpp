@@ -4,7 +4,9 @@
 #include <experimental/simd>
 #include <numeric>
 
-#include "kernels/broad/sweep.h"
+#include "kernels/broad/broad.h"
+#include "kernels/broad/pair_list.h"
+#include "kernels/broad/radix_sort.h"
 #include "kernels/broad/sweep_item.h"
 
 namespace pgccd {
@@ -12,32 +14,6 @@ namespace {
 
 namespace simd = std::experimental;
 using FloatPack = simd::native_simd<float>;
-
-struct KeyedBody {
-  uint64_t key;
-  int32_t body;
-};
-
-// Least significant digit first; digits that all keys share are skipped.
-void radix_sort(std::vector<KeyedBody>& items) {
-  constexpr int kDigitBits = 11;
-  constexpr int kBuckets = 1 << kDigitBits;
-  uint64_t all_or = 0, all_and = ~uint64_t{0};
-  for (const KeyedBody& item : items) {
-    all_or |= item.key;
-    all_and &= item.key;
-  }
-  const uint64_t varying = all_or ^ all_and;
-  std::vector<KeyedBody> other(items.size());
-  for (int shift = 0; shift < 64; shift += kDigitBits) {
-    if (((varying >> shift) & (kBuckets - 1)) == 0) continue;
-    std::array<int64_t, kBuckets> start{};
-    for (const KeyedBody& item : items) ++start[(item.key >> shift) & (kBuckets - 1)];
-    std::exclusive_scan(start.begin(), start.end(), start.begin(), int64_t{0});
-    for (const KeyedBody& item : items) other[start[(item.key >> shift) & (kBuckets - 1)]++] = item;
-    items.swap(other);
-  }
-}
 
 // From a sample: the axis decides how long the sweep takes, never what it finds.
 int axis_of_largest_variance(const BroadBodies& bodies) {
@@ -64,7 +40,7 @@ int axis_of_largest_variance(const BroadBodies& bodies) {
 
 // Bodies in the order of their lower ends, one array a bound, padded so that whole packs can be read.
 struct SortedIntervals {
-  std::vector<int64_t> body;
+  std::vector<int32_t> body;
   std::vector<int64_t> end;      // first position whose lower end lies past this body's upper end
   std::vector<float> bounds[4];  // lower and upper on the second axis, lower and upper on the third
 };
@@ -97,7 +73,7 @@ SortedIntervals sort_intervals(const Executor& executor, const BroadBodies& bodi
   for (auto& bound : sorted.bounds) bound.assign(padded, 0.0f);
   parallel_chunks(executor, count, kGrain, [&](int, int64_t begin, int64_t end) {
     for (int64_t p = begin; p < end; ++p) {
-      const int64_t b = keyed[p].body;
+      const int32_t b = keyed[p].body;
       const SweptBox box = swept_box(bodies, b);
       sorted.body[p] = b;
       const auto past = std::upper_bound(keyed.begin() + p, keyed.end(), upper_key[b],
@@ -114,11 +90,11 @@ SortedIntervals sort_intervals(const Executor& executor, const BroadBodies& bodi
 
 // Tests position p against positions [begin, end): boxes on the other two axes in packs, then the predicate.
 void scan(const BroadBodies& bodies, const SortedIntervals& sorted, int64_t p, int64_t begin, int64_t end,
-          std::vector<BodyPair>& out) {
+          FoundPairs& out) {
   constexpr int64_t kWidth = static_cast<int64_t>(FloatPack::size());
   const float lower_1 = sorted.bounds[0][p], upper_1 = sorted.bounds[1][p];
   const float lower_2 = sorted.bounds[2][p], upper_2 = sorted.bounds[3][p];
-  const int64_t self = sorted.body[p];
+  const int32_t self = sorted.body[p];
   const auto load = [&](int bound, int64_t at) { return FloatPack(&sorted.bounds[bound][at], simd::element_aligned); };
   for (int64_t q = begin; q < end; q += kWidth) {
     const auto overlap =
@@ -126,25 +102,26 @@ void scan(const BroadBodies& bodies, const SortedIntervals& sorted, int64_t p, i
     if (simd::none_of(overlap)) continue;
     for (int64_t lane = 0; lane < std::min(kWidth, end - q); ++lane) {
       if (!overlap[lane]) continue;
-      const int64_t other = sorted.body[q + lane];
-      const int64_t i = std::min(self, other), j = std::max(self, other);
-      if (is_potentially_colliding(bodies, i, j)) out.push_back({i, j});
+      const uint64_t pair = pack_pair(self, sorted.body[q + lane]);
+      if (is_potentially_colliding(bodies, first_of(pair), second_of(pair))) out.push_back(pair);
     }
   }
 }
 
 }  // namespace
 
-std::vector<BodyPair> sweep_cpu(const Executor& executor, const BroadBodies& bodies, int axis) {
-  std::vector<BodyPair> pairs;
-  if (bodies.count < 2) return pairs;
+void sweep_cpu(const Executor& executor, const BroadBodies& bodies, int axis, const PairOutput& make_output) {
+  if (bodies.count < 2) {
+    make_output(0);
+    return;
+  }
   const SortedIntervals sorted = sort_intervals(executor, bodies, axis < 0 ? axis_of_largest_variance(bodies) : axis);
 
   // Workers draw equal numbers of tests, not of bodies: one interval as long as the scene is shared by many of them.
   std::vector<int64_t> first_test(bodies.count + 1, 0);
   for (int64_t p = 0; p < bodies.count; ++p) first_test[p + 1] = first_test[p] + (sorted.end[p] - p - 1);
   constexpr int64_t kTestGrain = 1 << 15;
-  std::vector<std::vector<BodyPair>> found(executor.worker_count());
+  std::vector<FoundPairs> found(executor.worker_count());
   parallel_chunks(executor, first_test.back(), kTestGrain, [&](int worker, int64_t begin, int64_t end) {
     int64_t p = std::upper_bound(first_test.begin(), first_test.end(), begin) - first_test.begin() - 1;
     for (int64_t test = begin; test < end; ++p) {
@@ -154,10 +131,7 @@ std::vector<BodyPair> sweep_cpu(const Executor& executor, const BroadBodies& bod
       test = std::max(test, stop);
     }
   });
-  for (const auto& part : found) pairs.insert(pairs.end(), part.begin(), part.end());
-  std::sort(pairs.begin(), pairs.end(),
-            [](const BodyPair& a, const BodyPair& b) { return a.i != b.i ? a.i < b.i : a.j < b.j; });
-  return pairs;
+  write_sorted(executor, found, bodies.count, make_output);
 }
 
 }  // namespace pgccd

@@ -86,13 +86,13 @@ struct SweepArrays {
   const int64_t* first_piece;  // exclusive prefix sum of pieces a body, then the total
 };
 
-__global__ void __launch_bounds__(kBlockThreads) sweep_pieces(BroadBodies bodies, SweepArrays arrays, PairList out) {
+__global__ void __launch_bounds__(kBlockThreads) sweep_pieces(int64_t body_count, SweepArrays arrays, PairList out) {
   const int lane = threadIdx.x & 31;
   const int64_t warps = static_cast<int64_t>(gridDim.x) * blockDim.x / 32;
-  const int64_t pieces = arrays.first_piece[bodies.count];
+  const int64_t pieces = arrays.first_piece[body_count];
   for (int64_t piece = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / 32; piece < pieces;
        piece += warps) {
-    int64_t low = 0, high = bodies.count;  // the body whose pieces include this one: last first_piece <= piece
+    int64_t low = 0, high = body_count;  // the body whose pieces include this one: last first_piece <= piece
     while (high - low > 1) {
       const int64_t middle = (low + high) / 2;
       (arrays.first_piece[middle] <= piece ? low : high) = middle;
@@ -108,9 +108,7 @@ __global__ void __launch_bounds__(kBlockThreads) sweep_pieces(BroadBodies bodies
             other.upper_2 >= mine.lower_2)) {
         continue;
       }
-      const int32_t body = arrays.body[q];
-      const int64_t i = smaller(self, body), j = larger(self, body);
-      if (is_potentially_colliding(bodies, i, j)) out.append(i, j);
+      out.append(pack_pair(self, arrays.body[q]));
     }
   }
 }
@@ -180,8 +178,8 @@ void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axi
   });
 
   const SweepArrays arrays{sorted_keys, sorted_order, boxes, ends, first_piece};
-  collect_pairs(context, count, make_output, [&](PairList list) {
-    sweep_pieces<<<resident_blocks(16), kBlockThreads, 0, context.stream>>>(bodies, arrays, list);
+  collect_pairs(context, bodies, make_output, [&](const PairList& list) {
+    sweep_pieces<<<resident_blocks(16), kBlockThreads, 0, context.stream>>>(count, arrays, list);
   });
 }
 

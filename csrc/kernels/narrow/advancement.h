@@ -6,7 +6,7 @@
 
 #include <cstdint>
 
-#include "kernels/narrow/certificates.h"
+#include "kernels/narrow/touching.h"
 
 namespace pgccd {
 
@@ -16,6 +16,7 @@ enum class Status : int8_t {
   kTouch = 1,
   kUnresolved = 2,  // iteration budget spent: counts as a contact
   kPruned = 3,      // certainly later than the limit given; never leaves the kernels
+  kUndecided = 4,   // within tolerance, but this arithmetic cannot tell a touch from a miss; never leaves the kernels
 };
 
 template <class T>
@@ -35,26 +36,50 @@ struct Outcome {
 };
 
 constexpr int kMaxAdvances = 1024;
+// Spent, once within tolerance, on telling a near miss from a touch.
+constexpr int kMaxRefinements = 64;
 
+// Starts at a time before which the pair is known to be free.
 template <bool kEdgeEdge, class T, class Path>
-PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings) {
-  constexpr T unit = Precision<T>::unit;
+PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, T begin = T(0),
+                                       int most_advances = kMaxAdvances) {
+  constexpr T unit(Precision<T>::unit);
   const PairError<T> error = path.error();
-  // A sixteenth of what the caller tolerates leaves few near misses; below the noise of the distance itself nothing can
-  // be told.
-  const T noise = T(4) * error.point + T(64) * unit * error.extent;
+  // Below the noise of the distance itself nothing can be told.
+  T noise = T(4) * error.point + T(64) * unit * error.extent;
   const T separation = settings.separation * path.scale();
-  T tolerance = larger(settings.tolerance * path.scale() * T(0.0625), noise);
+  // A sixteenth of what the caller tolerates leaves few near misses.
+  const T wanted = settings.tolerance * path.scale() * T(0.0625);
+  T goal = larger(wanted, noise);
 
-  T t = T(0);
+  T t = begin;
   FeaturePair<T> now = path.at(t);
   Nearest<T> nearest = nearest_points<kEdgeEdge>(now);
   T distance = norm(nearest.offset);
-  if (settings.nonzero_toi && distance > separation + noise) {
-    tolerance = smaller(tolerance, T(0.5) * (distance - separation));
+  if (settings.nonzero_toi && !(t > T(0)) && distance > separation + noise) {
+    goal = smaller(goal, T(0.5) * (distance - separation));
+    noise = smaller(noise, goal);
   }
-  for (int advance = 0; advance < kMaxAdvances; ++advance) {
-    if (!(distance > separation + tolerance)) return {Status::kTouch, t, nearest.u, nearest.v};
+  int advances_left = most_advances;
+  Status if_spent = Status::kUnresolved;
+  while (advances_left-- > 0) {
+    if (if_spent == Status::kUndecided && distance > separation + T(16) * wanted) {
+      // They have passed each other: what comes later is another matter.
+      goal = larger(wanted, noise);
+      if_spent = Status::kUnresolved;
+      advances_left = most_advances;
+    }
+    if (!(distance > separation + goal)) {
+      bool is_touch = true;
+      if constexpr (Path::kStraight) {
+        is_touch = !(goal > wanted) && certainly_touch<kEdgeEdge>(path, t, now, nearest, distance, separation, noise);
+      }
+      if (is_touch) return {Status::kTouch, t, nearest.u, nearest.v};
+      if (!(distance > separation + noise)) return {Status::kUndecided, t, nearest.u, nearest.v};
+      goal = noise;
+      if_spent = Status::kUndecided;
+      advances_left = kMaxRefinements;
+    }
     if (t > settings.latest) return {Status::kPruned, t, T(0), T(0)};
 
     const T remaining = T(1) - t;
@@ -70,7 +95,7 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     if (prefix < T(1)) prefix = larger(prefix, moving_normal(now, end, keep_apart, error));
 
     if (!(prefix < T(1))) {
-      if (t_end == T(1)) return {Status::kFree, static_cast<T>(INFINITY), T(0), T(0)};
+      if (!(t_end < T(1))) return {Status::kFree, static_cast<T>(INFINITY), T(0), T(0)};
       t = t_end;
       now = end;
     } else {
@@ -82,7 +107,7 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     nearest = nearest_points<kEdgeEdge>(now);
     distance = norm(nearest.offset);
   }
-  return {Status::kUnresolved, t, nearest.u, nearest.v};
+  return {if_spent, t, nearest.u, nearest.v};
 }
 
 }  // namespace pgccd

@@ -3,145 +3,10 @@
 
 #include <type_traits>
 
-#include "core/candidate.h"
-#include "kernels/narrow/advancement.h"
-#include "kernels/narrow/paths.h"
+#include "kernels/narrow/pair_points.h"
+#include "kernels/narrow/precision_ladder.h"
 
 namespace pgccd {
-
-// Caller's settings for a whole call; tolerance as in pair_tolerance.
-struct NarrowSettings {
-  double separation;
-  double tolerance;
-  bool nonzero_toi;
-};
-
-// Which mesh point plays which part: x0 .. x3, and whether the first-named primitive belongs to body i or j.
-struct FeatureVertices {
-  int64_t vertex[4];  // local to their meshes
-  bool swapped;       // first primitive belongs to body j
-};
-
-PGCCD_HD FeatureVertices feature_vertices(const MeshSetView& meshes, int32_t mesh_i, int32_t mesh_j,
-                                          const Candidate& c) {
-  const MeshOffsets& oi = meshes.offsets[mesh_i];
-  const MeshOffsets& oj = meshes.offsets[mesh_j];
-  if (c.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    const int32_t* ei = meshes.edges + 2 * (oi.edge + c.feature_i);
-    const int32_t* ej = meshes.edges + 2 * (oj.edge + c.feature_j);
-    return {{ei[0], ei[1], ej[0], ej[1]}, false};
-  }
-  if (c.kind == static_cast<int32_t>(FeatureKind::kVertexFace)) {
-    const int32_t* f = meshes.faces + 3 * (oj.face + c.feature_j);
-    return {{c.feature_i, f[0], f[1], f[2]}, false};
-  }
-  const int32_t* f = meshes.faces + 3 * (oi.face + c.feature_i);
-  return {{c.feature_j, f[0], f[1], f[2]}, true};
-}
-
-// Relative error of the centre offset, and of adding it to a point.
-PGCCD_HD double centre_error(const RelativeCentre& centre) {
-  return 8.0 * Precision<double>::unit * larger(max_abs(centre.at_t0), max_abs(centre.at_t1));
-}
-
-// What all candidates of a body pair share.
-struct RigidPair {
-  int64_t body[2];
-  int32_t mesh[2];
-  Mat3<double> orientation[2];
-  Spin spin[2];
-  RelativeCentre centre;  // of body j, seen from body i
-  double point_error;
-
-  PGCCD_HD RigidPair(const RigidBodies& bodies, int64_t i, int64_t j)
-      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, centre(relative_centre(bodies.centres, i, j)) {
-    for (int side = 0; side < 2; ++side) {
-      orientation[side] = rotation_matrix(load_quaternion(bodies.orientation + 4 * body[side]));
-      spin[side] = make_spin(load_vec3(bodies.rotation + 3 * body[side]));
-    }
-    point_error = centre_error(centre);
-    for (int side = 0; side < 2; ++side) {
-      // The angle at a time is rounded relatively, which moves a point by so much more the further it has turned.
-      const double units = kRigidPointUnits + 8.0 * spin[side].angle;
-      point_error += units * Precision<double>::unit * bodies.centres.radius[body[side]];
-    }
-  }
-
-  template <bool kEdgeEdge>
-  PGCCD_HD void bases(const RigidBodies& bodies, const FeatureVertices& f, Vec3<double> base[4]) const {
-    for (int k = 0; k < 4; ++k) {
-      const int side = side_of<kEdgeEdge>(f, k);
-      const int64_t row = bodies.meshes.offsets[mesh[side]].vertex + f.vertex[k];
-      base[k] = orientation[side] * load_vec3(bodies.meshes.vertices + 3 * row);
-    }
-  }
-
-  template <bool kEdgeEdge>
-  PGCCD_HD static int side_of(const FeatureVertices& f, int k) {
-    return (k < PointSplit<kEdgeEdge>::first_count) == f.swapped ? 1 : 0;
-  }
-
-  // Offset of the second-named primitive's body from the first-named one's.
-  PGCCD_HD RelativeCentre named_centre(const FeatureVertices& f) const {
-    if (!f.swapped) return centre;
-    return {-centre.at_t0, -centre.at_t1};
-  }
-
-  template <bool kEdgeEdge>
-  PGCCD_HD ArcPath<kEdgeEdge> arc_path(const RigidBodies& bodies, const FeatureVertices& f) const {
-    Vec3<double> base[4];
-    bases<kEdgeEdge>(bodies, f, base);
-    return {base, spin[f.swapped ? 1 : 0], spin[f.swapped ? 0 : 1], named_centre(f), point_error};
-  }
-
-  // End positions relative to the first-named body's centre.
-  template <bool kEdgeEdge>
-  PGCCD_HD void end_positions(const RigidBodies& bodies, const FeatureVertices& f, Vec3<double> t0[4],
-                              Vec3<double> t1[4]) const {
-    bases<kEdgeEdge>(bodies, f, t0);
-    const RelativeCentre shift = named_centre(f);
-    for (int k = 0; k < 4; ++k) {
-      const Spin& s = spin[side_of<kEdgeEdge>(f, k)];
-      t1[k] = rotate(s, sine_cosine(s.angle), t0[k]);
-      if (k >= PointSplit<kEdgeEdge>::first_count) {
-        t0[k] = shift.at_t0 + t0[k];
-        t1[k] = shift.at_t1 + t1[k];
-      }
-    }
-  }
-};
-
-struct DeformingPair {
-  int64_t body[2];
-  int32_t mesh[2];
-  double point_error;
-
-  PGCCD_HD DeformingPair(const DeformingBodies& bodies, int64_t i, int64_t j)
-      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, point_error(0.0) {}
-
-  // World coordinates as given: only differences of them are used, so no shift is needed.
-  template <bool kEdgeEdge>
-  PGCCD_HD void end_positions(const DeformingBodies& bodies, const FeatureVertices& f, Vec3<double> t0[4],
-                              Vec3<double> t1[4]) const {
-    for (int k = 0; k < 4; ++k) {
-      const int side = (k < PointSplit<kEdgeEdge>::first_count) == f.swapped ? 1 : 0;
-      const int64_t row = bodies.vertex_begin[body[side]] + f.vertex[k];
-      t0[k] = load_vec3(bodies.vertices_t0 + 3 * row);
-      t1[k] = load_vec3(bodies.vertices_t1 + 3 * row);
-    }
-  }
-};
-
-template <class Bodies>
-struct PairOf;
-template <>
-struct PairOf<RigidBodies> {
-  using type = RigidPair;
-};
-template <>
-struct PairOf<DeformingBodies> {
-  using type = DeformingPair;
-};
 
 PGCCD_HD bool uses_arcs(const RigidBodies& bodies) { return !bodies.linear_path; }
 PGCCD_HD bool uses_arcs(const DeformingBodies&) { return false; }
@@ -153,17 +18,62 @@ PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, 
     if (uses_arcs(bodies)) {
       return advance_to_contact<kEdgeEdge>(pair.template arc_path<kEdgeEdge>(bodies, f), settings);
     }
+    Vec3<double> t0[4], t1[4];
+    pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
+    Outcome<double> outcome =
+        advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error), settings);
+    // What rounding did to the points themselves, no finer arithmetic would undo.
+    if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
+    return outcome;
+  } else {
+    Vec3<double> t0[4], t1[4];
+    pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
+    return solve_straight<kEdgeEdge>(t0, t1, settings).outcome;
+  }
+}
+
+// Most candidates are free, and most of those are seen to be after so many rounds.
+constexpr int kRoundsAtAGlance = 2;
+
+template <bool kEdgeEdge, class Bodies, class Pair>
+PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
+                               const SearchSettings<double>& settings) {
+  if constexpr (std::is_same_v<Bodies, RigidBodies>) {
+    if (uses_arcs(bodies)) {
+      const auto path = pair.template arc_path<kEdgeEdge>(bodies, f);
+      return advance_to_contact<kEdgeEdge>(path, settings, 0.0, kRoundsAtAGlance).status == Status::kFree;
+    }
   }
   Vec3<double> t0[4], t1[4];
   pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-  return advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error), settings);
+  const LinearPath<kEdgeEdge, double> path(t0, t1, pair.point_error);
+  return advance_to_contact<kEdgeEdge>(path, settings, 0.0, kRoundsAtAGlance).status == Status::kFree;
+}
+
+template <class Bodies, class Pair>
+PGCCD_HD SearchSettings<double> search_settings(const Bodies& bodies, const Pair& pair, const NarrowSettings& settings,
+                                                double latest) {
+  const double tolerance = pair_tolerance(bodies.centres, pair.body[0], pair.body[1], settings.tolerance);
+  return {settings.separation, tolerance, latest, settings.nonzero_toi};
+}
+
+// The same answer as solve_candidate if that is free; false may still be free. For devices, where the few long searches
+// would hold up the many short ones of their warp.
+template <class Bodies, class Pair>
+PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
+                               const NarrowSettings& settings) {
+  const SearchSettings<double> search = search_settings(bodies, pair, settings, static_cast<double>(INFINITY));
+  const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
+  if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
+    return free_at_a_glance<true>(bodies, pair, f, search);
+  }
+  return free_at_a_glance<false>(bodies, pair, f, search);
 }
 
 template <class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_candidate(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
                                          const NarrowSettings& settings, double latest) {
-  const double tolerance = pair_tolerance(bodies.centres, pair.body[0], pair.body[1], settings.tolerance);
-  const SearchSettings<double> search{settings.separation, tolerance, latest, settings.nonzero_toi};
+  const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
     return solve_features<true>(bodies, pair, f, search);

@@ -4,7 +4,7 @@
 // included).
 #pragma once
 
-#include "kernels/narrow/feature_pair.h"
+#include "kernels/narrow/nearest_points.h"
 
 namespace pgccd {
 
@@ -14,6 +14,33 @@ struct PairError {
   T point;   // each point, absolute
   T extent;  // upper bound of `extent(pair)` at any time
 };
+
+// Upper bounds of |r|, |a| and |b| between two times: |x| <= sqrt(3) max_abs(x), and chords are convex.
+template <class T>
+struct FeatureLengths {
+  T r, a, b;
+};
+
+template <class T>
+PGCCD_HD FeatureLengths<T> lengths_of(const FeaturePair<T>& start, const FeaturePair<T>& end) {
+  const T root_three = T(1.7320509);
+  return {root_three * larger(max_abs(start.r), max_abs(end.r)), root_three * larger(max_abs(start.a), max_abs(end.a)),
+          root_three * larger(max_abs(start.b), max_abs(end.b))};
+}
+
+// By how much a difference vector may be off: its points, and the blend of its ends.
+template <class T>
+PGCCD_HD T difference_error(PairError<T> error) {
+  return T(2) * error.point + T(8) * T(Precision<T>::unit) * error.extent;
+}
+
+// By how much a computed coplanarity cubic may be off, its repeated clipping included.
+template <class T>
+PGCCD_HD T determinant_rounding(FeatureLengths<T> length, PairError<T> error) {
+  const T product = length.a * length.b;
+  return T(128) * T(Precision<T>::unit) * (product * length.r) +
+         T(1.01) * difference_error(error) * (product + length.r * (length.a + length.b));
+}
 
 namespace certificate_detail {
 
@@ -31,7 +58,7 @@ template <bool kEdgeEdge, class T>
 PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& end, Vec3<T> direction, T distance,
                            PairError<T> error) {
   using certificate_detail::prefix_of_line;
-  constexpr T u = Precision<T>::unit;
+  constexpr T u(Precision<T>::unit);
   // Rounding of a projected gap: differences (1), dot products (3 each of three vectors), sums (2), and the threshold's
   // own.
   const T threshold = distance * (T(1) + T(16) * u) + (T(2) * error.point + T(32) * u * error.extent);
@@ -65,7 +92,7 @@ PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& en
 // repeated clipping.
 template <class T>
 PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end, T distance, PairError<T> error) {
-  constexpr T u = Precision<T>::unit;
+  constexpr T u(Precision<T>::unit);
   const Vec3<T> n0 = cross(start.a, start.b);
   const Vec3<T> n1 = cross(start.a, end.b) + cross(end.a, start.b);  // twice the middle control point
   const Vec3<T> n2 = cross(end.a, end.b);
@@ -79,14 +106,8 @@ PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end,
     c2 = -c2;
     c3 = -c3;
   }
-  const T longest = std::sqrt(larger(larger(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2)));
-  // |x| <= sqrt(3) max_abs(x); the products of three bound both the rounding of the determinants and of the clipping
-  // below.
-  const T r = T(1.7320509) * larger(max_abs(start.r), max_abs(end.r));
-  const T a = T(1.7320509) * larger(max_abs(start.a), max_abs(end.a));
-  const T b = T(1.7320509) * larger(max_abs(start.b), max_abs(end.b));
-  const T point = T(2) * error.point + T(8) * u * error.extent;
-  const T rounding = T(128) * u * (a * b * r) + T(1.01) * point * (a * b + r * (a + b));
+  const T longest = square_root(larger(larger(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2)));
+  const T rounding = determinant_rounding(lengths_of(start, end), error);
   const T threshold = distance * longest * (T(1) + T(16) * u) + rounding;
   if (!(c0 > threshold)) return T(0);
 

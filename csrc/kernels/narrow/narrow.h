@@ -6,6 +6,7 @@
 
 #include "kernels/executor.h"
 #include "kernels/narrow/candidate_item.h"
+#include "kernels/narrow/elementary_item.h"
 
 namespace pgccd {
 
@@ -52,8 +53,8 @@ template <class Bodies>
 ContactRows narrow_phase_cpu(const Executor& executor, const Bodies& bodies, const NarrowInput& input);
 
 // Elementary tests on straight paths. points_*: (count, 4, 3). kEdgeEdge false: vertex, face x 3; true: edge, edge.
-template <bool kEdgeEdge>
-void elementary_cpu(const Executor& executor, const double* points_t0, const double* points_t1, int64_t count,
-                    const NarrowSettings& settings, int8_t* status, double* toi, double* coordinates);
+template <bool kEdgeEdge, class T>
+void elementary_cpu(const Executor& executor, const T* points_t0, const T* points_t1, int64_t count,
+                    const NarrowSettings& settings, const ElementaryColumns<T>& out);
 
 }  // namespace pgccd

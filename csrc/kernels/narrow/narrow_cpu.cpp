@@ -4,7 +4,6 @@
 #include <tuple>
 
 #include "kernels/narrow/contact_item.h"
-#include "kernels/narrow/elementary_item.h"
 #include "kernels/narrow/narrow.h"
 
 namespace pgccd {
@@ -128,24 +127,5 @@ ContactRows narrow_phase_cpu(const Executor& executor, const Bodies& bodies, con
 
 template ContactRows narrow_phase_cpu(const Executor&, const RigidBodies&, const NarrowInput&);
 template ContactRows narrow_phase_cpu(const Executor&, const DeformingBodies&, const NarrowInput&);
-
-template <bool kEdgeEdge>
-void elementary_cpu(const Executor& executor, const double* points_t0, const double* points_t1, int64_t count,
-                    const NarrowSettings& settings, int8_t* status, double* toi, double* coordinates) {
-  parallel_chunks(executor, count, kCandidateGrain, [&](int, int64_t begin, int64_t end) {
-    for (int64_t q = begin; q < end; ++q) {
-      const Outcome<double> outcome = solve_elementary<kEdgeEdge>(points_t0 + 12 * q, points_t1 + 12 * q, settings);
-      status[q] = static_cast<int8_t>(outcome.status);
-      toi[q] = outcome.toi;
-      coordinates[2 * q] = outcome.u;
-      coordinates[2 * q + 1] = outcome.v;
-    }
-  });
-}
-
-template void elementary_cpu<false>(const Executor&, const double*, const double*, int64_t, const NarrowSettings&,
-                                    int8_t*, double*, double*);
-template void elementary_cpu<true>(const Executor&, const double*, const double*, int64_t, const NarrowSettings&,
-                                   int8_t*, double*, double*);
 
 }  // namespace pgccd

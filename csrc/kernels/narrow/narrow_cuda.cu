@@ -2,11 +2,13 @@
 
 #include "kernels/device.cuh"
 #include "kernels/narrow/contact_item.h"
-#include "kernels/narrow/elementary_item.h"
 #include "kernels/narrow/narrow_cuda.h"
 
 namespace pgccd {
 namespace {
+
+// Long searches, spread over many multiprocessors.
+constexpr int kSolveThreads = 64;
 
 struct FoundContact {
   int32_t candidate;
@@ -14,10 +16,24 @@ struct FoundContact {
   double toi, u, v;
 };
 
-struct FoundList {
-  FoundContact* contacts;
-  uint32_t* count;  // of what did not fit as well
+struct Counters {
+  uint32_t open;      // candidates that are not free at a glance, those that did not fit included
+  uint32_t contacts;  // among them
+  int64_t rows;       // to report
+};
+
+// Contacts, in any order; and per pair the earliest toi so far, unless all are to be reported.
+struct Search {
+  NarrowInput input;
+  int32_t* open;  // rows of the candidates
   uint32_t capacity;
+  FoundContact* contacts;
+  unsigned long long* best;  // bits of the toi, or null
+  Counters* counters;
+
+  __device__ const Candidate& candidate(uint32_t contact) const {
+    return input.candidates[contacts[contact].candidate];
+  }
 };
 
 // toi >= 0, so its bits are in order; all ones is later than any.
@@ -31,100 +47,91 @@ __device__ unsigned long long feature_key(const Candidate& c) {
          static_cast<unsigned long long>(c.feature_j);
 }
 
-// One thread a candidate. Those certainly later than the pair's best so far are cut short, which cannot change the
-// winner.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads)
-    solve_candidates(Bodies bodies, NarrowInput input, unsigned long long* best, FoundList found) {
+__device__ typename PairOf<Bodies>::type pair_of(const Bodies& bodies, const NarrowInput& input, const Candidate& c) {
+  return {bodies, input.pairs[2 * int64_t(c.pair)], input.pairs[2 * int64_t(c.pair) + 1]};
+}
+
+// One thread a candidate.
+template <class Bodies>
+__global__ void __launch_bounds__(kBlockThreads, 3) glance_at_candidates(Bodies bodies, Search search) {
   const int64_t c = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
-  if (c >= input.candidate_count) return;
-  const Candidate candidate = input.candidates[c];
-  double latest = INFINITY;
-  if (best != nullptr) {
-    const unsigned long long seen = *static_cast<volatile unsigned long long*>(best + candidate.pair);
-    if (seen != ~0ull) {
-      if (input.report == Report::kAny) return;
-      latest = __longlong_as_double(static_cast<long long>(seen));
-    }
-  }
-  const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * int64_t(candidate.pair)],
-                                           input.pairs[2 * int64_t(candidate.pair) + 1]);
-  const Outcome<double> outcome = solve_candidate(bodies, pair, candidate, input.settings, latest);
-  if (outcome.status != Status::kTouch && outcome.status != Status::kUnresolved) return;
-  if (best != nullptr) atomicMin(best + candidate.pair, toi_bits(outcome.toi));
-  const uint32_t at = warp_append(found.count, 1);
-  if (at < found.capacity) {
-    found.contacts[at] = {static_cast<int32_t>(c), static_cast<int32_t>(outcome.status), outcome.toi, outcome.u,
-                          outcome.v};
-  }
+  if (c >= search.input.candidate_count) return;
+  const Candidate candidate = search.input.candidates[c];
+  if (free_at_a_glance(bodies, pair_of(bodies, search.input, candidate), candidate, search.input.settings)) return;
+  const uint32_t at = warp_append(&search.counters->open, 1);
+  if (at < search.capacity) search.open[at] = static_cast<int32_t>(c);
 }
 
+// One thread an open candidate. Those certainly later than the pair's best so far are cut short, which cannot change
+// the winner.
 template <class Bodies>
-FoundList find_contacts(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
-                        unsigned long long* best, uint32_t& count) {
-  uint32_t* counter = context.allocate<uint32_t>(1);
-  uint32_t capacity = static_cast<uint32_t>(input.candidate_count / 4 + 4096);
-  for (;;) {
-    const FoundList found{context.allocate<FoundContact>(capacity), counter, capacity};
-    fill_bytes(context, counter, 0, 1);
-    if (best != nullptr) fill_bytes(context, best, 0xff, input.pair_count);
-    const int64_t blocks = (input.candidate_count + kBlockThreads - 1) / kBlockThreads;
-    solve_candidates<Bodies>
-        <<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(bodies, input, best, found);
-    check_cuda(cudaGetLastError(), "solve_candidates");
-    count = read(context, counter);
-    if (count <= capacity) return found;
-    capacity = count;
+__global__ void __launch_bounds__(kSolveThreads, 6) solve_candidates(Bodies bodies, Search search) {
+  const uint32_t count = smaller(search.counters->open, search.capacity);
+  const uint32_t stride = gridDim.x * blockDim.x;
+  for (uint32_t item = blockIdx.x * blockDim.x + threadIdx.x; item < count; item += stride) {
+    const int32_t c = search.open[item];
+    const Candidate candidate = search.input.candidates[c];
+    double latest = INFINITY;
+    if (search.best != nullptr) {
+      const unsigned long long seen = *static_cast<volatile unsigned long long*>(search.best + candidate.pair);
+      if (seen != ~0ull) {
+        if (search.input.report == Report::kAny) continue;
+        latest = __longlong_as_double(static_cast<long long>(seen));
+      }
+    }
+    const auto pair = pair_of(bodies, search.input, candidate);
+    const Outcome<double> outcome = solve_candidate(bodies, pair, candidate, search.input.settings, latest);
+    if (outcome.status != Status::kTouch && outcome.status != Status::kUnresolved) continue;
+    if (search.best != nullptr) atomicMin(search.best + candidate.pair, toi_bits(outcome.toi));
+    // No more contacts than open candidates: there is room.
+    search.contacts[warp_append(&search.counters->contacts, 1)] = {c, static_cast<int32_t>(outcome.status), outcome.toi,
+                                                                   outcome.u, outcome.v};
   }
 }
 
-// The rows of `found` to report, in canonical order: one a pair.
-int32_t* select_first(const DeviceContext& context, const NarrowInput& input, const FoundList& found, uint32_t count,
-                      const unsigned long long* best, int64_t& rows) {
-  const Candidate* candidates = input.candidates;
-  auto* best_key = context.allocate<unsigned long long>(input.pair_count);
-  int32_t* winner = context.allocate<int32_t>(input.pair_count);
-  fill_bytes(context, best_key, 0xff, input.pair_count);
-  fill_bytes(context, winner, 0xff, input.pair_count);
-  for_each_item(context, count, [=] __device__(int64_t k) {
-    const Candidate& c = candidates[found.contacts[k].candidate];
-    if (toi_bits(found.contacts[k].toi) == best[c.pair]) atomicMin(best_key + c.pair, feature_key(c));
+// The contacts to report, in canonical order: one a pair.
+int32_t* select_first(const DeviceContext& context, const Search& search) {
+  const int64_t pair_count = search.input.pair_count;
+  auto* best_key = context.allocate<unsigned long long>(pair_count);
+  int32_t* winner = context.allocate<int32_t>(pair_count);
+  fill_bytes(context, best_key, 0xff, pair_count);
+  fill_bytes(context, winner, 0xff, pair_count);
+  for_each_counted(context, &search.counters->contacts, [=] __device__(int64_t k) {
+    const Candidate& c = search.candidate(k);
+    if (toi_bits(search.contacts[k].toi) == search.best[c.pair]) atomicMin(best_key + c.pair, feature_key(c));
   });
-  for_each_item(context, count, [=] __device__(int64_t k) {
-    const Candidate& c = candidates[found.contacts[k].candidate];
-    if (toi_bits(found.contacts[k].toi) == best[c.pair] && feature_key(c) == best_key[c.pair]) {
+  for_each_counted(context, &search.counters->contacts, [=] __device__(int64_t k) {
+    const Candidate& c = search.candidate(k);
+    if (toi_bits(search.contacts[k].toi) == search.best[c.pair] && feature_key(c) == best_key[c.pair]) {
       winner[c.pair] = static_cast<int32_t>(k);
     }
   });
-  int32_t* selected = context.allocate<int32_t>(input.pair_count);
-  int64_t* selected_count = context.allocate<int64_t>(1);
+  int32_t* selected = context.allocate<int32_t>(pair_count);
   const auto has_winner = [] __device__(int32_t k) { return k >= 0; };
   run_cub(context, [&](void* scratch, size_t& bytes) {
-    return cub::DeviceSelect::If(scratch, bytes, winner, selected, selected_count, input.pair_count, has_winner,
+    return cub::DeviceSelect::If(scratch, bytes, winner, selected, &search.counters->rows, pair_count, has_winner,
                                  context.stream);
   });
-  rows = read(context, selected_count);
   return selected;
 }
 
 // All of them, sorted by pair, kind and features: two stable sorts, the less significant key first.
-int32_t* sort_all(const DeviceContext& context, const NarrowInput& input, const FoundList& found, uint32_t count) {
-  const Candidate* candidates = input.candidates;
+int32_t* sort_all(const DeviceContext& context, const Search& search, uint32_t count) {
   uint64_t* keys = context.allocate<uint64_t>(count);
   uint64_t* sorted_keys = context.allocate<uint64_t>(count);
   int32_t* order = context.allocate<int32_t>(count);
   int32_t* sorted_order = context.allocate<int32_t>(count);
   for_each_item(context, count, [=] __device__(int64_t k) {
-    keys[k] = feature_key(candidates[found.contacts[k].candidate]);
+    keys[k] = feature_key(search.candidate(k));
     order[k] = static_cast<int32_t>(k);
   });
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, order, sorted_order,
                                            static_cast<int64_t>(count), 0, 64, context.stream);
   });
-  for_each_item(context, count, [=] __device__(int64_t k) {
-    keys[k] = static_cast<uint64_t>(candidates[found.contacts[sorted_order[k]].candidate].pair);
-  });
+  for_each_item(context, count,
+                [=] __device__(int64_t k) { keys[k] = static_cast<uint64_t>(search.candidate(sorted_order[k]).pair); });
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, sorted_order, order,
                                            static_cast<int64_t>(count), 0, 32, context.stream);
@@ -133,13 +140,12 @@ int32_t* sort_all(const DeviceContext& context, const NarrowInput& input, const 
 }
 
 template <class Bodies>
-void write_rows(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, const FoundList& found,
-                const int32_t* selected, int64_t rows, const ContactColumns& out) {
+void write_rows(const DeviceContext& context, const Bodies& bodies, const Search& search, const int32_t* selected,
+                int64_t rows, const ContactColumns& out) {
   for_each_item(context, rows, [=] __device__(int64_t row) {
-    const FoundContact& contact = found.contacts[selected[row]];
-    const Candidate c = input.candidates[contact.candidate];
-    const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * int64_t(c.pair)],
-                                             input.pairs[2 * int64_t(c.pair) + 1]);
+    const FoundContact& contact = search.contacts[selected[row]];
+    const Candidate c = search.input.candidates[contact.candidate];
+    const auto pair = pair_of(bodies, search.input, c);
     const ContactPlace at = contact_place(bodies, pair, c, contact.toi, contact.u, contact.v);
     out.pair[row] = c.pair;
     out.kind[row] = static_cast<int8_t>(c.kind);
@@ -163,37 +169,60 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
     make_output(0);
     return;
   }
-  auto* best = input.report == Report::kAll ? nullptr : context.allocate<unsigned long long>(input.pair_count);
-  uint32_t count = 0;
-  const FoundList found = find_contacts(context, bodies, input, best, count);
-  int64_t rows = count;
-  if (rows == 0) {
-    make_output(0);
-    return;
+  const bool one_a_pair = input.report != Report::kAll;
+  Search search{};
+  search.input = input;
+  search.counters = context.allocate<Counters>(1);
+  search.best = one_a_pair ? context.allocate<unsigned long long>(input.pair_count) : nullptr;
+  // About one in four is open; all of them may be.
+  search.capacity = static_cast<uint32_t>(smaller<int64_t>(input.candidate_count, input.candidate_count / 2 + 65536));
+  const int64_t blocks = (input.candidate_count + kBlockThreads - 1) / kBlockThreads;
+  for (;;) {
+    search.open = context.allocate<int32_t>(search.capacity);
+    search.contacts = context.allocate<FoundContact>(search.capacity);
+    fill_bytes(context, search.counters, 0, 1);
+    if (one_a_pair) fill_bytes(context, search.best, 0xff, input.pair_count);
+    glance_at_candidates<Bodies><<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(bodies, search);
+    check_cuda(cudaGetLastError(), "glance_at_candidates");
+    solve_candidates<Bodies>
+        <<<resident_blocks_of(solve_candidates<Bodies>, kSolveThreads), kSolveThreads, 0, context.stream>>>(bodies,
+                                                                                                            search);
+    check_cuda(cudaGetLastError(), "solve_candidates");
+    const int32_t* selected = one_a_pair ? select_first(context, search) : nullptr;
+    const Counters seen = read(context, search.counters);
+    if (seen.open > search.capacity) {
+      search.capacity = seen.open;
+      continue;
+    }
+    const int64_t rows = one_a_pair ? seen.rows : seen.contacts;
+    const ContactColumns out = make_output(rows);
+    if (rows == 0) return;
+    if (!one_a_pair) selected = sort_all(context, search, seen.contacts);
+    return write_rows(context, bodies, search, selected, rows, out);
   }
-  const int32_t* selected =
-      best != nullptr ? select_first(context, input, found, count, best, rows) : sort_all(context, input, found, count);
-  write_rows(context, bodies, input, found, selected, rows, make_output(rows));
 }
 
 template void narrow_phase_cuda(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactOutput&);
 template void narrow_phase_cuda(const DeviceContext&, const DeformingBodies&, const NarrowInput&, const ContactOutput&);
 
-template <bool kEdgeEdge>
-void elementary_cuda(const DeviceContext& context, const double* points_t0, const double* points_t1, int64_t count,
-                     const NarrowSettings& settings, int8_t* status, double* toi, double* coordinates) {
+template <bool kEdgeEdge, class T>
+void elementary_cuda(const DeviceContext& context, const T* points_t0, const T* points_t1, int64_t count,
+                     const NarrowSettings& settings, const ElementaryColumns<T>& out) {
   for_each_item(context, count, [=] __device__(int64_t q) {
-    const Outcome<double> outcome = solve_elementary<kEdgeEdge>(points_t0 + 12 * q, points_t1 + 12 * q, settings);
-    status[q] = static_cast<int8_t>(outcome.status);
-    toi[q] = outcome.toi;
-    coordinates[2 * q] = outcome.u;
-    coordinates[2 * q + 1] = outcome.v;
+    const T *start = points_t0 + 12 * q, *end = points_t1 + 12 * q;
+    const bool free = stays_apart(rounded_differences<kEdgeEdge>(start), rounded_differences<kEdgeEdge>(end),
+                                  cull_distance(settings), kEdgeEdge);
+    store(out, q, free ? culled_answer<T>() : solve_elementary<kEdgeEdge>(start, end, settings));
   });
 }
 
+template void elementary_cuda<false>(const DeviceContext&, const float*, const float*, int64_t, const NarrowSettings&,
+                                     const ElementaryColumns<float>&);
+template void elementary_cuda<true>(const DeviceContext&, const float*, const float*, int64_t, const NarrowSettings&,
+                                    const ElementaryColumns<float>&);
 template void elementary_cuda<false>(const DeviceContext&, const double*, const double*, int64_t, const NarrowSettings&,
-                                     int8_t*, double*, double*);
+                                     const ElementaryColumns<double>&);
 template void elementary_cuda<true>(const DeviceContext&, const double*, const double*, int64_t, const NarrowSettings&,
-                                    int8_t*, double*, double*);
+                                    const ElementaryColumns<double>&);
 
 }  // namespace pgccd

@@ -15,8 +15,8 @@ template <class Bodies>
 void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                        const ContactOutput& make_output);
 
-template <bool kEdgeEdge>
-void elementary_cuda(const DeviceContext& context, const double* points_t0, const double* points_t1, int64_t count,
-                     const NarrowSettings& settings, int8_t* status, double* toi, double* coordinates);
+template <bool kEdgeEdge, class T>
+void elementary_cuda(const DeviceContext& context, const T* points_t0, const T* points_t1, int64_t count,
+                     const NarrowSettings& settings, const ElementaryColumns<T>& out);
 
 }  // namespace pgccd

@@ -17,13 +17,16 @@ struct PointSplit {
 template <bool kEdgeEdge, class T>
 class LinearPath {
  public:
+  // Proofs of touching, and a finer arithmetic, make sense here.
+  static constexpr bool kStraight = true;
+
   // `point_error`: by how much a given point may differ from the intended one (0 when the given points are the truth).
   PGCCD_HD LinearPath(const Vec3<T> t0[4], const Vec3<T> t1[4], T point_error)
       : t0_(feature_pair<kEdgeEdge>(t0[0], t0[1], t0[2], t0[3])),
         t1_(feature_pair<kEdgeEdge>(t1[0], t1[1], t1[2], t1[3])) {
     const T size = larger(extent(t0_), extent(t1_));
     // To about unit size, by a power of two: exact, and products of six lengths neither overflow nor vanish.
-    scale_ = size > T(0) ? static_cast<T>(inverse_power_of_two(size)) : T(1);
+    scale_ = size > T(0) ? static_cast<T>(inverse_power_of_two(static_cast<double>(size))) : T(1);
     t0_ = {scale_ * t0_.r, scale_ * t0_.a, scale_ * t0_.b};
     t1_ = {scale_ * t1_.r, scale_ * t1_.a, scale_ * t1_.b};
     error_ = {scale_ * point_error, scale_ * size};
@@ -36,6 +39,7 @@ class LinearPath {
     const T s = T(1) - t;
     return {s * t0_.r + t * t1_.r, s * t0_.a + t * t1_.a, s * t0_.b + t * t1_.b};
   }
+  PGCCD_HD FeaturePair<T> velocity() const { return {t1_.r - t0_.r, t1_.a - t0_.a, t1_.b - t0_.b}; }
   PGCCD_HD T window(T /*gap*/, T remaining) const { return remaining; }
   PGCCD_HD T deviation(T /*duration*/) const { return T(0); }
   PGCCD_HD PairError<T> error() const { return error_; }
@@ -66,6 +70,8 @@ PGCCD_HD Vec3<double> arc_position(const ArcPoint& p, const SineCosine& at) {
 template <bool kEdgeEdge>
 class ArcPath {
  public:
+  static constexpr bool kStraight = false;
+
   PGCCD_HD ArcPath(const Vec3<double> bases[4], const Spin& first, const Spin& second, const RelativeCentre& centre,
                    double point_error)
       : first_angle_(first.angle), second_angle_(second.angle), centre_(centre) {
@@ -104,7 +110,7 @@ class ArcPath {
   // A window over which the chords stray by no more than a quarter of the gap.
   PGCCD_HD double window(double gap, double remaining) const {
     if (!(curvature_ * remaining * remaining > 2.0 * gap)) return remaining;
-    return std::sqrt(2.0 * gap / curvature_);
+    return square_root(2.0 * gap / curvature_);
   }
   // Linear interpolation of a curve strays by at most max |x''| duration^2 / 8, for the two bodies together.
   PGCCD_HD double deviation(double duration) const { return curvature_ * duration * duration * 0.125; }

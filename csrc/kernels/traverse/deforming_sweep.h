@@ -5,19 +5,14 @@
 
 namespace pgccd {
 
-struct DeformingSweep {
-  int64_t body[2];
-  int32_t mesh[2];
-  double scale;
-  double horizon;
+struct DeformingSweep : PairFrame {
   float inflation;
   static constexpr float tilt = 0.0f;  // normals do not turn
   static constexpr int segment_count = 1;
 
   PGCCD_HD DeformingSweep(const DeformingBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings,
                           double until)
-      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, horizon(until) {
-    scale = sweep_detail::local_scale(bodies.centres, i, j, relative_centre(bodies.centres, i, j));
+      : PairFrame(bodies, i, j, until) {
     const double distance = sweep_detail::kept_distance(bodies.centres, i, j, settings);
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
   }
@@ -57,10 +52,10 @@ struct DeformingSweep {
   PGCCD_HD Corners<T> corners(const DeformingBodies& bodies, int side, int32_t triangle, int end) const {
     Corners<T> out;
     if constexpr (sizeof(T) == sizeof(float)) {
-      const Triangle& t = bodies.meshes.triangles[bodies.meshes.offsets[mesh[side]].face + triangle];
+      const Triangle& t = bodies.meshes.triangles[first_face[side] + triangle];
       for (int c = 0; c < 3; ++c) out.corner[c] = vertex(bodies, side, t.vertex[c], end);
     } else {
-      const MeshOffsets* offsets = bodies.meshes.offsets + mesh[side];
+      const MeshOffsets* offsets = bodies.meshes.offsets + bodies.mesh_index[body[side]];
       const int64_t count = offsets[1].face - offsets[0].face;
       for (int lane = 0; lane < kLanes; ++lane) {
         const int64_t row = triangle + lane < count ? triangle + lane : count - 1;

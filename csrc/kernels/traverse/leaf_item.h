@@ -3,6 +3,7 @@
 #pragma once
 
 #include "core/candidate.h"
+#include "core/fixed_directions.h"
 #include "kernels/traverse/pair_item.h"
 
 namespace pgccd {
@@ -21,18 +22,11 @@ PGCCD_HD MovingPoints<3, T> moving_triangles(const PairTree<Bodies>& tree, int s
   return out;
 }
 
-namespace leaf_detail {
-
-PGCCD_HD MovingPoints<1, float> corner(const MovingPoints<3, float>& t, int c) { return {{t.start[c]}, {t.end[c]}}; }
-PGCCD_HD MovingPoints<2, float> side(const MovingPoints<3, float>& t, int c) {
-  const int d = c == 2 ? 0 : c + 1;
-  return {{t.start[c], t.start[d]}, {t.end[c], t.end[d]}};
-}
-
-}  // namespace leaf_detail
-
 // Bits of the feature pairs that two triangles stand for: vertex c of i and the face of j (c), vertex c of j and the
 // face of i (3 + c), edge c of i and edge d of j (6 + 3 c + d).
+constexpr int kFirstEdgeBit = 6;
+constexpr int kFeaturePairBits = 15;
+
 PGCCD_HD uint32_t represented_pairs(const Triangle& ti, const Triangle& tj) {
   uint32_t bits = static_cast<uint32_t>((ti.represented & 7) | ((tj.represented & 7) << 3));
   const uint32_t edges_j = static_cast<uint32_t>(tj.represented >> 3) & 7u;
@@ -42,15 +36,24 @@ PGCCD_HD uint32_t represented_pairs(const Triangle& ti, const Triangle& tj) {
   return bits;
 }
 
-// May the feature pair of that bit meet over the segment?
-PGCCD_HD bool pair_meets(const MovingPoints<3, float>& i, const MovingPoints<3, float>& j, int bit, float distance) {
-  using namespace leaf_detail;
-  if (bit < 3) return !stay_apart(corner(i, bit), j, distance);
-  if (bit < 6) return !stay_apart(corner(j, bit - 3), i, distance);
-  return !stay_apart(side(i, (bit - 6) / 3), side(j, (bit - 6) % 3), distance);
+// May the feature pair of that bit meet over the segment? `corner(side, index, end)` tells where the triangles' corners
+// are. One path through the code for both sorts of pairs: on a device they share a warp.
+template <class Corner>
+PGCCD_HD bool pair_meets(Corner&& corner, int bit, float distance) {
+  const bool is_edge_edge = bit >= kFirstEdgeBit, is_face_of_i = bit >= 3 && !is_edge_edge;
+  const int first_side = is_face_of_i ? 1 : 0, second_side = 1 - first_side;
+  // Corners x0 .. x3 of the feature pair: edge-edge c, c + 1; d, d + 1; vertex-face c; 0, 1, 2.
+  const int c = is_edge_edge ? (bit - 6) / 3 : (is_face_of_i ? bit - 3 : bit);
+  const int d = is_edge_edge ? (bit - 6) % 3 : 0;
+  const int next_c = c == 2 ? 0 : c + 1, next_d = d == 2 ? 0 : d + 1;
+  const auto features = [&](int end) -> FeaturePair<float> {
+    const Vec3<float> from = corner(first_side, c, end), to = corner(second_side, d, end);
+    const Vec3<float> a_tip = is_edge_edge ? corner(first_side, next_c, end) : corner(second_side, 1, end);
+    const Vec3<float> b_tip = corner(second_side, is_edge_edge ? next_d : 2, end);
+    return {to - from, a_tip - (is_edge_edge ? from : to), b_tip - to};
+  };
+  return !stays_apart(features(0), features(1), distance, is_edge_edge);
 }
-
-constexpr int kFeaturePairBits = 15;
 
 // Calls emit(kind, feature_i, feature_j) for the feature pair of that bit.
 template <class Emit>

@@ -92,15 +92,24 @@ PGCCD_HD auto triangles_stay_apart(const MovingPoints<3, T>& i, const MovingPoin
   using namespace overlap_detail;
   const Vec3<T> start = sum(j.start) - sum(i.start);
   const Vec3<T> end = sum(j.end) - sum(i.end);
-  auto apart = separates(i, j, start + end, distance);
-  if (all_lanes(apart)) return apart;
-  apart = apart | separates(i, j, cross(mean_edge(i, 1), mean_edge(i, 2)), distance);
-  if (all_lanes(apart)) return apart;
-  apart = apart | separates(i, j, cross(mean_edge(j, 1), mean_edge(j, 2)), distance);
-  if (all_lanes(apart)) return apart;
-  apart = apart | separates(i, j, start, distance);
-  if (all_lanes(apart)) return apart;
-  return apart | separates(i, j, end, distance);
+  const auto direction = [&](int k) -> Vec3<T> {
+    switch (k) {
+      case 0:
+        return start + end;
+      case 1:
+        return cross(mean_edge(i, 1), mean_edge(i, 2));
+      case 2:
+        return cross(mean_edge(j, 1), mean_edge(j, 2));
+      case 3:
+        return start;
+      default:
+        return end;
+    }
+  };
+  auto apart = separates(i, j, direction(0), distance);
+  PGCCD_KEEP_LOOP
+  for (int k = 1; k < 5 && !all_lanes(apart); ++k) apart = apart | separates(i, j, direction(k), distance);
+  return apart;
 }
 
 // True where a triangle certainly stays out of a moving ball. Cheap: it spares whole rows of triangle tests.
@@ -111,23 +120,6 @@ PGCCD_HD auto stays_out(const MovingPoints<3, T>& triangle, const MovingPoints<1
   auto out = separates(triangle, centre, start + end, reach);
   if (all_lanes(out)) return out;
   return out | separates(triangle, centre, cross(mean_edge(triangle, 1), mean_edge(triangle, 2)), reach);
-}
-
-// True if a vertex and a triangle certainly stay apart ...
-PGCCD_HD bool stay_apart(const MovingPoints<1, float>& vertex, const MovingPoints<3, float>& face, float distance) {
-  using namespace overlap_detail;
-  if (separates(vertex, face, cross(mean_edge(face, 1), mean_edge(face, 2)), distance)) return true;
-  const Vec3<float> start = sum(face.start) - 3.0f * vertex.start[0], end = sum(face.end) - 3.0f * vertex.end[0];
-  return separates(vertex, face, start + end, distance) || separates(vertex, face, start, distance) ||
-         separates(vertex, face, end, distance);
-}
-
-// ... and for two edges.
-PGCCD_HD bool stay_apart(const MovingPoints<2, float>& i, const MovingPoints<2, float>& j, float distance) {
-  using namespace overlap_detail;
-  if (separates(i, j, cross(mean_edge(i, 1), mean_edge(j, 1)), distance)) return true;
-  const Vec3<float> start = sum(j.start) - sum(i.start), end = sum(j.end) - sum(i.end);
-  return separates(i, j, start + end, distance) || separates(i, j, start, distance) || separates(i, j, end, distance);
 }
 
 }  // namespace pgccd

@@ -36,7 +36,7 @@ class PairTree {
   PGCCD_HD const LocalPose& pose(int k) const { return poses_[k]; }
 
   PGCCD_HD NodeLink link(int side, int32_t node) const {
-    return bodies_.meshes.node_links[bodies_.meshes.offsets[sweep_.mesh[side]].block * kBlockWidth + node];
+    return bodies_.meshes.node_links[sweep_.first_block[side] * kBlockWidth + node];
   }
   PGCCD_HD bool is_leaf(int side, int32_t node) const { return link(side, node).triangle_count > 0; }
   PGCCD_HD bool is_leaf_pair(NodePair nodes) const { return is_leaf(0, nodes.first) && is_leaf(1, nodes.second); }
@@ -94,7 +94,7 @@ class PairTree {
   PGCCD_HD float clearance(const SplitPair& split, const OtherNode& other, int k, int slot) const {
     const int side = split.first_is_split ? 0 : 1;
     const NodeBlock& b = sweep_.block(bodies_, side, split.block);
-    const float radius = static_cast<float>(sweep_.scale) * b.radius[slot];
+    const float radius = sweep_.local_scale * b.radius[slot];
     const auto centre_at = [&](int end) {
       return Sweep::place(poses_[k - 1 + end], side, sweep_.node_centre(bodies_, side, split.block, slot, end));
     };
@@ -111,9 +111,7 @@ class PairTree {
     return {{Sweep::place(poses_[k - 1], side, sweep_.node_centre(bodies_, side, block, slot, 0))},
             {Sweep::place(poses_[k], side, sweep_.node_centre(bodies_, side, block, slot, 1))}};
   }
-  PGCCD_HD float local_radius(int side, int32_t node) const {
-    return static_cast<float>(sweep_.scale) * radius(side, node);
-  }
+  PGCCD_HD float local_radius(int side, int32_t node) const { return sweep_.local_scale * radius(side, node); }
 
  private:
   PGCCD_HD float radius(int side, int32_t node) const {
@@ -128,7 +126,7 @@ class PairTree {
 
   PGCCD_HD TurningSlab turning_slab(int side, const NodeBlock& b, int slot, int k) const {
     const Vec3<float> normal{b.normal_x[slot], b.normal_y[slot], b.normal_z[slot]};
-    const float scale = static_cast<float>(sweep_.scale);
+    const float scale = sweep_.local_scale;
     return {sweep_.turned(poses_[k - 1], side, normal), sweep_.turned(poses_[k], side, normal), scale * b.low[slot],
             scale * b.high[slot], sweep_.tilt * (scale * b.radius[slot])};
   }

@@ -5,11 +5,7 @@
 
 namespace pgccd {
 
-struct RigidSweep {
-  int64_t body[2];
-  int32_t mesh[2];
-  double scale;
-  double horizon;
+struct RigidSweep : PairFrame {
   float inflation;  // distance to keep, chord deviation and rounding, local units
   // By how much of |n_end - n_start|, times a node's radius, its slab is thicker along the mean of the two normals.
   // With normals n0 and n1 that belong to rotations at the ends of the segment: half, since the mean differs from each
@@ -20,9 +16,8 @@ struct RigidSweep {
   int segment_count;
 
   PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until)
-      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, horizon(until) {
+      : PairFrame(bodies, i, j, until) {
     const BodyCentres& centres = bodies.centres;
-    scale = sweep_detail::local_scale(centres, i, j, relative_centre(centres, i, j));
     segment_count = 1;
     tilt = bodies.linear_path ? 1.5f : 0.5f;
     double deviation = 0.0;
@@ -59,7 +54,7 @@ struct RigidSweep {
   }
 
   PGCCD_HD const NodeBlock& block(const RigidBodies& bodies, int side, int32_t block) const {
-    return bodies.meshes.node_blocks[bodies.meshes.offsets[mesh[side]].block + block];
+    return bodies.meshes.node_blocks[first_block[side] + block];
   }
   // Body-frame centre of a node; the same at both ends of a segment.
   PGCCD_HD Vec3<float> node_centre(const RigidBodies& bodies, int side, int32_t block_index, int slot, int) const {
@@ -76,14 +71,14 @@ struct RigidSweep {
 
   // Body-frame direction -> local frame, unit length kept.
   PGCCD_HD Vec3<float> turned(const LocalPose& p, int side, Vec3<float> direction) const {
-    return static_cast<float>(1.0 / scale) * sweep_detail::transform(side == 0 ? p.first : p.second, direction);
+    return inverse_scale * sweep_detail::transform(side == 0 ? p.first : p.second, direction);
   }
 
   // Of one triangle, or of it and the seven that follow.
   template <class T>
   PGCCD_HD Corners<T> corners(const RigidBodies& bodies, int side, int32_t triangle, int) const {
     const CornerColumns& columns = bodies.meshes.corners;
-    const int64_t row = bodies.meshes.offsets[mesh[side]].face + triangle;
+    const int64_t row = first_face[side] + triangle;
     const auto column = [&](int index) { return load<T>(columns.first + index * columns.stride + row); };
     Corners<T> out;
     for (int c = 0; c < 3; ++c) out.corner[c] = {column(3 * c), column(3 * c + 1), column(3 * c + 2)};

@@ -61,8 +61,8 @@ PGCCD_HD Mat3<double> blend(const Mat3<double>& m0, const Mat3<double>& m1, doub
 
 template <class T>
 PGCCD_HD Vec3<T> transform(const Mat3<float>& m, Vec3<T> v) {
-  return {(m.r0.x * v.x + m.r0.y * v.y) + m.r0.z * v.z, (m.r1.x * v.x + m.r1.y * v.y) + m.r1.z * v.z,
-          (m.r2.x * v.x + m.r2.y * v.y) + m.r2.z * v.z};
+  const auto row = [&](Vec3<float> r) { return multiply_add(r.z, v.z, multiply_add(r.y, v.y, r.x * v.x)); };
+  return {row(m.r0), row(m.r1), row(m.r2)};
 }
 template <class T>
 PGCCD_HD Vec3<T> shifted(Vec3<float> shift, Vec3<T> v) {
@@ -70,5 +70,26 @@ PGCCD_HD Vec3<T> shifted(Vec3<float> shift, Vec3<T> v) {
 }
 
 }  // namespace sweep_detail
+
+// What both kinds of sweeps know: who, since rows of the mesh set are asked for at every node, where; and the scale.
+struct PairFrame {
+  int64_t body[2];
+  int64_t first_face[2], first_block[2];  // rows of the bodies' meshes in the mesh set
+  double scale;                           // a power of two
+  double horizon;
+  float local_scale, inverse_scale;  // the same in float, and 1 / scale
+
+  template <class Bodies>
+  PGCCD_HD PairFrame(const Bodies& bodies, int64_t i, int64_t j, double until) : body{i, j}, horizon(until) {
+    scale = sweep_detail::local_scale(bodies.centres, i, j, relative_centre(bodies.centres, i, j));
+    local_scale = static_cast<float>(scale);
+    inverse_scale = static_cast<float>(1.0 / scale);
+    for (int side = 0; side < 2; ++side) {
+      const MeshOffsets& offsets = bodies.meshes.offsets[bodies.mesh_index[body[side]]];
+      first_face[side] = offsets.face;
+      first_block[side] = offsets.block;
+    }
+  }
+};
 
 }  // namespace pgccd

@@ -80,9 +80,7 @@ uint32_t triangles_reaching(const PairTree<Bodies>& tree, const MovingPoints<3, 
 template <class Bodies, class Emit>
 void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
   const NodeLink first = tree.link(0, leaves.first), second = tree.link(1, leaves.second);
-  const auto triangles = [&](int side) {
-    return tree.bodies().meshes.triangles + tree.bodies().meshes.offsets[tree.sweep().mesh[side]].face;
-  };
+  const auto triangles = [&](int side) { return tree.bodies().meshes.triangles + tree.sweep().first_face[side]; };
   const Triangle *first_triangles = triangles(0) + first.first, *second_triangles = triangles(1) + second.first;
   const float distance = tree.sweep().inflation;
   uint32_t meeting[kMaxLeafTriangles][kLanes] = {};
@@ -100,8 +98,12 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
         const uint32_t wanted = represented_pairs(first_triangles[p], second_triangles[lane]) & ~meeting[p][lane];
         if (wanted == 0) return;
         const MovingPoints<3, float> other = one_lane(j, lane);
+        const auto corner = [&](int side, int index, int end) {
+          const MovingPoints<3, float>& points = side == 0 ? one : other;
+          return end == 0 ? points.start[index] : points.end[index];
+        };
         for_each_bit(wanted, [&](int bit) {
-          if (pair_meets(one, other, bit, distance)) meeting[p][lane] |= 1u << bit;
+          if (pair_meets(corner, bit, distance)) meeting[p][lane] |= 1u << bit;
         });
       });
     });

@@ -1,35 +1,12 @@
-// A vertex-face or edge-edge pair at one instant, written by three difference vectors, so that nothing depends on where
-// in space it is:
-//   vertex-face (x0 vertex; x1, x2, x3 face):    r = x1 - x0, a = x2 - x1, b = x3 - x1
-//   edge-edge   (x0, x1 one edge; x2, x3 other): r = x2 - x0, a = x1 - x0, b = x3 - x2
-// In both, the four points are coplanar where r . (a x b) = 0.
+// Nearest points of the two primitives of a feature pair.
 #pragma once
 
-#include <cmath>
-
+#include "core/feature_pair.h"
 #include "core/rounding.h"
-#include "core/vec3.h"
 
 namespace pgccd {
 
-template <class T>
-struct FeaturePair {
-  Vec3<T> r, a, b;
-};
-
-template <bool kEdgeEdge, class T>
-PGCCD_HD FeaturePair<T> feature_pair(Vec3<T> x0, Vec3<T> x1, Vec3<T> x2, Vec3<T> x3) {
-  if constexpr (kEdgeEdge) return {x2 - x0, x1 - x0, x3 - x2};
-  return {x1 - x0, x2 - x1, x3 - x1};
-}
-
-// Largest coordinates, added up: an upper bound of every coordinate of every difference of two of the points.
-template <class T>
-PGCCD_HD T extent(const FeaturePair<T>& p) {
-  return (max_abs(p.r) + max_abs(p.a)) + max_abs(p.b);
-}
-
-// Nearest points of the two primitives. `offset` leads from the first primitive (vertex, first edge) to the second.
+// `offset` leads from the first primitive (vertex, first edge) to the second.
 //   vertex-face: the face point x1 + u a + v b;   edge-edge: x0 + u a on the first edge, x2 + v b on the second.
 template <class T>
 struct Nearest {
@@ -78,7 +55,7 @@ PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
   const T normal_squared = norm_squared(normal);
   // A face or an angle too slender for its normal to mean anything: its border, at most this slenderness away, stands
   // for it.
-  constexpr T slender = T(64) * Precision<T>::unit;
+  constexpr T slender(64 * Precision<T>::unit);
   const bool has_normal = normal_squared > (slender * slender) * (norm_squared(p.a) * norm_squared(p.b));
   // Edges' lines: u |n|^2 = det(r, b, n), v |n|^2 = det(r, a, n). Projection onto the face: u |n|^2 = det(b, r, n),
   // same v.

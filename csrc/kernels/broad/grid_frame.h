@@ -1,0 +1,76 @@
+// Grid broad phase: how large cells are and where they start, from a sample of the bodies. It decides how long the
+// search takes, never what it finds.
+#pragma once
+
+#include "kernels/broad/grid_item.h"
+#include "kernels/broad/scene_sample.h"
+
+namespace pgccd {
+
+// A body of unit size is a cell at about this level: a million times smaller ones have levels of their own.
+constexpr int kGridUnitLevel = 20;
+
+// Starts in the middle of the scene; a body of mean extent is one cell of level 0 on each axis.
+PGCCD_HD GridFrame unit_frame(const double (&mean_middle)[3], const double (&mean_extent)[3]) {
+  GridFrame frame;
+  for (int k = 0; k < 3; ++k) {
+    frame.origin[k] = std::fabs(mean_middle[k]) < 0x1p1000 ? mean_middle[k] : 0.0;
+    frame.scale[k] = mean_extent[k] > 0x1p-1000 && mean_extent[k] < 0x1p1000 ? 1.0 / mean_extent[k] : 1.0;
+  }
+  return frame;
+}
+
+// Largest extent of a box in cells of the unit frame.
+PGCCD_HD double unit_size(const GridFrame& frame, const SweptBox& box) {
+  const Vec3<double> extent = box.upper - box.lower;
+  return larger(larger(extent.x * frame.scale[0], extent.y * frame.scale[1]), extent.z * frame.scale[2]);
+}
+
+// Sizes are looked at modulo powers of two, in four classes to the octave.
+constexpr int kSizeClasses = 4;
+PGCCD_HD double class_end(int size_class) {
+  return size_class == 0 ? 0.594603557501360533
+                         : (size_class == 1 ? 0.707106781186547524 : (size_class == 2 ? 0.840896415253714613 : 1.0));
+}
+
+PGCCD_HD int size_class(double size) {
+  int exponent = 0;
+  const double fraction = std::frexp(size, &exponent);
+  int found = 0;
+  while (found < kSizeClasses - 1 && fraction > class_end(found)) ++found;
+  return found;
+}
+
+// The end of a class that, taken for the size of cells, makes them exceed their bodies least (volumes weighted by
+// counts): sizes that are much the same should not fall on both sides of it.
+PGCCD_HD double best_end(const double (&counts)[kSizeClasses]) {
+  double best_cost = INFINITY, best = 1.0;
+  for (int end = 0; end < kSizeClasses; ++end) {
+    double cost = 0.0;
+    for (int c = 0; c < kSizeClasses; ++c) {
+      const double ratio = class_end(end) / class_end(c) * (c > end ? 2.0 : 1.0);
+      cost += counts[c] * ratio * ratio * ratio;
+    }
+    if (cost < best_cost) {
+      best_cost = cost;
+      best = class_end(end);
+    }
+  }
+  return best;
+}
+
+// The size times a power of two, in (end / 2, end].
+PGCCD_HD double folded_size(double size, double end) {
+  int exponent = 0;
+  const double fraction = std::frexp(size, &exponent);
+  return fraction > end ? 0.5 * fraction : fraction;
+}
+
+// Cells a little larger than `cell_size` (in cells of the unit frame), since bodies outside the sample may be.
+PGCCD_HD GridFrame scaled_frame(GridFrame unit, double cell_size) {
+  if (!(cell_size < 0x1p1000)) cell_size = 1.0;
+  for (double& scale : unit.scale) scale *= static_cast<double>(1 << kGridUnitLevel) / (cell_size * (1.0 + 1.0 / 64.0));
+  return unit;
+}
+
+}  // namespace pgccd

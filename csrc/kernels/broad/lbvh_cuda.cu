@@ -1,0 +1,91 @@
+#include "kernels/broad/lbvh_item.h"
+#include "kernels/broad/pair_list.cuh"
+#include "kernels/broad/scene_sample.cuh"
+
+namespace pgccd {
+namespace {
+
+// By one block.
+__global__ void __launch_bounds__(kSampleThreads) choose_frame(BroadBodies bodies, LbvhFrame* frame) {
+  __shared__ BlockSample sample;
+  const double weight = sample_weight(bodies.count);
+  double mean[3] = {}, deviation[3] = {};
+  sample.for_each(bodies, [&](const SweptBox& box) {
+    for (int k = 0; k < 3; ++k) mean[k] += weight * component(middle_of(box), k);
+  });
+  for (double& value : mean) value = sample.sum(value);
+  sample.for_each(bodies, [&](const SweptBox& box) {
+    for (int k = 0; k < 3; ++k) deviation[k] += weight * std::fabs(component(middle_of(box), k) - mean[k]);
+  });
+  for (double& value : deviation) value = sample.sum(value);
+  if (threadIdx.x == 0) *frame = lbvh_frame(mean, deviation);
+}
+
+__global__ void __launch_bounds__(kBlockThreads) build_nodes(LbvhTree tree, unsigned* arrivals, int32_t* root) {
+  const int64_t p = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+  if (p >= tree.leaf_count) return;
+  const int32_t top = climb(tree, static_cast<int32_t>(p), [&](int32_t node) {
+    __threadfence();  // what was written here, before the arrival is seen
+    const bool second = atomicExch(&arrivals[node], 1u) != 0u;
+    __threadfence();  // what the first wrote, after its arrival was seen
+    return second;
+  });
+  if (top >= 0) *root = top;
+}
+
+__global__ void __launch_bounds__(kBlockThreads) find_candidates(LbvhTree tree, const int32_t* root, PairList out) {
+  __shared__ PairBuffer buffer;
+  buffer.clear();
+  const int64_t p = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+  if (p < tree.leaf_count) {
+    const FilterBox self = tree.leaves[p];
+    traverse_lbvh(
+        tree, *root, static_cast<int32_t>(p), [&](const auto& box) { return boxes_overlap(self, box); },
+        [&](int32_t q) {
+          if (balls_meet(self, tree.leaves[q])) buffer.append(out, pack_pair(self.body, tree.leaves[q].body));
+        });
+  }
+  buffer.flush(out);
+}
+
+unsigned blocks_for(int64_t count) { return static_cast<unsigned>((count + kBlockThreads - 1) / kBlockThreads); }
+
+}  // namespace
+
+void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairOutput& make_output) {
+  const int64_t count = bodies.count;
+  if (count < 2) {
+    make_output(0);
+    return;
+  }
+  LbvhFrame* frame = context.allocate<LbvhFrame>(1);
+  choose_frame<<<1, kSampleThreads, 0, context.stream>>>(bodies, frame);
+  uint64_t* keys = context.allocate<uint64_t>(count);
+  uint64_t* sorted_keys = context.allocate<uint64_t>(count);
+  int32_t* order = context.allocate<int32_t>(count);
+  int32_t* sorted_order = context.allocate<int32_t>(count);
+  for_each_item(context, count, [=] __device__(int64_t b) {
+    keys[b] = lbvh_key(bodies, *frame, b);
+    order[b] = static_cast<int32_t>(b);
+  });
+  run_cub(context, [&](void* scratch, size_t& bytes) {
+    return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, order, sorted_order, count, 0, 64,
+                                           context.stream);
+  });
+  FilterBox* leaves = context.allocate<FilterBox>(count);
+  for_each_item(context, count, [=] __device__(int64_t p) {
+    leaves[p] = filter_box(bodies, {frame->origin[0], frame->origin[1], frame->origin[2]}, sorted_order[p]);
+  });
+
+  const LbvhTree tree{sorted_keys, leaves, context.allocate<LbvhNode>(count - 1), count, bodies.world != nullptr};
+  unsigned* arrivals = context.allocate<unsigned>(count - 1);
+  int32_t* root = context.allocate<int32_t>(1);
+  fill_bytes(context, arrivals, 0, count - 1);
+  build_nodes<<<blocks_for(count), kBlockThreads, 0, context.stream>>>(tree, arrivals, root);
+  check_cuda(cudaGetLastError(), "broad phase");
+  collect_pairs(context, bodies, make_output, [&](const PairList& list) {
+    find_candidates<<<blocks_for(count), kBlockThreads, 0, context.stream>>>(tree, root, list);
+  });
+}
+
+}  // namespace pgccd

@@ -1,0 +1,73 @@
+// How the broad phases on the CPU test the pairs they come across, collect them, and put them in order.
+#pragma once
+
+#include <vector>
+
+#include "kernels/broad/filter_box.h"
+#include "kernels/broad/pair_output.h"
+#include "kernels/executor.h"
+
+namespace pgccd {
+
+// Packed pairs in any order.
+using FoundPairs = std::vector<uint64_t>;
+
+// `scan` may look at, but ignores, so many entries past the end of what it is given: arrays are padded by them.
+constexpr int64_t kScanPadding = 4;
+
+// One worker's collector of candidates among sorted boxes. They are tested in batches, so that the predicate's
+// scattered reads overlap.
+class PairCollector {
+ public:
+  PairCollector(const BroadBodies& bodies, const FilterBox* boxes) : bodies_(bodies), boxes_(boxes) {}
+
+  void add(int64_t a, int64_t b) {
+    if (size_ == kBatch) test_batch();
+    batch_[size_++] = {static_cast<int32_t>(a), static_cast<int32_t>(b)};
+  }
+
+  // Those of the boxes [begin, end) that overlap box `self`, and that `keep(position)` agrees to.
+  template <class Keep>
+  void scan(int64_t self, const BoxOverlap& overlap, int64_t begin, int64_t end, Keep&& keep) {
+    // A few at a time and no branch on the outcome: how many boxes there are and which overlap is hard to foretell.
+    do {
+      if (size_ > kBatch - kScanPadding) test_batch();
+      for (int64_t other = begin; other < begin + kScanPadding; ++other) {
+        batch_[size_] = {static_cast<int32_t>(self), static_cast<int32_t>(other)};
+        size_ += static_cast<int64_t>(overlap.with(boxes_[other]) & (other < end) & keep(other));
+      }
+      begin += kScanPadding;
+    } while (begin < end);
+  }
+
+  FoundPairs take() {
+    test_batch();
+    return std::move(found_);
+  }
+
+ private:
+  struct Positions {
+    int32_t a, b;
+  };
+
+  void test_batch();
+
+  static constexpr int64_t kBatch = 256;
+  const BroadBodies& bodies_;
+  const FilterBox* boxes_;
+  Positions batch_[kBatch + 1] = {};
+  int64_t size_ = 0;
+  FoundPairs found_;
+};
+
+inline std::vector<FoundPairs> take_all(std::vector<PairCollector>& collectors) {
+  std::vector<FoundPairs> found;
+  for (PairCollector& collector : collectors) found.push_back(collector.take());
+  return found;
+}
+
+// Hands over what all workers found.
+void write_sorted(const Executor& executor, const std::vector<FoundPairs>& found, int64_t body_count,
+                  const PairOutput& make_output);
+
+}  // namespace pgccd

@@ -1,0 +1,136 @@
+// The points of a candidate's features, from body poses or vertex streams.
+#pragma once
+
+#include "core/candidate.h"
+#include "kernels/narrow/paths.h"
+
+namespace pgccd {
+
+// Which mesh point plays which part: x0 .. x3, and whether the first-named primitive belongs to body i or j.
+struct FeatureVertices {
+  int64_t vertex[4];  // local to their meshes
+  bool swapped;       // first primitive belongs to body j
+};
+
+PGCCD_HD FeatureVertices feature_vertices(const MeshSetView& meshes, int32_t mesh_i, int32_t mesh_j,
+                                          const Candidate& c) {
+  const MeshOffsets& oi = meshes.offsets[mesh_i];
+  const MeshOffsets& oj = meshes.offsets[mesh_j];
+  if (c.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
+    const int32_t* ei = meshes.edges + 2 * (oi.edge + c.feature_i);
+    const int32_t* ej = meshes.edges + 2 * (oj.edge + c.feature_j);
+    return {{ei[0], ei[1], ej[0], ej[1]}, false};
+  }
+  if (c.kind == static_cast<int32_t>(FeatureKind::kVertexFace)) {
+    const int32_t* f = meshes.faces + 3 * (oj.face + c.feature_j);
+    return {{c.feature_i, f[0], f[1], f[2]}, false};
+  }
+  const int32_t* f = meshes.faces + 3 * (oi.face + c.feature_i);
+  return {{c.feature_j, f[0], f[1], f[2]}, true};
+}
+
+// Relative error of the centre offset, and of adding it to a point.
+PGCCD_HD double centre_error(const RelativeCentre& centre) {
+  return 8.0 * Precision<double>::unit * larger(max_abs(centre.at_t0), max_abs(centre.at_t1));
+}
+
+// What all candidates of a body pair share.
+struct RigidPair {
+  int64_t body[2];
+  int32_t mesh[2];
+  Mat3<double> orientation[2];
+  Spin spin[2];
+  RelativeCentre centre;  // of body j, seen from body i
+  double point_error;
+
+  PGCCD_HD RigidPair(const RigidBodies& bodies, int64_t i, int64_t j)
+      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, centre(relative_centre(bodies.centres, i, j)) {
+    for (int side = 0; side < 2; ++side) {
+      orientation[side] = rotation_matrix(load_quaternion(bodies.orientation + 4 * body[side]));
+      spin[side] = make_spin(load_vec3(bodies.rotation + 3 * body[side]));
+    }
+    point_error = centre_error(centre);
+    for (int side = 0; side < 2; ++side) {
+      // The angle at a time is rounded relatively, which moves a point by so much more the further it has turned.
+      const double units = kRigidPointUnits + 8.0 * spin[side].angle;
+      point_error += units * Precision<double>::unit * bodies.centres.radius[body[side]];
+    }
+  }
+
+  template <bool kEdgeEdge>
+  PGCCD_HD void bases(const RigidBodies& bodies, const FeatureVertices& f, Vec3<double> base[4]) const {
+    for (int k = 0; k < 4; ++k) {
+      const int side = side_of<kEdgeEdge>(f, k);
+      const int64_t row = bodies.meshes.offsets[mesh[side]].vertex + f.vertex[k];
+      base[k] = orientation[side] * load_vec3(bodies.meshes.vertices + 3 * row);
+    }
+  }
+
+  template <bool kEdgeEdge>
+  PGCCD_HD static int side_of(const FeatureVertices& f, int k) {
+    return (k < PointSplit<kEdgeEdge>::first_count) == f.swapped ? 1 : 0;
+  }
+
+  // Offset of the second-named primitive's body from the first-named one's.
+  PGCCD_HD RelativeCentre named_centre(const FeatureVertices& f) const {
+    if (!f.swapped) return centre;
+    return {-centre.at_t0, -centre.at_t1};
+  }
+
+  template <bool kEdgeEdge>
+  PGCCD_HD ArcPath<kEdgeEdge> arc_path(const RigidBodies& bodies, const FeatureVertices& f) const {
+    Vec3<double> base[4];
+    bases<kEdgeEdge>(bodies, f, base);
+    return {base, spin[f.swapped ? 1 : 0], spin[f.swapped ? 0 : 1], named_centre(f), point_error};
+  }
+
+  // End positions relative to the first-named body's centre.
+  template <bool kEdgeEdge>
+  PGCCD_HD void end_positions(const RigidBodies& bodies, const FeatureVertices& f, Vec3<double> t0[4],
+                              Vec3<double> t1[4]) const {
+    bases<kEdgeEdge>(bodies, f, t0);
+    const RelativeCentre shift = named_centre(f);
+    for (int k = 0; k < 4; ++k) {
+      const Spin& s = spin[side_of<kEdgeEdge>(f, k)];
+      t1[k] = rotate(s, sine_cosine(s.angle), t0[k]);
+      if (k >= PointSplit<kEdgeEdge>::first_count) {
+        t0[k] = shift.at_t0 + t0[k];
+        t1[k] = shift.at_t1 + t1[k];
+      }
+    }
+  }
+};
+
+struct DeformingPair {
+  static constexpr double point_error = 0.0;  // the vertices given are the truth
+  int64_t body[2];
+  int32_t mesh[2];
+
+  PGCCD_HD DeformingPair(const DeformingBodies& bodies, int64_t i, int64_t j)
+      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]} {}
+
+  // World coordinates as given: only differences of them are used, so no shift is needed.
+  template <bool kEdgeEdge>
+  PGCCD_HD void end_positions(const DeformingBodies& bodies, const FeatureVertices& f, Vec3<double> t0[4],
+                              Vec3<double> t1[4]) const {
+    for (int k = 0; k < 4; ++k) {
+      const int side = (k < PointSplit<kEdgeEdge>::first_count) == f.swapped ? 1 : 0;
+      const int64_t row = bodies.vertex_begin[body[side]] + f.vertex[k];
+      t0[k] = load_vec3(bodies.vertices_t0 + 3 * row);
+      t1[k] = load_vec3(bodies.vertices_t1 + 3 * row);
+    }
+  }
+};
+
+template <class Bodies>
+struct PairOf;
+template <>
+struct PairOf<RigidBodies> {
+  using type = RigidPair;
+};
+template <>
+struct PairOf<DeformingBodies> {
+  using type = DeformingPair;
+};
+
+}  // namespace pgccd

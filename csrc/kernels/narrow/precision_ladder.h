@@ -1,0 +1,92 @@
+// A query is asked in the arithmetic of its points first; where rounding leaves it open, again in the next finer one,
+// from the time already certified: float, double, double-double. The last has no near miss of inputs of ordinary size
+// left to mistake for a touch.
+#pragma once
+
+#include "kernels/narrow/advancement.h"
+#include "kernels/narrow/paths.h"
+
+namespace pgccd {
+
+// Caller's settings for a whole call; tolerance as in pair_tolerance.
+struct NarrowSettings {
+  double separation;
+  double tolerance;
+  bool nonzero_toi;
+};
+
+template <class T>
+struct Answer {
+  Outcome<T> outcome;
+  int8_t significant_bits;  // of the arithmetic that settled it
+};
+
+namespace ladder_detail {
+
+template <class T>
+struct Rung;
+template <>
+struct Rung<float> {
+  using Finer = double;
+  static constexpr int8_t significant_bits = 24;
+};
+template <>
+struct Rung<double> {
+  using Finer = DoubleDouble;
+  static constexpr int8_t significant_bits = 53;
+};
+template <>
+struct Rung<DoubleDouble> {
+  using Finer = void;
+  static constexpr int8_t significant_bits = 106;
+};
+
+// Never less strict than what the caller asked for.
+template <class T>
+PGCCD_HD SearchSettings<T> in_precision(const SearchSettings<double>& settings) {
+  return {round_up<T>(settings.separation), round_down<T>(settings.tolerance), round_up<T>(settings.latest),
+          settings.nonzero_toi};
+}
+
+template <class To, class From>
+PGCCD_HD Outcome<To> round_outcome(const Outcome<From>& outcome) {
+  return {outcome.status, round_down<To>(outcome.toi), static_cast<To>(outcome.u), static_cast<To>(outcome.v)};
+}
+
+template <bool kEdgeEdge, class T, class Input>
+PGCCD_HD_RARE Answer<Input> climb(const Vec3<Input> (&t0)[4], const Vec3<Input> (&t1)[4],
+                                  const SearchSettings<double>& settings, T begin);
+
+template <bool kEdgeEdge, class T, class Input>
+PGCCD_HD Answer<Input> ask(const Vec3<Input> (&t0)[4], const Vec3<Input> (&t1)[4],
+                           const SearchSettings<double>& settings, T begin) {
+  using Finer = typename Rung<T>::Finer;
+  const Vec3<T> start[4] = {cast<T>(t0[0]), cast<T>(t0[1]), cast<T>(t0[2]), cast<T>(t0[3])};
+  const Vec3<T> end[4] = {cast<T>(t1[0]), cast<T>(t1[1]), cast<T>(t1[2]), cast<T>(t1[3])};
+  Outcome<T> outcome =
+      advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, T>(start, end, T(0)), in_precision<T>(settings), begin);
+  const bool is_open = outcome.status == Status::kUndecided || outcome.status == Status::kUnresolved;
+  if constexpr (std::is_void_v<Finer>) {
+    if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
+  } else {
+    if (is_open) return climb<kEdgeEdge, Finer>(t0, t1, settings, Finer(outcome.toi));
+  }
+  return {round_outcome<Input>(outcome), Rung<T>::significant_bits};
+}
+
+template <bool kEdgeEdge, class T, class Input>
+PGCCD_HD_RARE Answer<Input> climb(const Vec3<Input> (&t0)[4], const Vec3<Input> (&t1)[4],
+                                  const SearchSettings<double>& settings, T begin) {
+  return ask<kEdgeEdge, T, Input>(t0, t1, settings, begin);
+}
+
+}  // namespace ladder_detail
+
+// The points given, at both ends of straight paths, are the truth.
+template <bool kEdgeEdge, class Input>
+PGCCD_HD Answer<Input> solve_straight(const Vec3<Input> (&t0)[4], const Vec3<Input> (&t1)[4],
+                                      const SearchSettings<double>& settings) {
+  return ladder_detail::ask<kEdgeEdge, Input>(t0, t1, settings, Input(0));
+}
+
+}  // namespace pgccd

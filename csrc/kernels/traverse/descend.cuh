@@ -1,0 +1,162 @@
+// From pairs of roots to pairs of leaves. Eight threads take a task, one for each child of a split, and work through
+// their part of the tree depth first with a small stack of their own; after some rounds they hand what is left back as
+// new tasks. So body pairs whose costs differ a thousandfold still load the device evenly, and most never leave their
+// group.
+#pragma once
+
+#include "kernels/traverse/task_queue.cuh"
+
+namespace pgccd {
+
+constexpr int kGroupsPerWarp = kWarp / kBlockWidth;
+constexpr int kGroupsPerBlock = kBlockThreads / kBlockWidth;
+constexpr int kStackSize = 64;
+// Rounds before a group hands back. While there are not tasks enough to fill the device, few; as launches go on, more:
+// what is left is spread by then.
+constexpr uint32_t kTasksThatFill = 16384;
+PGCCD_HD int rounds_of_launch(int launch, uint32_t task_count) {
+  constexpr int kRounds[] = {6, 6, 12, 48};
+  const int rounds = kRounds[launch < 3 ? launch : 3];
+  return task_count >= kTasksThatFill && rounds < 20 ? 20 : rounds;
+}
+
+// A group's memory: its stack, and what it reads over and over. Two poses serve all pairs that turn little in a step.
+constexpr int kPosesAtHand = 2;
+template <class Sweep>
+struct GroupShared {
+  Sweep sweep;
+  LocalPose poses[kPosesAtHand];
+  NodePair stack[kStackSize];
+};
+
+template <class T>
+__device__ void copy_words(const T& source, T& target, int slot) {
+  static_assert(sizeof(T) % sizeof(uint32_t) == 0);
+  const auto* from = reinterpret_cast<const uint32_t*>(&source);
+  auto* to = reinterpret_cast<uint32_t*>(&target);
+  for (int k = slot; k < static_cast<int>(sizeof(T) / sizeof(uint32_t)); k += kBlockWidth) to[k] = from[k];
+}
+
+// The eight threads' view of their task.
+struct Group {
+  const LocalPose* poses = nullptr;
+  int size = 0;
+  int rounds = 0;
+  int32_t pair = 0;
+};
+
+// `task_at(item)` for items below `count`. All groups of a warp split one node pair a round, each of its own task.
+template <class Bodies, class TaskAt>
+__device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, TaskAt&& task_at, TaskList leaves,
+                        TaskList rest, unsigned long long* node_tests) {
+  using Sweep = typename SweepOf<Bodies>::type;
+  __shared__ alignas(Sweep) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
+  __shared__ WarpBuffer<Task> buffers[kWarpsPerBlock];
+  const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, shift = lane - slot;
+  const int most_rounds = rounds_of_launch(launch, count);
+  const uint32_t groups = gridDim.x * kGroupsPerBlock;
+  uint32_t item = (blockIdx.x * blockDim.x + threadIdx.x) / kBlockWidth;
+  auto& shared = reinterpret_cast<GroupShared<Sweep>*>(memory)[threadIdx.x / kBlockWidth];
+  Group group;
+  WarpBuffer<Task>& buffer = buffers[threadIdx.x / kWarp];
+  const auto put_leaf = [&](uint32_t at, const Task& leaf) { leaves.put(at, leaf); };
+  int waiting = 0;
+  uint32_t splits = 0;
+  for (;;) {
+    if (group.size == 0 && item < count) {
+      const Task task = task_at(item);
+      item += groups;
+      if (slot == 0) shared.stack[0] = task.nodes;
+      const LocalPose* poses = pairs.poses + pairs.pose_begin[task.pair];
+      copy_words(pairs.sweeps[task.pair], shared.sweep, slot);
+      for (int k = 0; k < kPosesAtHand; ++k) copy_words(poses[k], shared.poses[k], slot);
+      group.poses = pairs.sweeps[task.pair].segment_count < kPosesAtHand ? shared.poses : poses;
+      group.size = 1;
+      group.rounds = 0;
+      group.pair = task.pair;
+    }
+    if (__ballot_sync(kAllLanes, group.size > 0) == 0) break;
+    __syncwarp();  // what is shared is written
+    bool meets = false, is_leaf = false;
+    Task child{group.pair, {0, 0}};
+    if (group.size > 0) {
+      const PairTree<Bodies> tree(pairs.bodies, shared.sweep, group.poses);
+      const NodePair nodes = shared.stack[group.size - 1];
+      if (tree.is_leaf_pair(nodes)) {  // only where the roots are
+        child.nodes = nodes;
+        meets = is_leaf = slot == 0;
+      } else {
+        const SplitPair split = tree.split(nodes);
+        for (int k = 1; k <= tree.sweep().segment_count && !meets; ++k) {
+          meets = tree.clearance(split, tree.other_node(split, k), k, slot) <= 0.0f;
+        }
+        child.nodes = split.child(slot);
+        is_leaf = meets && tree.is_leaf_pair(child.nodes);
+        if (slot == 0) ++splits;
+      }
+      --group.size;
+      ++group.rounds;
+    }
+    const uint32_t leaf_lanes = __ballot_sync(kAllLanes, is_leaf);
+    const uint32_t inner_lanes = (__ballot_sync(kAllLanes, meets && !is_leaf) >> shift) & 0xffu;
+    // Every group has read the top of its stack.
+    if (meets && !is_leaf) shared.stack[group.size + __popc(inner_lanes & lanes_below(slot))] = child.nodes;
+    group.size += __popc(inner_lanes);
+    waiting = buffer.add(waiting, leaf_lanes, child, lane, leaves.count, put_leaf);
+
+    const bool hands_back = group.size > 0 && (group.rounds >= most_rounds || group.size > kStackSize - kBlockWidth);
+    if (__ballot_sync(kAllLanes, hands_back) == 0) continue;
+    if (hands_back) {
+      const unsigned members = 0xffu << shift;
+      uint32_t first = 0;
+      if (slot == 0) first = atomicAdd(rest.count, static_cast<uint32_t>(group.size));
+      first = __shfl_sync(members, first, shift);
+      __syncwarp(members);
+      for (int k = slot; k < group.size; k += kBlockWidth) rest.put(first + k, {group.pair, shared.stack[k]});
+      __syncwarp(members);
+      group.size = 0;
+    }
+  }
+  buffer.flush(waiting, lane, leaves.count, put_leaf);
+  for (int step = kWarp / 2; step > 0; step /= 2) splits += __shfl_down_sync(kAllLanes, splits, step);
+  if (lane == 0 && splits > 0) atomicAdd(node_tests, static_cast<unsigned long long>(splits) * kBlockWidth);
+}
+
+// The first tasks: the roots of every body pair.
+template <class Bodies>
+__global__ void __launch_bounds__(kBlockThreads)
+    descend_from_roots(Pairs<Bodies> pairs, TaskList leaves, TaskList rest, unsigned long long* node_tests) {
+  const auto roots = [](uint32_t pair) { return Task{static_cast<int32_t>(pair), {0, 0}}; };
+  descend(pairs, 0, static_cast<uint32_t>(*pairs.count), roots, leaves, rest, node_tests);
+}
+
+// What earlier launches left.
+template <class Bodies>
+__global__ void __launch_bounds__(kBlockThreads)
+    descend_further(Pairs<Bodies> pairs, int launch, TaskList from, TaskList leaves, TaskList rest,
+                    unsigned long long* node_tests) {
+  descend(pairs, launch, from.size(), [&](uint32_t item) { return from.items[item]; }, leaves, rest, node_tests);
+}
+
+// Follows the deepest overlap of each body pair down to one pair of leaves.
+template <class Bodies>
+__global__ void __launch_bounds__(kBlockThreads)
+    descend_greedily(Pairs<Bodies> pairs, TaskList leaves, unsigned long long* node_tests) {
+  const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+  if (pair >= *pairs.count) return;
+  const PairTree<Bodies> tree = pairs.tree(static_cast<int32_t>(pair));
+  NodePair nodes{0, 0};
+  unsigned long long tests = 0;
+  bool reached = true;
+  while (reached && !tree.is_leaf_pair(nodes)) {
+    const SplitPair split = tree.split(nodes);
+    tests += kBlockWidth;
+    const int slot = tree.deepest_child(split);
+    reached = slot >= 0;
+    if (reached) nodes = split.child(slot);
+  }
+  atomicAdd(node_tests, tests);
+  if (reached) leaves.put(warp_append(leaves.count, 1), {static_cast<int32_t>(pair), nodes});
+}
+
+}  // namespace pgccd

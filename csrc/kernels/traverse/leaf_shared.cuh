@@ -1,0 +1,107 @@
+// What a warp keeps in shared memory while it visits two pairs of leaves, and how its candidates leave it.
+#pragma once
+
+#include "kernels/traverse/leaf_item.h"
+#include "kernels/traverse/task_queue.cuh"
+
+namespace pgccd {
+
+constexpr int kHalf = kWarp / 2;
+constexpr int kTrianglePairs = kMaxLeafTriangles * kMaxLeafTriangles;
+static_assert(kMaxLeafTriangles == 8 && kHalf == 2 * kMaxLeafTriangles);
+
+// A triangle pair of the warp, 7 bits: which leaf pair, which triangle of i, which of j.
+__device__ inline int triangle_pair(int half, int p, int q) { return half * kTrianglePairs + 8 * p + q; }
+
+// The warp's triangles, 16 of each leaf pair: of i, then of j.
+__device__ inline int triangle_slot(int half, int side, int row) {
+  return half * kHalf + side * kMaxLeafTriangles + row;
+}
+
+struct LeafShared {
+  // A column a triangle, so that lanes that read different triangles use different banks: x, y, z of three corners at
+  // the start of the segment, then at its end.
+  float coordinate[18][kWarp];
+  const Triangle* first_triangle[2][2];  // leaf pair, side
+  float distance[2];
+  int32_t pair[2];
+  alignas(4) uint16_t met[2 * kTrianglePairs];          // feature pairs emitted so far, where segments are many
+  uint16_t features[kWarp * kFeaturePairBits + kWarp];  // waiting: triangle pair * 16 + bit
+};
+
+__device__ inline Vec3<float> corner(const LeafShared& shared, int slot, int index, int end) {
+  const int row = 9 * end + 3 * index;
+  return {shared.coordinate[row][slot], shared.coordinate[row + 1][slot], shared.coordinate[row + 2][slot]};
+}
+
+__device__ inline MovingPoints<3, float> load_triangle(const LeafShared& shared, int slot) {
+  MovingPoints<3, float> out;
+  for (int c = 0; c < 3; ++c) {
+    out.start[c] = corner(shared, slot, c, 0);
+    out.end[c] = corner(shared, slot, c, 1);
+  }
+  return out;
+}
+
+__device__ inline void store_triangle(LeafShared& shared, int slot, const MovingPoints<3, float>& triangle) {
+  for (int end = 0; end < 2; ++end) {
+    for (int c = 0; c < 3; ++c) {
+      const Vec3<float> v = end == 0 ? triangle.start[c] : triangle.end[c];
+      const int row = 9 * end + 3 * c;
+      shared.coordinate[row][slot] = v.x;
+      shared.coordinate[row + 1][slot] = v.y;
+      shared.coordinate[row + 2][slot] = v.z;
+    }
+  }
+}
+
+__device__ inline int nth_set_bit(uint32_t bits, int n) {
+  for (; n > 0; --n) bits &= bits - 1;
+  return __ffs(static_cast<int>(bits)) - 1;
+}
+
+// Sum over the lanes before this one; the total goes to `total`.
+__device__ inline int sum_before(int value, int lane, int& total) {
+  int sum = value;
+  for (int step = 1; step < kWarp; step *= 2) {
+    const int other = __shfl_up_sync(kAllLanes, sum, step);
+    if (lane >= step) sum += other;
+  }
+  total = __shfl_sync(kAllLanes, sum, kWarp - 1);
+  return sum - value;
+}
+
+// Candidates of both kinds on their way out.
+struct CandidateBuffers {
+  WarpBuffer<Candidate> edge_edge, vertex_face;
+};
+
+class CandidateWriter {
+  __device__ auto put(bool is_edge_edge) const {
+    return [out = out_, is_edge_edge](uint32_t at, const Candidate& c) { out.put(is_edge_edge, at, c); };
+  }
+
+ public:
+  __device__ CandidateWriter(CandidateBuffers& buffers, CandidateSink out) : buffers_(buffers), out_(out) {}
+
+  // Called by whole warps, with a candidate in the lanes that have `meets` set.
+  __device__ void add(bool meets, const Candidate& candidate, int lane) {
+    const bool is_edge_edge = candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge);
+    const uint32_t meeting = __ballot_sync(kAllLanes, meets);
+    const uint32_t edge_lanes = __ballot_sync(kAllLanes, meets && is_edge_edge);
+    edges_ = buffers_.edge_edge.add(edges_, edge_lanes, candidate, lane, out_.edge_edge_count, put(true));
+    vertices_ =
+        buffers_.vertex_face.add(vertices_, meeting & ~edge_lanes, candidate, lane, out_.vertex_face_count, put(false));
+  }
+  __device__ void flush(int lane) {
+    edges_ = buffers_.edge_edge.flush(edges_, lane, out_.edge_edge_count, put(true));
+    vertices_ = buffers_.vertex_face.flush(vertices_, lane, out_.vertex_face_count, put(false));
+  }
+
+ private:
+  CandidateBuffers& buffers_;
+  CandidateSink out_;
+  int edges_ = 0, vertices_ = 0;  // waiting
+};
+
+}  // namespace pgccd

@@ -1,0 +1,97 @@
+// Work lists of the traversal on the device. Lists count what did not fit as well, so that the host sees how much room
+// is needed: nothing is dropped without being counted.
+#pragma once
+
+#include "core/candidate.h"
+#include "kernels/device.cuh"
+#include "kernels/traverse/pair_item.h"
+
+namespace pgccd {
+
+constexpr int kWarp = 32;
+constexpr int kWarpsPerBlock = kBlockThreads / kWarp;
+constexpr unsigned kAllLanes = ~0u;
+
+// A node pair of one row of the body pairs.
+struct Task {
+  int32_t pair;
+  NodePair nodes;
+};
+
+template <class T>
+struct DeviceList {
+  T* items;
+  uint32_t* count;
+  uint32_t capacity;
+
+  __device__ uint32_t size() const { return *count < capacity ? *count : capacity; }
+  __device__ void put(uint32_t at, const T& item) const {
+    if (at < capacity) items[at] = item;
+  }
+};
+
+using TaskList = DeviceList<Task>;
+
+// Candidates of one kind side by side, so that a warp of the narrow phase finds one kind of work: edge pairs fill the
+// list from its start, vertex-face pairs from its end.
+struct CandidateSink {
+  Candidate* items;
+  uint32_t* edge_edge_count;
+  uint32_t* vertex_face_count;
+  uint32_t capacity;
+
+  // The ends may write over each other where there is no room; the counts then tell.
+  __device__ void put(bool is_edge_edge, uint32_t at, const Candidate& candidate) const {
+    if (at < capacity) items[is_edge_edge ? at : capacity - 1 - at] = candidate;
+  }
+};
+
+// All body pairs in their local frames.
+template <class Bodies>
+struct Pairs {
+  using Sweep = typename SweepOf<Bodies>::type;
+  Bodies bodies;
+  const Sweep* sweeps;
+  const LocalPose* poses;
+  const uint32_t* pose_begin;
+  const int64_t* count;  // on the device
+
+  __device__ PairTree<Bodies> tree(int32_t pair) const { return {bodies, sweeps[pair], poses + pose_begin[pair]}; }
+};
+
+__device__ inline uint32_t lanes_below(int lane) { return (1u << lane) - 1u; }
+
+// One atomic for all lanes whose bit is set; returns the position of the first.
+__device__ inline uint32_t reserve(uint32_t* count, uint32_t wanted, int lane) {
+  uint32_t first = 0;
+  if (lane == 0 && wanted != 0) first = atomicAdd(count, wanted);
+  return __shfl_sync(kAllLanes, first, 0);
+}
+
+// A warp's items on their way to a list: appended many at a time, since every append is an atomic on the same word. All
+// members are called by whole warps.
+template <class T>
+struct WarpBuffer {
+  static constexpr int kFlushAt = 64;
+  T items[kFlushAt + kWarp];
+
+  // Adds the items of the lanes in `lanes`, of which this lane may be one. Returns how many wait now; `put` and
+  // `reserve` are those of the list.
+  template <class Put>
+  __device__ int add(int waiting, uint32_t lanes, const T& item, int lane, uint32_t* count, Put&& put) {
+    if (lanes >> lane & 1u) items[waiting + __popc(lanes & lanes_below(lane))] = item;
+    waiting += __popc(lanes);
+    return waiting >= kFlushAt ? flush(waiting, lane, count, put) : waiting;
+  }
+  template <class Put>
+  __device__ int flush(int waiting, int lane, uint32_t* count, Put&& put) {
+    if (waiting == 0) return 0;
+    __syncwarp();
+    const uint32_t first = reserve(count, static_cast<uint32_t>(waiting), lane);
+    for (int k = lane; k < waiting; k += kWarp) put(first + k, items[k]);
+    __syncwarp();
+    return 0;
+  }
+};
+
+}  // namespace pgccd

@@ -1,0 +1,97 @@
+"""Slabs of straight vertex paths up to a horizon: how thick they must be for a sheet that turns over in the step.
+
+A flat sheet with normal n is turned by about pi about an axis k at a small angle to n. Halfway through straight paths
+shrink it; up to a small horizon h its far end rises by up to 3 h |k.n| |k x n| times its distance from a node's centre,
+measured along the mean of the slab's two normals, which themselves are only 2 h |k x n| apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import pytest
+import torch
+from support.shapes import Bodies, tetrahedron
+from support.truth import linear_truth
+from test_traverse import assert_all_there, candidates, moving
+
+import pgccd
+
+TINY = 2e-4
+
+
+def sheet(squares: int = 24) -> pgccd.Mesh:
+    """Flat, from x = -1 to 1, and narrow: its nodes stand in a row."""
+    x = np.linspace(-1.0, 1.0, squares + 1)
+    vertices = np.array([[a, b, 0.0] for a in x for b in (-0.02, 0.02)])
+    corner = 2 * np.arange(squares)[:, None]
+    return pgccd.Mesh(vertices, np.concatenate([corner + [0, 2, 1], corner + [1, 2, 3]]))
+
+
+def turning(rng: np.random.Generator, other: pgccd.Mesh) -> Bodies:
+    """A sheet that turns over, and a body at rest, both at the origin."""
+    lean = rng.uniform(0.2, 0.8)
+    axis = np.array([np.sin(lean), 0.0, np.cos(lean)])
+    spin = np.stack([rng.uniform(0.9, 0.999) * np.pi * axis, np.zeros(3)])
+    return Bodies([sheet(), other], np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.zeros((2, 3)), spin)
+
+
+def sheet_ends(bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
+    """The sheet's vertices (V, 3) at both ends of the step, in floats."""
+    start, spin = bodies.meshes[0].vertices.numpy(), bodies.rotation[0]
+    angle = np.linalg.norm(spin)
+    axis = spin / angle
+    along = np.outer(start @ axis, axis)
+    return start, along + np.cos(angle) * (start - along) + np.sin(angle) * np.cross(axis, start)
+
+
+def moved(bodies: Bodies, where: np.ndarray) -> Bodies:
+    return replace(bodies, position_t0=np.stack([np.zeros(3), where]))
+
+
+def test_a_turning_sheet_meets_a_speck_before_the_horizon(device: torch.device) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(25):
+        bodies = turning(rng, tetrahedron(TINY))
+        start, end = sheet_ends(bodies)
+        until = rng.uniform(0.02, 0.5)
+        t, vertex = until * rng.uniform(0.7, 0.95), rng.integers(len(start))
+        bodies = moved(bodies, (1 - t) * start[vertex] + t * end[vertex] + 0.2 * TINY * rng.normal(size=3))
+        rest = bodies.meshes[1].vertices.numpy() + bodies.position_t0[1]
+        truth = linear_truth([[start, end], [rest, rest]], [m.faces.long().numpy() for m in bodies.meshes])
+        assert any(c.toi_upper <= until for c in truth.contacts)
+        assert_all_there(candidates(moving(bodies, device, "linear"), horizon=[until])[0], truth, until)
+
+
+def with_floor(speck: np.ndarray, height: float) -> pgccd.Mesh:
+    """A speck, and a floor below the sheet's other end: the search for a likely first contact goes for the floor."""
+    tetra = tetrahedron(TINY)
+    corners = np.array([[x, y, height] for x in (-1.2, -0.2) for y in (-0.4, 0.4)])
+    vertices = np.concatenate([tetra.vertices.numpy() + speck, corners])
+    # Far below, so that speck and floor come to stand in different leaves.
+    cellar = np.array([[0.01 * k, 0.0, -3.0 - 0.1 * k] for k in range(3)])
+    faces = np.concatenate([tetra.faces.numpy(), [[4, 5, 6], [5, 7, 6]], np.tile([[8, 9, 10]], (8, 1))])
+    return pgccd.Mesh(np.concatenate([vertices, cellar]), faces)
+
+
+@pytest.mark.parametrize("report", ["first", "earliest"])
+def test_the_first_contact_is_not_the_likely_one(device: torch.device, report: Literal["first", "earliest"]) -> None:
+    rng = np.random.default_rng(3)
+    before = 0
+    for _ in range(40):
+        bodies = turning(rng, tetrahedron(TINY))
+        start, end = sheet_ends(bodies)
+        late = rng.uniform(0.1, 0.3)
+        early, vertex = late * rng.uniform(0.7, 0.95), rng.integers(26, len(start))
+        mesh = with_floor((1 - early) * start[vertex] + early * end[vertex], late * (end[0, 2] - start[0, 2]))
+        bodies = moved(replace(bodies, meshes=[bodies.meshes[0], mesh]), mesh.centre.numpy())
+        scene, motion = bodies.scene(device), bodies.motion("linear", device)
+        every, first = (pgccd.detect(scene, motion, r) for r in ("all", report))
+        assert torch.equal(first.toi[0], every.toi.min())
+        pairs = torch.tensor([[0, 1]], device=device)
+        likely = pgccd.traverse.bvtt(moving(bodies, device, "linear"), pairs, leading=True)[0]
+        guess = pgccd.narrow.contacts(moving(bodies, device, "linear"), pairs, likely)[4]
+        before += len(guess) == 1 and float(first.toi) < float(guess) < 0.5
+    assert before > 15
