@@ -149,7 +149,8 @@ def _print_run(finished: sim.Run, folder: Path, options: argparse.Namespace) -> 
 
 def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: distributed.Comm) -> tuple[sim.Run, Path]:
     out = options.out or Path("out/simulate")
-    settings: dict[str, Any] = {"device": device, "checkpoint_every": options.checkpoint_every}
+    settings: dict[str, Any] = {"device": device, "broad_phase": options.broad_phase}
+    settings["checkpoint_every"] = options.checkpoint_every
     try:
         folder = command.folder_to_resume(comm, options, out)
         on_ranks = distributed.on_first(comm, lambda: command.needs_ranks(comm, folder))
@@ -159,8 +160,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
             start: Callable[..., sim.Run] = functools.partial(distributed.run, comm, **spread)
             go_on: Callable[..., sim.Run] = functools.partial(distributed.resume, comm, **spread)
         else:
-            start = functools.partial(sim.run, broad_phase=options.broad_phase)
-            go_on = functools.partial(sim.resume, broad_phase=options.broad_phase)
+            start, go_on = sim.run, sim.resume
         if folder is not None:
             header, _ = distributed.on_first(comm, lambda: distributed.find_checkpoint(folder))
             files = options.mesh or distributed.on_first(comm, lambda: _listed_meshes(folder))

@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def fleet_options(options: argparse.Namespace) -> FleetOptions:
     """Of the command line."""
-    return FleetOptions(options.axes, options.cells, BalanceOptions(options.balance), broad_phase=options.broad_phase)
+    return FleetOptions(options.axes, options.cells, BalanceOptions(options.balance))
 
 
 @contextmanager

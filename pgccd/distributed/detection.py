@@ -111,9 +111,8 @@ class _Share:
     def pairs(self, scene: Scene, motion: RigidMotion, boxes: Boxes) -> Tensor:
         """Potentially colliding pairs whose reference point lies in a cell of this rank."""
         with self._clock.stage("broad"):
-            pairs = broad.find_pairs(
-                MovingBodies(scene, motion), self._options.min_separation, self._options.broad_phase
-            )
+            bodies = MovingBodies(scene, motion)
+            pairs = broad.find_pairs(bodies, self._options.min_separation, self._options.broad_phase)
             return pairs[self._partition.owner[boxes.reference_cell(self._partition, pairs)] == self._rank]
 
     def contacts(self, scene: Scene, motion: RigidMotion, pairs: Tensor) -> Contacts:

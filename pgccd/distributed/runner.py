@@ -43,7 +43,6 @@ class FleetOptions:
     cells: int | Triple = 16  #: of each subspace: m stands for m x m in X-Y
     balance: BalanceOptions = field(default_factory=BalanceOptions)
     overlap: bool = True  #: test own bodies while ghosts are under way
-    broad_phase: BroadPhase = "auto"  #: as for `pgccd.detect`
 
 
 def run(
@@ -54,6 +53,7 @@ def run(
     *,
     meshes: Sequence[Mesh] | None = None,
     device: torch.device | str = "cpu",
+    broad_phase: BroadPhase = "auto",
     options: FleetOptions | None = None,
     checkpoint_every: int = 0,
     progress: Progress | None = None,
@@ -66,7 +66,8 @@ def run(
 
     Args:
         comm: between the ranks.
-        config, steps, folder, meshes, checkpoint_every, progress: as for `pgccd.sim.run`; alike on all ranks.
+        config, steps, folder, meshes, broad_phase, checkpoint_every, progress: as for `pgccd.sim.run`; alike on all
+            ranks.
         device: of this rank.
         options: how the world is spread.
         keep_last_step: gather the robots and the contacts of the last step on rank 0 (for pictures).
@@ -94,8 +95,9 @@ def run(
 
     on_first(comm, prepare)
     partition = _partition(comm, world, options)
-    share = starting_share(comm, world, partition)
-    fleet = Fleet(comm, world, partition, share, options.balance, options.overlap, options.broad_phase)
+    fleet = Fleet(
+        comm, world, partition, starting_share(comm, world, partition), options.balance, options.overlap, broad_phase
+    )
     return _continue(fleet, 0, steps, folder, checkpoint_every, progress, keep_last_step)
 
 
@@ -106,6 +108,7 @@ def resume(
     *,
     meshes: Sequence[Mesh] | None = None,
     device: torch.device | str = "cpu",
+    broad_phase: BroadPhase = "auto",
     options: FleetOptions | None = None,
     checkpoint_every: int = 0,
     progress: Progress | None = None,
@@ -115,7 +118,7 @@ def resume(
     not been interrupted. The checkpoint may be one of `pgccd.sim.run`.
 
     Args:
-        comm, folder, meshes, device, options, checkpoint_every, progress, keep_last_step: as for `run`.
+        comm, folder, meshes, device, broad_phase, options, checkpoint_every, progress, keep_last_step: as for `run`.
         steps: how many to make in all; default: as many as the run was to make.
 
     Raises:
@@ -142,8 +145,7 @@ def resume(
         return RobotState(**take_rows(whole.columns, torch.arange(comm.rank, len(whole), comm.size)))
 
     state = together(comm, read).to(world.device)
-    partition = _partition(comm, world, options)
-    fleet = Fleet(comm, world, partition, state, options.balance, options.overlap, options.broad_phase)
+    fleet = Fleet(comm, world, _partition(comm, world, options), state, options.balance, options.overlap, broad_phase)
     return _continue(fleet, header.steps_made, steps, folder, checkpoint_every, progress, keep_last_step)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd import broad
+from pgccd.broad import BroadPhase
 from pgccd.distributed.balance import BalanceOptions, CellLoads, imbalance, rebalance
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.detection import Detection, Options, detect_distributed
@@ -56,7 +56,7 @@ class Fleet:
         partition: the same on all ranks.
         state: of any share of the robots; all ranks together have each robot once.
         balance: how cells change hands.
-        overlap, broad_phase: see `Options`.
+        broad_phase, overlap: see `Options`.
 
     Example:
         >>> fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
@@ -71,12 +71,12 @@ class Fleet:
         state: RobotState,
         balance: BalanceOptions | None = None,
         overlap: bool = True,
-        broad_phase: broad.BroadPhase = "auto",
+        broad_phase: BroadPhase = "auto",
     ) -> None:
         self.comm, self.world, self.partition = comm, world, partition
         self.balance = balance or BalanceOptions()
         # nonzero_toi: robots that part after a contact are free.
-        self.options = Options(report="first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
+        self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
         self._expected = Census.of_range(world.config.robots)
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()

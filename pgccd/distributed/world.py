@@ -8,7 +8,8 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from pgccd import broad, narrow
+from pgccd import narrow
+from pgccd.broad import BroadPhase
 from pgccd.contacts import Contacts
 from pgccd.distributed.agreement import require_agreement, together
 from pgccd.distributed.balance import BalanceOptions, CellLoads, rank_loads, rebalance
@@ -44,12 +45,11 @@ class World:
         group, mask, world, static: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
         payload: named tensors (N, ...) that travel with the bodies: orientations, velocities, anything.
         comm: between the ranks. Default: one rank.
-        report, min_separation, tolerance, nonzero_toi: as for `pgccd.detect`.
+        report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
         path: of all motions, as for `pgccd.RigidMotion`.
         axes, cells: how space is cut, see `Partition.uniform`.
         balance: how cells change hands.
         overlap: test own bodies while those of others are under way. The result does not depend on it.
-        broad_phase: as for `pgccd.detect`.
 
     Raises:
         TypeError, ValueError: naming the argument; on all ranks.
@@ -78,12 +78,12 @@ class World:
         min_separation: float = 0.0,
         tolerance: float | None = None,
         nonzero_toi: bool = False,
+        broad_phase: BroadPhase = "auto",
         path: Literal["rigid", "linear"] = "rigid",
         axes: int = 3,
         cells: int | Triple = 16,
         balance: BalanceOptions | None = None,
         overlap: bool = True,
-        broad_phase: broad.BroadPhase = "auto",
     ) -> None:
         self.comm = comm or Alone()
         self.options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)

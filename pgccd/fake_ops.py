@@ -1,0 +1,125 @@
+"""Fake kernels of the operators, for `torch.compile` and `torch.export`: shapes and dtypes, no data."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from pgccd.ops import ContactRows
+
+
+def _unknown_count() -> torch.SymInt:
+    return torch.library.get_ctx().new_dynamic_size(min=0)
+
+
+@torch.library.register_fake("pgccd::rotations_between")
+def _(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
+    return orientation_t0.new_empty((orientation_t0.shape[0], 3))
+
+
+@torch.library.register_fake("pgccd::refit")
+def _(
+    mesh_set: list[Tensor],
+    mesh_index: Tensor,
+    vertices_t0: Tensor,
+    vertices_t1: Tensor,
+    vertex_begin: Tensor,
+    block_begin: Tensor,
+    block_count: int,
+) -> tuple[Tensor, ...]:
+    bodies = mesh_index.shape[0]
+    centres = [vertices_t0.new_empty((bodies, 3)) for _ in range(2)]
+    blocks = [vertices_t0.new_empty((block_count, 9, 8), dtype=torch.float32) for _ in range(2)]
+    return (*centres, vertices_t0.new_empty((bodies,)), *blocks)
+
+
+def _fake_pairs(position_t0: Tensor, *_rest: object) -> Tensor:
+    return position_t0.new_empty((_unknown_count(), 2), dtype=torch.int64)
+
+
+@torch.library.register_fake("pgccd::swept_boxes")
+def _(position_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
+    return torch.empty_like(position_t0), torch.empty_like(position_t0)
+
+
+for _name in ("sweep", "grid", "lbvh"):
+    torch.library.register_fake(f"pgccd::{_name}")(_fake_pairs)
+
+
+def _fake_candidates(pairs: Tensor) -> tuple[Tensor, Tensor]:
+    return pairs.new_empty((_unknown_count(), 4), dtype=torch.int32), pairs.new_empty((1,))
+
+
+@torch.library.register_fake("pgccd::traverse_rigid")
+def _(
+    mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, *_rest: object
+) -> tuple[Tensor, Tensor]:
+    return _fake_candidates(pairs)
+
+
+@torch.library.register_fake("pgccd::traverse_deforming")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
+    return _fake_candidates(pairs)
+
+
+def _fake_contact_rows(pairs: Tensor) -> ContactRows:
+    count = _unknown_count()
+    integers = [((), torch.int32), ((), torch.int8), ((2,), torch.int32), ((), torch.int8)]
+    lengths = [(width, torch.float64) for width in ((), (2,), (3,), (3,))]
+    columns = [pairs.new_empty((count, *width), dtype=dtype) for width, dtype in [*integers, *lengths]]
+    return tuple(columns)  # type: ignore[return-value]
+
+
+@torch.library.register_fake("pgccd::narrow_rigid")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, *_rest: object) -> ContactRows:
+    return _fake_contact_rows(pairs)
+
+
+@torch.library.register_fake("pgccd::narrow_deforming")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *_rest: object) -> ContactRows:
+    return _fake_contact_rows(pairs)
+
+
+def _fake_elementary(points_t0: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    count = points_t0.shape[0]
+    status, significant_bits = (points_t0.new_empty((count,), dtype=torch.int8) for _ in range(2))
+    return status, points_t0.new_empty((count,)), points_t0.new_empty((count, 2)), significant_bits
+
+
+@torch.library.register_fake("pgccd::vertex_face")
+def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    return _fake_elementary(points_t0)
+
+
+@torch.library.register_fake("pgccd::edge_edge")
+def _(points_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    return _fake_elementary(points_t0)
+
+
+def _fake_robots(like: Tensor, count: int | torch.SymInt, *widths: int) -> tuple[Tensor, ...]:
+    return tuple(like.new_empty((count, width), dtype=torch.float64) for width in widths)
+
+
+@torch.library.register_fake("pgccd::simulate_start")
+def _(id: Tensor, integers: list[int], scales: list[float]) -> tuple[Tensor, ...]:
+    count = id.shape[0]
+    return (*_fake_robots(id, count, 3, 4, 3, 3), id.new_empty((count,)), id.new_empty((count,)))
+
+
+@torch.library.register_fake("pgccd::simulate_plan")
+def _(state: list[Tensor], step: int, integers: list[int], scales: list[float]) -> tuple[Tensor, ...]:
+    id = state[0]
+    return (*_fake_robots(id, id.shape[0], 3, 3), id.new_empty((id.shape[0],)), id.new_empty((id.shape[0],)))
+
+
+@torch.library.register_fake("pgccd::simulate_respond")
+def _(state: list[Tensor], fraction: Tensor) -> tuple[Tensor, ...]:
+    return _fake_robots(fraction, fraction.shape[0], 3, 4, 3, 3)
+
+
+@torch.library.register_fake("pgccd::random_uniforms")
+def _(id: Tensor, seed: int, step: int, stream: int) -> Tensor:
+    return _fake_robots(id, id.shape[0], 4)[0]
