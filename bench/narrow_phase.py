@@ -9,6 +9,14 @@ Three sorts of rows come out. "queries": the given queries of one file. "exact l
 nearly all of which collide. "candidates": every pair of a scene whose swept boxes overlap; almost all of them are
 free, and any reported contact that the exact list does not contain is a false positive.
 
+"pgccd float32" is asked with the points rounded to float32. Its truth is what the float64 tests say of the rounded
+points, all of which float64 holds exactly: so "missed" there counts touches in float64 that float32 calls free, and
+"true" may differ from the row above.
+
+"settled_by_bits" is the share of queries that each arithmetic settled: 24 significant bits (float32), 53 (float64) or
+106 (pairs of float64). "slowest" is the one query that took longest of those timed one by one, named by its row in the
+file, or by the numbers of its features where there is no such row.
+
 Peers see at most `--peer-sample` queries of each row, drawn at random. How times are taken: see
 bench/support/elementary.py.
 """
@@ -21,11 +29,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from support import peers, results, timing
-from support.elementary import Ipctk, Pgccd, Queries, peers_of
+from support import peers, results
+from support.elementary import SIGNIFICANT_BITS, Ipctk, Pgccd, Queries, peers_of, pgccd_methods
+from support.elementary_rows import Tally, errors, microseconds, percentiles, slowest, slowest_of_all, total
 from support.overlapping_boxes import Boxes, between, within
 
-_MICRO = 1e6
 # Candidates solved in one timed call.
 _CALL = 1 << 18
 
@@ -57,12 +65,24 @@ def main() -> None:
     totals = total(rows)
 
     print(f"tolerance {arguments.tolerance}, one thread, microseconds a query")
-    columns = ("set", "rows", "kind", "method", "asked", "true", "missed", "false_positives", "unresolved")
-    results.table([{key: row.get(key) for key in (*columns, "colliding_us", "free_us", "mean_us")} for row in rows])
+    counts = ("method", "asked", "true", "missed", "false_positives")
+    times = ("colliding_us", "free_us", "mean_us")
+    columns = ("set", "rows", "kind", *counts, "unresolved", *times, "p99_over_p50")
+    results.table([flat(row, columns) for row in rows])
     print()
-    results.table(totals)
-    content = {"tolerance": arguments.tolerance, "totals": totals, "rows": rows}
+    results.table([flat(row, ("rows", *counts, *times)) for row in totals])
+    print()
+    worst = slowest_of_all(rows)
+    results.table(worst)
+    content = {"tolerance": arguments.tolerance, "slowest": worst, "totals": totals, "rows": rows}
     results.write("narrow_phase", "cpu", content, arguments.out)
+
+
+def flat(row: dict[str, Any], columns: tuple[str, ...]) -> dict[str, Any]:
+    """Some columns of a row, and its nested parts as columns."""
+    settled = row.get("settled_by_bits", {})
+    shares = {f"{bits} bits": settled.get(str(bits)) for bits in SIGNIFICANT_BITS}
+    return {key: row.get(key) for key in columns} | shares | {"slowest_us": row.get("slowest", {}).get("us")}
 
 
 def known(
@@ -71,20 +91,18 @@ def known(
     """pgccd and the peers on queries whose answers are known."""
     head = {"set": name, "rows": rows, "kind": kind}
     random = np.random.default_rng(0)
-    solver = Pgccd(kind, arguments.tolerance)
-    collides, unresolved, _ = solver.batch(points)
-    out = [
-        head
-        | {"method": solver.name}
-        | errors(collides, truth)
-        | {
-            "unresolved": unresolved,
-            "colliding_us": microseconds(solver.mean_seconds(points[truth])),
-            "free_us": microseconds(solver.mean_seconds(points[~truth])),
-        }
-    ]
     sample = random.permutation(len(points))[: arguments.single_sample]
-    out[0] |= percentiles(solver.single_seconds(points[sample]), truth[sample])
+    out = []
+    for solver in pgccd_methods(kind, arguments.tolerance):
+        right = solver.truth(points, truth)
+        tally = Tally()
+        tally.add(solver.batch(points), right)
+        means = {
+            "colliding_us": microseconds(solver.mean_seconds(points[right])),
+            "free_us": microseconds(solver.mean_seconds(points[~right])),
+        }
+        single = one_by_one(solver, points[sample], right[sample], sample)
+        out.append(head | {"method": solver.name} | tally.row() | means | single)
     for peer in peers_of(ipctk, kind, arguments.tolerance):
         sample = random.permutation(len(points))[: arguments.peer_sample]
         out.append(head | ask_peer(peer, points[sample], truth[sample]))
@@ -96,41 +114,44 @@ def candidates(
 ) -> list[dict[str, Any]]:
     """pgccd on all pairs with overlapping boxes, the peers on a sample of them."""
     head = {"set": name, "rows": "candidates", "kind": kind}
-    solver = Pgccd(kind, arguments.tolerance)
+    solvers = pgccd_methods(kind, arguments.tolerance)
+    tallies = [Tally() for _ in solvers]
     exact = keys(scene[f"{kind}_pairs"][scene[f"{kind}_collides"]])
     random = np.random.default_rng(0)
-    asked = missed = false_positives = unresolved = found_true = 0
-    seconds = 0.0
     share = []
-    solver.batch(np.ones((1000, 8, 3)))
+    for solver in solvers:
+        solver.batch(np.ones((1000, 8, 3)))
     for pairs in in_calls(overlapping(scene, kind)):
         pairs = pairs[random.permutation(len(pairs))]
         points = gather(scene, kind, pairs)
         truth = np.isin(keys(pairs), exact)
-        collides, spent_budget, spent = solver.batch(points)
-        seconds += spent
-        asked += len(pairs)
-        found_true += int(truth.sum())
-        missed += int((truth & ~collides).sum())
-        false_positives += int((~truth & collides).sum())
-        unresolved += spent_budget
+        for solver, tally in zip(solvers, tallies, strict=True):
+            tally.add(solver.batch(points), solver.truth(points, truth))
         # An equal share of every call, cut to size at the end.
         share.append((pairs[: arguments.peer_sample], truth[: arguments.peer_sample]))
-    if found_true != len(exact):
-        raise AssertionError(f"{name}: {len(exact) - found_true} truly colliding pairs are not among the candidates")
-    row = head | {"method": solver.name, "asked": asked, "true": found_true, "missed": missed}
-    row |= {"false_positives": false_positives, "unresolved": unresolved}
-    out = [row | {"mean_us": microseconds(seconds / asked)}]
+    if tallies[0].true != len(exact):
+        raise AssertionError(
+            f"{name}: {len(exact) - tallies[0].true} truly colliding pairs are not among the candidates"
+        )
 
     pairs, truth = (np.concatenate(column) for column in zip(*share, strict=True))
     sample = random.permutation(len(pairs))[: arguments.peer_sample]
-    points, truth = gather(scene, kind, pairs[sample]), truth[sample]
-    out[0]["free_us"] = microseconds(solver.mean_seconds(points[~truth]))
-    out[0] |= percentiles(solver.single_seconds(points), truth)
+    pairs, truth = pairs[sample], truth[sample]
+    points = gather(scene, kind, pairs)
+    out = []
+    for solver, tally in zip(solvers, tallies, strict=True):
+        right = solver.truth(points, truth)
+        means = {"mean_us": tally.mean_us, "free_us": microseconds(solver.mean_seconds(points[~right]))}
+        out.append(head | {"method": solver.name} | tally.row() | means | one_by_one(solver, points, right, pairs))
     for peer in peers_of(ipctk, kind, arguments.tolerance):
-        answer = head | ask_peer(peer, points, truth)
-        out.append(answer)
+        out.append(head | ask_peer(peer, points, truth))
     return out
+
+
+def one_by_one(solver: Pgccd, points: Queries, truth: np.ndarray, names: np.ndarray) -> dict[str, Any]:
+    """Times of single queries: percentiles, and the slowest of them."""
+    seconds = solver.single_seconds(points)
+    return percentiles(seconds, truth) | {"slowest": slowest(seconds, solver.batch(points), names)}
 
 
 def ask_peer(peer: Ipctk, points: Queries, truth: np.ndarray) -> dict[str, Any]:
@@ -150,48 +171,6 @@ def ask_peer(peer: Ipctk, points: Queries, truth: np.ndarray) -> dict[str, Any]:
         }
         | percentiles(answers.seconds, truth)
     )
-
-
-def errors(collides: np.ndarray, truth: np.ndarray) -> dict[str, int]:
-    """Counts of wrong answers."""
-    return {
-        "asked": len(truth),
-        "true": int(truth.sum()),
-        "missed": int((truth & ~collides).sum()),
-        "false_positives": int((~truth & collides).sum()),
-    }
-
-
-def percentiles(seconds: np.ndarray, truth: np.ndarray) -> dict[str, list[float]]:
-    """Median and 99th percentile, in microseconds, of single colliding and free queries."""
-    return {
-        f"{sort}_single_us_p50_p99": [timing.rounded(x) for x in np.percentile(seconds[chosen] * _MICRO, [50, 99])]
-        for sort, chosen in (("colliding", truth), ("free", ~truth))
-        if chosen.any()
-    }
-
-
-def total(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Sums and means, weighted by the number of queries, over files: one row for each sort and method."""
-    sums: dict[tuple[str, str], dict[str, float]] = {}
-    for row in rows:
-        entry = sums.setdefault((row["rows"], row["method"]), {})
-        free = row["asked"] - row["true"]
-        for key in ("asked", "true", "missed", "false_positives"):
-            entry[key] = entry.get(key, 0) + row[key]
-        for key, weight in (("colliding_us", row["true"]), ("free_us", free), ("mean_us", row["asked"])):
-            if row.get(key) is not None:
-                entry[key] = entry.get(key, 0.0) + weight * row[key]
-                entry[key + "_weight"] = entry.get(key + "_weight", 0) + weight
-    out = []
-    for (sort, method), entry in sums.items():
-        means = {
-            key: timing.rounded(entry[key] / entry[key + "_weight"]) if entry.get(key + "_weight") else None
-            for key in ("colliding_us", "free_us", "mean_us")
-        }
-        counts = {key: int(entry[key]) for key in ("asked", "true", "missed", "false_positives")}
-        out.append({"rows": sort, "method": method} | counts | means)
-    return out
 
 
 def overlapping(scene: dict[str, np.ndarray], kind: str) -> Iterator[np.ndarray]:
@@ -230,11 +209,6 @@ def gather(scene: dict[str, np.ndarray], kind: str, pairs: np.ndarray) -> Querie
 def keys(pairs: np.ndarray) -> np.ndarray:
     """(p,) int64, one number a pair. Edge pairs are meant without order."""
     return pairs[:, 0].astype(np.int64) * (1 << 32) + pairs[:, 1]
-
-
-def microseconds(seconds: float | None) -> float | None:
-    """Rounded; None stays None."""
-    return None if seconds is None else timing.rounded(seconds * _MICRO)
 
 
 if __name__ == "__main__":

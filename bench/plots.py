@@ -184,12 +184,13 @@ def _narrow_phase(result: Result) -> Figure:
     figure, all_axes = plt.subplots(1, len(panels), figsize=(3.4 * len(panels), 3.4), squeeze=False)
     for axes, (sort, key, title) in zip(all_axes[0], panels, strict=True):
         rows = [row for row in result["totals"] if row["rows"] == sort and row[key] is not None]
-        names = [row["method"] for row in rows]
+        # One word a line, or neighbours run into each other.
+        names = [row["method"].replace(" ", "\n").replace("-", "-\n") for row in rows]
         heights = [row[key] for row in rows]
         axes.bar(names, heights, color=[_colour(name) for name in names])
-        for row, height in zip(rows, heights, strict=True):
+        for row, name, height in zip(rows, names, heights, strict=True):
             wrong = f"{row['missed']} missed\n{row['false_positives']} false pos.\nof {row['asked']:,}"
-            axes.text(row["method"], height * 1.1, f"{height:.3g} µs\n{wrong}", ha="center", fontsize=6)
+            axes.text(name, height * 1.1, f"{height:.3g} µs\n{wrong}", ha="center", fontsize=6)
         axes.set(yscale="log", title=title, ylim=(min(heights) / 2, max(heights) * 8))
         axes.tick_params(axis="x", labelsize=7)
     all_axes[0][0].set_ylabel("microseconds a query (mean)")

@@ -11,10 +11,9 @@ from support.shapes import Bodies, approaching, on_the_surface
 from support.truth import (
     assert_linear_rows_close,
     assert_nothing_missed,
-    assert_rigid_rows_close,
+    assert_rigid_pair_agrees,
     end_positions,
     linear_truth,
-    rigid_truth,
     rows_of,
 )
 
@@ -37,17 +36,10 @@ def tolerance_of(bodies: Bodies, i: int = 0, j: int = 1) -> float:
 def check_rigid(bodies: Bodies, device: torch.device, separation: float = 0.0) -> int:
     """Against brute force; returns the number of contacts."""
     hits = pgccd.detect(bodies.scene(device), bodies.motion(device=device), "all", separation)
-    rows, truth = rows_of(hits), rigid_truth(bodies, min_separation=separation)
-    assert_nothing_missed(rows, truth)
-    size = np.abs(bodies.position_t0[1] - bodies.position_t0[0]).max() + sum(m.radius for m in bodies.meshes[:2])
-    assert_rigid_rows_close(rows, bodies, separation + tolerance_of(bodies) + 1e-12 * size)
-    # What the oracle calls free comes within the tolerance, which is all that may tell the two sets apart.
-    assert len(rows.keys() - truth.keys(include_unsure=True)) <= 2 + len(rows) // 20
-    if truth.contacts and rows:
-        assert min(row.toi for row in rows.values()) <= float(truth.toi_upper)
-    assert hits.stats.unresolved == sum(row.status == pgccd.UNRESOLVED for row in rows.values())
-    assert hits.stats.unresolved <= len(rows) // 50
-    return len(truth.contacts)
+    contacts = assert_rigid_pair_agrees(hits, bodies, separation=separation)
+    assert hits.stats.unresolved == int((hits.status == pgccd.UNRESOLVED).sum())
+    assert hits.stats.unresolved <= len(hits) // 50
+    return contacts
 
 
 @pytest.mark.parametrize("turn", [0.05, 1.0, 3.0, 8.0])

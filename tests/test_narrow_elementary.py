@@ -198,6 +198,45 @@ def test_toi_is_close_where_the_crossing_is_clear(is_face: bool, device: torch.d
     assert (toi <= queries.toi).all() and (queries.toi - toi < 1e-8).all()
 
 
+# Features that come within tolerance, pass each other, and touch later; points at t0, then at t1.
+PASS_THEN_TOUCH_FACE = [
+    [-0.20149979700081638, 0.7618783717914077, -0.8016520135004057],
+    [-1.1909047686418877, 1.327108075348238, -1.397367176361778],
+    [0.2781124844098308, -0.6928285237341198, 0.1912503297641015],
+    [-0.09504656505432434, 0.37939647324377346, -0.5092153668236267],
+    [0.23268950077946243, -1.0194572864999174, 0.4729258997674286],
+    [-0.08901511661029138, 1.943574875759423, -0.5324292128452243],
+    [0.6624103968839906, -0.8179481500851168, 0.40911838957508095],
+    [-0.5145003062769486, 1.2638432893847296, -1.2188011306997353],
+]
+PASS_THEN_TOUCH_EDGES = [
+    [-0.4855598331133351, -0.18882515955701362, -0.46890175842090887],
+    [-0.5391390107096956, -0.02515511799181372, -0.8532790121208366],
+    [-0.5007794888156187, 0.6013218337151341, -0.4634734344820867],
+    [-1.714593239057844, -0.6713898615192755, -0.4314266268075145],
+    [-1.8623058200262625, 1.3836359258091515, -0.5228895757674035],
+    [0.2762231551807156, 0.9415155756172137, 0.9853221252069065],
+    [0.36226830621654293, 0.4811614276321602, -0.07466916396112683],
+    [-1.00935927230814, -0.0005580870636677782, -1.4153612134174638],
+]
+
+
+@pytest.mark.parametrize(
+    ("points", "is_face", "tolerance"),
+    [(PASS_THEN_TOUCH_FACE, True, 1e-6), (PASS_THEN_TOUCH_EDGES, False, 4.26684e-6)],
+    ids=["vf", "ee"],
+)
+def test_a_near_miss_does_not_hide_a_later_touch(
+    points: list[list[float]], is_face: bool, tolerance: float, device: torch.device
+) -> None:
+    start, end = np.array(points).reshape(2, 1, 4, 3)
+    assert check(start, end, is_face, tolerance=tolerance, most_unresolved=0.0, device=device) == 1
+    hit = truth(start, end, is_face)[0]
+    status, toi, _ = solve(start, end, is_face, tolerance=tolerance, device=device)
+    assert hit is not None and status[0] == pgccd.TOUCH
+    assert Fraction(toi[0]) >= hit.toi_lower - Fraction(1, 1000), "far too early"
+
+
 @KINDS
 def test_rows_do_not_depend_on_their_neighbours(is_face: bool, device: torch.device) -> None:
     rng = np.random.default_rng(6)

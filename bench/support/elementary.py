@@ -4,6 +4,10 @@ Mean times come from whole batches of one sort. Times of single queries, for per
 query, the fastest of three, less the cost of a call without work; calls through Python make the processor forget much
 between queries, so they are pessimistic.
 
+pgccd is asked twice: in float64, and in float32 after the points are rounded to it. What is then true is what the
+float64 tests say of the rounded points, which float64 holds exactly: a miss in float32 is a contact that float64 finds
+at the very same points.
+
 ipctk is called query by query to learn its answers and the times of colliding queries (less the cost of a call with a
 query that does not move). Its mean for free queries comes from one call that tests all those it finds free, in C++.
 """
@@ -25,6 +29,9 @@ from support import timing
 #: Points (n, 8, 3): the four points at t0, then at t1.
 Queries = np.ndarray
 
+#: Of the arithmetics that may settle a query: float32, float64 and pairs of float64.
+SIGNIFICANT_BITS = (24, 53, 106)
+
 
 @dataclass
 class Answers:
@@ -35,37 +42,59 @@ class Answers:
     seconds: np.ndarray  #: (n,) each one's own time
 
 
+@dataclass
+class Batch:
+    """pgccd's answers to n queries in one call."""
+
+    status: np.ndarray  #: (n,) int8
+    significant_bits: np.ndarray  #: (n,) int8
+    seconds: float  #: of the call
+
+    @property
+    def collides(self) -> np.ndarray:
+        """(n,) bool: unresolved ones count."""
+        return self.status != pgccd.FREE
+
+
 class Pgccd:
-    """pgccd's elementary tests."""
+    """pgccd's elementary tests on points that are rounded to `dtype` first."""
 
-    name = "pgccd"
-
-    def __init__(self, kind: str, tolerance: float) -> None:
+    def __init__(self, kind: str, tolerance: float, dtype: type[np.floating] = np.float64) -> None:
+        self.name = "pgccd" if dtype is np.float64 else f"pgccd {np.dtype(dtype).name}"
+        self._kind = kind
         self._operator = ops.vertex_face if kind == "vf" else ops.edge_edge
         self._tolerance = tolerance
+        self._dtype = dtype
 
-    def batch(self, points: Queries) -> tuple[np.ndarray, int, float]:
-        """Which collide, how many of them are unresolved, and the seconds of the call."""
-        ends = _ends(points)
-        seconds, (status, *_) = timing.seconds(lambda: self._operator(*ends, 0.0, self._tolerance, False))
-        return (status != pgccd.FREE).numpy(), int((status == pgccd.UNRESOLVED).sum()), seconds
+    def batch(self, points: Queries) -> Batch:
+        """All in one call."""
+        ends = _ends(points, self._dtype)
+        seconds, found = timing.seconds(lambda: self._operator(*ends, 0.0, self._tolerance, False))
+        status, _, _, significant_bits = (column.numpy() for column in found)
+        return Batch(status, significant_bits, seconds)
+
+    def truth(self, points: Queries, known: np.ndarray) -> np.ndarray:
+        """(n,) bool, which collide once rounded, where `known` is what holds of the points as given."""
+        if self._dtype is np.float64:
+            return known
+        return Pgccd(self._kind, self._tolerance).batch(points.astype(self._dtype)).collides
 
     def mean_seconds(self, points: Queries, rounds: int = 20) -> float | None:
         """Median over rounds, every one in another order, of the time a query."""
         if len(points) == 0:
             return None
         random = np.random.default_rng(0)
-        spent = [self.batch(points[random.permutation(len(points))])[2] for _ in range(rounds + 2)][2:]
+        spent = [self.batch(points[random.permutation(len(points))]).seconds for _ in range(rounds + 2)][2:]
         return max(0.0, float(np.median(spent)) - self.overhead()) / len(points)
 
     def overhead(self) -> float:
         """Seconds of a call without queries."""
         nothing = np.empty((0, 8, 3))
-        return float(np.median([self.batch(nothing)[2] for _ in range(200)]))
+        return float(np.median([self.batch(nothing).seconds for _ in range(200)]))
 
     def single_seconds(self, points: Queries) -> np.ndarray:
         """(n,) seconds of calls with one query."""
-        start, end = _ends(points)
+        start, end = _ends(points, self._dtype)
         rows = [(start[k : k + 1], end[k : k + 1]) for k in range(len(points))]
         best = np.full(len(points), np.inf)
         for _ in range(3):
@@ -130,6 +159,11 @@ class Ipctk:
         return float(np.median(spent)) / count
 
 
+def pgccd_methods(kind: str, tolerance: float) -> list[Pgccd]:
+    """pgccd in both precisions."""
+    return [Pgccd(kind, tolerance, dtype) for dtype in (np.float64, np.float32)]
+
+
 def peers_of(ipctk: Any | None, kind: str, tolerance: float) -> list[Ipctk]:
     """ipctk's methods that bound the motion; none if it is missing."""
     if ipctk is None:
@@ -143,8 +177,8 @@ def peers_of(ipctk: Any | None, kind: str, tolerance: float) -> list[Ipctk]:
     ]
 
 
-def _ends(points: Queries) -> tuple[torch.Tensor, torch.Tensor]:
-    return tuple(torch.from_numpy(np.ascontiguousarray(points[:, k : k + 4])) for k in (0, 4))
+def _ends(points: Queries, dtype: type[np.floating]) -> tuple[torch.Tensor, torch.Tensor]:
+    return tuple(torch.from_numpy(np.ascontiguousarray(points[:, k : k + 4], dtype=dtype)) for k in (0, 4))
 
 
 def _timed_call(call: Callable[..., tuple[bool, float]], row: list[np.ndarray]) -> tuple[float, tuple[bool, float]]:

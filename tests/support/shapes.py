@@ -53,10 +53,25 @@ def tetrahedron(size: float = 1.0) -> pgccd.Mesh:
     return pgccd.Mesh(corners, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
 
 
+def height_field(rng: np.random.Generator, columns: int, rows: int, height: float = 0.3) -> pgccd.Mesh:
+    """An open mesh of 2 x columns x rows faces over cells of edge 1, at random heights, facing up."""
+    x, y = np.meshgrid(np.arange(columns + 1.0), np.arange(rows + 1.0))
+    vertices = np.stack([x, y, height * rng.uniform(-1, 1, x.shape)], axis=-1).reshape(-1, 3)
+    number = np.arange(len(vertices)).reshape(rows + 1, columns + 1)
+    a, b, c, d = (k.ravel() for k in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    return pgccd.Mesh(vertices, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
+
+
 def unit_quaternions(rng: np.random.Generator, count: int) -> np.ndarray:
     """(count, 4), uniformly distributed."""
     q = rng.normal(size=(count, 4))
     return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def turned(quaternions: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3), each turned by its own unit quaternion (n, 4)."""
+    w, v = quaternions[:, :1], quaternions[:, 1:]
+    return points + 2 * np.cross(v, np.cross(v, points) + w * points)
 
 
 def directions(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -122,11 +137,9 @@ def approaching(
 def on_the_surface(rng: np.random.Generator, ratio: float, turn: float = 1.0) -> Bodies:
     """A body `ratio` times as large as another, which at some time inside the step sits on one of its corners."""
     large, small = bumpy(rng, 1, size=ratio), bumpy(rng, 0)
-    turned = unit_quaternions(rng, 2)
-    w, v = turned[0, 0], turned[0, 1:]
-    corner = large.vertices.numpy()[rng.integers(len(large.vertices))]
-    corner = corner + 2 * np.cross(v, np.cross(v, corner) + w * corner)
+    orientation = unit_quaternions(rng, 2)
+    corner = turned(orientation[:1], large.vertices.numpy()[[rng.integers(len(large.vertices))]])[0]
     travel = np.concatenate([np.zeros((1, 3)), 2.0 * directions(rng, 1)])
     start = np.stack([np.zeros(3), corner]) - rng.uniform(0.2, 0.8) * travel
     spin = turn * directions(rng, 2) * np.array([[1.0 / ratio], [1.0]])
-    return Bodies([large, small], start, turned, travel, spin)
+    return Bodies([large, small], start, orientation, travel, spin)

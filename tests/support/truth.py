@@ -104,6 +104,23 @@ def assert_rigid_rows_close(rows: Rows, bodies: Bodies, within: float, i: int = 
         _assert_places([rows[key] for key in keys], at_toi.middle(), centre, kind, within)
 
 
+def assert_rigid_pair_agrees(
+    hits: pgccd.Contacts, bodies: Bodies, i: int = 0, j: int = 1, separation: float = 0.0
+) -> int:
+    """All contacts of one pair (report="all", default tolerance) against brute force. Returns how many are true."""
+    rows, truth = rows_of(hits, i, j), rigid_truth(bodies, i, j, separation)
+    assert_nothing_missed(rows, truth)
+    meshes = bodies.meshes[i], bodies.meshes[j]
+    size = np.abs(bodies.position_t0[j] - bodies.position_t0[i]).max() + sum(mesh.radius for mesh in meshes)
+    tolerance = 1e-6 * min(mesh.radius for mesh in meshes)
+    assert_rigid_rows_close(rows, bodies, separation + tolerance + 1e-12 * size, i, j)
+    # What the oracle calls free comes within the tolerance, which is all that may tell the two sets apart.
+    assert len(rows.keys() - truth.keys(include_unsure=True)) <= 2 + len(rows) // 20
+    if truth.contacts and rows:
+        assert min(row.toi for row in rows.values()) <= float(truth.toi_upper)
+    return len(truth.contacts)
+
+
 def _assert_places(rows: list[Row], points: np.ndarray, centre: np.ndarray, kind: int, within: float) -> None:
     is_face = kind != pgccd.EE
     coordinates = np.array([row.coordinates for row in rows])
