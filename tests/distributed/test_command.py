@@ -132,7 +132,11 @@ def test_a_signal_to_one_rank_stops_all_after_the_same_step(tmp_path: Path, expe
     [
         ("dies", "rank 1 (process {pid} on {host}) has died"),
         ("hangs", "rank 1 (process {pid} on {host}) hangs in step 2"),
-        ("memory", "rank 1 (process {pid} on {host}) failed in step 2: OutOfMemoryError: tried to allocate"),
+        pytest.param(
+            "memory",
+            "rank 1 (process {pid} on {host}) failed in step 2: OutOfMemoryError: tried to allocate",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_lost_rank_ends_all_and_is_named(fault: str, said: str) -> None:
