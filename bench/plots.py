@@ -197,9 +197,32 @@ def _narrow_phase(result: Result) -> Figure:
     return figure
 
 
+def _growth(result: Result) -> Figure:
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6))
+    worlds = [row for row in result["rows"] if row["scene"] == "standard"]
+    others = [row for row in result["rows"] if row["scene"] != "standard"]
+    left.loglog([row["bodies"] for row in worlds], [row["ms"]["median"] for row in worlds], "o-", color=_OURS)
+    left.set(xlabel="robots, standard world", ylabel="milliseconds a step", title="First contact of every pair")
+    if worlds:
+        peak = worlds[-1]["peak_bytes_a_body"]
+        left.text(0.05, 0.9, f"{peak:,.0f} bytes a robot at most, in the largest", transform=left.transAxes, fontsize=7)
+    names = [f"{row['scene']}\n{row['bodies']:,} bodies" for row in others]
+    heights = [row["ms"]["median"] for row in others]
+    right.bar(names, heights, color=_OURS)
+    for name, row, height in zip(names, others, heights, strict=True):
+        counts = f"{row['pcs_a_body']:.3g} pairs\n{row['candidates_a_body']:.3g} cand."
+        right.text(name, height * 1.1, f"{height:.3g} ms\n{counts}", ha="center", fontsize=6)
+    right.set(yscale="log", title="Other scenes, with pairs and candidates a body")
+    if heights:
+        right.set(ylim=(min(heights) / 2, max(heights) * 6))
+    right.tick_params(axis="x", labelsize=5)
+    return figure
+
+
 _FIGURES: dict[str, Callable[[Result], Figure]] = {
     "world": _world,
     "broad_phase": _broad_phase,
+    "growth": _growth,
     "pair": _pair,
     "ten_thousand": _ten_thousand,
     "narrow_phase": _narrow_phase,

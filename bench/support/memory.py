@@ -24,10 +24,10 @@ class PeakMemory:
         self.bytes_before = 0
 
     def __enter__(self) -> PeakMemory:
+        self.bytes_before = bytes_in_use(self.device)
         if self.device.type == "cuda":
             torch.cuda.reset_peak_memory_stats(self.device)
-        self.bytes_before = bytes_in_use(self.device)
-        if self.device.type != "cuda":
+        else:
             Path("/proc/self/clear_refs").write_text("5")  # resets the high-water mark
         return self
 

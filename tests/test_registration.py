@@ -1,0 +1,74 @@
+"""Every operator has its kernels, the CUDA ones too; they are looked at where they are compiled, so that no GPU is
+needed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+from pgccd import _C, ops
+from pgccd.about import describe_installation
+
+CSRC = Path(__file__).resolve().parents[1] / "csrc"
+OPERATORS = sorted(name for name in torch._C._dispatch_get_all_op_names() if name.startswith("pgccd::"))
+
+
+def operators_with(key: str) -> list[str]:
+    return [name for name in OPERATORS if torch._C._dispatch_has_kernel_for_dispatch_key(name, key)]
+
+
+def built_with_cuda() -> bool:
+    return describe_installation()["CUDA of this build"] != "none"
+
+
+def kernels_of(path: Path) -> list[str]:
+    """Names of the functions a file declares __global__."""
+    return [
+        re.sub(r"__\w+__\([^)]*\)", "", text).split("(")[0].split()[-1]  # without __launch_bounds__(...)
+        for text in re.split(r"^\s*__global__", path.read_text(), flags=re.MULTILINE)[1:]
+    ]
+
+
+def test_every_operator_is_declared_and_wrapped() -> None:
+    wrapped = set(re.findall(r"\b_ops\.(\w+)\(", Path(ops.__file__).read_text()))
+    assert {f"pgccd::{name}" for name in wrapped} == set(OPERATORS)
+    assert len(OPERATORS) >= 15
+
+
+@pytest.mark.parametrize("key", ["CPU", "Meta"])
+def test_every_operator_has_a_kernel(key: str) -> None:
+    assert operators_with(key) == OPERATORS
+
+
+def test_every_operator_has_a_cuda_kernel_or_none_has() -> None:
+    assert operators_with("CUDA") == (OPERATORS if built_with_cuda() else [])
+    assert describe_installation()["kernels for"] == ("cpu, cuda" if built_with_cuda() else "cpu")
+
+
+def test_code_for_the_device_is_inside() -> None:
+    if not built_with_cuda():
+        pytest.skip("built without CUDA")
+    sources = [path for path in CSRC.rglob("*") if path.suffix in (".cu", ".cuh")]
+    kernels = {name for path in sources for name in kernels_of(path)}
+    assert len(kernels) > 10
+    binary = Path(_C.__file__).read_bytes()
+    assert b".nv_fatbin" in binary
+    # The CUDA runtime finds kernels by name.
+    assert [name for name in sorted(kernels) if name.encode() not in binary] == []
+
+
+def test_cuda_kernels_are_built_where_there_is_a_compiler() -> None:
+    cuda_toolkit = pytest.importorskip("build_support.cuda_toolkit", reason="not run from the repository's root")
+    if os.environ.get("PGCCD_CUDA") == "0" or torch.version.cuda is None:
+        pytest.skip("CUDA kernels are not wanted, or torch has none itself")
+    toolkit = cuda_toolkit.find_cuda_toolkit(torch.version.cuda)
+    if toolkit is None:
+        pytest.skip(f"no nvcc fits CUDA {torch.version.cuda} of torch")
+    # Whoever builds with PGCCD_CUDA=0 tests with it too.
+    assert built_with_cuda(), f"nvcc {toolkit.version} in {toolkit.home}, but the extension has no CUDA kernels"
+    assert describe_installation()["CUDA architectures"] != "none"
