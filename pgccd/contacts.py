@@ -6,6 +6,10 @@ from dataclasses import dataclass, field
 
 from torch import Tensor
 
+#: Columns of contacts as the operators give them: row of the pairs (K,), kind (K,), features (K, 2), status (K,), toi
+#: (K,), coordinates (K, 2), point (K, 3), normal (K, 3).
+ContactRows = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
+
 
 @dataclass
 class Stats:

@@ -11,9 +11,8 @@ from torch import Tensor
 
 from pgccd import broad, narrow, traverse
 from pgccd.bodies import MovingBodies
-from pgccd.contacts import Contacts, Stats
+from pgccd.contacts import ContactRows, Contacts, Stats
 from pgccd.motion import RigidMotion, VertexMotion
-from pgccd.ops import ContactRows
 from pgccd.scene import Scene
 
 # What one pair of the PCS may need while it is traversed and solved, on the standard scene with room to spare.

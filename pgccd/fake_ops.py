@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from pgccd.ops import ContactRows
+from pgccd.contacts import ContactRows
 
 
 def _unknown_count() -> torch.SymInt:

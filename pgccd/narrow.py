@@ -12,6 +12,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.bodies import MovingBodies
 from pgccd.broad import check_separation
+from pgccd.contacts import ContactRows
 from pgccd.traverse import check_pairs, operator_tolerance, require
 
 Report = Literal["any", "first", "all", "earliest"]
@@ -115,7 +116,7 @@ def contacts(
     min_separation: float = 0.0,
     tolerance: float | None = None,
     nonzero_toi: bool = False,
-) -> ops.ContactRows:
+) -> ContactRows:
     """Solves candidates and keeps what `report` asks for; see `pgccd.detect` for the options.
 
     Args:
@@ -151,7 +152,7 @@ def solve(
     min_separation: float,
     tolerance: float | None,
     nonzero_toi: bool,
-) -> ops.ContactRows:
+) -> ContactRows:
     """`contacts` for candidates that come from the traversal and need no check."""
     if report not in REPORTS:
         raise ValueError(f"report: expected one of {list(REPORTS)}, got {report!r}")
@@ -179,7 +180,7 @@ def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> 
     return known
 
 
-def keep_earliest(rows: ops.ContactRows) -> ops.ContactRows:
+def keep_earliest(rows: ContactRows) -> ContactRows:
     """Of rows in canonical order, the one with the least toi, the first of equal ones."""
     toi = rows[4]
     if len(toi) < 2:

@@ -11,10 +11,9 @@ from torch import Tensor
 
 import pgccd._C  # noqa: F401  (importing it registers the operators)
 import pgccd.fake_ops  # noqa: F401  (and this their fake kernels)
+from pgccd.contacts import ContactRows
 
 _ops = torch.ops.pgccd
-
-ContactRows = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
 def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
