@@ -85,7 +85,7 @@ class Scene:
         self.world = None if world is None else _world_column(world, count, self.device)
         self.static = None if static is None else _static_column(static, count, self.device)
 
-    @property
+    @functools.cached_property
     def radius(self) -> Tensor:
         """SBV radius of each body's mesh, (N,) float64."""
         return self.meshes.radius[self.mesh_index.long()]
