@@ -17,6 +17,11 @@ def _(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     return orientation_t0.new_empty((orientation_t0.shape[0], 3))
 
 
+@torch.library.register_fake("pgccd::first_unfit_rows")
+def _(columns: list[Tensor], *_rest: object) -> Tensor:
+    return columns[0].new_empty((len(columns),), dtype=torch.int64)
+
+
 @torch.library.register_fake("pgccd::refit")
 def _(
     mesh_set: list[Tensor],
@@ -40,6 +45,38 @@ def _fake_pairs(position_t0: Tensor, *_rest: object) -> Tensor:
 @torch.library.register_fake("pgccd::swept_boxes")
 def _(position_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
     return torch.empty_like(position_t0), torch.empty_like(position_t0)
+
+
+def _fake_rows(count: int | torch.SymInt, like: Tensor) -> tuple[Tensor, Tensor]:
+    return like.new_empty((count,), dtype=torch.int64), like.new_empty((1,), dtype=torch.int64)
+
+
+@torch.library.register_fake("pgccd::border_bodies")
+def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, ...]:
+    count = centres[2].shape[0]
+    return centres[2].new_empty((count,), dtype=torch.uint8), *_fake_rows(count, centres[2])
+
+
+@torch.library.register_fake("pgccd::reached_ranks")
+def _(
+    centres: list[Tensor], min_separation: float, frame: list[float], owner: Tensor, bodies: Tensor, ranks: int
+) -> Tensor:
+    return owner.new_empty((bodies.shape[0], ranks), dtype=torch.uint8)
+
+
+@torch.library.register_fake("pgccd::owned_pairs")
+def _(pairs: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
+    return _fake_rows(pairs.shape[0], pairs)
+
+
+@torch.library.register_fake("pgccd::near_ghosts")
+def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, Tensor]:
+    return _fake_rows(centres[2].shape[0], centres[2])
+
+
+@torch.library.register_fake("pgccd::leaving_bodies")
+def _(position: Tensor, frame: list[float], owner: Tensor, rank: int, ranks: int) -> tuple[Tensor, Tensor]:
+    return owner.new_empty((position.shape[0],)), owner.new_empty((ranks,))
 
 
 for _name in ("sweep", "grid", "lbvh"):
@@ -115,6 +152,17 @@ def _(state: list[Tensor], step: int, integers: list[int], scales: list[float]) 
 @torch.library.register_fake("pgccd::simulate_respond")
 def _(state: list[Tensor], fraction: Tensor) -> tuple[Tensor, ...]:
     return _fake_robots(fraction, fraction.shape[0], 3, 4, 3, 3)
+
+
+@torch.library.register_fake("pgccd::simulate_pair_motion")
+def _(own: list[Tensor], ghosts: list[Tensor], fraction: Tensor, pairs: Tensor) -> tuple[Tensor, ...]:
+    count = 2 * pairs.shape[0]
+    return pairs.new_empty((count,)), *_fake_robots(fraction, count, 3, 4, 3, 3)
+
+
+@torch.library.register_fake("pgccd::simulate_hash")
+def _(columns: list[Tensor]) -> Tensor:
+    return columns[0].new_empty((1,), dtype=torch.int64)
 
 
 @torch.library.register_fake("pgccd::random_uniforms")

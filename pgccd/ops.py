@@ -21,6 +21,12 @@ def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     return _ops.rotations_between(orientation_t0.contiguous(), orientation_t1.contiguous())
 
 
+def first_unfit_rows(columns: Sequence[Tensor], kinds: Sequence[int], limits: Sequence[float]) -> Tensor:
+    """(columns,) int64: the first row of each (N, k) float64 that is unfit, N if none. Kinds: 0, numbers within the
+    limit; 1, rows whose length differs from 1 by no more; 2, rows no longer."""
+    return _ops.first_unfit_rows(list(columns), list(kinds), list(limits))
+
+
 def refit(
     mesh_set: Sequence[Tensor],
     mesh_index: Tensor,
@@ -82,6 +88,60 @@ def swept_boxes(
 ) -> tuple[Tensor, Tensor]:
     """Lower and upper corners (N, 3) of the boxes of swept spheres with half the separation, rounded outward."""
     return _ops.swept_boxes(position_t0, position_t1, radius, min_separation)
+
+
+def border_bodies(
+    centres: Sequence[Tensor], min_separation: float, frame: Sequence[float], owner: Tensor, rank: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Bodies that reach cells of others than `rank`: reach (N,) uint8, 1 for them; their rows, ascending, in the first
+    `found` (1,) places of border (N,)."""
+    return _ops.border_bodies(list(centres), min_separation, list(frame), owner, rank)
+
+
+def reached_ranks(
+    centres: Sequence[Tensor], min_separation: float, frame: Sequence[float], owner: Tensor, bodies: Tensor, ranks: int
+) -> Tensor:
+    """(B, ranks) uint8: 1 where a body of the rows `bodies` (B,) reaches a cell of a rank."""
+    return _ops.reached_ranks(list(centres), min_separation, list(frame), owner, bodies, ranks)
+
+
+def owned_pairs(
+    pairs: Tensor,
+    centres: Sequence[Tensor],
+    min_separation: float,
+    reach: Tensor,
+    only_ghosts: bool,
+    frame: Sequence[float],
+    owner: Tensor,
+    rank: int,
+) -> tuple[Tensor, Tensor]:
+    """Rows of pairs (P, 2) whose reference point lies in a cell of `rank`, in the first `found` (1,) places of (P,).
+
+    reach (N,) uint8: bit 0 of bodies that reach cells of others; bit 1 of ghosts, of which a pair must have one if
+    `only_ghosts`.
+    """
+    return _ops.owned_pairs(pairs, list(centres), min_separation, reach, only_ghosts, list(frame), owner, rank)
+
+
+def near_ghosts(
+    centres: Sequence[Tensor],
+    ghosts: Sequence[Tensor],
+    min_separation: float,
+    frame: Sequence[float],
+    owner: Tensor,
+    rank: int,
+) -> tuple[Tensor, Tensor]:
+    """Rows of bodies that overlap the box around all ghosts in a cell of `rank` which they reach, in the first `found`
+    (1,) places of (N,)."""
+    return _ops.near_ghosts(list(centres), list(ghosts), min_separation, list(frame), owner, rank)
+
+
+def leaving_bodies(
+    position: Tensor, frame: Sequence[float], owner: Tensor, rank: int, ranks: int
+) -> tuple[Tensor, Tensor]:
+    """Rows of bodies whose centre (N, 3) lies in a cell of another rank, in the first places of (N,); and how many lie
+    in those of each, (ranks,) int64."""
+    return _ops.leaving_bodies(position, list(frame), owner, rank, ranks)
 
 
 def traverse_rigid(
@@ -176,6 +236,20 @@ def simulate_plan(
 def simulate_respond(state: Sequence[Tensor], fraction: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Position, orientation, velocity and angular velocity of robots that made `fraction` (N,) of a step."""
     return _ops.simulate_respond(list(state), fraction)
+
+
+def simulate_pair_motion(
+    own: Sequence[Tensor], ghosts: Sequence[Tensor], fraction: Tensor, pairs: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Id, position at t0, orientation, position at t1 and rotation of the robots of pairs (P, 2), two rows a pair, of
+    which each makes `fraction` (N + G,) of its step. own, ghosts: the first five columns of a state; rows of ghosts
+    follow own ones."""
+    return _ops.simulate_pair_motion(list(own), list(ghosts), fraction, pairs)
+
+
+def simulate_hash(columns: Sequence[Tensor]) -> Tensor:
+    """(1,) int64: the sum modulo 2^64 of the rows' hashes; columns (N,) or (N, k), int64 or float64."""
+    return _ops.simulate_hash([column.contiguous() for column in columns])
 
 
 def random_uniforms(id: Tensor, seed: int, step: int, stream: int) -> Tensor:

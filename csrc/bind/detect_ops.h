@@ -26,6 +26,20 @@ struct DetectOps {
     return rotation;
   }
 
+  static Tensor first_unfit_rows(const TensorList& columns, std::vector<int64_t> kinds, std::vector<double> limits) {
+    STD_TORCH_CHECK(kinds.size() == columns.size() && limits.size() == columns.size(),
+                    "kinds, limits: expected one a column");
+    Tensor first = new_tensor<int64_t>(columns.at(0), {static_cast<int64_t>(columns.size())});
+    const Backend backend(first);
+    for (size_t k = 0; k < columns.size(); ++k) {
+      STD_TORCH_CHECK(kinds[k] >= 0 && kinds[k] <= 2, "kinds: unknown kind ", kinds[k]);
+      const FitnessColumn column{rows<double>(columns[k], "columns", {kAnySize, kAnySize}), columns[k].size(1),
+                                 static_cast<Fitness>(kinds[k]), limits[k]};
+      backend.first_unfit_row(column, columns[k].size(0), data<int64_t>(first) + k);
+    }
+    return first;
+  }
+
   static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> refit(const TensorList& mesh_set, const Tensor& mesh_index,
                                                                   const Tensor& vertices_t0, const Tensor& vertices_t1,
                                                                   const Tensor& vertex_begin, const Tensor& block_begin,
@@ -158,6 +172,7 @@ struct DetectOps {
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
 #define PGCCD_REGISTER_DETECT_OPS(library, Backend)                                       \
+  library.impl("first_unfit_rows", TORCH_BOX(&DetectOps<Backend>::first_unfit_rows));     \
   library.impl("rotations_between", TORCH_BOX(&DetectOps<Backend>::rotations_between));   \
   library.impl("refit", TORCH_BOX(&DetectOps<Backend>::refit));                           \
   library.impl("sweep", TORCH_BOX(&DetectOps<Backend>::sweep));                           \

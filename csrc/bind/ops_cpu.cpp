@@ -18,6 +18,9 @@ class CpuBackend {
   void rotations_between(const double* q0, const double* q1, int64_t count, double* rotation) const {
     rotations_between_cpu(executor_, q0, q1, count, rotation);
   }
+  void first_unfit_row(const FitnessColumn& column, int64_t count, int64_t* first) const {
+    first_unfit_row_cpu(executor_, column, count, first);
+  }
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const { refit_cpu(executor_, input, bounds); }
 
   void sweep(const BroadBodies& bodies, int axis, const PairOutput& make_output) const {

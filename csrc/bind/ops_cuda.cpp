@@ -19,6 +19,9 @@ class CudaBackend {
   void rotations_between(const double* q0, const double* q1, int64_t count, double* rotation) const {
     rotations_between_cuda(session_.context(), q0, q1, count, rotation);
   }
+  void first_unfit_row(const FitnessColumn& column, int64_t count, int64_t* first) const {
+    first_unfit_row_cuda(session_.context(), column, count, first);
+  }
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const {
     refit_cuda(session_.context(), input, bounds);
   }

@@ -14,6 +14,7 @@
 
 STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def("rotations_between(Tensor orientation_t0, Tensor orientation_t1) -> Tensor");
+  library.def("first_unfit_rows(Tensor[] columns, int[] kinds, float[] limits) -> Tensor");
   library.def(
       "refit(Tensor[] mesh_set, Tensor mesh_index, Tensor vertices_t0, Tensor vertices_t1, Tensor vertex_begin, "
       "Tensor block_begin, int block_count) -> (Tensor position_t0, Tensor position_t1, Tensor radius, Tensor "

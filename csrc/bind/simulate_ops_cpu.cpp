@@ -23,6 +23,10 @@ class SimulateOnCpu {
                        double* uniforms) const {
     random_uniforms_cpu(executor_, seed, id, count, step, stream, uniforms);
   }
+  void pair_motion(const PairMotionInput& input, const PairMotion& motion) const {
+    pair_motion_cpu(executor_, input, motion);
+  }
+  void hash_rows(const HashColumns& columns, uint64_t* sum) const { hash_rows_cpu(executor_, columns, sum); }
 
  private:
   TorchExecutor executor_;

@@ -25,6 +25,10 @@ class SimulateOnCuda {
                        double* uniforms) const {
     random_uniforms_cuda(session_.context(), seed, id, count, step, stream, uniforms);
   }
+  void pair_motion(const PairMotionInput& input, const PairMotion& motion) const {
+    pair_motion_cuda(session_.context(), input, motion);
+  }
+  void hash_rows(const HashColumns& columns, uint64_t* sum) const { hash_rows_cuda(session_.context(), columns, sum); }
 
  private:
   CudaSession session_;

@@ -242,12 +242,12 @@ def gather_state(comm: Comm, state: RobotState) -> RobotState:
 def gather_step(comm: Comm, step: RankStep, after: RobotState) -> Step:
     """A whole step on rank 0, as a single process makes it. The row of a robot is its id."""
     held, found = step.detection.held, step.detection.contacts
-    own = take_rows(step.before.columns | {"fraction": step.settlement.fraction}, held.own)
-    before = gather_columns(comm, own)
+    own = step.settlement.fraction[: len(step.before)].contiguous()
+    before = gather_columns(comm, step.before.columns | {"fraction": own})
     before = take_rows(before, torch.argsort(before["id"]))
     fraction = before.pop("fraction")
     columns = {name: value for name, value in vars(found).items() if isinstance(value, Tensor)}
-    columns["pairs"] = step.before.id[found.pairs]
+    columns["pairs"] = held.id[found.pairs]
     contacts = gather_columns(comm, columns)
     order = torch.argsort(contacts["pairs"][:, 0] * max(1, len(fraction)) + contacts["pairs"][:, 1])
     whole = Contacts(**take_rows(contacts, order), stats=found.stats)

@@ -11,8 +11,9 @@ from support.shapes import directions, tensors
 
 import pgccd
 from pgccd import ops, sim
-from pgccd.distributed import Partition
-from pgccd.distributed.halo import Boxes
+from pgccd.distributed import Alone, Partition
+from pgccd.distributed.detection import Options, detect_distributed
+from pgccd.stages import StageClock
 
 
 def touching_spheres(seed: int, offset: float, separation: float) -> list[torch.Tensor]:
@@ -62,13 +63,16 @@ def test_boxes_hold_their_bodies_and_are_tight(device: torch.device) -> None:
 def test_bad_poses_and_separations_are_named() -> None:
     world = sim.World(sim.WorldConfig(robots=8))
     state = world.start()
-    partition = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 2)
-    radius = world.scene(state.id).radius
+    partition, own = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 1), {"id": state.id}
+
+    def build(columns: dict[str, torch.Tensor]) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
+        return world.scene(columns["id"]), world.motion(state)
+
     with pytest.raises(ValueError, match="^min_separation: "):
-        Boxes.of(partition, world.motion(state), radius, -1.0)
+        detect_distributed(Alone(), partition, own, build, Options(min_separation=-1.0), StageClock())
     state.position[3, 1] = torch.nan
     with pytest.raises(ValueError, match="^position_t0: body 3"):
-        Boxes.of(partition, world.motion(state), radius)
+        detect_distributed(Alone(), partition, own, build, Options(), StageClock())
 
 
 def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:

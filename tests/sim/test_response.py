@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 import pgccd
 from pgccd.sim import World, WorldConfig, first_collisions, make_step, respond, settle
@@ -35,7 +36,9 @@ def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
     hits = pgccd.detect(scene, world.motion(state), nonzero_toi=True)
     assert len(hits) == 1 and hits.toi is not None and 0.0 < hits.toi[0] < 1.0
 
-    def find(changed: torch.Tensor, fraction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+        if not bool(anybody):
+            return None
         found = pgccd.detect(scene, world.motion(state, fraction), nonzero_toi=True)
         assert found.toi is not None
         return found.pairs, found.toi
@@ -56,7 +59,9 @@ def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
 def test_a_robot_stops_for_one_that_stopped_in_its_way() -> None:
     asked = []
 
-    def find(changed: torch.Tensor, fraction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+        if not bool(anybody):
+            return None
         asked.append((changed.tolist(), fraction.tolist()))
         if len(asked) == 1:  # 2 runs into 1, which no longer makes way
             return torch.tensor([[1, 2]]), torch.tensor([0.5], dtype=torch.float64)
@@ -70,10 +75,12 @@ def test_a_robot_stops_for_one_that_stopped_in_its_way() -> None:
 
 
 def test_settling_ends_even_where_contacts_never_cease() -> None:
-    def find(changed: torch.Tensor, fraction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+        if not bool(anybody):
+            return None
         return torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.9], dtype=torch.float64)
 
-    settled = settle(*find(torch.ones(0), torch.ones(0)), 4, find)
+    settled = settle(*find(*[torch.ones(1)] * 3), 4, find)
     assert settled.fraction.tolist() == [0.0, 0.0, 0.0, 1.0]
     assert settled.rounds < 10
 
@@ -81,7 +88,7 @@ def test_settling_ends_even_where_contacts_never_cease() -> None:
 def test_robots_that_could_hardly_move_stay() -> None:
     nobody = torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
     touching = torch.tensor([1e-3, 0.5], dtype=torch.float64)
-    settled = settle(torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *_: nobody)
+    settled = settle(torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *asked: nobody if bool(asked[2]) else None)
     assert settled.fraction.tolist() == [0.0, 0.0, 0.99 * 0.5, 0.99 * 0.5]
 
 

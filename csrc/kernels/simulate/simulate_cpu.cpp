@@ -44,4 +44,17 @@ void random_uniforms_cpu(const Executor& executor, uint64_t seed, const int64_t*
   });
 }
 
+void pair_motion_cpu(const Executor& executor, const PairMotionInput& input, const PairMotion& motion) {
+  for_each_row(executor, 2 * input.pair_count, [&](int64_t row) { store_pair_motion(input, row, motion); });
+}
+
+void hash_rows_cpu(const Executor& executor, const HashColumns& columns, uint64_t* sum) {
+  *sum = 0;
+  parallel_chunks(executor, columns.count, 1024, [&](int, int64_t begin, int64_t end) {
+    uint64_t part = 0;
+    for (int64_t row = begin; row < end; ++row) part += row_hash(columns, row);
+    add_shared(*sum, part, false);
+  });
+}
+
 }  // namespace pgccd

@@ -2,6 +2,8 @@
 #pragma once
 
 #include "kernels/device_context.h"
+#include "kernels/simulate/hash_item.h"
+#include "kernels/simulate/pair_motion_item.h"
 #include "kernels/simulate/robot.h"
 #include "kernels/simulate/world.h"
 
@@ -22,5 +24,11 @@ void respond_cuda(const DeviceContext& context, const RobotColumns& robots, cons
 // (count, 4) uniforms in (0, 1) of the counters (id, step, stream).
 void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
                           uint32_t stream, double* uniforms);
+
+// The motion of pairs' robots.
+void pair_motion_cuda(const DeviceContext& context, const PairMotionInput& input, const PairMotion& motion);
+
+// The sum of the rows' hashes modulo 2^64.
+void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum);
 
 }  // namespace pgccd
