@@ -6,10 +6,12 @@ import math
 from collections.abc import Callable
 from typing import Literal, get_args
 
+import torch
 from torch import Tensor
 
 from pgccd import ops
 from pgccd.bodies import MovingBodies
+from pgccd.capacity import Capacity
 
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
@@ -103,6 +105,30 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
     if len(octaves) <= _GRID_OCTAVES:
         return "grid"
     return "lbvh" if bodies.scene.body_count >= _MANY_BODIES else "sweep"
+
+
+def find_pairs_within(
+    bodies: MovingBodies, min_separation: float, broad_phase: BroadPhase, capacity: Capacity, invalid: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The PCS without waiting for its size.
+
+    Args:
+        bodies, min_separation, broad_phase: as for `find_pairs`.
+        capacity: room.
+        invalid: (1,) bool, see `MovingBodies.invalid`: then there are none.
+
+    Returns:
+        (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
+        `pgccd.capacity.Counts`. If there was no room for all pairs, any may be missing.
+    """
+    number = list(_FINDERS).index(choose(bodies, broad_phase))
+    return ops.pairs_within(
+        *_columns(bodies),
+        invalid.view(torch.uint8),
+        check_separation(min_separation),
+        number,
+        capacity.of_pairs,
+    )
 
 
 def find_pairs(bodies: MovingBodies, min_separation: float = 0.0, broad_phase: BroadPhase = "auto") -> Tensor:

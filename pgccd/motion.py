@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import torch
@@ -165,14 +166,22 @@ class RigidMotion:
         return self.position_t0.shape[0]
 
     def _check_now(self) -> None:
-        # On a GPU reading the verdicts would stall the stream; `check` is then called by detect, which waits anyway.
-        if self.device.type == "cpu":
+        if _can_check_now(self.device):
             self.check()
 
     def check(self) -> None:
         """Raises ValueError if a pose is not finite or a quaternion not unit, naming the first body."""
-        _raise_faults(self._unchecked, self.body_count)
+        self.raise_faults(self.first_faults().tolist())
         self._unchecked = {}
+
+    def first_faults(self) -> Tensor:
+        """(F,) int64: the first faulty body of each argument, or the number of bodies; where the motion is. None if all
+        are known to be sound."""
+        return _first_faults(self._unchecked, self.device)
+
+    def raise_faults(self, first: Sequence[int]) -> None:
+        """What `check` raises, given the values of `first_faults`."""
+        _raise_faults(self._unchecked, first, self.body_count)
 
 
 class VertexMotion:
@@ -196,7 +205,7 @@ class VertexMotion:
         self.x_t0 = _rows(x_t0, "x_t0", count, 3, x_t0.device)
         self.x_t1 = _rows(x_t1, "x_t1", count, 3, x_t0.device)
         self._unchecked = {"x_t0": self.x_t0, "x_t1": self.x_t1}
-        if self.device.type == "cpu":
+        if _can_check_now(self.device):
             self.check()
 
     @property
@@ -205,8 +214,22 @@ class VertexMotion:
 
     def check(self) -> None:
         """Raises ValueError if a position is not finite, naming the first vertex."""
-        _raise_faults(self._unchecked, self.x_t0.shape[0], row="vertex")
+        self.raise_faults(self.first_faults().tolist())
         self._unchecked = {}
+
+    def first_faults(self) -> Tensor:
+        """(F,) int64: the first faulty vertex of each argument, or the number of vertices; where the motion is."""
+        return _first_faults(self._unchecked, self.device)
+
+    def raise_faults(self, first: Sequence[int]) -> None:
+        """What `check` raises, given the values of `first_faults`."""
+        _raise_faults(self._unchecked, first, self.x_t0.shape[0], row="vertex")
+
+
+def _can_check_now(device: torch.device) -> bool:
+    # On a GPU reading the verdicts would stall the stream; they are read along with what detect waits for. A compiled
+    # graph reads nothing.
+    return device.type == "cpu" and not torch.compiler.is_compiling()
 
 
 def _body_count(values: Tensor, name: str) -> int:
@@ -229,12 +252,21 @@ def _rows(values: Tensor, name: str, count: int, width: int, device: torch.devic
     return values.detach().to(torch.float64).contiguous()
 
 
-def _raise_faults(columns: dict[str, Tensor], count: int, row: str = "body") -> None:
-    """Looks at all columns in one pass each, and at the verdicts together: on a GPU that is one wait."""
+def first_row(bad: Tensor) -> Tensor:
+    """Index of the first true row, or the number of rows; stays on the device."""
+    rows = torch.arange(bad.shape[0], device=bad.device)
+    return torch.where(bad, rows, bad.shape[0]).min() if bad.shape[0] else rows.sum()
+
+
+def _first_faults(columns: dict[str, Tensor], device: torch.device) -> Tensor:
+    """In one pass over each column."""
     if not columns:
-        return
+        return torch.empty(0, dtype=torch.int64, device=device)
     kinds, limits = zip(*(_fitness(name) for name in columns), strict=True)
-    first = ops.first_unfit_rows(list(columns.values()), kinds, limits).tolist()
+    return ops.first_unfit_rows(list(columns.values()), kinds, limits)
+
+
+def _raise_faults(columns: dict[str, Tensor], first: Sequence[int], count: int, row: str = "body") -> None:
     for name, index in zip(columns, first, strict=True):
         if index < count:
             expected = f"finite numbers up to {_LARGEST_COORDINATE:g}"

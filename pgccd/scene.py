@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -12,6 +13,16 @@ from pgccd.mesh import Mesh, MeshSet
 
 #: Columns of a scene that say which of its bodies may collide.
 FILTERS = ("group", "mask", "world", "static")
+
+
+@dataclass(frozen=True)
+class VertexLayout:
+    """Bodies' own copies of their meshes' vertices and hierarchies, one body after the other."""
+
+    vertex_count: int
+    block_count: int  #: of nodes
+    vertex_begin: Tensor  #: (N,) int64
+    block_begin: Tensor  #: (N,) int64
 
 
 class Scene:
@@ -96,6 +107,15 @@ class Scene:
     def radius(self) -> Tensor:
         """SBV radius of each body's mesh, (N,) float64."""
         return self.meshes.radius[self.mesh_index.long()]
+
+    @functools.cached_property
+    def layout(self) -> VertexLayout:
+        """Where the rows of bodies that bring their own vertices begin."""
+        offsets = self.meshes.offsets
+        counts = (offsets[1:] - offsets[:-1])[self.mesh_index.cpu().long()]
+        begin = (counts.cumsum(0) - counts).to(self.device)
+        vertex_count, _, _, block_count = counts.sum(0).tolist()
+        return VertexLayout(vertex_count, block_count, begin[:, 0].contiguous(), begin[:, 3].contiguous())
 
     def __repr__(self) -> str:
         return f"Scene(bodies={self.body_count}, meshes={len(self.meshes)}, device={self.device})"
