@@ -104,7 +104,7 @@ class Counts:
         owner = partition.owner[centre]
         first, last = (partition.cell_of(corner) for corner in ops.swept_boxes(*centres, 0.0))
         for rows in torch.nonzero(first != last)[:, 0].split(max(1, _BLOCK // ranks)):
-            reached = ops.reached_ranks(centres, 0.0, partition.frame, partition.owner, rows, ranks)
+            reached = ops.reached_ranks(centres, 0.0, partition.territory(0), rows, ranks)
             row, destination = torch.nonzero(reached).unbind(dim=1)
             source = owner[rows[row]]
             away = source != destination

@@ -15,6 +15,9 @@ from pgccd.contacts import ContactRows
 
 _ops = torch.ops.pgccd
 
+#: Cells as `Partition.frame` says, owner (cells,) int64 of each, and a rank.
+Territory = tuple[list[float], Tensor, int]
+
 
 def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     """Rotation vectors (N, 3) of the turns between two orientations (N, 4)."""
@@ -91,18 +94,18 @@ def swept_boxes(
 
 
 def border_bodies(
-    centres: Sequence[Tensor], min_separation: float, frame: Sequence[float], owner: Tensor, rank: int
+    centres: Sequence[Tensor], min_separation: float, territory: Territory
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Bodies that reach cells of others than `rank`: reach (N,) uint8, 1 for them; their rows, ascending, in the first
-    `found` (1,) places of border (N,)."""
-    return _ops.border_bodies(list(centres), min_separation, list(frame), owner, rank)
+    """Bodies that reach cells of others: reach (N,) uint8, 1 for them; their rows, ascending, in the first `found` (1,)
+    places of (N,). centres: at t0 and t1 (N, 3), and radius (N,)."""
+    return _ops.border_bodies(list(centres), min_separation, *territory)
 
 
 def reached_ranks(
-    centres: Sequence[Tensor], min_separation: float, frame: Sequence[float], owner: Tensor, bodies: Tensor, ranks: int
+    centres: Sequence[Tensor], min_separation: float, territory: Territory, bodies: Tensor, ranks: int
 ) -> Tensor:
-    """(B, ranks) uint8: 1 where a body of the rows `bodies` (B,) reaches a cell of a rank."""
-    return _ops.reached_ranks(list(centres), min_separation, list(frame), owner, bodies, ranks)
+    """(B, ranks) uint8: 1 where a body of the rows `bodies` (B,) reaches a cell of a rank, this one or another."""
+    return _ops.reached_ranks(list(centres), min_separation, *territory[:2], bodies, ranks)
 
 
 def owned_pairs(
@@ -111,37 +114,25 @@ def owned_pairs(
     min_separation: float,
     reach: Tensor,
     only_ghosts: bool,
-    frame: Sequence[float],
-    owner: Tensor,
-    rank: int,
+    territory: Territory,
 ) -> tuple[Tensor, Tensor]:
-    """Rows of pairs (P, 2) whose reference point lies in a cell of `rank`, in the first `found` (1,) places of (P,).
-
-    reach (N,) uint8: bit 0 of bodies that reach cells of others; bit 1 of ghosts, of which a pair must have one if
-    `only_ghosts`.
-    """
-    return _ops.owned_pairs(pairs, list(centres), min_separation, reach, only_ghosts, list(frame), owner, rank)
+    """Rows of pairs (P, 2) whose reference point lies in a cell of the rank, in the first `found` (1,) places of (P,).
+    reach (N,) uint8: bit 0 as above; bit 1 of ghosts, of which a pair must have one if `only_ghosts`."""
+    return _ops.owned_pairs(pairs, list(centres), min_separation, reach, only_ghosts, *territory)
 
 
 def near_ghosts(
-    centres: Sequence[Tensor],
-    ghosts: Sequence[Tensor],
-    min_separation: float,
-    frame: Sequence[float],
-    owner: Tensor,
-    rank: int,
+    centres: Sequence[Tensor], ghosts: Sequence[Tensor], min_separation: float, territory: Territory
 ) -> tuple[Tensor, Tensor]:
-    """Rows of bodies that overlap the box around all ghosts in a cell of `rank` which they reach, in the first `found`
-    (1,) places of (N,)."""
-    return _ops.near_ghosts(list(centres), list(ghosts), min_separation, list(frame), owner, rank)
+    """Rows of bodies that overlap the box around all ghosts in a cell of the rank which they reach, in the first
+    `found` (1,) places of (N,)."""
+    return _ops.near_ghosts(list(centres), list(ghosts), min_separation, *territory)
 
 
-def leaving_bodies(
-    position: Tensor, frame: Sequence[float], owner: Tensor, rank: int, ranks: int
-) -> tuple[Tensor, Tensor]:
+def leaving_bodies(position: Tensor, territory: Territory, ranks: int) -> tuple[Tensor, Tensor]:
     """Rows of bodies whose centre (N, 3) lies in a cell of another rank, in the first places of (N,); and how many lie
     in those of each, (ranks,) int64."""
-    return _ops.leaving_bodies(position, list(frame), owner, rank, ranks)
+    return _ops.leaving_bodies(position, *territory, ranks)
 
 
 def traverse_rigid(

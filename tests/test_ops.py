@@ -35,13 +35,13 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     """Calls the operators by which ranks share bodies out, as one of two."""
     partition = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 2, cells=2, device=moving.device)
     centres = [moving.position_t0, moving.position_t1, moving.radius]
-    where = (partition.frame, partition.owner)
-    reach, border, _ = ops.border_bodies(centres, 0.01, *where, 1)
-    ops.reached_ranks(centres, 0.01, *where, torch.arange(len(border), device=moving.device), 2)
+    territory = partition.territory(1)
+    reach, border, _ = ops.border_bodies(centres, 0.01, territory)
+    ops.reached_ranks(centres, 0.01, territory, torch.arange(len(border), device=moving.device), 2)
     pairs = torch.combinations(torch.arange(len(border), device=moving.device))
-    ops.owned_pairs(pairs, centres, 0.01, reach, False, *where, 1)
-    ops.near_ghosts(centres, [column[:1] for column in centres], 0.01, *where, 1)
-    ops.leaving_bodies(moving.position_t0, *where, 1, 2)
+    ops.owned_pairs(pairs, centres, 0.01, reach, False, territory)
+    ops.near_ghosts(centres, [column[:1] for column in centres], 0.01, territory)
+    ops.leaving_bodies(moving.position_t0, territory, 2)
 
 
 def stages_alone(bodies: pgccd.MovingBodies) -> None:

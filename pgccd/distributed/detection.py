@@ -19,7 +19,7 @@ from pgccd.contacts import Contacts
 from pgccd.detect import detect
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns
-from pgccd.distributed.halo import IS_GHOST, REACHES_OTHERS, Centres, Halo, Held
+from pgccd.distributed.halo import IS_GHOST, REACHES_OTHERS, Centres, Halo, Held, centres_of
 from pgccd.distributed.partition import Partition
 from pgccd.motion import RigidMotion
 from pgccd.scene import FILTERS, Scene
@@ -78,9 +78,9 @@ def detect_distributed(
     """
     separation = broad.check_separation(options.min_separation)
     with clock.stage("plan"):
-        bodies = MovingBodies(*build(own))
+        bodies = MovingBodies(*build(own), wait=False)
     with clock.stage("halo"):
-        halo = Halo(comm, partition, own, centres_of(bodies), separation)
+        halo = Halo(comm, partition, own, bodies, separation)
     share = _Share(comm.rank, partition, options, clock)
     held = None if options.overlap else _wait(halo, clock)
     pairs = share.pairs(bodies, halo.reach, only_ghosts=False)
@@ -127,7 +127,7 @@ class _Share:
     """What one rank tests."""
 
     def __init__(self, rank: int, partition: Partition, options: Options, clock: StageClock) -> None:
-        self._where = (partition.frame, partition.owner, rank)
+        self._territory = partition.territory(rank)
         self._options, self._clock = options, clock
 
     def pairs(self, bodies: MovingBodies, reach: Tensor | None, only_ghosts: bool) -> Tensor:
@@ -138,7 +138,7 @@ class _Share:
             pairs = broad.find_pairs(bodies, separation, self._options.broad_phase)
             if reach is None:
                 return pairs
-            owned, found = ops.owned_pairs(pairs, centres_of(bodies), separation, reach, only_ghosts, *self._where)
+            owned, found = ops.owned_pairs(pairs, centres_of(bodies), separation, reach, only_ghosts, self._territory)
             count = int(found)
             return pairs if count == len(pairs) else pairs[owned[:count]]
 
@@ -152,7 +152,7 @@ class _Share:
         """
         assert reach is not None  # else there were no ghosts
         separation = self._options.min_separation
-        near, found = ops.near_ghosts(centres_of(bodies), centres_of(ghosts), separation, *self._where)
+        near, found = ops.near_ghosts(centres_of(bodies), centres_of(ghosts), separation, self._territory)
         near = near[: int(found)]
         order = torch.argsort(torch.cat([held.own_id[near], held.ghosts["id"]]))
         ghost_columns = _columns(ghosts)
@@ -164,11 +164,6 @@ class _Share:
         own_count = len(held.own_id)
         rows = torch.cat([near, torch.arange(own_count, own_count + count, device=near.device)])[order]
         return columns, reach, rows
-
-
-def centres_of(bodies: MovingBodies) -> Centres:
-    """Of moving bodies."""
-    return bodies.position_t0, bodies.position_t1, bodies.radius
 
 
 def _earliest(contacts: Contacts, id: Tensor) -> Contacts:

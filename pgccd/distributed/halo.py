@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
+from pgccd.bodies import MovingBodies
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Arrival, Columns, Route
 from pgccd.distributed.partition import Partition
@@ -26,6 +27,11 @@ REACHES_OTHERS, IS_GHOST = 1, 2
 
 #: Centres at t0 and t1 (N, 3) and SBV radius (N,) of bodies.
 Centres = tuple[Tensor, Tensor, Tensor]
+
+
+def centres_of(bodies: MovingBodies) -> Centres:
+    """Of moving bodies."""
+    return bodies.position_t0, bodies.position_t1, bodies.radius
 
 
 @dataclass(frozen=True)
@@ -57,26 +63,32 @@ class Halo:
         comm: between the ranks.
         partition: the same on all of them.
         own: columns of this rank's own bodies that others need, "id" ascending.
-        centres: of theirs.
+        bodies: these, moving; not checked yet.
         min_separation: length.
+
+    Raises:
+        ValueError: a pose is invalid.
     """
 
     def __init__(
-        self, comm: Comm, partition: Partition, own: Mapping[str, Tensor], centres: Centres, min_separation: float
+        self, comm: Comm, partition: Partition, own: Mapping[str, Tensor], bodies: MovingBodies, min_separation: float
     ) -> None:
         self._own_id = own["id"]
         #: (N,) uint8: REACHES_OTHERS for own bodies that do; None if there are no others.
         self.reach: Tensor | None = None
         self._arrival: Arrival | None = None
         if comm.size == 1:
+            bodies.motion.check()
             nobody = own["id"][:0]
             self._ghosts = {name: column[:0] for name, column in own.items()}
             self._route = Route(comm, nobody, [0], [0])
             return
-        where = (partition.frame, partition.owner)
-        self.reach, border, found = ops.border_bodies(centres, min_separation, *where, comm.rank)
-        border = border[: int(found)]
-        reached = ops.reached_ranks(centres, min_separation, *where, border, comm.size)
+        centres, territory = centres_of(bodies), partition.territory(comm.rank)
+        self.reach, border, found = ops.border_bodies(centres, min_separation, territory)
+        count, *faults = torch.cat([found, bodies.first_faults()]).tolist()
+        bodies.raise_faults(faults)
+        border = border[:count]
+        reached = ops.reached_ranks(centres, min_separation, territory, border, comm.size)
         reached[:, comm.rank] = 0
         counts = reached.sum(dim=0)
         sent, received = torch.stack([counts, comm.exchange_counts(counts)]).tolist()

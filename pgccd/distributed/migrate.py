@@ -28,7 +28,7 @@ class Leaving:
 
     def __init__(self, comm: Comm, partition: Partition, position: Tensor) -> None:
         self._comm, self.partition, self._position = comm, partition, position
-        self._rows, counts = ops.leaving_bodies(position, partition.frame, partition.owner, comm.rank, comm.size)
+        self._rows, counts = ops.leaving_bodies(position, partition.territory(comm.rank), comm.size)
         #: (ranks,) int64: how many to each.
         self.counts = counts
 

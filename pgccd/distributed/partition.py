@@ -157,6 +157,10 @@ class Partition:
         """The same for the operators: lower corner, cells a length unit, number of cells; along x, y, z each."""
         return [*self.lower, *(1.0 / size for size in self.cell_size), *map(float, self.grid)]
 
+    def territory(self, rank: int) -> tuple[list[float], Tensor, int]:
+        """What the operators want to know of a rank's cells."""
+        return self.frame, self.owner, rank
+
     def index(self, coordinates: Tensor) -> Tensor:
         """(K,) int64 positions in the table of cells (K, 3)."""
         x, y, z = coordinates.unbind(dim=-1)

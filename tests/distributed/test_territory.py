@@ -72,23 +72,23 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     centre_owner = partition.owner_of(centres[0])
 
     for device in DEVICES:
-        where = (partition.frame, partition.owner.to(device))
+        territory = (partition.frame, partition.owner.to(device), rank)
         here, there = ([column.to(device) for column in columns] for columns in (centres, ghosts))
-        reach, border, found = ops.border_bodies(here, SEPARATION, *where, rank)
+        reach, border, found = ops.border_bodies(here, SEPARATION, territory)
         assert reach.tolist() == [REACHES_OTHERS * crosses for crosses in crossing]
         assert kept(border, found) == [body for body, crosses in enumerate(crossing) if crosses]
         rows = torch.arange(len(cells), device=device).flip(0)
-        reached = ops.reached_ranks(here, SEPARATION, *where, rows, ranks).flip(0)
+        reached = ops.reached_ranks(here, SEPARATION, territory, rows, ranks).flip(0)
         expected = [{owner[cell] for cell in each} for each in cells]
         assert [set(torch.nonzero(row)[:, 0].tolist()) for row in reached] == expected
-        assert kept(*ops.near_ghosts(here, there, SEPARATION, *where, rank)) == near
-        owned = ops.owned_pairs(pairs.to(device), here, SEPARATION, reach, False, *where, rank)
+        assert kept(*ops.near_ghosts(here, there, SEPARATION, territory)) == near
+        owned = ops.owned_pairs(pairs.to(device), here, SEPARATION, reach, False, territory)
         assert kept(*owned) == torch.nonzero(reference == rank)[:, 0].tolist()
         marked = reach | IS_GHOST * is_ghost.to(device, torch.uint8)
-        owned = ops.owned_pairs(pairs.to(device), here, SEPARATION, marked, True, *where, rank)
+        owned = ops.owned_pairs(pairs.to(device), here, SEPARATION, marked, True, territory)
         wanted = (reference == rank) & is_ghost[pairs].any(dim=1)
         assert kept(*owned) == torch.nonzero(wanted)[:, 0].tolist()
-        leaving, counts = ops.leaving_bodies(here[0], *where, rank, ranks)
+        leaving, counts = ops.leaving_bodies(here[0], territory, ranks)
         gone = centre_owner != rank
         assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()
         assert leaving[: int(counts.sum())].tolist() == torch.nonzero(gone)[:, 0].tolist()
@@ -97,7 +97,7 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
 def test_positions_that_are_no_numbers_have_a_cell() -> None:
     partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     wrong = torch.tensor([[torch.nan] * 3, [torch.inf] * 3, [-torch.inf] * 3], dtype=torch.float64)
-    _, counts = ops.leaving_bodies(wrong, partition.frame, partition.owner, 5, 2)
+    _, counts = ops.leaving_bodies(wrong, partition.territory(5), 2)
     assert int(counts.sum()) == 3
 
 
@@ -106,4 +106,4 @@ def test_arguments_are_checked(change: dict) -> None:
     partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     arguments = {"frame": partition.frame, "owner": partition.owner} | change
     with pytest.raises(RuntimeError, match=next(iter(change))):
-        ops.leaving_bodies(torch.zeros((2, 3), dtype=torch.float64), **arguments, rank=0, ranks=2)
+        ops.leaving_bodies(torch.zeros((2, 3), dtype=torch.float64), (*arguments.values(), 0), 2)
