@@ -14,7 +14,7 @@ from pgccd.broad import BroadPhase
 from pgccd.contacts import Contacts
 from pgccd.distributed.agreement import on_first, require_agreement, together
 from pgccd.distributed.balance import BalanceOptions
-from pgccd.distributed.checkpoint import Checkpoints, Header, load_share, newest_header
+from pgccd.distributed.checkpoint import Checkpoints, Header, load_share, newest_header, read_owners
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns, make_route, take_rows
 from pgccd.distributed.partition import Partition, Triple
@@ -145,7 +145,11 @@ def resume(
         return RobotState(**take_rows(whole.columns, torch.arange(comm.rank, len(whole), comm.size)))
 
     state = together(comm, read).to(world.device)
-    fleet = Fleet(comm, world, _partition(comm, world, options), state, options.balance, options.overlap, broad_phase)
+    partition = _partition(comm, world, options)
+    owners = None if is_single else on_first(comm, lambda: read_owners(folder, partition))
+    if owners is not None:
+        partition = partition.with_owner(torch.tensor(owners))
+    fleet = Fleet(comm, world, partition, state, options.balance, options.overlap, broad_phase)
     return _continue(fleet, header.steps_made, steps, folder, checkpoint_every, progress, keep_last_step)
 
 
@@ -198,7 +202,7 @@ class _FleetMachine:
     def save(self, steps_made: int, steps_wanted: int) -> None:
         self.fleet.verify()
         header = Header(self.fleet.world.config, steps_made, steps_wanted, self._digest)
-        self._checkpoints.begin(header, self.fleet.state)
+        self._checkpoints.begin(header, self.fleet.state, self.fleet.partition)
 
     def finish(self) -> None:
         self._checkpoints.finish()

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from support.shapes import directions, tensors
 
 import pgccd
+from distributed.conftest import World
 from pgccd import ops, sim
-from pgccd.distributed import Alone, Partition
+from pgccd.distributed import Alone, Comm, Fleet, Partition, starting_share
 from pgccd.distributed.detection import Options, detect_distributed
 from pgccd.stages import StageClock
 
@@ -88,3 +89,19 @@ def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:
         pgccd.RigidMotion.from_rotation(*columns[:3], torch.tensor([[0.0], [1e7]]).expand(2, 3).repeat(25, 1).double())
     with pytest.raises(ValueError, match="^rotation: expected shape"):
         pgccd.RigidMotion.from_rotation(*columns[:3], motion.rotation[1:])
+
+
+def spoil(comm: Comm) -> None:
+    """A pose that is no number, on one rank: named there; no rank takes it for a body somewhere."""
+    world = sim.World(sim.WorldConfig(robots=60))
+    half = world.half_extent
+    partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
+    fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
+    if comm.rank == comm.size - 1:
+        fleet.state.position[3, 1] = torch.nan
+        with pytest.raises(ValueError, match="^position: body 3|^position_t0: body 3"):
+            fleet.step(0)
+
+
+def test_bad_poses_are_named_on_the_rank_that_has_them(ranks: World) -> None:
+    ranks.run(1, spoil)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
 from pgccd.sim import World, WorldConfig, first_collisions, make_step, respond, settle
@@ -158,3 +163,67 @@ def test_collisions_do_not_pile_up() -> None:
     early, late = np.mean(stopped[40:100]), np.mean(stopped[100:])
     assert early > 5
     assert late < 1.35 * early
+
+
+@given(st.integers(0, 999), st.integers(0, 20))
+def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> None:
+    """To the bit, ghosts too; and what is found among their copies is what is found among all."""
+    world = World(WorldConfig(robots=60, speed=0.5, seed=seed))
+    state = world.plan(world.start(), 0)
+    generator = torch.Generator().manual_seed(seed)
+    fraction = torch.rand(len(state), dtype=torch.float64, generator=generator)
+    pairs = pgccd.broad.find_pairs(pgccd.MovingBodies(world.scene(state.id), world.motion(state)))
+    slowed = world.motion(state, fraction)
+    own_count = len(state) - ghost_count
+    own = {name: column[:own_count] for name, column in state.moving_columns.items()}
+    ghosts = {name: column[own_count:] for name, column in state.moving_columns.items()}
+    scene, motion = world.pair_motion(own, ghosts, fraction, pairs)
+    for name in ("position_t0", "orientation_t0", "position_t1", "rotation"):
+        assert torch.equal(getattr(motion, name), getattr(slowed, name)[pairs.reshape(-1)]), name
+    copies = torch.arange(2 * len(pairs)).view(-1, 2)
+    alone = pgccd.detect(scene, motion, pairs=copies)
+    among_all = pgccd.detect(world.scene(state.id), slowed, pairs=pairs)
+    assert torch.equal(pairs[alone.pairs[:, 0] // 2], among_all.pairs)
+    assert torch.equal(alone.toi, among_all.toi) and torch.equal(alone.features, among_all.features)
+
+
+class Watch(TorchDispatchMode):
+    """Notes the operators that go over all of `count` rows, and those at which the host would wait for a GPU."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self._count = count
+        self.over_all: list[str] = []
+        self.waits: list[str] = []
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        result = func(*args, **(kwargs or {}))
+        name = func.name()
+        if name in ("aten::_local_scalar_dense", "aten::nonzero", "aten::_unique2", "aten::masked_select"):
+            self.waits.append(name)
+        # These touch the rows they are asked for.
+        some = ("aten::index.Tensor", "aten::index_put_", "aten::index_fill_.int_Scalar", "aten::scatter_reduce_.two")
+        leaves = torch.utils._pytree.tree_leaves((args, result))
+        shapes = [leaf.shape for leaf in leaves if isinstance(leaf, Tensor)]
+        if name not in some and any(shape[:1] == (self._count,) for shape in shapes):
+            self.over_all.append(name)
+        return result
+
+
+def test_a_round_costs_in_proportion_to_its_contacts() -> None:
+    """Not to the robots; and the host waits only where contacts are looked for."""
+    count = 12345
+    with Watch(count) as watch:
+        rounds = []
+
+        def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+            if not rounds:
+                watch.over_all.clear()  # what is made before the first round
+            rounds.append(len(changed))
+            if len(rounds) > 3:
+                return None
+            return torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.8], dtype=torch.float64)
+
+        settled = settle(torch.tensor([[0, 1]]), torch.tensor([0.5], dtype=torch.float64), count, find)
+    assert rounds == [count] * 4 and settled.secondary_contacts == 6
+    assert watch.over_all == [] and watch.waits == []
