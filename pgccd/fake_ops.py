@@ -182,6 +182,17 @@ def _(own: list[Tensor], ghosts: list[Tensor], fraction: Tensor, pairs: Tensor) 
     return pairs.new_empty((count,)), *_fake_robots(fraction, count, 3, 4, 3, 3)
 
 
+@torch.library.register_fake("pgccd::simulate_slow_down")
+def _(robots: Tensor, first: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
+    count = robots.shape[0]
+    return first.new_empty((count,)), first.new_empty((count,), dtype=torch.uint8)
+
+
+@torch.library.register_fake("pgccd::simulate_concerned_pairs")
+def _(pairs: Tensor, changed: Tensor) -> tuple[Tensor, Tensor]:
+    return _fake_rows(pairs.shape[0], pairs)
+
+
 @torch.library.register_fake("pgccd::simulate_hash")
 def _(columns: list[Tensor]) -> Tensor:
     return columns[0].new_empty((1,), dtype=torch.int64)

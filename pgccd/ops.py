@@ -17,6 +17,7 @@ _ops = torch.ops.pgccd
 
 #: Cells as `Partition.frame` says, owner (cells,) int64 of each, and a rank.
 Territory = tuple[list[float], Tensor, int]
+Centres = Sequence[Tensor]
 
 
 def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
@@ -93,28 +94,19 @@ def swept_boxes(
     return _ops.swept_boxes(position_t0, position_t1, radius, min_separation)
 
 
-def border_bodies(
-    centres: Sequence[Tensor], min_separation: float, territory: Territory
-) -> tuple[Tensor, Tensor, Tensor]:
+def border_bodies(centres: Centres, min_separation: float, territory: Territory) -> tuple[Tensor, Tensor, Tensor]:
     """Bodies that reach cells of others: reach (N,) uint8, 1 for them; their rows, ascending, in the first `found` (1,)
     places of (N,). centres: at t0 and t1 (N, 3), and radius (N,)."""
     return _ops.border_bodies(list(centres), min_separation, *territory)
 
 
-def reached_ranks(
-    centres: Sequence[Tensor], min_separation: float, territory: Territory, bodies: Tensor, ranks: int
-) -> Tensor:
+def reached_ranks(centres: Centres, min_separation: float, territory: Territory, bodies: Tensor, ranks: int) -> Tensor:
     """(B, ranks) uint8: 1 where a body of the rows `bodies` (B,) reaches a cell of a rank, this one or another."""
     return _ops.reached_ranks(list(centres), min_separation, *territory[:2], bodies, ranks)
 
 
 def owned_pairs(
-    pairs: Tensor,
-    centres: Sequence[Tensor],
-    min_separation: float,
-    reach: Tensor,
-    only_ghosts: bool,
-    territory: Territory,
+    pairs: Tensor, centres: Centres, min_separation: float, reach: Tensor, only_ghosts: bool, territory: Territory
 ) -> tuple[Tensor, Tensor]:
     """Rows of pairs (P, 2) whose reference point lies in a cell of the rank, in the first `found` (1,) places of (P,).
     reach (N,) uint8: bit 0 as above; bit 1 of ghosts, of which a pair must have one if `only_ghosts`."""
@@ -122,7 +114,7 @@ def owned_pairs(
 
 
 def near_ghosts(
-    centres: Sequence[Tensor], ghosts: Sequence[Tensor], min_separation: float, territory: Territory
+    centres: Centres, ghosts: Centres, min_separation: float, territory: Territory
 ) -> tuple[Tensor, Tensor]:
     """Rows of bodies that overlap the box around all ghosts in a cell of the rank which they reach, in the first
     `found` (1,) places of (N,)."""
@@ -276,6 +268,18 @@ def simulate_pair_motion(
     which each makes `fraction` (N + G,) of its step. own, ghosts: the first five columns of a state; rows of ghosts
     follow own ones."""
     return _ops.simulate_pair_motion(list(own), list(ghosts), fraction, pairs)
+
+
+def simulate_slow_down(
+    robots: Tensor, first: Tensor, fraction: Tensor, approach: float, smallest: float
+) -> tuple[Tensor, Tensor]:
+    """What the rows `robots` (R,) make of a step, given first toi and fraction so far (N,), and who changes (uint8)."""
+    return _ops.simulate_slow_down(robots, first, fraction, approach, smallest)
+
+
+def simulate_concerned_pairs(pairs: Tensor, changed: Tensor) -> tuple[Tensor, Tensor]:
+    """Rows of pairs (P, 2) with a robot of which changed (N,) uint8 is 1, in the first `found` (1,) places of (P,)."""
+    return _ops.simulate_concerned_pairs(pairs, changed)
 
 
 def simulate_hash(columns: Sequence[Tensor]) -> Tensor:

@@ -81,6 +81,25 @@ struct SimulateOps {
     return {id, position_t0, orientation, position_t1, rotation};
   }
 
+  static std::tuple<Tensor, Tensor> simulate_slow_down(const Tensor& robots, const Tensor& first,
+                                                       const Tensor& fraction, double approach, double smallest) {
+    const int64_t robot_count = first.size(0), count = robots.size(0);
+    const SlowDownInput input{
+        rows<int64_t>(robots, "robots", {kAnySize}),       count,    rows<double>(first, "first", {kAnySize}),
+        rows<double>(fraction, "fraction", {robot_count}), approach, smallest};
+    Tensor made = new_tensor<double>(first, {count}), changes = new_tensor<uint8_t>(first, {count});
+    Backend(first).slow_down(input, data<double>(made), data<uint8_t>(changes));
+    return {made, changes};
+  }
+
+  static std::tuple<Tensor, Tensor> simulate_concerned_pairs(const Tensor& pairs, const Tensor& changed) {
+    const int64_t* all = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
+    Tensor concerned = new_integers(pairs, pairs.size(0)), found = new_integers(pairs, 1);
+    Backend(pairs).concerned_pairs(all, pairs.size(0), rows<uint8_t>(changed, "changed", {kAnySize}),
+                                   data<int64_t>(concerned), data<int64_t>(found));
+    return {concerned, found};
+  }
+
   static Tensor simulate_hash(const TensorList& columns) {
     Tensor sum = new_integers(columns.at(0), 1);
     Backend(sum).hash_rows(hash_columns(columns), data<uint64_t>(sum));
@@ -98,12 +117,14 @@ struct SimulateOps {
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_SIMULATE_OPS(library, Backend)                                           \
-  library.impl("simulate_start", TORCH_BOX(&SimulateOps<Backend>::simulate_start));             \
-  library.impl("simulate_plan", TORCH_BOX(&SimulateOps<Backend>::simulate_plan));               \
-  library.impl("simulate_respond", TORCH_BOX(&SimulateOps<Backend>::simulate_respond));         \
-  library.impl("simulate_pair_motion", TORCH_BOX(&SimulateOps<Backend>::simulate_pair_motion)); \
-  library.impl("simulate_hash", TORCH_BOX(&SimulateOps<Backend>::simulate_hash));               \
+#define PGCCD_REGISTER_SIMULATE_OPS(library, Backend)                                                   \
+  library.impl("simulate_start", TORCH_BOX(&SimulateOps<Backend>::simulate_start));                     \
+  library.impl("simulate_plan", TORCH_BOX(&SimulateOps<Backend>::simulate_plan));                       \
+  library.impl("simulate_respond", TORCH_BOX(&SimulateOps<Backend>::simulate_respond));                 \
+  library.impl("simulate_pair_motion", TORCH_BOX(&SimulateOps<Backend>::simulate_pair_motion));         \
+  library.impl("simulate_slow_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_down));             \
+  library.impl("simulate_concerned_pairs", TORCH_BOX(&SimulateOps<Backend>::simulate_concerned_pairs)); \
+  library.impl("simulate_hash", TORCH_BOX(&SimulateOps<Backend>::simulate_hash));                       \
   library.impl("random_uniforms", TORCH_BOX(&SimulateOps<Backend>::random_uniforms))
 
 }  // namespace pgccd::bind

@@ -131,16 +131,13 @@ def settle(
         exchange.collect(first)
         # A row may be named several times: what is written for it is the same each time.
         rows = torch.cat([rows, exchange.shared])
-        former = fraction[rows]
-        # Robots that do not move at all can only touch where they did before: nothing is left to decide about them. So
-        # every round stops or slows somebody, and from round _ROUNDS on stops for good: the loop ends.
-        anybody = exchange.spread(first, ((first[rows] <= 1.0) & (former > 0.0)).any().reshape(1))
-        least = first[rows]
-        changes = (least <= 1.0) & (former > 0.0)
-        allowed = former * least * _APPROACH
-        stays = allowed < _SMALLEST_PART if rounds < _ROUNDS else torch.ones_like(changes)
-        fraction[rows] = torch.where(changes, torch.where(stays, 0.0, allowed), former)
-        changed[rows] = changes
+        # Every round stops or slows somebody, and from round _ROUNDS on stops for good: the loop ends.
+        limits = (_APPROACH, _SMALLEST_PART if rounds < _ROUNDS else torch.inf)
+        made, changes = ops.simulate_slow_down(rows, first, fraction, *limits)
+        anybody = exchange.spread(first, changes.any().reshape(1))
+        if len(exchange.shared):
+            made, changes = ops.simulate_slow_down(rows, first, fraction, *limits)
+        fraction[rows], changed[rows] = made, changes.view(torch.bool)
         found = find_contacts(changed, fraction, anybody)
         if found is None:
             return Settlement(fraction, rounds, secondary_contacts)

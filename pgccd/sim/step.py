@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd import broad
+from pgccd import broad, ops
 from pgccd.bodies import MovingBodies
 from pgccd.contacts import Contacts
 from pgccd.detect import detect
@@ -147,18 +147,18 @@ class Partners:
 
     def __call__(self, changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
         # A slowed robot stays within the volume it was to sweep: it meets nobody but its partners in the PCS.
-        concerned = changed[self._pairs[:, 0]] | changed[self._pairs[:, 1]]
+        concerned, found = ops.simulate_concerned_pairs(self._pairs, changed.view(torch.uint8))
         # Read together: on a GPU every look at a number waits for it.
-        goes_on, count = torch.cat([anybody.long(), concerned.sum().reshape(1)]).tolist()
+        goes_on, count = torch.cat([anybody, found]).tolist()
         if not goes_on:
             return None
         if not count:
             return self._pairs[:0], fraction[:0]
-        pairs = self._pairs[torch.nonzero_static(concerned, size=count)[:, 0]]
+        pairs = self._pairs[concerned[:count]]
         scene, motion = self._world.pair_motion(self._own, self._ghosts, fraction, pairs)
         copies = torch.arange(2 * count, device=pairs.device).view(count, 2)
-        found = detect(scene, motion, report="first", nonzero_toi=True, pairs=copies)
-        return pairs[found.pairs[:, 0] // 2], toi_of(found)
+        contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=copies)
+        return pairs[contacts.pairs[:, 0] // 2], toi_of(contacts)
 
 
 def toi_of(contacts: Contacts) -> Tensor:

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
+from pgccd import ops
 from pgccd.sim import World, WorldConfig, first_collisions, make_step, respond, settle
 from pgccd.sim.world import RobotState
 
@@ -187,6 +188,27 @@ def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> N
     assert torch.equal(alone.toi, among_all.toi) and torch.equal(alone.features, among_all.features)
 
 
+def test_concerned_pairs_are_those_with_a_robot_that_changed(device: torch.device) -> None:
+    generator = torch.Generator().manual_seed(2)
+    pairs = torch.randint(500, (3000, 2), generator=generator)
+    changed = torch.rand(500, generator=generator) < 0.1
+    rows, found = ops.simulate_concerned_pairs(pairs.to(device), changed.to(device).view(torch.uint8))
+    expected = torch.nonzero(changed[pairs].any(dim=1))[:, 0]
+    assert torch.equal(rows[: int(found)].cpu(), expected) and len(expected) > 100
+    assert int(ops.simulate_concerned_pairs(pairs[:0].to(device), changed.to(device).view(torch.uint8))[1]) == 0
+
+
+def test_slowing_down(device: torch.device) -> None:
+    first = torch.tensor([0.5, torch.inf, 0.005, 1.0, 0.5], dtype=torch.float64, device=device)
+    fraction = torch.tensor([0.5, 1.0, 1.0, 1.0, 0.0], dtype=torch.float64, device=device)
+    rows = torch.tensor([4, 3, 2, 1, 0, 0], device=device)
+    made, changes = ops.simulate_slow_down(rows, first, fraction, 0.99, 0.01)
+    assert made.tolist() == [0.0, 0.99, 0.0, 1.0, 0.5 * 0.5 * 0.99, 0.5 * 0.5 * 0.99]
+    assert changes.tolist() == [0, 1, 1, 0, 1, 1]
+    made, _ = ops.simulate_slow_down(rows, first, fraction, 0.99, torch.inf)
+    assert made.tolist() == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+
+
 class Watch(TorchDispatchMode):
     """Notes the operators that go over all of `count` rows, and those at which the host would wait for a GPU."""
 
@@ -202,7 +224,12 @@ class Watch(TorchDispatchMode):
         if name in ("aten::_local_scalar_dense", "aten::nonzero", "aten::_unique2", "aten::masked_select"):
             self.waits.append(name)
         # These touch the rows they are asked for.
-        some = ("aten::index.Tensor", "aten::index_put_", "aten::index_fill_.int_Scalar", "aten::scatter_reduce_.two")
+        some = (
+            "aten::index_put_",
+            "aten::index_fill_.int_Scalar",
+            "aten::scatter_reduce_.two",
+            "pgccd::simulate_slow_down",
+        )
         leaves = torch.utils._pytree.tree_leaves((args, result))
         shapes = [leaf.shape for leaf in leaves if isinstance(leaf, Tensor)]
         if name not in some and any(shape[:1] == (self._count,) for shape in shapes):

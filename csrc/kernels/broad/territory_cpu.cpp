@@ -2,28 +2,12 @@
 #include <vector>
 
 #include "kernels/broad/territory.h"
+#include "kernels/find_rows.h"
 
 namespace pgccd {
-namespace {
-
-template <class IsWanted>
-void find_rows(const Executor& executor, int64_t count, const FoundRows& output, IsWanted&& is_wanted) {
-  std::vector<uint8_t> wanted(static_cast<size_t>(count));
-  parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
-    for (int64_t row = begin; row < end; ++row) wanted[static_cast<size_t>(row)] = is_wanted(row);
-  });
-  int64_t found = 0;
-  for (int64_t row = 0; row < count; ++row) {
-    if (wanted[static_cast<size_t>(row)]) output.rows[found++] = row;
-  }
-  *output.found = found;
-}
-
-}  // namespace
-
 void border_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Territory& territory, uint8_t* reach,
                        const FoundRows& border) {
-  find_rows(executor, bodies.count, border, [&](int64_t body) {
+  find_rows(executor, bodies.count, border.rows, border.found, [&](int64_t body) {
     reach[body] = reaches_others(bodies, territory, body) ? kReachesOthers : 0;
     return reach[body] != 0;
   });
@@ -43,7 +27,7 @@ void reached_ranks_cpu(const Executor& executor, const BroadBodies& bodies, cons
 }
 
 void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t pair_count, const FoundRows& owned) {
-  find_rows(executor, pair_count, owned, [&](int64_t pair) { return is_owned(input, pair); });
+  find_rows(executor, pair_count, owned.rows, owned.found, [&](int64_t pair) { return is_owned(input, pair); });
 }
 
 void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const BroadBodies& ghosts,
@@ -65,14 +49,14 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
       }
     }
   }
-  find_rows(executor, bodies.count, near,
+  find_rows(executor, bodies.count, near.rows, near.found,
             [&](int64_t body) { return is_near(bodies, territory.frame, cell_boxes.data(), body); });
 }
 
 void leaving_bodies_cpu(const Executor& executor, const double* position, int64_t count, const Territory& territory,
                         int64_t ranks, int64_t* rows, int64_t* destinations) {
   int64_t found = 0;
-  find_rows(executor, count, {rows, &found},
+  find_rows(executor, count, rows, &found,
             [&](int64_t body) { return owner_of(territory, position, body) != territory.rank; });
   std::fill_n(destinations, ranks, int64_t{0});
   for (int64_t k = 0; k < found; ++k) ++destinations[owner_of(territory, position, rows[k])];

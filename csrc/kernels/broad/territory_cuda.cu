@@ -1,25 +1,11 @@
-#include <thrust/iterator/counting_iterator.h>
-
-#include <cub/cub.cuh>
-
 #include "kernels/broad/territory_cuda.h"
-#include "kernels/device.cuh"
+#include "kernels/find_rows.cuh"
 
 namespace pgccd {
 namespace {
 
 // Cells of a body are dealt out to so many threads: a large one reaches very many.
 constexpr int kBodyThreads = 32;
-
-template <class IsWanted>
-void find_rows(const DeviceContext& context, int64_t count, const FoundRows& output, const IsWanted& is_wanted) {
-  if (count == 0) return fill_bytes(context, output.found, 0, 1);
-  const thrust::counting_iterator<int64_t> everything(0);
-  run_cub(context, [&](void* scratch, size_t& bytes) {
-    return cub::DeviceSelect::If(scratch, bytes, everything, output.rows, output.found, count, is_wanted,
-                                 context.stream);
-  });
-}
 
 __device__ void lower_to(int64_t* target, int64_t value) {
   if (*target > value) atomicMin(reinterpret_cast<long long*>(target), static_cast<long long>(value));
@@ -36,7 +22,8 @@ void border_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies,
   for_each_item(context, bodies.count, [=] __device__(int64_t body) {
     reach[body] = reaches_others(bodies, territory, body) ? kReachesOthers : 0;
   });
-  find_rows(context, bodies.count, border, [=] __device__(int64_t body) { return reach[body] != 0; });
+  find_rows(context, bodies.count, border.rows, border.found,
+            [=] __device__(int64_t body) { return reach[body] != 0; });
 }
 
 void reached_ranks_cuda(const DeviceContext& context, const BroadBodies& bodies, const Territory& territory,
@@ -54,7 +41,8 @@ void reached_ranks_cuda(const DeviceContext& context, const BroadBodies& bodies,
 
 void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t pair_count,
                       const FoundRows& owned) {
-  find_rows(context, pair_count, owned, [=] __device__(int64_t pair) { return is_owned(input, pair); });
+  find_rows(context, pair_count, owned.rows, owned.found,
+            [=] __device__(int64_t pair) { return is_owned(input, pair); });
 }
 
 void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadBodies& ghosts,
@@ -79,17 +67,17 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
     }
   });
   const CellFrame frame = territory.frame;
-  find_rows(context, bodies.count, near,
+  find_rows(context, bodies.count, near.rows, near.found,
             [=] __device__(int64_t body) { return is_near(bodies, frame, cell_boxes, body); });
 }
 
 void leaving_bodies_cuda(const DeviceContext& context, const double* position, int64_t count,
                          const Territory& territory, int64_t ranks, int64_t* rows, int64_t* destinations) {
   int64_t* found = context.allocate<int64_t>(1);
-  find_rows(context, count, {rows, found},
+  find_rows(context, count, rows, found,
             [=] __device__(int64_t body) { return owner_of(territory, position, body) != territory.rank; });
   fill_bytes(context, destinations, 0, ranks);
-  for_each_counted(context, found, [=] __device__(int64_t k) {
+  for_each_counted(context, found, count, [=] __device__(int64_t k) {
     atomicAdd(reinterpret_cast<unsigned long long*>(destinations) + owner_of(territory, position, rows[k]), 1ULL);
   });
 }

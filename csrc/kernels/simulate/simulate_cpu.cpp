@@ -1,3 +1,4 @@
+#include "kernels/find_rows.h"
 #include "kernels/simulate/robot_item.h"
 #include "kernels/simulate/simulate.h"
 
@@ -46,6 +47,16 @@ void random_uniforms_cpu(const Executor& executor, uint64_t seed, const int64_t*
 
 void pair_motion_cpu(const Executor& executor, const PairMotionInput& input, const PairMotion& motion) {
   for_each_row(executor, 2 * input.pair_count, [&](int64_t row) { store_pair_motion(input, row, motion); });
+}
+
+void slow_down_cpu(const Executor& executor, const SlowDownInput& input, double* fraction, uint8_t* changes) {
+  for_each_row(executor, input.count, [&](int64_t k) { slow_down(input, k, fraction, changes); });
+}
+
+void concerned_pairs_cpu(const Executor& executor, const int64_t* pairs, int64_t pair_count, const uint8_t* changed,
+                         int64_t* rows, int64_t* found) {
+  find_rows(executor, pair_count, rows, found,
+            [&](int64_t pair) { return (changed[pairs[2 * pair]] | changed[pairs[2 * pair + 1]]) != 0; });
 }
 
 void hash_rows_cpu(const Executor& executor, const HashColumns& columns, uint64_t* sum) {

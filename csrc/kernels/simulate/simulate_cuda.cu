@@ -1,6 +1,4 @@
-#include <cub/cub.cuh>
-
-#include "kernels/device.cuh"
+#include "kernels/find_rows.cuh"
 #include "kernels/simulate/robot_item.h"
 #include "kernels/simulate/simulate_cuda.h"
 
@@ -55,6 +53,16 @@ void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int
 
 void pair_motion_cuda(const DeviceContext& context, const PairMotionInput& input, const PairMotion& motion) {
   for_each_item(context, 2 * input.pair_count, [=] __device__(int64_t row) { store_pair_motion(input, row, motion); });
+}
+
+void slow_down_cuda(const DeviceContext& context, const SlowDownInput& input, double* fraction, uint8_t* changes) {
+  for_each_item(context, input.count, [=] __device__(int64_t k) { slow_down(input, k, fraction, changes); });
+}
+
+void concerned_pairs_cuda(const DeviceContext& context, const int64_t* pairs, int64_t pair_count,
+                          const uint8_t* changed, int64_t* rows, int64_t* found) {
+  find_rows(context, pair_count, rows, found,
+            [=] __device__(int64_t pair) { return (changed[pairs[2 * pair]] | changed[pairs[2 * pair + 1]]) != 0; });
 }
 
 void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {
