@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from typing import Literal, get_args
 
-import torch
 from torch import Tensor
 
 from pgccd import ops
@@ -115,7 +114,7 @@ def find_pairs_within(
     Args:
         bodies, min_separation, broad_phase: as for `find_pairs`.
         capacity: room.
-        invalid: (1,) bool, see `MovingBodies.invalid`: then there are none.
+        invalid: (1,) int64; unless it is 0, there are none.
 
     Returns:
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
@@ -124,7 +123,7 @@ def find_pairs_within(
     number = list(_FINDERS).index(choose(bodies, broad_phase))
     return ops.pairs_within(
         *_columns(bodies),
-        invalid.view(torch.uint8),
+        invalid,
         check_separation(min_separation),
         number,
         capacity.of_pairs,

@@ -18,6 +18,10 @@ _UNIT_TOLERANCE = 1e-3
 _LARGEST_COORDINATE = 1e150
 # Sine and cosine are proven up to here.
 _LARGEST_TURN = 1e6
+# Checks of `ops.first_faults`, and their limits.
+_FINITE = (0, _LARGEST_COORDINATE)
+_UNIT = (1, _UNIT_TOLERANCE)
+_TURN = (2, _LARGEST_TURN)
 
 
 class RigidMotion:
@@ -53,8 +57,7 @@ class RigidMotion:
         device = position_t0.device
         orientation_t1 = _rows(orientation_t1, "orientation_t1", count, 4, device)
         self._set(position_t0, orientation_t0, position_t1, path)
-        self._unchecked["orientation_t1"] = orientation_t1
-        self._check_now()
+        self._check({"orientation_t1": (orientation_t1, *_UNIT)})
         #: (N, 3) rotation vector of the whole step, radians, world frame.
         self.rotation = ops.rotations_between(self.orientation_t0, orientation_t1)
 
@@ -89,8 +92,7 @@ class RigidMotion:
         motion._set(start, orientation, start + dt * velocity, path)
         motion.rotation = (dt * spin).contiguous()
         # Named before the positions that follow from them.
-        motion._unchecked = {"linear_velocity": velocity, "angular_velocity": motion.rotation} | motion._unchecked
-        motion._check_now()
+        motion._check({"linear_velocity": (velocity, *_FINITE), "angular_velocity": (motion.rotation, *_TURN)})
         return motion
 
     @classmethod
@@ -116,8 +118,7 @@ class RigidMotion:
         motion = cls.__new__(cls)
         motion._set(position_t0, orientation_t0, position_t1, path)
         motion.rotation = _rows(rotation, "rotation", count, 3, position_t0.device)
-        motion._unchecked["rotation"] = motion.rotation
-        motion._check_now()
+        motion._check({"rotation": (motion.rotation, *_TURN)})
         return motion
 
     @classmethod
@@ -137,7 +138,7 @@ class RigidMotion:
             ... )
         """
         motion = cls.__new__(cls)
-        motion.path, motion._unchecked = path, {}
+        motion.path, motion._faults = path, _Faults({}, device=position_t0.device)
         motion.position_t0, motion.orientation_t0 = position_t0, orientation_t0
         motion.position_t1, motion.rotation = position_t1, rotation
         return motion
@@ -151,11 +152,6 @@ class RigidMotion:
         self.position_t0 = _rows(position_t0, "position_t0", count, 3, device)
         self.position_t1 = _rows(position_t1, "position_t1", count, 3, device)
         self.orientation_t0 = _rows(orientation_t0, "orientation_t0", count, 4, device)
-        self._unchecked = {
-            "position_t0": self.position_t0,
-            "position_t1": self.position_t1,
-            "orientation_t0": self.orientation_t0,
-        }
 
     @property
     def device(self) -> torch.device:
@@ -165,23 +161,29 @@ class RigidMotion:
     def body_count(self) -> int:
         return self.position_t0.shape[0]
 
-    def _check_now(self) -> None:
-        if _can_check_now(self.device):
-            self.check()
+    def _check(self, more: dict[str, tuple[Tensor, int, float]]) -> None:
+        """Looks for faults in the poses, and in what else was given, which is named first."""
+        self._faults = _Faults(
+            more
+            | {
+                "position_t0": (self.position_t0, *_FINITE),
+                "position_t1": (self.position_t1, *_FINITE),
+                "orientation_t0": (self.orientation_t0, *_UNIT),
+            }
+        )
 
     def check(self) -> None:
         """Raises ValueError if a pose is not finite or a quaternion not unit, naming the first body."""
-        self.raise_faults(self.first_faults().tolist())
-        self._unchecked = {}
+        self._faults.check()
 
     def first_faults(self) -> Tensor:
-        """(F,) int64: the first faulty body of each argument, or the number of bodies; where the motion is. None if all
-        are known to be sound."""
-        return _first_faults(self._unchecked, self.device)
+        """(F + 1,) int64: the first faulty body of each argument, or the number of bodies; and 1 if there is any, else
+        0. Where the motion is."""
+        return self._faults.first
 
     def raise_faults(self, first: Sequence[int]) -> None:
         """What `check` raises, given the values of `first_faults`."""
-        _raise_faults(self._unchecked, first, self.body_count)
+        self._faults.raise_from(first)
 
 
 class VertexMotion:
@@ -204,9 +206,7 @@ class VertexMotion:
         #: (X, 3) float64.
         self.x_t0 = _rows(x_t0, "x_t0", count, 3, x_t0.device)
         self.x_t1 = _rows(x_t1, "x_t1", count, 3, x_t0.device)
-        self._unchecked = {"x_t0": self.x_t0, "x_t1": self.x_t1}
-        if _can_check_now(self.device):
-            self.check()
+        self._faults = _Faults({"x_t0": (self.x_t0, *_FINITE), "x_t1": (self.x_t1, *_FINITE)}, row="vertex")
 
     @property
     def device(self) -> torch.device:
@@ -214,22 +214,56 @@ class VertexMotion:
 
     def check(self) -> None:
         """Raises ValueError if a position is not finite, naming the first vertex."""
-        self.raise_faults(self.first_faults().tolist())
-        self._unchecked = {}
+        self._faults.check()
 
     def first_faults(self) -> Tensor:
-        """(F,) int64: the first faulty vertex of each argument, or the number of vertices; where the motion is."""
-        return _first_faults(self._unchecked, self.device)
+        """(3,) int64: the first faulty vertex of each argument, or the number of vertices; and 1 if there is any, else
+        0. Where the motion is."""
+        return self._faults.first
 
     def raise_faults(self, first: Sequence[int]) -> None:
         """What `check` raises, given the values of `first_faults`."""
-        _raise_faults(self._unchecked, first, self.x_t0.shape[0], row="vertex")
+        self._faults.raise_from(first)
 
 
-def _can_check_now(device: torch.device) -> bool:
-    # On a GPU reading the verdicts would stall the stream; they are read along with what detect waits for. A compiled
-    # graph reads nothing.
-    return device.type == "cpu" and not torch.compiler.is_compiling()
+class _Faults:
+    """What is wrong with columns of the input.
+
+    On a CPU it raises at once. On a GPU reading the verdicts would stall the stream: they are read along with what
+    `detect` waits for. A compiled graph reads nothing.
+    """
+
+    def __init__(
+        self,
+        columns: dict[str, tuple[Tensor, int, float]],
+        row: str = "body",
+        device: torch.device | None = None,
+    ) -> None:
+        self._names, self._row, self._count, self._are_none = list(columns), row, 0, not columns
+        if not columns:
+            self.first = torch.zeros(1, dtype=torch.int64, device=device)
+            return
+        values, checks, limits = zip(*columns.values(), strict=True)
+        self._count = values[0].shape[0]
+        #: (F + 1,) int64: the first faulty row of each column, or the number of rows; and whether there is any.
+        self.first = ops.first_faults(values, checks, limits)
+        if self.first.device.type == "cpu" and not torch.compiler.is_compiling():
+            self.check()
+
+    def check(self) -> None:
+        if not self._are_none:
+            self.raise_from(self.first.tolist())
+
+    def raise_from(self, first: Sequence[int]) -> None:
+        for name, index in zip(self._names, first, strict=False):
+            if index < self._count:
+                expected = f"finite numbers up to {_LARGEST_COORDINATE:g}"
+                if name.startswith("orientation"):
+                    expected = "a unit quaternion (w, x, y, z)"
+                if name in ("angular_velocity", "rotation"):
+                    expected = f"a turn of at most {_LARGEST_TURN:g} radians in the step"
+                raise ValueError(f"{name}: {self._row} {index}: expected {expected}")
+        self._are_none = True  # nobody need wait for that again
 
 
 def _body_count(values: Tensor, name: str) -> int:
@@ -250,35 +284,3 @@ def _rows(values: Tensor, name: str, count: int, width: int, device: torch.devic
     if values.device != device:
         raise ValueError(f"{name}: expected device {device}, got {values.device}")
     return values.detach().to(torch.float64).contiguous()
-
-
-def first_row(bad: Tensor) -> Tensor:
-    """Index of the first true row, or the number of rows; stays on the device."""
-    rows = torch.arange(bad.shape[0], device=bad.device)
-    return torch.where(bad, rows, bad.shape[0]).min() if bad.shape[0] else rows.sum()
-
-
-def _first_faults(columns: dict[str, Tensor], device: torch.device) -> Tensor:
-    """In one pass over each column."""
-    if not columns:
-        return torch.empty(0, dtype=torch.int64, device=device)
-    kinds, limits = zip(*(_fitness(name) for name in columns), strict=True)
-    return ops.first_unfit_rows(list(columns.values()), kinds, limits)
-
-
-def _raise_faults(columns: dict[str, Tensor], first: Sequence[int], count: int, row: str = "body") -> None:
-    for name, index in zip(columns, first, strict=True):
-        if index < count:
-            expected = f"finite numbers up to {_LARGEST_COORDINATE:g}"
-            if name.startswith("orientation"):
-                expected = "a unit quaternion (w, x, y, z)"
-            if name in ("angular_velocity", "rotation"):
-                expected = f"a turn of at most {_LARGEST_TURN:g} radians in the step"
-            raise ValueError(f"{name}: {row} {index}: expected {expected}")
-
-
-def _fitness(name: str) -> tuple[int, float]:
-    """What `ops.first_unfit_rows` is to ask of a column: kind and limit."""
-    if name.startswith("orientation"):
-        return 1, _UNIT_TOLERANCE
-    return (2, _LARGEST_TURN) if name in ("angular_velocity", "rotation") else (0, _LARGEST_COORDINATE)

@@ -20,15 +20,17 @@ Territory = tuple[list[float], Tensor, int]
 Centres = Sequence[Tensor]
 
 
+def first_faults(columns: Sequence[Tensor], checks: Sequence[int], limits: Sequence[float]) -> Tensor:
+    """First faulty row of each column (rows, width), or its number of rows; then 1 if there is any, else 0: (n + 1,).
+
+    Checks: 0, no number's magnitude exceeds the limit; 1, a row's length is 1 within the limit; 2, nor exceeds it.
+    """
+    return _ops.first_faults(list(columns), list(checks), list(limits))
+
+
 def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     """Rotation vectors (N, 3) of the turns between two orientations (N, 4)."""
     return _ops.rotations_between(orientation_t0.contiguous(), orientation_t1.contiguous())
-
-
-def first_unfit_rows(columns: Sequence[Tensor], kinds: Sequence[int], limits: Sequence[float]) -> Tensor:
-    """(columns,) int64: the first row of each (N, k) float64 that is unfit, N if none. Kinds: 0, numbers within the
-    limit; 1, rows whose length differs from 1 by no more; 2, rows no longer."""
-    return _ops.first_unfit_rows(list(columns), list(kinds), list(limits))
 
 
 def refit(
@@ -116,14 +118,12 @@ def owned_pairs(
 def near_ghosts(
     centres: Centres, ghosts: Centres, min_separation: float, territory: Territory
 ) -> tuple[Tensor, Tensor]:
-    """Rows of bodies that overlap the box around all ghosts in a cell of the rank which they reach, in the first
-    `found` (1,) places of (N,)."""
+    """Rows of bodies that overlap the box around all ghosts in a cell of the rank which they reach; found as above."""
     return _ops.near_ghosts(list(centres), list(ghosts), min_separation, *territory)
 
 
 def leaving_bodies(position: Tensor, territory: Territory, ranks: int) -> tuple[Tensor, Tensor]:
-    """Rows of bodies whose centre (N, 3) lies in a cell of another rank, in the first places of (N,); and how many lie
-    in those of each, (ranks,) int64."""
+    """Rows of bodies whose centre (N, 3) is in a cell of another rank; and how many are in those of each, (ranks,)."""
     return _ops.leaving_bodies(position, *territory, ranks)
 
 
@@ -217,9 +217,9 @@ def contacts_within_rigid(
 def contacts_within_deforming(
     mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest: object
 ) -> tuple[Tensor, ...]:
-    """Contact rows padded, and counts (14,): see `pgccd.capacity`. Waits for nothing on a GPU.
+    """Contact rows padded, with body pairs first; all counts (21,) and then the faults. Waits for nothing on a GPU.
 
-    `rest`: pairs, pair_count, min_separation, tolerance, nonzero_toi, report, capacity.
+    `rest`: pairs, pair_counts, faults, min_separation, tolerance, nonzero_toi, report, capacity.
     """
     return _ops.contacts_within_deforming(list(mesh_set), list(bodies), *rest)
 

@@ -6,7 +6,9 @@
 #include "bind/elementary_ops.h"
 #include "bind/within_ops.h"
 #include "kernels/bounds/bounds_cuda.h"
+#include "kernels/bounds/faults_cuda.h"
 #include "kernels/broad/broad_cuda.h"
+#include "kernels/copy_cuda.h"
 #include "kernels/narrow/narrow_cuda.h"
 #include "kernels/traverse/traverse_cuda.h"
 
@@ -19,9 +21,6 @@ class CudaBackend {
 
   void rotations_between(const double* q0, const double* q1, int64_t count, double* rotation) const {
     rotations_between_cuda(session_.context(), q0, q1, count, rotation);
-  }
-  void first_unfit_row(const FitnessColumn& column, int64_t count, int64_t* first) const {
-    first_unfit_row_cuda(session_.context(), column, count, first);
   }
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const {
     refit_cuda(session_.context(), input, bounds);
@@ -53,6 +52,12 @@ class CudaBackend {
       case BroadPhase::kLbvh:
         return lbvh_cuda(session_.context(), bodies, out);
     }
+  }
+  void copy_counts(const int64_t* from, int64_t count, int64_t* to) const {
+    copy_counts_cuda(session_.context(), from, count, to);
+  }
+  void first_faults(const std::vector<RowColumn>& columns, int64_t* first) const {
+    first_faults_cuda(session_.context(), columns, first);
   }
   template <class Bodies>
   void contacts_within(const Bodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,

@@ -4,7 +4,6 @@
 #include <cstdint>
 
 #include "core/bodies.h"
-#include "kernels/bounds/unfit_item.h"
 #include "kernels/executor.h"
 
 namespace pgccd {
@@ -34,8 +33,5 @@ struct DeformingBounds {
 };
 
 void refit_cpu(const Executor& executor, const DeformingInput& input, const DeformingBounds& bounds);
-
-// The first of `count` rows that is not fit; `count` if all are.
-void first_unfit_row_cpu(const Executor& executor, const FitnessColumn& column, int64_t count, int64_t* first);
 
 }  // namespace pgccd

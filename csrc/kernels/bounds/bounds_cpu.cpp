@@ -1,4 +1,3 @@
-#include <atomic>
 #include <vector>
 
 #include "kernels/bounds/bounds.h"
@@ -61,17 +60,6 @@ void refit_cpu(const Executor& executor, const DeformingInput& input, const Defo
   parallel_chunks(executor, input.body_count, 1, [&](int, int64_t begin, int64_t end) {
     for (int64_t body = begin; body < end; ++body) refit_body(input, bounds, body);
   });
-}
-
-void first_unfit_row_cpu(const Executor& executor, const FitnessColumn& column, int64_t count, int64_t* first) {
-  std::atomic<int64_t> least{count};
-  parallel_chunks(executor, count, 4096, [&](int, int64_t begin, int64_t end) {
-    while (begin < end && is_fit(column, begin)) ++begin;
-    int64_t seen = least.load();
-    while (begin < end && begin < seen && !least.compare_exchange_weak(seen, begin)) {
-    }
-  });
-  *first = least.load();
 }
 
 }  // namespace pgccd

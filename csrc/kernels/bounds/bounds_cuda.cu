@@ -115,12 +115,4 @@ void refit_cuda(const DeviceContext& context, const DeformingInput& input, const
   check_cuda(cudaGetLastError(), "refit_bodies");
 }
 
-void first_unfit_row_cuda(const DeviceContext& context, const FitnessColumn& column, int64_t count, int64_t* first) {
-  auto* least = reinterpret_cast<unsigned long long*>(first);
-  for_each_item(context, 1, [=] __device__(int64_t) { *least = static_cast<unsigned long long>(count); });
-  for_each_item(context, count, [=] __device__(int64_t row) {
-    if (!is_fit(column, row)) atomicMin(least, static_cast<unsigned long long>(row));
-  });
-}
-
 }  // namespace pgccd

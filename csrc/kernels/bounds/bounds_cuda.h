@@ -11,7 +11,4 @@ void rotations_between_cuda(const DeviceContext& context, const double* orientat
 
 void refit_cuda(const DeviceContext& context, const DeformingInput& input, const DeformingBounds& bounds);
 
-// The first of `count` rows that is not fit; `count` if all are.
-void first_unfit_row_cuda(const DeviceContext& context, const FitnessColumn& column, int64_t count, int64_t* first);
-
 }  // namespace pgccd
