@@ -8,7 +8,7 @@ of cells. Then a skewed density (a peak in each corner of the box) is balanced f
     detection   time a robot (from bench/results/world-cuda.json, or given) x (bodies + ghosts) x imbalance
     halo        messages x latency + bytes / bandwidth, out and in
     settling    `--rounds` x (two exchanges of 8 bytes a ghost)
-    gather      one all-gather of 160 bytes a rank
+    gather      one all-gather of 112 bytes a rank
     balance     one all-reduce of 24 bytes a cell, and the decision, which is timed here once the loads are even
 
 and says which share of a step each is. Robots have the size, the speed and the density of the standard world and are
@@ -33,8 +33,8 @@ from pgccd.distributed import BalanceOptions, CellLoads, Partition, imbalance, r
 from pgccd.distributed.balance import rank_loads
 
 _BLOCK = 1 << 20
-_STATE_BYTES = 128  # of a robot in the halo
-_RECORD_BYTES = 160
+_STATE_BYTES = 112  # of a robot in the halo
+_RECORD_BYTES = 112
 _CELL_BYTES = 24
 
 

@@ -92,8 +92,9 @@ class Halo:
         reached[:, comm.rank] = 0
         counts = reached.sum(dim=0)
         sent, received = torch.stack([counts, comm.exchange_counts(counts)]).tolist()
-        row = torch.nonzero_static(reached.t().contiguous(), size=sum(sent))[:, 1]
-        self._route = Route(comm, border[row], sent, received)
+        if any(sent):  # by rank, then by body; how many is known
+            border = border[torch.nonzero_static(reached.t().contiguous(), size=sum(sent))[:, 1]]
+        self._route = Route(comm, border, sent, received)
         self._arrival = self._route.forward(own)
 
     def wait(self) -> Held:

@@ -26,8 +26,6 @@ from pgccd.stages import StageClock
 
 # Robots made at a time at the start of a world.
 _BLOCK_ROBOTS = 1 << 20
-
-
 # Up to so many ranks, each tells all how many robots leave it for whom together with its tally; with more, those
 # concerned alone.
 _TELLS_MOVES = 64
