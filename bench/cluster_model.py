@@ -7,8 +7,8 @@ of cells. Then a skewed density (a peak in each corner of the box) is balanced f
 
     detection   time a robot (from bench/results/world-cuda.json, or given) x (bodies + ghosts) x imbalance
     halo        messages x latency + bytes / bandwidth, out and in
-    settling    `--rounds` x (two exchanges of 8 bytes a ghost, and one all-reduce)
-    gather      one all-gather of 160 bytes a rank
+    settling    `--rounds` x (two exchanges of 8 bytes a ghost)
+    gather      one all-gather of 112 bytes a rank
     balance     one all-reduce of 24 bytes a cell, and the decision, which is timed here once the loads are even
 
 and says which share of a step each is. Robots have the size, the speed and the density of the standard world and are
@@ -31,11 +31,10 @@ from support import results, timing
 from pgccd import ops, sim
 from pgccd.distributed import BalanceOptions, CellLoads, Partition, imbalance, rebalance
 from pgccd.distributed.balance import rank_loads
-from pgccd.distributed.halo import Boxes
 
 _BLOCK = 1 << 20
-_STATE_BYTES = 128  # of a robot in the halo
-_RECORD_BYTES = 160
+_STATE_BYTES = 112  # of a robot in the halo
+_RECORD_BYTES = 112
 _CELL_BYTES = 24
 
 
@@ -99,14 +98,15 @@ class Counts:
     def add(self, motion: Any, radius: torch.Tensor) -> None:
         """A block of bodies."""
         partition, ranks = self.partition, self.partition.ranks
-        boxes = Boxes.of(partition, motion, radius)
+        centres = [motion.position_t0, motion.position_t1, radius]
         centre = partition.cell_of(motion.position_t0)
         self.bodies += torch.bincount(centre, minlength=partition.cell_count)
-        wide = torch.nonzero((boxes.first != boxes.last).any(dim=1))[:, 0]
-        owner = partition.owner[centre[wide]]
-        for body, cell in partition.reached(boxes.first[wide], boxes.last[wide]):
-            key = torch.unique(body * ranks + partition.owner[cell])
-            source, destination = owner[key // ranks], key % ranks
+        owner = partition.owner[centre]
+        first, last = (partition.cell_of(corner) for corner in ops.swept_boxes(*centres, 0.0))
+        for rows in torch.nonzero(first != last)[:, 0].split(max(1, _BLOCK // ranks)):
+            reached = ops.reached_ranks(centres, 0.0, partition.territory(0), rows, ranks)
+            row, destination = torch.nonzero(reached).unbind(dim=1)
+            source = owner[rows[row]]
             away = source != destination
             self.ghosts += torch.bincount((source * ranks + destination)[away], minlength=ranks * ranks)
 
@@ -186,7 +186,7 @@ def model(row: dict[str, Any], arguments: argparse.Namespace, uneven: float | No
         "imbalance": 1e-6 * arguments.robot_ns * bodies * (uneven - 1.0),
         "ghosts": 1e-6 * arguments.robot_ns * ghosts,
         "halo": tree + exchange + 2.0 * halo_bytes / a_millisecond,
-        "settling": arguments.rounds * (2.0 * (exchange + 8.0 * ghosts / a_millisecond) + tree),
+        "settling": 2.0 * arguments.rounds * (exchange + 8.0 * ghosts / a_millisecond),
         "gather": tree + _RECORD_BYTES * ranks / a_millisecond,
         "balance": 2.0 * tree + 2.0 * _CELL_BYTES * row["cells"] / a_millisecond + row["skewed"]["decision_ms"],
     }

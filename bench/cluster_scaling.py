@@ -26,14 +26,17 @@ from pgccd.distributed.launch import TRANSPORTS
 
 # What the stages of a step are summed up to.
 PARTS = {
+    "plan": ("plan",),
     "detect": ("bounds", "broad", "traverse", "narrow"),
     "halo": ("halo", "halo wait"),
-    "respond": ("plan", "respond"),
+    "respond": ("respond",),
     "migrate": ("migrate",),
     "balance": ("balance",),
     "waiting": ("gather",),
     "hash": ("hash",),
 }
+# What is left of a step: the host's own time between stages.
+REST = "rest"
 
 
 def main() -> None:
@@ -80,7 +83,8 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         state = fleet.state
         duration, made = timed_step(comm, fleet, index, device)
         whole.append(duration)
-        parts.append({name: sum(seconds_of(made, stages)) for name, stages in PARTS.items()})
+        spent = {name: sum(seconds_of(made, stages)) for name, stages in PARTS.items()}
+        parts.append(spent | {REST: duration - sum(spent.values())})
         ranks.append(made.record["ranks"])
         if comm.size == 1:
             scene = fleet.world.scene(state.id)
@@ -100,8 +104,8 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "overlap": not arguments.no_overlap,
         "ms": timing.summary(whole),
         "single_process_ms": timing.summary(single) if single else None,
-        "mean_of_ranks_ms": {name: over_ranks(everybody, name, mean) for name in PARTS},
-        "slowest_rank_ms": {name: over_ranks(everybody, name, max) for name in PARTS},
+        "mean_of_ranks_ms": {name: over_ranks(everybody, name, mean) for name in (*PARTS, REST)},
+        "slowest_rank_ms": {name: over_ranks(everybody, name, max) for name in (*PARTS, REST)},
         "imbalance_by_step": [step["imbalance"] for step in ranks],
         "busy_imbalance": timing.rounded(mean([ratio(step["busy_seconds"]) for step in ranks])),
         "ghosts_a_body": timing.rounded(mean([sum(step["ghosts"]) / robots for step in ranks])),
@@ -179,7 +183,16 @@ def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -
     rows = [other for other in rows if [other[name] for name in key] != [row[name] for name in key]] + [row]
     rows.sort(key=lambda other: (other["scaling"], other["pattern"], other["ranks"], other["robots"]))
     results.table([flat(other, rows) for other in rows])
+    print(f"\nmilliseconds of this run, {row['robots']:,} robots on {row['ranks']} ranks:")
+    results.table(by_stage(row))
     results.write("cluster_scaling", arguments.device, {"rows": rows}, Path(path))
+
+
+def by_stage(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """Where the time of a step goes."""
+    mean_ms, slowest_ms = row["mean_of_ranks_ms"], row["slowest_rank_ms"]
+    stages = [{"stage": name, "mean of ranks": mean_ms[name], "slowest rank": slowest_ms[name]} for name in mean_ms]
+    return [*stages, {"stage": "whole step", "mean of ranks": row["ms"]["median"], "slowest rank": None}]
 
 
 def flat(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -49,6 +49,38 @@ def _(position_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
     return torch.empty_like(position_t0), torch.empty_like(position_t0)
 
 
+def _fake_rows(count: int | torch.SymInt, like: Tensor) -> tuple[Tensor, Tensor]:
+    return like.new_empty((count,), dtype=torch.int64), like.new_empty((1,), dtype=torch.int64)
+
+
+@torch.library.register_fake("pgccd::border_bodies")
+def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, ...]:
+    count = centres[2].shape[0]
+    return centres[2].new_empty((count,), dtype=torch.uint8), *_fake_rows(count, centres[2])
+
+
+@torch.library.register_fake("pgccd::reached_ranks")
+def _(
+    centres: list[Tensor], min_separation: float, frame: list[float], owner: Tensor, bodies: Tensor, ranks: int
+) -> Tensor:
+    return owner.new_empty((bodies.shape[0], ranks), dtype=torch.uint8)
+
+
+@torch.library.register_fake("pgccd::owned_pairs")
+def _(pairs: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
+    return _fake_rows(pairs.shape[0], pairs)
+
+
+@torch.library.register_fake("pgccd::near_ghosts")
+def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, Tensor]:
+    return _fake_rows(centres[2].shape[0], centres[2])
+
+
+@torch.library.register_fake("pgccd::leaving_bodies")
+def _(position: Tensor, frame: list[float], owner: Tensor, rank: int, ranks: int) -> tuple[Tensor, Tensor]:
+    return owner.new_empty((position.shape[0],)), owner.new_empty((ranks,))
+
+
 for _name in ("sweep", "grid", "lbvh"):
     torch.library.register_fake(f"pgccd::{_name}")(_fake_pairs)
 
@@ -143,6 +175,28 @@ def _(state: list[Tensor], step: int, integers: list[int], scales: list[float]) 
 @torch.library.register_fake("pgccd::simulate_respond")
 def _(state: list[Tensor], fraction: Tensor) -> tuple[Tensor, ...]:
     return _fake_robots(fraction, fraction.shape[0], 3, 4, 3, 3)
+
+
+@torch.library.register_fake("pgccd::simulate_pair_motion")
+def _(own: list[Tensor], ghosts: list[Tensor], fraction: Tensor, pairs: Tensor) -> tuple[Tensor, ...]:
+    count = 2 * pairs.shape[0]
+    return pairs.new_empty((count,)), *_fake_robots(fraction, count, 3, 4, 3, 3)
+
+
+@torch.library.register_fake("pgccd::simulate_slow_down")
+def _(robots: Tensor, first: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
+    count = robots.shape[0]
+    return first.new_empty((count,)), first.new_empty((count,), dtype=torch.uint8)
+
+
+@torch.library.register_fake("pgccd::simulate_concerned_pairs")
+def _(pairs: Tensor, changed: Tensor) -> tuple[Tensor, Tensor]:
+    return _fake_rows(pairs.shape[0], pairs)
+
+
+@torch.library.register_fake("pgccd::simulate_hash")
+def _(columns: list[Tensor]) -> Tensor:
+    return columns[0].new_empty((1,), dtype=torch.int64)
 
 
 @torch.library.register_fake("pgccd::random_uniforms")

@@ -72,4 +72,8 @@ def pairs_a_chunk(scene: Scene, query: Query, budget: int | None, pair_count: in
 
 
 def _kind(query: Query, pairs: Tensor | None) -> str:
-    return query.report if pairs is None else f"{query.report} of given pairs"
+    if pairs is None:
+        return query.report
+    # A whole step and a repetition of a part of it may differ by much in what a pair needs: octaves of sizes tell them
+    # apart.
+    return f"{query.report} of 2^{len(pairs).bit_length()} given pairs"

@@ -10,6 +10,8 @@ from torch import Tensor
 
 from pgccd import ops
 
+PathKind = Literal["rigid", "linear"]
+
 # Quaternions further from unit length than this are taken for mistakes; nearer ones are normalised exactly.
 _UNIT_TOLERANCE = 1e-3
 # Squares of larger coordinates overflow.
@@ -49,7 +51,7 @@ class RigidMotion:
         orientation_t0: Tensor,
         position_t1: Tensor,
         orientation_t1: Tensor,
-        path: Literal["rigid", "linear"] = "rigid",
+        path: PathKind = "rigid",
     ) -> None:
         count = _body_count(position_t0, "position_t0")
         device = position_t0.device
@@ -67,7 +69,7 @@ class RigidMotion:
         linear_velocity: Tensor,
         angular_velocity: Tensor,
         dt: float,
-        path: Literal["rigid", "linear"] = "rigid",
+        path: PathKind = "rigid",
     ) -> RigidMotion:
         """From velocities, so that a body may turn more than half a turn in a step.
 
@@ -100,7 +102,7 @@ class RigidMotion:
         orientation_t0: Tensor,
         position_t1: Tensor,
         rotation: Tensor,
-        path: Literal["rigid", "linear"] = "rigid",
+        path: PathKind = "rigid",
     ) -> RigidMotion:
         """From where the centres go and how the bodies turn; made of another motion's rows, it is that one to the bit.
 
@@ -119,10 +121,32 @@ class RigidMotion:
         motion._check({"rotation": (motion.rotation, *_TURN)})
         return motion
 
-    def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: str) -> None:
+    @classmethod
+    def of_checked(
+        cls,
+        position_t0: Tensor,
+        orientation_t0: Tensor,
+        position_t1: Tensor,
+        rotation: Tensor,
+        path: PathKind = "rigid",
+    ) -> RigidMotion:
+        """As `from_rotation`, of columns that come from a motion already checked: nothing is looked at.
+
+        Example:
+            >>> part = pgccd.RigidMotion.of_checked(
+            ...     *(c[rows] for c in (m.position_t0, m.orientation_t0, m.position_t1, m.rotation))
+            ... )
+        """
+        motion = cls.__new__(cls)
+        motion.path, motion._faults = path, _Faults({}, device=position_t0.device)
+        motion.position_t0, motion.orientation_t0 = position_t0, orientation_t0
+        motion.position_t1, motion.rotation = position_t1, rotation
+        return motion
+
+    def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: PathKind) -> None:
         if path not in ("rigid", "linear"):
             raise ValueError(f'path: expected "rigid" or "linear", got {path!r}')
-        self.path = path
+        self.path: PathKind = path
         count, device = position_t0.shape[0], position_t0.device
         #: (N, 3), (N, 3), (N, 4) float64.
         self.position_t0 = _rows(position_t0, "position_t0", count, 3, device)
@@ -209,8 +233,16 @@ class _Faults:
     `detect` waits for. A compiled graph reads nothing.
     """
 
-    def __init__(self, columns: dict[str, tuple[Tensor, int, float]], row: str = "body") -> None:
-        self._names, self._row = list(columns), row
+    def __init__(
+        self,
+        columns: dict[str, tuple[Tensor, int, float]],
+        row: str = "body",
+        device: torch.device | None = None,
+    ) -> None:
+        self._names, self._row, self._count, self._are_none = list(columns), row, 0, not columns
+        if not columns:
+            self.first = torch.zeros(1, dtype=torch.int64, device=device)
+            return
         values, checks, limits = zip(*columns.values(), strict=True)
         self._count = values[0].shape[0]
         #: (F + 1,) int64: the first faulty row of each column, or the number of rows; and whether there is any.
@@ -219,7 +251,8 @@ class _Faults:
             self.check()
 
     def check(self) -> None:
-        self.raise_from(self.first.tolist())
+        if not self._are_none:
+            self.raise_from(self.first.tolist())
 
     def raise_from(self, first: Sequence[int]) -> None:
         for name, index in zip(self._names, first, strict=False):
@@ -230,6 +263,7 @@ class _Faults:
                 if name in ("angular_velocity", "rotation"):
                     expected = f"a turn of at most {_LARGEST_TURN:g} radians in the step"
                 raise ValueError(f"{name}: {self._row} {index}: expected {expected}")
+        self._are_none = True  # nobody need wait for that again
 
 
 def _body_count(values: Tensor, name: str) -> int:

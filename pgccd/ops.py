@@ -15,6 +15,10 @@ from pgccd.contacts import ContactRows
 
 _ops = torch.ops.pgccd
 
+#: Cells as `Partition.frame` says, owner (cells,) int64 of each, and a rank.
+Territory = tuple[list[float], Tensor, int]
+Centres = Sequence[Tensor]
+
 
 def first_faults(columns: Sequence[Tensor], checks: Sequence[int], limits: Sequence[float]) -> Tensor:
     """First faulty row of each column (rows, width), or its number of rows; then 1 if there is any, else 0: (n + 1,).
@@ -90,6 +94,37 @@ def swept_boxes(
 ) -> tuple[Tensor, Tensor]:
     """Lower and upper corners (N, 3) of the boxes of swept spheres with half the separation, rounded outward."""
     return _ops.swept_boxes(position_t0, position_t1, radius, min_separation)
+
+
+def border_bodies(centres: Centres, min_separation: float, territory: Territory) -> tuple[Tensor, Tensor, Tensor]:
+    """Bodies that reach cells of others: reach (N,) uint8, 1 for them; their rows, ascending, in the first `found` (1,)
+    places of (N,). centres: at t0 and t1 (N, 3), and radius (N,)."""
+    return _ops.border_bodies(list(centres), min_separation, *territory)
+
+
+def reached_ranks(centres: Centres, min_separation: float, territory: Territory, bodies: Tensor, ranks: int) -> Tensor:
+    """(B, ranks) uint8: 1 where a body of the rows `bodies` (B,) reaches a cell of a rank, this one or another."""
+    return _ops.reached_ranks(list(centres), min_separation, *territory[:2], bodies, ranks)
+
+
+def owned_pairs(
+    pairs: Tensor, centres: Centres, min_separation: float, reach: Tensor, only_ghosts: bool, territory: Territory
+) -> tuple[Tensor, Tensor]:
+    """Rows of pairs (P, 2) whose reference point lies in a cell of the rank, in the first `found` (1,) places of (P,).
+    reach (N,) uint8: bit 0 as above; bit 1 of ghosts, of which a pair must have one if `only_ghosts`."""
+    return _ops.owned_pairs(pairs, list(centres), min_separation, reach, only_ghosts, *territory)
+
+
+def near_ghosts(
+    centres: Centres, ghosts: Centres, min_separation: float, territory: Territory
+) -> tuple[Tensor, Tensor]:
+    """Rows of bodies that overlap the box around all ghosts in a cell of the rank which they reach; found as above."""
+    return _ops.near_ghosts(list(centres), list(ghosts), min_separation, *territory)
+
+
+def leaving_bodies(position: Tensor, territory: Territory, ranks: int) -> tuple[Tensor, Tensor]:
+    """Rows of bodies whose centre (N, 3) is in a cell of another rank; and how many are in those of each, (ranks,)."""
+    return _ops.leaving_bodies(position, *territory, ranks)
 
 
 def traverse_rigid(
@@ -224,6 +259,32 @@ def simulate_plan(
 def simulate_respond(state: Sequence[Tensor], fraction: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Position, orientation, velocity and angular velocity of robots that made `fraction` (N,) of a step."""
     return _ops.simulate_respond(list(state), fraction)
+
+
+def simulate_pair_motion(
+    own: Sequence[Tensor], ghosts: Sequence[Tensor], fraction: Tensor, pairs: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Id, position at t0, orientation, position at t1 and rotation of the robots of pairs (P, 2), two rows a pair, of
+    which each makes `fraction` (N + G,) of its step. own, ghosts: the first five columns of a state; rows of ghosts
+    follow own ones."""
+    return _ops.simulate_pair_motion(list(own), list(ghosts), fraction, pairs)
+
+
+def simulate_slow_down(
+    robots: Tensor, first: Tensor, fraction: Tensor, approach: float, smallest: float
+) -> tuple[Tensor, Tensor]:
+    """What the rows `robots` (R,) make of a step, given first toi and fraction so far (N,), and who changes (uint8)."""
+    return _ops.simulate_slow_down(robots, first, fraction, approach, smallest)
+
+
+def simulate_concerned_pairs(pairs: Tensor, changed: Tensor) -> tuple[Tensor, Tensor]:
+    """Rows of pairs (P, 2) with a robot of which changed (N,) uint8 is 1, in the first `found` (1,) places of (P,)."""
+    return _ops.simulate_concerned_pairs(pairs, changed)
+
+
+def simulate_hash(columns: Sequence[Tensor]) -> Tensor:
+    """(1,) int64: the sum modulo 2^64 of the rows' hashes; columns (N,) or (N, k), int64 or float64."""
+    return _ops.simulate_hash([column.contiguous() for column in columns])
 
 
 def random_uniforms(id: Tensor, seed: int, step: int, stream: int) -> Tensor:

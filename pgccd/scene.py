@@ -11,6 +11,9 @@ from torch import Tensor
 
 from pgccd.mesh import Mesh, MeshSet
 
+#: Columns of a scene that say which of its bodies may collide.
+FILTERS = ("group", "mask", "world", "static")
+
 
 @dataclass(frozen=True)
 class VertexLayout:
@@ -84,6 +87,21 @@ class Scene:
         self.mask = None if mask is None else _integer_column(mask, "mask", count, self.device)
         self.world = None if world is None else _world_column(world, count, self.device)
         self.static = None if static is None else _static_column(static, count, self.device)
+
+    @classmethod
+    def of_checked(cls, meshes: MeshSet, mesh_index: Tensor, **filters: Tensor) -> Scene:
+        """Of columns that come from a scene already checked, rows of its `mesh_index`, `group` and so on: nothing is
+        looked at.
+
+        Example:
+            >>> part = pgccd.Scene.of_checked(scene.meshes, scene.mesh_index[rows])
+        """
+        scene = cls.__new__(cls)
+        scene.meshes, scene.device = meshes, meshes.device
+        scene.mesh_index, scene.body_count = mesh_index, mesh_index.shape[0]
+        for name in FILTERS:
+            setattr(scene, name, filters.get(name))
+        return scene
 
     @functools.cached_property
     def radius(self) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import torch
@@ -14,6 +14,9 @@ _WORK = ("plan", "bounds", "broad", "traverse", "narrow")
 class StageClock:
     """Seconds by stage, and since the clock was made.
 
+    On a GPU a stage lasts from event to event on the stream, so that taking the time keeps nothing waiting; the times
+    are read when they are asked for.
+
     Example:
         >>> clock = StageClock()
         >>> with clock.stage("plan"):
@@ -22,29 +25,51 @@ class StageClock:
 
     def __init__(self) -> None:
         self._start = time.perf_counter()
-        self.seconds: dict[str, float] = {}
+        self._seconds: dict[str, float] = {}
+        self._events: list[tuple[str, torch.cuda.Event, torch.cuda.Event]] = []
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Adds the time of the block to a stage."""
-        start = time.perf_counter()
-        yield
-        # Work still queued on a GPU belongs to the stage that queued it; most stages wait for results anyway.
+        self.add({name: 0.0})  # stages are listed in the order in which they began
         if torch.cuda.is_initialized():
-            torch.cuda.current_stream().synchronize()
-        self.add({name: time.perf_counter() - start})
+            begin, end = torch.cuda.Event(enable_timing=True), torch.cuda.Event(enable_timing=True)
+            begin.record()
+            yield
+            end.record()
+            self._events.append((name, begin, end))
+        else:
+            start = time.perf_counter()
+            yield
+            self.add({name: time.perf_counter() - start})
 
     def add(self, seconds: Mapping[str, float]) -> None:
         """Adds times measured by others."""
         for name, spent in seconds.items():
-            self.seconds[name] = self.seconds.get(name, 0.0) + spent
+            self._seconds[name] = self._seconds.get(name, 0.0) + spent
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """By stage. Waits until the last of them is over."""
+        self._read([name for name, _, _ in self._events])
+        return self._seconds
 
     @property
     def work(self) -> float:
         """Seconds in stages in which a rank never waits for another."""
-        return sum(self.seconds.get(stage, 0.0) for stage in _WORK)
+        self._read(_WORK)
+        return sum(self._seconds.get(stage, 0.0) for stage in _WORK)
 
     @property
     def total(self) -> float:
         """Seconds since the clock was made."""
         return time.perf_counter() - self._start
+
+    def _read(self, names: Sequence[str]) -> None:
+        pending, self._events = self._events, []
+        for name, begin, end in pending:
+            if name in names:
+                end.synchronize()
+                self.add({name: 1e-3 * begin.elapsed_time(end)})
+            else:
+                self._events.append((name, begin, end))

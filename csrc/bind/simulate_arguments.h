@@ -2,7 +2,10 @@
 #pragma once
 
 #include "bind/arguments.h"
+#include "kernels/simulate/hash_item.h"
+#include "kernels/simulate/pair_motion_item.h"
 #include "kernels/simulate/robot.h"
+#include "kernels/simulate/settle_item.h"
 #include "kernels/simulate/world.h"
 
 namespace pgccd::bind {
@@ -41,6 +44,35 @@ inline RobotColumns robot_columns(const std::vector<Tensor>& t) {
   view.angular_velocity = rows<double>(t[4], "state.angular_velocity", {view.count, 3});
   view.target = rows<int64_t>(t[5], "state.target", {view.count});
   view.stay_until = rows<int64_t>(t[6], "state.stay_until", {view.count});
+  return view;
+}
+
+inline MovingRobots moving_robots(const std::vector<Tensor>& t, const char* name) {
+  STD_TORCH_CHECK(t.size() == 5, name, ": expected 5 tensors, got ", t.size());
+  MovingRobots view;
+  view.id = rows<int64_t>(t[0], name, {kAnySize});
+  view.count = t[0].size(0);
+  view.position = rows<double>(t[1], name, {view.count, 3});
+  view.orientation = rows<double>(t[2], name, {view.count, 4});
+  view.velocity = rows<double>(t[3], name, {view.count, 3});
+  view.angular_velocity = rows<double>(t[4], name, {view.count, 3});
+  return view;
+}
+
+inline HashColumns hash_columns(const std::vector<Tensor>& t) {
+  STD_TORCH_CHECK(!t.empty() && t.size() <= HashColumns::kMost, "columns: expected 1 to ", HashColumns::kMost,
+                  " tensors, got ", t.size());
+  HashColumns view;
+  view.columns = static_cast<int>(t.size());
+  view.count = t[0].size(0);
+  for (size_t k = 0; k < t.size(); ++k) {
+    const bool has_eight_bytes = t[k].scalar_type() == ScalarType::Long || t[k].scalar_type() == ScalarType::Double;
+    STD_TORCH_CHECK(has_eight_bytes, "columns: expected int64 or float64");
+    STD_TORCH_CHECK(t[k].size(0) == view.count, "columns: expected ", view.count, " rows, got ", t[k].size(0));
+    STD_TORCH_CHECK(t[k].is_contiguous(), "columns: expected contiguous tensors");
+    view.column[k] = static_cast<const uint64_t*>(t[k].data_ptr());
+    view.width[k] = t[k].dim() == 1 ? 1 : t[k].size(1);
+  }
   return view;
 }
 

@@ -62,6 +62,50 @@ struct SimulateOps {
     return {position, orientation, velocity, angular_velocity};
   }
 
+  static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> simulate_pair_motion(const TensorList& own,
+                                                                                 const TensorList& ghosts,
+                                                                                 const Tensor& fraction,
+                                                                                 const Tensor& pairs) {
+    PairMotionInput input;
+    input.own = moving_robots(own, "own");
+    input.ghosts = moving_robots(ghosts, "ghosts");
+    input.fraction = rows<double>(fraction, "fraction", {input.own.count + input.ghosts.count});
+    input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
+    input.pair_count = pairs.size(0);
+    const int64_t count = 2 * input.pair_count;
+    Tensor id = new_integers(fraction, count), orientation = new_rows(fraction, count, 4);
+    Tensor position_t0 = new_rows(fraction, count, 3), position_t1 = new_rows(fraction, count, 3);
+    Tensor rotation = new_rows(fraction, count, 3);
+    Backend(fraction).pair_motion(input, {data<int64_t>(id), data<double>(position_t0), data<double>(orientation),
+                                          data<double>(position_t1), data<double>(rotation)});
+    return {id, position_t0, orientation, position_t1, rotation};
+  }
+
+  static std::tuple<Tensor, Tensor> simulate_slow_down(const Tensor& robots, const Tensor& first,
+                                                       const Tensor& fraction, double approach, double smallest) {
+    const int64_t robot_count = first.size(0), count = robots.size(0);
+    const SlowDownInput input{
+        rows<int64_t>(robots, "robots", {kAnySize}),       count,    rows<double>(first, "first", {kAnySize}),
+        rows<double>(fraction, "fraction", {robot_count}), approach, smallest};
+    Tensor made = new_tensor<double>(first, {count}), changes = new_tensor<uint8_t>(first, {count});
+    Backend(first).slow_down(input, data<double>(made), data<uint8_t>(changes));
+    return {made, changes};
+  }
+
+  static std::tuple<Tensor, Tensor> simulate_concerned_pairs(const Tensor& pairs, const Tensor& changed) {
+    const int64_t* all = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
+    Tensor concerned = new_integers(pairs, pairs.size(0)), found = new_integers(pairs, 1);
+    Backend(pairs).concerned_pairs(all, pairs.size(0), rows<uint8_t>(changed, "changed", {kAnySize}),
+                                   data<int64_t>(concerned), data<int64_t>(found));
+    return {concerned, found};
+  }
+
+  static Tensor simulate_hash(const TensorList& columns) {
+    Tensor sum = new_integers(columns.at(0), 1);
+    Backend(sum).hash_rows(hash_columns(columns), data<uint64_t>(sum));
+    return sum;
+  }
+
   static Tensor random_uniforms(const Tensor& id, int64_t seed, int64_t step, int64_t stream) {
     const int64_t* ids = rows<int64_t>(id, "id", {kAnySize});
     const int64_t count = id.size(0);
@@ -73,10 +117,14 @@ struct SimulateOps {
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_SIMULATE_OPS(library, Backend)                                   \
-  library.impl("simulate_start", TORCH_BOX(&SimulateOps<Backend>::simulate_start));     \
-  library.impl("simulate_plan", TORCH_BOX(&SimulateOps<Backend>::simulate_plan));       \
-  library.impl("simulate_respond", TORCH_BOX(&SimulateOps<Backend>::simulate_respond)); \
+#define PGCCD_REGISTER_SIMULATE_OPS(library, Backend)                                                   \
+  library.impl("simulate_start", TORCH_BOX(&SimulateOps<Backend>::simulate_start));                     \
+  library.impl("simulate_plan", TORCH_BOX(&SimulateOps<Backend>::simulate_plan));                       \
+  library.impl("simulate_respond", TORCH_BOX(&SimulateOps<Backend>::simulate_respond));                 \
+  library.impl("simulate_pair_motion", TORCH_BOX(&SimulateOps<Backend>::simulate_pair_motion));         \
+  library.impl("simulate_slow_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_down));             \
+  library.impl("simulate_concerned_pairs", TORCH_BOX(&SimulateOps<Backend>::simulate_concerned_pairs)); \
+  library.impl("simulate_hash", TORCH_BOX(&SimulateOps<Backend>::simulate_hash));                       \
   library.impl("random_uniforms", TORCH_BOX(&SimulateOps<Backend>::random_uniforms))
 
 }  // namespace pgccd::bind

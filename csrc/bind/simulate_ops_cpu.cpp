@@ -23,6 +23,17 @@ class SimulateOnCpu {
                        double* uniforms) const {
     random_uniforms_cpu(executor_, seed, id, count, step, stream, uniforms);
   }
+  void pair_motion(const PairMotionInput& input, const PairMotion& motion) const {
+    pair_motion_cpu(executor_, input, motion);
+  }
+  void slow_down(const SlowDownInput& input, double* fraction, uint8_t* changes) const {
+    slow_down_cpu(executor_, input, fraction, changes);
+  }
+  void concerned_pairs(const int64_t* pairs, int64_t pair_count, const uint8_t* changed, int64_t* rows,
+                       int64_t* found) const {
+    concerned_pairs_cpu(executor_, pairs, pair_count, changed, rows, found);
+  }
+  void hash_rows(const HashColumns& columns, uint64_t* sum) const { hash_rows_cpu(executor_, columns, sum); }
 
  private:
   TorchExecutor executor_;

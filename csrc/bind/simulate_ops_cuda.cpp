@@ -25,6 +25,17 @@ class SimulateOnCuda {
                        double* uniforms) const {
     random_uniforms_cuda(session_.context(), seed, id, count, step, stream, uniforms);
   }
+  void pair_motion(const PairMotionInput& input, const PairMotion& motion) const {
+    pair_motion_cuda(session_.context(), input, motion);
+  }
+  void slow_down(const SlowDownInput& input, double* fraction, uint8_t* changes) const {
+    slow_down_cuda(session_.context(), input, fraction, changes);
+  }
+  void concerned_pairs(const int64_t* pairs, int64_t pair_count, const uint8_t* changed, int64_t* rows,
+                       int64_t* found) const {
+    concerned_pairs_cuda(session_.context(), pairs, pair_count, changed, rows, found);
+  }
+  void hash_rows(const HashColumns& columns, uint64_t* sum) const { hash_rows_cuda(session_.context(), columns, sum); }
 
  private:
   CudaSession session_;

@@ -15,5 +15,13 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
   library.def(
       "simulate_respond(Tensor[] state, Tensor fraction) -> (Tensor position, Tensor orientation, Tensor velocity, "
       "Tensor angular_velocity)");
+  library.def(
+      "simulate_pair_motion(Tensor[] own, Tensor[] ghosts, Tensor fraction, Tensor pairs) -> (Tensor id, "
+      "Tensor position_t0, Tensor orientation, Tensor position_t1, Tensor rotation)");
+  library.def(
+      "simulate_slow_down(Tensor robots, Tensor first, Tensor fraction, float approach, float smallest) -> "
+      "(Tensor made, Tensor changes)");
+  library.def("simulate_concerned_pairs(Tensor pairs, Tensor changed) -> (Tensor concerned, Tensor found)");
+  library.def("simulate_hash(Tensor[] columns) -> Tensor");
   library.def("random_uniforms(Tensor id, int seed, int step, int stream) -> Tensor");
 }

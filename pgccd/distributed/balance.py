@@ -101,6 +101,27 @@ def imbalance(load: Tensor) -> float:
     return float(load.max()) * len(load) / total if total > 0.0 else 1.0
 
 
+@dataclass(frozen=True)
+class RankLoads:
+    """What each rank did in the last step, (ranks,) each: enough to see whether anything is to be done."""
+
+    bodies: Tensor  #: int64
+    pairs: Tensor  #: int64, potentially colliding ones that it tested
+    contacts: Tensor  #: int64
+    seconds: Tensor  #: float64 at work
+
+    def are_level(self, options: BalanceOptions) -> bool:
+        """True if no cell would move, whatever the loads of single cells.
+
+        Holds where every body was in a cell of its rank.
+        """
+        if options.policy == "one-cell":
+            return _differ_little(self.contacts, options.threshold)
+        cost = self.bodies + PAIR_COST * self.pairs
+        speed = relative_speeds(cost, self.seconds) if options.policy == "measured" else torch.ones_like(self.seconds)
+        return _are_even(cost.double() / speed, float(cost.sum()) / float(speed.sum()), options)
+
+
 def rebalance(
     partition: Partition, loads: CellLoads, options: BalanceOptions, seconds: Tensor | None = None
 ) -> Partition:
@@ -143,10 +164,10 @@ def one_cell(owner: Tensor, load: Tensor, ranks: int, threshold: float) -> Tenso
         (cells,) int64 owners.
     """
     loads = rank_loads(load, owner, ranks)
+    if _differ_little(loads, threshold):
+        return owner
     most, least = int(torch.argmax(loads)), int(torch.argmin(loads))
     difference = int(loads[most] - loads[least])
-    if difference <= threshold * int(loads[most]):
-        return owner
     # Equal ones: the first. A move of the whole difference would only swap the two ranks' loads.
     useful = (owner == most) & (load > 0) & (load < difference)
     if not bool(useful.any()):
@@ -155,6 +176,15 @@ def one_cell(owner: Tensor, load: Tensor, ranks: int, threshold: float) -> Tenso
     moved = owner.clone()
     moved[int(torch.argmin(off))] = least
     return moved
+
+
+def _differ_little(loads: Tensor, threshold: float) -> bool:
+    most, least = int(loads.max()), int(loads.min())
+    return most - least <= threshold * most
+
+
+def _are_even(load: Tensor, even: float, options: BalanceOptions) -> bool:
+    return even <= 0.0 or float(load.max()) <= (1.0 + options.start) * even
 
 
 def relative_speeds(cost: Tensor, seconds: Tensor) -> Tensor:
@@ -196,7 +226,7 @@ def several_cells(
     costs, rates, weights = cost.numpy().astype(np.float64), speed.numpy(), bodies.numpy()
     load = np.bincount(table, costs, minlength=ranks) / rates
     even = costs.sum() / rates.sum()
-    if even <= 0.0 or load.max() <= (1.0 + options.start) * even:
+    if _are_even(torch.from_numpy(load), even, options):
         return owner
     grid = table.reshape(partition.grid)
     held: list[list[int]] = [np.flatnonzero(table == rank).tolist() for rank in range(ranks)]

@@ -12,7 +12,7 @@ import os
 import shutil
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, fields
@@ -27,10 +27,12 @@ from torch.distributed.checkpoint.planner import LoadPlan, ReadItem, SavePlan, T
 from torch.distributed.checkpoint.planner_helpers import create_read_items_for_chunk_list
 
 from pgccd.distributed.comm import Comm
+from pgccd.distributed.partition import Partition
 from pgccd.sim.files import CHECKPOINT_FOLDER
 from pgccd.sim.world import RobotState, WorldConfig
 
 POINTER = "newest.json"
+_OWNERS = "owners.json"
 _FORMAT = 1
 
 
@@ -44,6 +46,15 @@ class Header:
     meshes: str  #: their `meshes_digest`
 
 
+@dataclass
+class _Owners:
+    """Who owned which cell, in plain numbers."""
+
+    subspaces: Sequence[int]
+    cells: Sequence[int]
+    owner: Sequence[int]
+
+
 class Checkpoints:
     """Writes the checkpoints of a run.
 
@@ -53,7 +64,7 @@ class Checkpoints:
 
     Example:
         >>> checkpoints = Checkpoints(comm, folder)
-        >>> checkpoints.begin(Header(config, 10, 20, digest), state)
+        >>> checkpoints.begin(Header(config, 10, 20, digest), state, partition)
         >>> checkpoints.finish()
     """
 
@@ -65,17 +76,18 @@ class Checkpoints:
             shutil.rmtree(leftover)  # of a run that was killed while writing
         self._writing: Future[None] | None = None
 
-    def begin(self, header: Header, state: RobotState) -> None:
+    def begin(self, header: Header, state: RobotState, partition: Partition) -> None:
         """Starts to write; returns once the robots have been copied. Waits for the checkpoint before, if need be."""
         self.finish()
         counts = self._comm.all_gather(torch.tensor([len(state)]))[:, 0].tolist()
         begin, total = sum(counts[: self._comm.rank]), sum(counts)
         columns = {name: column.detach().to("cpu", copy=True) for name, column in state.columns.items()}
+        owner = _Owners(partition.subspaces, partition.cells, partition.owner.tolist())
         done: Future[None] = Future()
 
         def work() -> None:
             try:
-                self._write(header, columns, begin, total)
+                self._write(header, columns, begin, total, owner)
                 done.set_result(None)
             except BaseException as error:
                 done.set_exception(error)
@@ -94,7 +106,7 @@ class Checkpoints:
             with self._comm.guard.waiting("checkpoint") if self._comm.size > 1 else nullcontext():
                 writing.result()
 
-    def _write(self, header: Header, columns: dict[str, Tensor], begin: int, total: int) -> None:
+    def _write(self, header: Header, columns: dict[str, Tensor], begin: int, total: int, owners: _Owners) -> None:
         name = f"step-{header.steps_made:09d}"
         unfinished = self._root / f"{name}.unfinished"
         writer, planner = dcp.FileSystemWriter(unfinished), _SaveRows(begin, total)
@@ -109,6 +121,7 @@ class Checkpoints:
         if self._comm.rank != 0:
             return
         # The coordinator comes here once all ranks have written.
+        (unfinished / _OWNERS).write_text(json.dumps(asdict(owners)))
         final = self._root / name
         if final.exists():  # by a run that was interrupted later, and came to the same state
             shutil.rmtree(final)
@@ -143,6 +156,25 @@ def newest_header(folder: Path) -> Header | None:
         return Header(WorldConfig(**config), content["steps_made"], content["steps_wanted"], content["meshes"])
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not a checkpoint of a simulation: {error}") from error
+
+
+def read_owners(folder: Path, partition: Partition) -> list[int] | None:
+    """Who owned which cell when the newest checkpoint was made, so that loads stay even; None if space was cut in
+    another way then.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
+    root = folder / CHECKPOINT_FOLDER
+    try:
+        path = root / json.loads((root / POINTER).read_text())["folder"] / _OWNERS
+        if not path.is_file():
+            return None
+        owners = _Owners(**json.loads(path.read_text()))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{root} does not say who owned which cell: {error}") from error
+    same = (*owners.subspaces, *owners.cells) == (*partition.subspaces, *partition.cells)
+    return list(owners.owner) if same else None
 
 
 def load_share(comm: Comm, folder: Path) -> RobotState:

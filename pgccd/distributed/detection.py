@@ -1,27 +1,28 @@
 """Detection by many ranks: every pair of bodies is tested by exactly one of them.
 
-Own bodies meet own bodies while the ghosts are still under way; then ghosts meet whoever is near them.
+Own bodies look for own partners while the ghosts are still under way; then ghosts for those near them. One detection
+tests all pairs found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import cast
 
 import torch
 from torch import Tensor
 
-from pgccd import broad, narrow
+from pgccd import broad, narrow, ops
 from pgccd.bodies import MovingBodies
-from pgccd.contacts import Contacts, Stats
+from pgccd.contacts import Contacts
 from pgccd.detect import detect
 from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Columns, take_rows
-from pgccd.distributed.halo import Boxes, Halo, Held
+from pgccd.distributed.exchange import Columns
+from pgccd.distributed.halo import IS_GHOST, REACHES_OTHERS, Centres, Halo, Held, centres_of
 from pgccd.distributed.partition import Partition
 from pgccd.motion import RigidMotion
-from pgccd.scene import Scene
+from pgccd.scene import FILTERS, Scene
 from pgccd.stages import StageClock
 
 #: From columns of bodies to their scene and motion: the same bits on every rank that holds a body.
@@ -37,19 +38,24 @@ class Options:
     tolerance: float | None = None
     nonzero_toi: bool = False
     broad_phase: broad.BroadPhase = "auto"
-    #: Whether own bodies are tested while ghosts are under way. The result does not depend on it.
+    #: Whether pairs of own bodies are looked for while ghosts are under way. The result does not depend on it.
     overlap: bool = True
 
 
 @dataclass(frozen=True)
 class Detection:
-    """What one rank found in one step."""
+    """What one rank found in one step. Pairs are rows of bodies held, that of the smaller id first."""
 
     held: Held
-    scene: Scene  #: of all bodies held
-    pairs: Tensor  #: (P, 2) int64: the potentially colliding pairs this rank tests, rows of bodies held, sorted
-    cell: Tensor  #: (P,) int64: the cell of each one's reference point
+    pairs: Tensor  #: (P, 2) int64: the potentially colliding pairs this rank tests
     contacts: Contacts  #: of these pairs
+    centres: tuple[Centres, Centres]  #: of own bodies and of ghosts
+    min_separation: float
+
+    def reference_cells(self, partition: Partition, pairs: Tensor) -> Tensor:
+        """(K,) int64: the cell of the lower corner of the intersection of the boxes of each pair (K, 2)."""
+        lower = torch.cat([ops.swept_boxes(*centres, self.min_separation)[0] for centres in self.centres])
+        return partition.cell_of(torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]]))
 
 
 def detect_distributed(
@@ -65,121 +71,139 @@ def detect_distributed(
     Args:
         comm: between the ranks.
         partition: the same on all of them.
-        own: columns of the bodies this rank owns, "id" ascending.
+        own: columns of the bodies this rank owns, "id" ascending; those that other ranks need to know of ghosts.
         build: their scene and motion.
         options: what to find.
         clock: stages are timed here.
     """
+    separation = broad.check_separation(options.min_separation)
+    with clock.stage("plan"):
+        bodies = MovingBodies(*build(own), wait=False)
     with clock.stage("halo"):
-        scene, motion = build(own)
-        boxes = Boxes.of(partition, motion, scene.radius, options.min_separation)
-        halo = Halo(comm, partition, own, boxes)
+        halo = Halo(comm, partition, own, bodies, separation)
     share = _Share(comm.rank, partition, options, clock)
-    inner = None
-    if options.overlap:
-        inner_pairs = share.pairs(scene, motion, boxes)
-        inner = share.contacts(scene, motion, inner_pairs)
-    with clock.stage("halo wait"):
-        held = halo.wait()
-    with clock.stage("halo"):
-        scene, motion = build(held.columns)
-        boxes = Boxes.of(partition, motion, scene.radius, options.min_separation)
-        border = share.border(held, boxes) if inner is not None else None
-    if inner is None:
-        pairs = share.pairs(scene, motion, boxes)
-        found = share.contacts(scene, motion, pairs)
+    held = None if options.overlap else _wait(halo, clock)
+    pairs = share.pairs(bodies, halo.reach, only_ghosts=False)
+    held = held or _wait(halo, clock)
+    own_count, ghosts = len(held.own_id), held.ghosts
+    ghost_bodies = _told(*build(ghosts)) if len(ghosts["id"]) else None
+    rows = None
+    if ghost_bodies is not None:
+        with clock.stage("halo"):
+            columns, reach, rows = share.border(held, bodies, halo.reach, ghost_bodies)
+            border = _bodies(bodies, columns)
+        crossing = share.pairs(border, reach, only_ghosts=True)
+        with clock.stage("halo"):
+            # Every pair's smaller id comes first: among own bodies, and among those at the border.
+            own_columns = _columns(bodies)
+            merged = {name: torch.cat([column, columns[name]]) for name, column in own_columns.items()}
+            tested = _bodies(bodies, merged)
+            pairs_tested = torch.cat([pairs, crossing + own_count])
+            pairs = torch.cat([pairs, rows[crossing]])
     else:
-        found = replace(inner, pairs=held.own[inner.pairs])
-        pairs = held.own[inner_pairs]
-        if border is not None:
-            crossing = share.pairs(*build(take_rows(held.columns, border)), _rows_of(boxes, border))
-            crossing = border[crossing]
-            is_ghost = held.owner != comm.rank
-            crossing = crossing[is_ghost[crossing].any(dim=1)]
-            found = merge_contacts([found, share.contacts(scene, motion, crossing)], len(held))
-            pairs = torch.cat([pairs, crossing])
-            pairs = pairs[_order(pairs, len(held))]
-    return Detection(held, scene, pairs, boxes.reference_cell(partition, pairs), found)
+        tested, pairs_tested = bodies, pairs
+    found = detect(
+        tested.scene,
+        cast(RigidMotion, tested.motion),
+        # Rows are not in the order of ids, which decides among equal ones.
+        "first" if options.report == "earliest" else options.report,
+        separation,
+        tolerance=options.tolerance,
+        nonzero_toi=options.nonzero_toi,
+        pairs=pairs_tested,
+    )
+    clock.add(found.stats.seconds)
+    found.stats.bodies = len(held)
+    if rows is not None:
+        at_border = rows[(found.pairs - own_count).clamp_(min=0)]
+        found = replace(found, pairs=torch.where(found.pairs < own_count, found.pairs, at_border))
+    if options.report == "earliest":
+        found = _earliest(found, held.id)
+    ghost_centres = (column[:0] for column in centres_of(bodies)) if ghost_bodies is None else centres_of(ghost_bodies)
+    return Detection(held, pairs, found, (centres_of(bodies), cast(Centres, tuple(ghost_centres))), separation)
 
 
 class _Share:
     """What one rank tests."""
 
     def __init__(self, rank: int, partition: Partition, options: Options, clock: StageClock) -> None:
-        self._rank, self._partition, self._options, self._clock = rank, partition, options, clock
+        self._territory = partition.territory(rank)
+        self._options, self._clock = options, clock
 
-    def pairs(self, scene: Scene, motion: RigidMotion, boxes: Boxes) -> Tensor:
-        """Potentially colliding pairs whose reference point lies in a cell of this rank."""
+    def pairs(self, bodies: MovingBodies, reach: Tensor | None, only_ghosts: bool) -> Tensor:
+        """Potentially colliding pairs whose reference point lies in a cell of this rank: all, if nobody reaches
+        others' (None)."""
+        separation = self._options.min_separation
         with self._clock.stage("broad"):
-            bodies = MovingBodies(scene, motion)
-            pairs = broad.find_pairs(bodies, self._options.min_separation, self._options.broad_phase)
-            return pairs[self._partition.owner[boxes.reference_cell(self._partition, pairs)] == self._rank]
+            pairs = broad.find_pairs(bodies, separation, self._options.broad_phase)
+            if reach is None:
+                return pairs
+            owned, found = ops.owned_pairs(pairs, centres_of(bodies), separation, reach, only_ghosts, self._territory)
+            count = int(found)
+            return pairs if count == len(pairs) else pairs[owned[:count]]
 
-    def contacts(self, scene: Scene, motion: RigidMotion, pairs: Tensor) -> Contacts:
-        found = detect(
-            scene,
-            motion,
-            self._options.report,
-            self._options.min_separation,
-            tolerance=self._options.tolerance,
-            nonzero_toi=self._options.nonzero_toi,
-            pairs=pairs,
-        )
-        self._clock.add(found.stats.seconds)
-        return found
-
-    def border(self, held: Held, boxes: Boxes) -> Tensor | None:
-        """(B,) rows of ghosts and of all bodies near them; None without ghosts.
+    def border(
+        self, held: Held, bodies: MovingBodies, reach: Tensor | None, ghosts: MovingBodies
+    ) -> tuple[Columns, Tensor, Tensor]:
+        """Ghosts and all own bodies near them, by ascending id: columns, reach and rows of bodies held.
 
         A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the
         box around all ghosts.
         """
-        if len(held.ghosts) == 0:
-            return None
-        partition = self._partition
-        ghost_boxes = _rows_of(boxes, held.ghosts)
-        shape = (partition.cell_count, 3)
-        lower, upper = (boxes.lower.new_full(shape, sign * torch.inf) for sign in (1.0, -1.0))
-        for row, cell in partition.reached(ghost_boxes.first, ghost_boxes.last):
-            here = partition.owner[cell] == self._rank
-            row, cell = row[here], cell[here, None].expand(-1, 3)
-            lower.scatter_reduce_(0, cell, ghost_boxes.lower[row], "amin")
-            upper.scatter_reduce_(0, cell, ghost_boxes.upper[row], "amax")
-        near = torch.zeros(len(held), dtype=torch.bool, device=lower.device)
-        near[held.ghosts] = True
-        own_boxes = _rows_of(boxes, held.own)
-        for row, cell in partition.reached(own_boxes.first, own_boxes.last):
-            meets = (own_boxes.lower[row] <= upper[cell]) & (own_boxes.upper[row] >= lower[cell])
-            near[held.own[row[meets.all(dim=1)]]] = True
-        return torch.nonzero(near)[:, 0]
+        assert reach is not None  # else there were no ghosts
+        separation = self._options.min_separation
+        near, found = ops.near_ghosts(centres_of(bodies), centres_of(ghosts), separation, self._territory)
+        near = near[: int(found)]
+        order = torch.argsort(torch.cat([held.own_id[near], held.ghosts["id"]]))
+        ghost_columns = _columns(ghosts)
+        columns = {
+            name: torch.cat([column[near], ghost_columns[name]])[order] for name, column in _columns(bodies).items()
+        }
+        count = len(held.ghosts["id"])
+        reach = torch.cat([reach[near], reach.new_full((count,), REACHES_OTHERS | IS_GHOST)])[order]
+        own_count = len(held.own_id)
+        rows = torch.cat([near, torch.arange(own_count, own_count + count, device=near.device)])[order]
+        return columns, reach, rows
 
 
-def _rows_of(boxes: Boxes, rows: Tensor) -> Boxes:
-    return Boxes(*(getattr(boxes, field.name)[rows] for field in fields(boxes)))
+def _earliest(contacts: Contacts, id: Tensor) -> Contacts:
+    """The one with the least toi, of equal ones that of the smallest ids; none, if there are none."""
+    assert contacts.toi is not None
+    if len(contacts) == 0:
+        return contacts
+    first = torch.nonzero(contacts.toi == contacts.toi.min())[:, 0]
+    pairs = id[contacts.pairs[first]]
+    first = first[torch.argsort(pairs[:, 1], stable=True)]
+    chosen = first[torch.argsort(id[contacts.pairs[first]][:, 0], stable=True)][:1]
+    columns = {name: column[chosen] for name, column in vars(contacts).items() if isinstance(column, Tensor)}
+    return replace(contacts, **columns, stats=replace(contacts.stats, contacts=1))
 
 
-def _order(pairs: Tensor, body_count: int) -> Tensor:
-    """Stable: a pair's rows keep their order."""
-    return torch.argsort(pairs[:, 0] * body_count + pairs[:, 1], stable=True)
+def _told(scene: Scene, motion: RigidMotion) -> MovingBodies:
+    """Of bodies whose owners have checked them."""
+    pose = motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
+    return MovingBodies(scene, RigidMotion.of_checked(*pose, motion.path))
 
 
-def merge_contacts(parts: list[Contacts], body_count: int) -> Contacts:
-    """Contacts of disjoint sets of pairs as one, in canonical order.
+def _wait(halo: Halo, clock: StageClock) -> Held:
+    with clock.stage("halo wait"):
+        return halo.wait()
 
-    Args:
-        parts: of bodies numbered alike.
-        body_count: their number.
-    """
-    order = _order(torch.cat([part.pairs for part in parts]), body_count)
-    columns: dict[str, Any] = {}
-    for field in fields(Contacts):
-        values = [getattr(part, field.name) for part in parts]
-        if field.name != "stats":
-            columns[field.name] = None if values[0] is None else torch.cat(values)[order]
-    stats = Stats(bodies=body_count, broad_phase=parts[0].stats.broad_phase)
-    for part in parts:
-        for name in ("pcs", "node_tests", "candidates", "contacts", "unresolved", "chunks"):
-            setattr(stats, name, getattr(stats, name) + getattr(part.stats, name))
-        for stage, spent in part.stats.seconds.items():
-            stats.seconds[stage] = stats.seconds.get(stage, 0.0) + spent
-    return Contacts(**columns, stats=stats)
+
+_MOTION = ("position_t0", "orientation_t0", "position_t1", "rotation")
+
+
+def _columns(bodies: MovingBodies) -> Columns:
+    """All that a scene and a motion say of each body."""
+    columns = {name: getattr(bodies.motion, name) for name in _MOTION}
+    columns |= {name: getattr(bodies.scene, name) for name in ("mesh_index", *FILTERS)}
+    return {name: column for name, column in columns.items() if column is not None}
+
+
+def _bodies(like: MovingBodies, columns: Columns) -> MovingBodies:
+    """The reverse: bodies of the same meshes on paths of the same kind."""
+    filters = {name: columns[name] for name in FILTERS if name in columns}
+    scene = Scene.of_checked(like.scene.meshes, columns["mesh_index"], **filters)
+    position_t0, orientation, position_t1, rotation = (columns[name] for name in _MOTION)
+    path = cast(RigidMotion, like.motion).path
+    return MovingBodies(scene, RigidMotion.of_checked(position_t0, orientation, position_t1, rotation, path))

@@ -59,8 +59,10 @@ class Route:
     @property
     def source(self) -> Tensor:
         """(R,) int64: where each row received came from."""
-        counts = torch.tensor(self.received)
-        return torch.repeat_interleave(torch.arange(len(counts)), counts).to(self.rows.device)
+        device = self.rows.device
+        counts = torch.tensor(self.received).to(device, non_blocking=True)
+        ranks = torch.arange(len(self.received), device=device)
+        return torch.repeat_interleave(ranks, counts, output_size=sum(self.received))
 
     def forward(self, columns: Mapping[str, Tensor]) -> Arrival:
         """Sends `rows` of the columns."""
@@ -75,33 +77,38 @@ class Route:
 def make_route(comm: Comm, rows: Tensor, destination: Tensor) -> Route:
     """A route that takes each of the rows (K,) to its destination (K,); a row may go to several."""
     order = torch.argsort(destination, stable=True)
-    counts = torch.bincount(destination, minlength=comm.size)
+    # Not bincount, which waits for a device to learn the largest value.
+    counts = destination.new_zeros(comm.size).scatter_add_(0, destination, torch.ones_like(destination))
     sent, received = torch.stack([counts, comm.exchange_counts(counts)]).tolist()
     return Route(comm, rows[order], sent, received)
 
 
-def merged_rows(id: Tensor, more: Tensor) -> tuple[Tensor, Tensor]:
-    """Where rows go when columns with ids (N,), ascending, and (M,), in any order, are merged into ascending order.
+def replace_rows(columns: Columns, removed: Tensor, added: Columns) -> Columns:
+    """Columns without some of their rows and with others, by ascending id. Each is copied once; nothing waits.
 
-    Cheaper than sorting when the second ones are few.
+    Args:
+        columns: "id" (N,) int64 among them, ascending.
+        removed: (L,) int64 rows, ascending.
+        added: the same columns of A rows in any order.
     """
-    order = torch.argsort(more)
-    at = torch.searchsorted(id, more[order]) + torch.arange(len(more), device=more.device)
-    is_first = torch.ones(len(id) + len(more), dtype=torch.bool, device=id.device)
-    is_first[at] = False
-    row_of_more = torch.empty_like(at)
-    row_of_more[order] = at
-    return torch.nonzero(is_first)[:, 0], row_of_more
-
-
-def merge_columns(first: Columns, second: Columns, rows: tuple[Tensor, Tensor]) -> Columns:
-    """Both, at the rows that `merged_rows` says."""
-    merged = {}
-    for name, column in first.items():
-        merged[name] = column.new_empty((len(rows[0]) + len(rows[1]), *column.shape[1:]))
-        merged[name][rows[0]] = column
-        merged[name][rows[1]] = second[name]
-    return merged
+    id, count = columns["id"], len(columns["id"])
+    if not len(removed) and not len(added["id"]):
+        return columns
+    added = take_rows(added, torch.argsort(added["id"]))
+    removed_id, more = id[removed], torch.arange(len(added["id"]), device=id.device)
+    # Where added rows come to be, and where the row after a removed one does.
+    at = torch.searchsorted(id, added["id"]) - torch.searchsorted(removed_id, added["id"]) + more
+    after = removed - torch.arange(len(removed), device=id.device) + torch.searchsorted(added["id"], removed_id)
+    kept = count - len(removed)
+    shift = torch.zeros(kept + len(more) + 1, dtype=torch.int64, device=id.device)
+    shift.index_add_(0, after, torch.ones_like(after)).index_add_(0, at + 1, -torch.ones_like(at))
+    source = torch.arange(kept + len(more), device=id.device) + shift.cumsum(0)[:-1]
+    source = source.clamp_(max=max(0, count - 1))  # places of added rows may point past the end
+    changed = {}
+    for name, column in columns.items():
+        changed[name] = column.index_select(0, source) if count else column.new_empty((len(more), *column.shape[1:]))
+        changed[name][at] = added[name]
+    return changed
 
 
 def take_rows(columns: Mapping[str, Tensor], rows: Tensor) -> Columns:

@@ -3,10 +3,13 @@
 A body is sent to every rank that owns any cell its CBV's box reaches (corners touch many cells, a fast body too). Two
 boxes that overlap share the lower corner of their intersection; the rank that owns the cell of that reference point
 holds both bodies, since the point lies in both boxes, and is the one that tests the pair. It may own neither.
+
+Most bodies reach no cell of others. One pass finds those that do; all else is in proportion to these.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,61 +17,43 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.broad import check_separation
+from pgccd.bodies import MovingBodies
 from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Arrival, Columns, Route, make_route, merge_columns, merged_rows
-from pgccd.distributed.partition import Partition, ranks_reached
-from pgccd.motion import RigidMotion
+from pgccd.distributed.exchange import Arrival, Columns, Route
+from pgccd.distributed.partition import Partition
+
+#: Bits of `reach`: the body reaches cells of other ranks; it is a ghost.
+REACHES_OTHERS, IS_GHOST = 1, 2
+
+#: Centres at t0 and t1 (N, 3) and SBV radius (N,) of bodies.
+Centres = tuple[Tensor, Tensor, Tensor]
 
 
-@dataclass(frozen=True)
-class Boxes:
-    """Boxes of bodies' CBVs and the cells they reach."""
-
-    lower: Tensor  #: (N, 3) float64, min_separation / 2 included, rounded outward
-    upper: Tensor  #: (N, 3)
-    first: Tensor  #: (N, 3) int64: the cell along each axis of the lower corner
-    last: Tensor  #: (N, 3) of the upper corner
-
-    @classmethod
-    def of(cls, partition: Partition, motion: RigidMotion, radius: Tensor, min_separation: float = 0.0) -> Boxes:
-        """Those of a motion's bodies with SBV radius (N,)."""
-        motion.check()
-        separation = check_separation(min_separation)
-        lower, upper = ops.swept_boxes(motion.position_t0, motion.position_t1, radius, separation)
-        return cls(lower, upper, partition.coordinates(lower), partition.coordinates(upper))
-
-    def reference_cell(self, partition: Partition, pairs: Tensor) -> Tensor:
-        """(P,) int64: the cell of the lower corner of the intersection of each pair (P, 2)."""
-        return partition.cell_of(torch.maximum(self.lower[pairs[:, 0]], self.lower[pairs[:, 1]]))
+def centres_of(bodies: MovingBodies) -> Centres:
+    """Of moving bodies."""
+    return bodies.position_t0, bodies.position_t1, bodies.radius
 
 
 @dataclass(frozen=True)
 class Held:
-    """The bodies a rank holds for one step: its own and ghosts. Rows ascend by global id, so that pairs of rows are in
-    the order of their ids, on every rank alike."""
+    """The bodies a rank holds for one step: rows 0 to N - 1 are its own, rows N to N + G - 1 ghosts."""
 
-    columns: Columns  #: of all of them, "id" among them
-    owner: Tensor  #: (H,) int64: the rank that owns each
-    own: Tensor  #: (N,) int64: rows of this rank's own bodies
-    ghosts: Tensor  #: (G,) int64: rows of ghosts, in the order in which they came
-    route: Route  #: that brought the ghosts: its rows count own bodies
+    own_id: Tensor  #: (N,) int64, ascending
+    ghosts: Columns  #: of G bodies, "id" among them, in the order in which they came
+    route: Route  #: that brought them: its rows count own bodies
 
     def __len__(self) -> int:
-        return self.owner.shape[0]
+        return len(self.own_id) + len(self.ghosts["id"])
 
-    def first_toi(self, toi: Tensor) -> Tensor:
-        """The smallest toi (H,) of each body over all ranks that hold it (`pgccd.sim.Exchange`)."""
-        found = self.route.back({"toi": toi[self.ghosts]}).wait()["toi"]
-        least = toi[self.own].scatter_reduce(0, self.route.rows, found, "amin")
-        toi = toi.clone()
-        toi[self.own] = least
-        toi[self.ghosts] = self.route.forward({"toi": least}).wait()["toi"]
-        return toi
+    @functools.cached_property
+    def id(self) -> Tensor:
+        """(N + G,) int64."""
+        return torch.cat([self.own_id, self.ghosts["id"]])
 
-    def any(self, flag: bool) -> bool:
-        """True if it is on any rank (`pgccd.sim.Exchange`)."""
-        return self.route.comm.any(flag)
+    @functools.cached_property
+    def owner(self) -> Tensor:
+        """(N + G,) int64: the rank that owns each."""
+        return torch.cat([torch.full_like(self.own_id, self.route.comm.rank), self.route.source])
 
 
 class Halo:
@@ -77,21 +62,90 @@ class Halo:
     Args:
         comm: between the ranks.
         partition: the same on all of them.
-        own: columns of this rank's own bodies, "id" ascending.
-        boxes: of theirs.
+        own: columns of this rank's own bodies that others need, "id" ascending.
+        bodies: these, moving; not checked yet.
+        min_separation: length.
+
+    Raises:
+        ValueError: a pose is invalid.
     """
 
-    def __init__(self, comm: Comm, partition: Partition, own: Mapping[str, Tensor], boxes: Boxes) -> None:
-        self._own = dict(own)
-        body, destination = ranks_reached(partition, boxes.first, boxes.last, comm.rank)
-        self._route = make_route(comm, body, destination)
-        self._arrival: Arrival = self._route.forward(own)
+    def __init__(
+        self, comm: Comm, partition: Partition, own: Mapping[str, Tensor], bodies: MovingBodies, min_separation: float
+    ) -> None:
+        self._own_id = own["id"]
+        #: (N,) uint8: REACHES_OTHERS for own bodies that do; None if there are no others.
+        self.reach: Tensor | None = None
+        self._arrival: Arrival | None = None
+        if comm.size == 1:
+            bodies.motion.check()
+            nobody = own["id"][:0]
+            self._ghosts = {name: column[:0] for name, column in own.items()}
+            self._route = Route(comm, nobody, [0], [0])
+            return
+        centres, territory = centres_of(bodies), partition.territory(comm.rank)
+        self.reach, border, found = ops.border_bodies(centres, min_separation, territory)
+        count, *faults = torch.cat([found, bodies.first_faults()]).tolist()
+        bodies.raise_faults(faults)
+        border = border[:count]
+        reached = ops.reached_ranks(centres, min_separation, territory, border, comm.size)
+        reached[:, comm.rank] = 0
+        counts = reached.sum(dim=0)
+        sent, received = torch.stack([counts, comm.exchange_counts(counts)]).tolist()
+        if any(sent):  # by rank, then by body; how many is known
+            border = border[torch.nonzero_static(reached.t().contiguous(), size=sum(sent))[:, 1]]
+        self._route = Route(comm, border, sent, received)
+        self._arrival = self._route.forward(own)
 
     def wait(self) -> Held:
         """The bodies held, once all ghosts are here."""
-        ghosts = self._arrival.wait()
-        own, came = rows = merged_rows(self._own["id"], ghosts["id"])
-        columns = merge_columns(self._own, ghosts, rows)
-        owner = torch.full_like(columns["id"], self._route.comm.rank)
-        owner[came] = self._route.source
-        return Held(columns, owner, own, came, self._route)
+        if self._arrival is not None:
+            self._ghosts = self._arrival.wait()
+        return Held(self._own_id, self._ghosts, self._route)
+
+
+class HeldExchange:
+    """How ranks agree on the first toi of the bodies they hold (`pgccd.sim.Exchange`).
+
+    Owners hear from all that hold a body, and tell them what came of it. Whether anybody changes travels with it: one
+    more number to every rank.
+
+    Args:
+        held: the bodies.
+    """
+
+    def __init__(self, held: Held) -> None:
+        route, device = held.route, held.own_id.device
+        self._route = route
+        self._ghosts = slice(len(held.own_id), len(held))
+        ghosts = torch.arange(len(held.own_id), len(held), device=device)
+        self.shared = torch.cat([route.rows, ghosts])
+        self._sent, self._flags_sent = _with_flags(route.sent, device)
+        self._received, self._flags_received = _with_flags(route.received, device)
+
+    def collect(self, first: Tensor) -> None:
+        """Lowers the first toi (N + G,) of own bodies to the smallest over all ranks that hold them."""
+        if self._route.comm.size > 1:
+            found = self._route.back({"toi": first[self._ghosts]}).wait()["toi"]
+            first.scatter_reduce_(0, self._route.rows, found, "amin")
+
+    def spread(self, first: Tensor, changed: Tensor) -> Tensor:
+        """Sets that of ghosts to their owners'; and says whether a body changes on any rank, (1,) bool."""
+        comm = self._route.comm
+        if comm.size == 1:
+            return changed
+        message = first.new_empty(len(self._sent) + comm.size)
+        message[self._sent] = first[self._route.rows]
+        message[self._flags_sent] = changed.to(first.dtype)
+        sent, received = ([count + 1 for count in counts] for counts in (self._route.sent, self._route.received))
+        answer = comm.exchange(message.view(torch.uint8).view(-1, 8), sent, received).wait().view(first.dtype)[:, 0]
+        first[self._ghosts] = answer[self._received]
+        return (answer[self._flags_received] > 0.0).any().reshape(1)
+
+
+def _with_flags(counts: list[int], device: torch.device) -> tuple[Tensor, Tensor]:
+    """Where rows and flags are in a message that has one flag after the rows of each rank."""
+    each = torch.tensor(counts).to(device, non_blocking=True)
+    ranks, total = torch.arange(len(counts), device=device), sum(counts)
+    rows = torch.arange(total, device=device) + torch.repeat_interleave(ranks, each, output_size=total)
+    return rows, each.cumsum(0) + ranks

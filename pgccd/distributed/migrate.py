@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from pgccd import ops
 from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Columns, make_route, merge_columns, merged_rows, take_rows
+from pgccd.distributed.exchange import Columns, Route, replace_rows
 from pgccd.distributed.partition import Partition
 from pgccd.sim.hashing import id_hash
 
@@ -17,7 +17,40 @@ from pgccd.sim.hashing import id_hash
 _BLOCK = 1 << 22
 
 
-def migrate(comm: Comm, partition: Partition, columns: Mapping[str, Tensor], position: Tensor) -> tuple[Columns, int]:
+class Leaving:
+    """Who is to leave this rank, known to the device only.
+
+    Args:
+        comm: between the ranks.
+        partition: the same on all of them.
+        position: (N, 3) centres.
+    """
+
+    def __init__(self, comm: Comm, partition: Partition, position: Tensor) -> None:
+        self._comm, self.partition, self._position = comm, partition, position
+        self._rows, counts = ops.leaving_bodies(position, partition.territory(comm.rank), comm.size)
+        #: (ranks,) int64: how many to each.
+        self.counts = counts
+
+    def route(self, sent: list[int], received: list[int]) -> tuple[Route, Tensor]:
+        """The way they go, and their rows, ascending.
+
+        Args:
+            sent: `counts`.
+            received: what the other ranks' `counts` say of this one.
+        """
+        rows = self._rows[: sum(sent)]
+        destination = self.partition.owner_of(self._position[rows])
+        return Route(self._comm, rows[torch.argsort(destination, stable=True)], sent, received), rows
+
+
+def migrate(
+    comm: Comm,
+    partition: Partition,
+    columns: Columns,
+    position: Tensor,
+    known: tuple[Leaving, list[int], list[int]] | None = None,
+) -> tuple[Columns, int]:
     """Sends every body to the owner of the cell that holds its centre.
 
     Args:
@@ -26,6 +59,7 @@ def migrate(comm: Comm, partition: Partition, columns: Mapping[str, Tensor], pos
         columns: of this rank's bodies, "id" (N,) int64 among them, ascending. Any dtypes and widths, alike on all
             ranks.
         position: (N, 3) centres.
+        known: who leaves, how many go to and how many come from each rank, if the ranks have told each other already.
 
     Returns:
         The columns of the bodies this rank owns now, by ascending id; and how many came from others.
@@ -33,13 +67,16 @@ def migrate(comm: Comm, partition: Partition, columns: Mapping[str, Tensor], pos
     Example:
         >>> columns, arrived = migrate(comm, partition, {"id": id, "position": x, "mood": mood}, x)
     """
-    owner = partition.owner_of(position)
-    leaves = owner != comm.rank
-    leaving, staying = torch.nonzero(leaves)[:, 0], torch.nonzero(~leaves)[:, 0]
-    arrived = make_route(comm, leaving, owner[leaving]).forward(columns).wait()
-    kept = take_rows(columns, staying)
-    rows = merged_rows(kept["id"], arrived["id"])
-    return merge_columns(kept, arrived, rows), len(arrived["id"])
+    if comm.size == 1:
+        return columns, 0
+    if known is None:
+        leaving = Leaving(comm, partition, position)
+        sent, received = torch.stack([leaving.counts, comm.exchange_counts(leaving.counts)]).tolist()
+    else:
+        leaving, sent, received = known
+    route, rows = leaving.route(sent, received)
+    arrived = route.forward(columns).wait()
+    return replace_rows(columns, rows, arrived), len(arrived["id"])
 
 
 @dataclass(frozen=True)

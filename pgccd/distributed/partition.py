@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -19,9 +18,6 @@ from torch import Tensor
 
 Triple = tuple[int, int, int]
 Point = tuple[float, float, float]
-
-# Rows of (body, cell) made at a time.
-_BLOCK_ROWS = 1 << 24
 
 
 def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
@@ -156,10 +152,14 @@ class Partition:
         )
         return lower, 1.0 / size, count - 1.0
 
-    @functools.lru_cache(maxsize=1)  # noqa: B019  (asked for by one rank, its own, once a step)
-    def foreign(self, rank: int) -> MarkedCells:
-        """The cells that others than `rank` own."""
-        return MarkedCells(self, self.owner != rank)
+    @functools.cached_property
+    def frame(self) -> list[float]:
+        """The same for the operators: lower corner, cells a length unit, number of cells; along x, y, z each."""
+        return [*self.lower, *(1.0 / size for size in self.cell_size), *map(float, self.grid)]
+
+    def territory(self, rank: int) -> tuple[list[float], Tensor, int]:
+        """What the operators want to know of a rank's cells."""
+        return self.frame, self.owner, rank
 
     def index(self, coordinates: Tensor) -> Tensor:
         """(K,) int64 positions in the table of cells (K, 3)."""
@@ -173,75 +173,3 @@ class Partition:
     def owner_of(self, points: Tensor) -> Tensor:
         """(K,) int64: the rank that owns the cell of each of the points (K, 3)."""
         return self.owner[self.cell_of(points)]
-
-    def reached(self, first: Tensor, last: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-        """Every cell that boxes reach, in pieces of bounded size.
-
-        Args:
-            first, last: (K, 3) `coordinates` of the boxes' corners.
-
-        Yields:
-            box (R,) int64 and cell (R,) int64: box rows ascending, each of their cells once.
-        """
-        extent = last - first + 1
-        count = extent.prod(dim=1)
-        end = count.cumsum(0)
-        begin_row, row_count = 0, first.shape[0]
-        while begin_row < row_count:
-            before = int(end[begin_row - 1]) if begin_row else 0
-            end_row = max(begin_row + 1, int(torch.searchsorted(end, before + _BLOCK_ROWS, right=True)))
-            rows = slice(begin_row, end_row)
-            box = torch.repeat_interleave(torch.arange(begin_row, end_row, device=first.device), count[rows])
-            within = torch.arange(len(box), device=first.device) - (end[box] - count[box] - before)
-            _, ny, nz = extent[box].unbind(dim=1)
-            offset = torch.stack([within // (ny * nz), within // nz % ny, within % nz], dim=1)
-            yield box, self.index(first[box] + offset)
-            begin_row = end_row
-
-
-class MarkedCells:
-    """A set of cells that can be asked in constant time how many of them a box of cells holds (a summed-area table).
-
-    Args:
-        partition: whose cells.
-        marked: (cell_count,) bool.
-    """
-
-    def __init__(self, partition: Partition, marked: Tensor) -> None:
-        sums = marked.view(partition.grid).long()
-        for axis in range(3):
-            sums = sums.cumsum(axis)
-        self._sums = torch.nn.functional.pad(sums, (1, 0, 1, 0, 1, 0))
-
-    def count(self, first: Tensor, last: Tensor) -> Tensor:
-        """(K,) int64: marked cells between the cells first and last (K, 3), both included."""
-        total = torch.zeros(first.shape[0], dtype=torch.int64, device=first.device)
-        for corner in itertools.product((0, 1), repeat=3):
-            at = [(last[:, axis] + 1) if high else first[:, axis] for axis, high in enumerate(corner)]
-            total += (-1) ** (3 - sum(corner)) * self._sums[at[0], at[1], at[2]]
-        return total
-
-
-def ranks_reached(partition: Partition, first: Tensor, last: Tensor, rank: int) -> tuple[Tensor, Tensor]:
-    """The other ranks that own any cell a box reaches.
-
-    Args:
-        first, last: (K, 3) `coordinates` of the boxes' corners.
-        rank: left out.
-
-    Returns:
-        box (R,) and rank (R,) int64, sorted, no two rows alike.
-
-    Example:
-        >>> body, destination = ranks_reached(partition, first, last, comm.rank)
-    """
-    # Most boxes lie in one cell, and that is the rank's own.
-    unsure = (first != last).any(dim=1) | (partition.owner[partition.index(first)] != rank)
-    rows = torch.nonzero(unsure)[:, 0]
-    crossing = rows[partition.foreign(rank).count(first[rows], last[rows]) > 0]
-    found = []
-    for box, cell in partition.reached(first[crossing], last[crossing]):
-        owner = partition.owner[cell]
-        found.append(torch.unique((crossing[box] * partition.ranks + owner)[owner != rank]))
-    key = torch.cat(found) if found else crossing
-    return key // partition.ranks, key % partition.ranks

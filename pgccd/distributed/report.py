@@ -52,7 +52,7 @@ def earliest_for_all(comm: Comm, found: Detection) -> Contacts:
 
 def _in_global_ids(found: Detection) -> Columns:
     columns = {name: value for name, value in vars(found.contacts).items() if isinstance(value, Tensor)}
-    return columns | {"pairs": found.held.columns["id"][found.contacts.pairs]}
+    return columns | {"pairs": found.held.id[found.contacts.pairs]}
 
 
 def _all_fields(columns: Columns) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from pgccd.broad import BroadPhase
 from pgccd.contacts import Contacts
 from pgccd.distributed.agreement import on_first, require_agreement, together
 from pgccd.distributed.balance import BalanceOptions
-from pgccd.distributed.checkpoint import Checkpoints, Header, load_share, newest_header
+from pgccd.distributed.checkpoint import Checkpoints, Header, load_share, newest_header, read_owners
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns, make_route, take_rows
 from pgccd.distributed.partition import Partition, Triple
@@ -145,7 +145,11 @@ def resume(
         return RobotState(**take_rows(whole.columns, torch.arange(comm.rank, len(whole), comm.size)))
 
     state = together(comm, read).to(world.device)
-    fleet = Fleet(comm, world, _partition(comm, world, options), state, options.balance, options.overlap, broad_phase)
+    partition = _partition(comm, world, options)
+    owners = None if is_single else on_first(comm, lambda: read_owners(folder, partition))
+    if owners is not None:
+        partition = partition.with_owner(torch.tensor(owners))
+    fleet = Fleet(comm, world, partition, state, options.balance, options.overlap, broad_phase)
     return _continue(fleet, header.steps_made, steps, folder, checkpoint_every, progress, keep_last_step)
 
 
@@ -198,7 +202,7 @@ class _FleetMachine:
     def save(self, steps_made: int, steps_wanted: int) -> None:
         self.fleet.verify()
         header = Header(self.fleet.world.config, steps_made, steps_wanted, self._digest)
-        self._checkpoints.begin(header, self.fleet.state)
+        self._checkpoints.begin(header, self.fleet.state, self.fleet.partition)
 
     def finish(self) -> None:
         self._checkpoints.finish()
@@ -242,12 +246,12 @@ def gather_state(comm: Comm, state: RobotState) -> RobotState:
 def gather_step(comm: Comm, step: RankStep, after: RobotState) -> Step:
     """A whole step on rank 0, as a single process makes it. The row of a robot is its id."""
     held, found = step.detection.held, step.detection.contacts
-    own = take_rows(step.before.columns | {"fraction": step.settlement.fraction}, held.own)
-    before = gather_columns(comm, own)
+    own = step.settlement.fraction[: len(step.before)].contiguous()
+    before = gather_columns(comm, step.before.columns | {"fraction": own})
     before = take_rows(before, torch.argsort(before["id"]))
     fraction = before.pop("fraction")
     columns = {name: value for name, value in vars(found).items() if isinstance(value, Tensor)}
-    columns["pairs"] = step.before.id[found.pairs]
+    columns["pairs"] = held.id[found.pairs]
     contacts = gather_columns(comm, columns)
     order = torch.argsort(contacts["pairs"][:, 0] * max(1, len(fraction)) + contacts["pairs"][:, 1])
     whole = Contacts(**take_rows(contacts, order), stats=found.stats)

@@ -9,22 +9,26 @@ import torch
 from torch import Tensor
 
 from pgccd.broad import BroadPhase
-from pgccd.distributed.balance import BalanceOptions, CellLoads, imbalance, rebalance
+from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, imbalance, rebalance
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.detection import Detection, Options, detect_distributed
 from pgccd.distributed.exchange import Columns, take_rows
-from pgccd.distributed.migrate import Census, migrate
+from pgccd.distributed.halo import HeldExchange
+from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
 from pgccd.motion import RigidMotion
 from pgccd.scene import Scene
-from pgccd.sim.hashing import contacts_hash, state_hash
+from pgccd.sim.hashing import id_hash_of
 from pgccd.sim.response import Settlement, respond, settle
-from pgccd.sim.step import Tally, partners, toi_of
+from pgccd.sim.step import Partners, Tally, count_step, toi_of
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
 
 # Robots made at a time at the start of a world.
 _BLOCK_ROBOTS = 1 << 20
+# Up to so many ranks, each tells all how many robots leave it for whom together with its tally; with more, those
+# concerned alone.
+_TELLS_MOVES = 64
 
 
 @dataclass
@@ -33,18 +37,21 @@ class RankStep:
 
     index: int  #: from 0
     detection: Detection
-    before: RobotState  #: of the robots held, as planned
+    before: RobotState  #: of the robots owned, as planned
     settlement: Settlement  #: of the robots held
     record: dict[str, Any]  #: of the whole world: the line in steps.jsonl, the same on all ranks but for the times
 
 
 @dataclass
 class _Report:
-    """What a rank tells all others after a step, beside its tally."""
+    """What a rank tells all others after a step."""
 
+    tally: Tally
     held: int
     arrived: int
     busy: int  #: nanoseconds at work, not waiting for others
+    census: Census  #: of its robots before the step
+    moves: list[int]  #: how many robots leave it for each rank; empty if that is told later
 
 
 class Fleet:
@@ -92,42 +99,37 @@ class Fleet:
 
     def step(self, index: int) -> RankStep:
         """Moves the robots by one step, the `index`-th from 0."""
-        guard, clock = self.comm.guard, StageClock()
-        guard.activity = f"step {index}"
-        world = self.world
-        census = Census.of(self.state.id)
+        comm, clock = self.comm, StageClock()
+        comm.guard.activity = f"step {index}"
         with clock.stage("plan"):
-            planned = world.plan(self.state, index)
-        found = detect_distributed(self.comm, self.partition, planned.columns, self._build, self.options, clock)
-        held, before, toi = found.held, RobotState(**found.held.columns), toi_of(found.contacts)
+            ids = id_hash_of(self.state.id)
+            planned = self.world.plan(self.state, index)
+        own = planned.moving_columns
+        found = detect_distributed(comm, self.partition, own, self._build, self.options, clock)
+        held, toi = found.held, toi_of(found.contacts)
         with clock.stage("respond"):
-            find_contacts = partners(world, found.scene, before, found.pairs)
-            settlement = settle(found.contacts.pairs, toi, len(before), find_contacts, held)
-            after = respond(planned, settlement.fraction[held.own].contiguous())
+            partners = Partners(self.world, own, held.ghosts, found.pairs)
+            settlement = settle(found.contacts.pairs, toi, len(held), partners, HeldExchange(held))
+            fraction = settlement.fraction[: len(planned)]
+            after = respond(planned, fraction)
         with clock.stage("hash"):
-            tally = Tally(
-                robots=len(after),
-                pcs=len(found.pairs),
-                contacts=len(found.contacts),
-                contacts_hash=contacts_hash(before.id[found.contacts.pairs], toi),
-                state_hash=state_hash(after),
-                stopped=int(settlement.stopped[held.own].sum()),
-                secondary_contacts=settlement.secondary_contacts,
-                touching_at_t0=int((toi == 0.0).sum()),
-                candidates=found.contacts.stats.candidates,
-                unresolved=found.contacts.stats.unresolved,
-            )
-        report = _Report(len(held), self._arrived, int(1e9 * clock.work))
+            counted = count_step(after, fraction, held.id[found.contacts.pairs], toi)
+            leaving = Leaving(comm, self.partition, after.position)
         with clock.stage("gather"):
-            tallies, reports, censuses = self._tell(tally, report, census)
-        Census.total(censuses).require(self._expected)
+            reports = self._tell(found, settlement, clock, torch.cat([counted, ids]), leaving)
+        tallies = [report.tally for report in reports]
+        Census.total([report.census for report in reports]).require(self._expected)
         moved_cells = self._balance(index, found, planned, reports, clock)
         with clock.stage("migrate"):
-            self._migrate(after)
+            moves = [report.moves for report in reports]
+            known = None
+            if moved_cells == 0 and all(moves):
+                known = leaving, moves[comm.rank], [row[comm.rank] for row in moves]
+            self._migrate(after, known)
         record = Tally.total(tallies).record(index, settlement.rounds, clock)
         record["ranks"] = {
             "bodies": [part.robots for part in tallies],
-            "ghosts": [report.held - part.robots for part, report in zip(tallies, reports, strict=True)],
+            "ghosts": [report.held - report.tally.robots for report in reports],
             "pcs": [part.pcs for part in tallies],
             "contacts": [part.contacts for part in tallies],
             "arrived": [report.arrived for report in reports],
@@ -135,26 +137,28 @@ class Fleet:
             "moved_cells": moved_cells,
             "imbalance": round(imbalance(torch.tensor([float(part.pcs) for part in tallies])), 4),
         }
-        return RankStep(index, found, before, settlement, record)
+        return RankStep(index, found, planned, settlement, record)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
-        state = RobotState(**columns)
-        return self.world.scene(state.id), self.world.motion(state)
+        pose = (columns["position"], columns["orientation"], columns["velocity"], columns["angular_velocity"])
+        return self.world.scene(columns["id"]), RigidMotion.from_velocity(*pose, dt=1.0)
 
-    def _tell(self, tally: Tally, report: _Report, census: Census) -> tuple[list[Tally], list[_Report], list[Census]]:
-        """Those of all ranks, in one all-gather."""
-        own = [*astuple(tally), *astuple(report), *astuple(census)]
-        signed = [value - 2**64 if value >= 2**63 else value for value in own]
-        rows = self.comm.all_gather(torch.tensor(signed)).tolist()
-        tallies, reports, censuses = [], [], []
-        first, second = len(fields(Tally)), len(fields(Tally)) + len(fields(_Report))
-        for row in rows:
-            tallies.append(Tally(*row[:first]))
-            tallies[-1].contacts_hash %= 2**64
-            tallies[-1].state_hash %= 2**64
-            reports.append(_Report(*row[first:second]))
-            censuses.append(Census(row[second], row[second + 1] % 2**64))
-        return tallies, reports, censuses
+    def _tell(
+        self, found: Detection, settlement: Settlement, clock: StageClock, counted: Tensor, leaving: Leaving
+    ) -> list[_Report]:
+        """What all ranks have to report, in one all-gather; numbers that the device counted are read only then."""
+        contacts, comm = found.contacts, self.comm
+        stats, tally_size = contacts.stats, len(fields(Tally))
+        tally = [len(found.pairs), len(contacts), settlement.secondary_contacts, stats.candidates, stats.unresolved]
+        rest = [len(found.held), self._arrived, int(1e9 * clock.work)]
+        host = torch.tensor([*rest, *tally]).to(counted.device, non_blocking=True)
+        moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
+        reports = []
+        for row in comm.all_gather(torch.cat([host, counted, *moves])).tolist():
+            held, arrived, busy = row[:3]
+            told, (ids, *moved) = Tally.of(row[3 : 3 + tally_size]), row[3 + tally_size :]
+            reports.append(_Report(told, held, arrived, busy, Census(told.robots, ids % 2**64), moved))
+        return reports
 
     def _balance(
         self, index: int, found: Detection, planned: RobotState, reports: list[_Report], clock: StageClock
@@ -163,25 +167,27 @@ class Fleet:
         if not self.balance.applies(index + 1, self.comm.size):
             return 0
         with clock.stage("balance"):
+            tallies = [report.tally for report in reports]
+            counts = torch.tensor([[tally.robots, tally.pcs, tally.contacts] for tally in tallies])
+            seconds = torch.tensor([1e-9 * report.busy for report in reports], dtype=torch.float64)
+            if RankLoads(counts[:, 0], counts[:, 1], counts[:, 2], seconds).are_level(self.balance):
+                return 0
             loads = cell_loads(self.partition, planned.position, found)
             total = CellLoads.unstacked(self.comm.sum(loads.stacked()))
-            seconds = torch.tensor([1e-9 * report.busy for report in reports], dtype=torch.float64)
             former = self.partition
             self.partition = rebalance(former, total, self.balance, seconds)
             return int((self.partition.owner != former.owner).sum())
 
-    def _migrate(self, state: RobotState) -> None:
+    def _migrate(self, state: RobotState, known: tuple[Leaving, list[int], list[int]] | None = None) -> None:
         """Hands robots over; the state's ids ascend."""
-        columns, self._arrived = migrate(self.comm, self.partition, state.columns, state.position)
+        columns, self._arrived = migrate(self.comm, self.partition, state.columns, state.position, known)
         self.state = RobotState(**columns)
 
 
 def cell_loads(partition: Partition, position: Tensor, found: Detection) -> CellLoads:
     """What one rank saw in each cell."""
-    pair_key = found.pairs[:, 0] * len(found.held) + found.pairs[:, 1]
-    contact_key = found.contacts.pairs[:, 0] * len(found.held) + found.contacts.pairs[:, 1]
-    contact_cell = found.cell[torch.searchsorted(pair_key, contact_key)] if len(pair_key) else found.cell
-    cells = (partition.cell_of(position), found.cell, contact_cell)
+    cells = [partition.cell_of(position)]
+    cells += [found.reference_cells(partition, pairs) for pairs in (found.pairs, found.contacts.pairs)]
     return CellLoads(*(torch.bincount(cell, minlength=partition.cell_count) for cell in cells))
 
 

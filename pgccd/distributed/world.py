@@ -12,7 +12,7 @@ from pgccd import narrow
 from pgccd.broad import BroadPhase
 from pgccd.contacts import Contacts
 from pgccd.distributed.agreement import require_agreement, together
-from pgccd.distributed.balance import BalanceOptions, CellLoads, rank_loads, rebalance
+from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rank_loads, rebalance
 from pgccd.distributed.comm import Alone, Comm
 from pgccd.distributed.detection import Detection, Options, detect_distributed
 from pgccd.distributed.exchange import Columns, make_route, take_rows
@@ -22,11 +22,9 @@ from pgccd.distributed.report import earliest_for_all, tell_owners
 from pgccd.distributed.step import cell_loads
 from pgccd.mesh import Mesh, MeshSet
 from pgccd.motion import RigidMotion
-from pgccd.scene import Scene
+from pgccd.scene import FILTERS, Scene
 from pgccd.sim.files import meshes_digest
 from pgccd.stages import StageClock
-
-_FILTERS = ("group", "mask", "world", "static")
 
 
 class World:
@@ -141,7 +139,7 @@ class World:
     @property
     def payload(self) -> dict[str, Tensor]:
         """What the user's tensors are now, by name."""
-        own = ("id", "position", "mesh_index", *_FILTERS)
+        own = ("id", "position", "mesh_index", *FILTERS)
         return {name.removeprefix("."): column for name, column in self._columns.items() if name not in own}
 
     def step(self, motion: RigidMotion) -> Contacts:
@@ -171,7 +169,7 @@ class World:
             raise ValueError(f"motion: has {motion.body_count} bodies, this rank owns {len(self.id)}")
         if motion.path != self.path:
             raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
-        own = {name: self._columns[name] for name in ("id", "mesh_index", *_FILTERS) if name in self._columns}
+        own = {name: self._columns[name] for name in ("id", "mesh_index", *FILTERS) if name in self._columns}
         own |= {"position_t0": motion.position_t0, "orientation_t0": motion.orientation_t0}
         own |= {"position_t1": motion.position_t1, "rotation": motion.rotation}
         self.comm.guard.activity = "step"
@@ -229,23 +227,26 @@ class World:
         return rank_loads(total.cost, self.partition.owner, self.comm.size)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
-        filters: dict[str, Any] = {name: columns[name] for name in _FILTERS if name in columns}
-        if "static" in filters:
-            filters["static"] = filters["static"].bool()
+        filters: dict[str, Any] = {name: columns[name] for name in FILTERS if name in columns}
         pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
-        return Scene(self._meshes, columns["mesh_index"], **filters), RigidMotion.from_rotation(*pose, path=self.path)
+        return Scene.of_checked(self._meshes, columns["mesh_index"], **filters), RigidMotion.from_rotation(
+            *pose, path=self.path
+        )
 
     def _cell_loads(self) -> CellLoads:
         if self._found is None:
             raise RuntimeError("no step has been made yet")
-        held = self._found.held
-        own = cell_loads(self.partition, held.columns["position_t0"][held.own], self._found)
+        own = cell_loads(self.partition, self._found.centres[0][0], self._found)
         return CellLoads.unstacked(self.comm.sum(own.stacked()))
 
     def _change_hands(self) -> None:
         if self.balance.applies(self._steps, self.comm.size):
-            seconds = self.comm.all_gather(torch.tensor([self._seconds], dtype=torch.float64))[:, 0]
-            self.partition = rebalance(self.partition, self._cell_loads(), self.balance, seconds)
+            assert self._found is not None
+            mine = [len(self._found.held.own_id), len(self._found.pairs), len(self._found.contacts)]
+            told = self.comm.all_gather(torch.tensor([*mine, self._seconds], dtype=torch.float64))
+            bodies, pairs, contacts = told[:, :3].long().unbind(dim=1)
+            if not RankLoads(bodies, pairs, contacts, told[:, 3]).are_level(self.balance):
+                self.partition = rebalance(self.partition, self._cell_loads(), self.balance, told[:, 3])
         self._columns, _ = migrate(self.comm, self.partition, self._columns, self._columns["position"])
         self._count(self._columns).require(self._census)
 

@@ -1,39 +1,31 @@
 """Order-independent hashes of contacts and states, so that runs can be compared by their logs alone.
 
-Each row is mixed to 64 bits; rows are summed modulo 2^64. Integer arithmetic only: the same on every device and for any
-order of rows, and the hash of a whole is the sum of the hashes of its parts (as ranks need).
+Each row is mixed to 64 bits (SplitMix64: Steele, Lea & Flood 2014, doi:10.1145/2714064.2660195); rows are summed modulo
+2^64. Integer arithmetic only: the same on every device and for any order of rows, and the hash of a whole is the sum of
+the hashes of its parts (as ranks need).
 """
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
+from pgccd import ops
 from pgccd.sim.world import RobotState
 
-# SplitMix64 (Steele, Lea & Flood 2014, doi:10.1145/2714064.2660195) as signed numbers, which wrap.
-_INCREMENT = 0x9E3779B97F4A7C15 - 2**64
-_FACTORS = (0xBF58476D1CE4E5B9 - 2**64, 0x94D049BB133111EB - 2**64)
+
+def contacts_hash_of(pairs: Tensor, toi: Tensor) -> Tensor:
+    """`contacts_hash` as (1,) int64 that stays on the device."""
+    return ops.simulate_hash([pairs.amin(dim=1), pairs.amax(dim=1), toi])
 
 
-def _shift_right(bits: Tensor, count: int) -> Tensor:
-    """Logical shift; torch's own copies the sign."""
-    return (bits >> count) & ((1 << (64 - count)) - 1)
+def state_hash_of(state: RobotState) -> Tensor:
+    """`state_hash` as (1,) int64 that stays on the device."""
+    return ops.simulate_hash([state.id, state.position, state.orientation, state.velocity, state.angular_velocity])
 
 
-def _mix(bits: Tensor) -> Tensor:
-    bits = bits + _INCREMENT
-    bits = (bits ^ _shift_right(bits, 30)) * _FACTORS[0]
-    bits = (bits ^ _shift_right(bits, 27)) * _FACTORS[1]
-    return bits ^ _shift_right(bits, 31)
-
-
-def _sum_of_rows(columns: list[Tensor]) -> int:
-    """columns: (N,) int64 each. A value in [0, 2^64)."""
-    row = torch.zeros_like(columns[0])
-    for column in columns:
-        row = _mix(row ^ column)
-    return int(row.sum()) % 2**64
+def id_hash_of(id: Tensor) -> Tensor:
+    """`id_hash` as (1,) int64 that stays on the device."""
+    return ops.simulate_hash([id])
 
 
 def contacts_hash(pairs: Tensor, toi: Tensor) -> int:
@@ -49,7 +41,7 @@ def contacts_hash(pairs: Tensor, toi: Tensor) -> int:
     Example:
         >>> f"{pgccd.sim.contacts_hash(hits.pairs, hits.toi):016x}"
     """
-    return _sum_of_rows([pairs.amin(dim=1), pairs.amax(dim=1), toi.view(torch.int64)])
+    return int(contacts_hash_of(pairs, toi)) % 2**64
 
 
 def state_hash(state: RobotState) -> int:
@@ -58,8 +50,7 @@ def state_hash(state: RobotState) -> int:
     Example:
         >>> f"{pgccd.sim.state_hash(state):016x}"
     """
-    rows = torch.cat([state.position, state.orientation, state.velocity, state.angular_velocity], dim=1)
-    return _sum_of_rows([state.id, *rows.view(torch.int64).unbind(dim=1)])
+    return int(state_hash_of(state)) % 2**64
 
 
 def id_hash(id: Tensor) -> int:
@@ -68,4 +59,4 @@ def id_hash(id: Tensor) -> int:
     Example:
         >>> f"{pgccd.sim.hashing.id_hash(state.id):016x}"
     """
-    return _sum_of_rows([id])
+    return int(id_hash_of(id)) % 2**64

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -21,27 +20,52 @@ _SMALLEST_PART = 0.01
 # After so many rounds whoever still collides stays where it is, which ends the matter quickly.
 _ROUNDS = 4
 
-FindContacts = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+class FindContacts(Protocol):
+    """Whom robots that have just been slowed down meet."""
+
+    def __call__(self, changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+        """The contacts, with at least one changed robot each, of the step of which each robot makes that fraction at
+        constant velocities.
+
+        Args:
+            changed: (N,) bool.
+            fraction: (N,) float64.
+            anybody: (1,) bool: whether a robot has changed on any rank. It stays on the device, so that it can be read
+                together with other numbers.
+
+        Returns:
+            pairs (K, 2) and toi (K,); None if nobody has changed anywhere.
+        """
+        ...
 
 
 class Exchange(Protocol):
     """What `settle` must know from others when robots are spread over ranks."""
 
-    def first_toi(self, toi: Tensor) -> Tensor:
-        """The smallest toi (N,) of each robot here over all ranks that hold it."""
+    #: (S,) int64 rows of the robots that others know too.
+    shared: Tensor
+
+    def collect(self, first: Tensor) -> None:
+        """Lowers the first toi (N,) of the robots that this rank owns to the smallest over all ranks that hold them."""
         ...
 
-    def any(self, flag: bool) -> bool:
-        """True if it is on any rank."""
+    def spread(self, first: Tensor, changed: Tensor) -> Tensor:
+        """Sets the first toi (N,) of all others to that of their owners. `changed` and what is returned: (1,) bool,
+        whether a robot changes on this rank, and on any.
+        """
         ...
 
 
 class _Alone:
-    def first_toi(self, toi: Tensor) -> Tensor:
-        return toi
+    def __init__(self, rows: Tensor) -> None:
+        self.shared = rows[:0]
 
-    def any(self, flag: bool) -> bool:
-        return flag
+    def collect(self, first: Tensor) -> None:
+        pass
+
+    def spread(self, first: Tensor, changed: Tensor) -> Tensor:
+        return changed
 
 
 @dataclass
@@ -73,7 +97,7 @@ def first_collisions(pairs: Tensor, toi: Tensor, body_count: int) -> Tensor:
         >>> toi = pgccd.sim.first_collisions(hits.pairs, hits.toi, scene.body_count)
     """
     first = torch.full((body_count,), torch.inf, dtype=torch.float64, device=toi.device)
-    return first.scatter_reduce_(0, pairs.reshape(-1), toi.repeat_interleave(2), "amin")
+    return first.scatter_reduce_(0, pairs.reshape(-1), _of_both(toi), "amin")
 
 
 def settle(
@@ -85,32 +109,49 @@ def settle(
     step is tested again, among the robots that have just been slowed down and between them and all others, until nobody
     collides. In the step that results no robot touches another, and the next one starts without contact.
 
+    A round costs in proportion to its contacts, not to the robots.
+
     Args:
         pairs, toi: the contacts (K, 2) and (K,) of the whole step.
         body_count: number of robots N.
-        find_contacts: takes (changed (N,) bool, fraction (N,)) and returns the pairs and toi of the contacts with at
-            least one changed robot in the step of which each robot makes that fraction, at constant velocities.
+        find_contacts: the contacts of a round.
         exchange: how ranks agree; default: there is one.
 
     Example:
         >>> settled = pgccd.sim.settle(hits.pairs, hits.toi, len(state), find_contacts)
     """
-    exchange = exchange or _Alone()
+    rows = pairs.reshape(-1)
+    exchange = exchange or _Alone(rows)
     fraction = torch.ones(body_count, dtype=torch.float64, device=toi.device)
+    first = torch.full_like(fraction, torch.inf)
+    changed = torch.zeros(body_count, dtype=torch.bool, device=toi.device)
     rounds = secondary_contacts = 0
     while True:
-        first = exchange.first_toi(first_collisions(pairs, toi, body_count))
-        # Robots that do not move at all can only touch where they did before: nothing is left to decide about them. So
-        # every round stops or slows somebody, and from round _ROUNDS on stops for good: the loop ends.
-        changed = (first <= 1.0) & (fraction > 0.0)
-        if not exchange.any(bool(changed.any())):
+        first.scatter_reduce_(0, rows, _of_both(toi), "amin")
+        exchange.collect(first)
+        # A row may be named several times: what is written for it is the same each time.
+        rows = torch.cat([rows, exchange.shared])
+        # Every round stops or slows somebody, and from round _ROUNDS on stops for good: the loop ends.
+        limits = (_APPROACH, _SMALLEST_PART if rounds < _ROUNDS else torch.inf)
+        made, changes = ops.simulate_slow_down(rows, first, fraction, *limits)
+        anybody = exchange.spread(first, changes.any().reshape(1))
+        if len(exchange.shared):
+            made, changes = ops.simulate_slow_down(rows, first, fraction, *limits)
+        fraction[rows], changed[rows] = made, changes.view(torch.bool)
+        found = find_contacts(changed, fraction, anybody)
+        if found is None:
             return Settlement(fraction, rounds, secondary_contacts)
-        allowed = fraction * first * _APPROACH
-        stays = allowed < _SMALLEST_PART if rounds < _ROUNDS else torch.ones_like(changed)
-        fraction = torch.where(changed, torch.where(stays, 0.0, allowed), fraction)
-        pairs, toi = find_contacts(changed, fraction)
+        changed.index_fill_(0, rows, False)
+        first.index_fill_(0, rows, torch.inf)
+        pairs, toi = found
+        rows = pairs.reshape(-1)
         rounds += 1
         secondary_contacts += len(toi)
+
+
+def _of_both(toi: Tensor) -> Tensor:
+    """(2 K,): each twice."""
+    return toi[:, None].expand(-1, 2).reshape(-1)
 
 
 def respond(state: RobotState, fraction: Tensor) -> RobotState:

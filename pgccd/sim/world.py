@@ -18,6 +18,8 @@ from pgccd.sim.robot import robot_mesh
 
 Pattern = Literal["random", "skewed"]
 PATTERNS: tuple[str, ...] = get_args(Pattern)
+# In the order that ops.simulate_pair_motion wants.
+_MOVING = ("id", "position", "orientation", "velocity", "angular_velocity")
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,11 @@ class RobotState:
     def columns(self) -> dict[str, Tensor]:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
+    @property
+    def moving_columns(self) -> dict[str, Tensor]:
+        """Those that say who moves how in a step planned."""
+        return {name: getattr(self, name) for name in _MOVING}
+
     def to(self, device: torch.device | str) -> RobotState:
         return RobotState(**{name: column.to(device) for name, column in self.columns.items()})
 
@@ -165,9 +172,31 @@ class World:
             velocity, spin = fraction[:, None] * velocity, fraction[:, None] * spin
         return RigidMotion.from_velocity(state.position, state.orientation, velocity, spin, dt=1.0)
 
+    def pair_motion(
+        self, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, fraction: Tensor, pairs: Tensor
+    ) -> tuple[Scene, RigidMotion]:
+        """The robots of some pairs alone, each pair with its own copies of its two robots.
+
+        Args:
+            own, ghosts: `moving_columns` of planned states; rows of ghosts follow own ones.
+            fraction: (N + G,) of the step that each robot makes.
+            pairs: (P, 2) int64 rows.
+
+        Returns:
+            Scene and motion of 2 P bodies, of which 2 k and 2 k + 1 are the robots of pair k.
+        """
+        ghosts = ghosts or {name: column[:0] for name, column in own.items()}
+        own_columns, ghost_columns = ([part[name] for name in _MOVING] for part in (own, ghosts))
+        id, position_t0, orientation, position_t1, rotation = ops.simulate_pair_motion(
+            own_columns, ghost_columns, fraction, pairs
+        )
+        return self.scene(id), RigidMotion.of_checked(position_t0, orientation, position_t1, rotation)
+
     def scene(self, id: Tensor) -> Scene:
         """The scene of the robots `id` (N,) int64."""
-        return Scene(self.meshes, id % len(self.meshes))
+        kinds = len(self.meshes)
+        index = (id % kinds).to(torch.int32) if kinds > 1 else torch.zeros_like(id, dtype=torch.int32)
+        return Scene.of_checked(self.meshes, index)
 
     def describe(self) -> dict[str, Any]:
         """The configuration and what follows from it, in plain numbers."""

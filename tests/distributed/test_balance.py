@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pgccd.distributed import BalanceOptions, CellLoads, Partition, imbalance, rebalance
-from pgccd.distributed.balance import one_cell, rank_loads, relative_speeds
+from pgccd.distributed.balance import RankLoads, one_cell, rank_loads, relative_speeds
 
 
 @st.composite
@@ -65,6 +65,21 @@ def test_decisions_are_reproducible_and_never_make_it_worse(
     assert after.max() <= before.max() * (1.0 + 1e-12)
     if policy == "none":
         assert torch.equal(new, owner)
+
+
+@given(situations(), st.sampled_from(["cost", "measured", "one-cell"]), st.floats(0.0, 0.3))
+def test_ranks_loads_tell_when_cells_need_not_be_looked_at(
+    situation: tuple[Partition, CellLoads], policy: str, start: float
+) -> None:
+    partition, loads = situation
+    options = BalanceOptions(policy, start=start, goal=0.0, threshold=start, moving=0.0)
+    seconds = 0.5 + torch.rand(partition.ranks, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    columns = [rank_loads(load, partition.owner, partition.ranks) for load in vars(loads).values()]
+    if RankLoads(*columns, seconds).are_level(options):
+        assert rebalance(partition, loads, options, seconds) is partition
+    else:
+        load = columns[2].double() if policy == "one-cell" else (columns[0] + 8 * columns[1]).double()
+        assert policy == "measured" or imbalance(load) > 1.0
 
 
 def skewed(ranks: int, cells: int = 16) -> tuple[Partition, CellLoads]:

@@ -61,7 +61,7 @@ def find(comm: Comm, name: str) -> list[tuple[int, int]]:
     for index, report in enumerate(REPORTS):
         whole = by_one_process(name, report)
         for seed in (0, 1 + index) if comm.size > 1 else (0,):
-            world, ids = share(comm, name, report, seed, overlap=(seed + index) % 2 == 0)
+            world, ids = share(comm, name, report, seed, overlap=(seed > 0) == (index % 2 == 0))
             mine = world.payload
             motion = pgccd.RigidMotion.from_velocity(
                 world.position, mine["orientation"], mine["velocity"], mine["rotation"], dt=1.0
@@ -80,7 +80,7 @@ def find(comm: Comm, name: str) -> list[tuple[int, int]]:
                 assert torch.equal(found, expected), (report, seed, column)
             # What the ranks tested adds up to the whole, no pair twice.
             assert int(comm.sum(torch.tensor([len(world._found.pairs)]))) == whole.stats.pcs
-            ids_tested = world._found.held.columns["id"][world._found.pairs]
+            ids_tested = world._found.held.id[world._found.pairs]
             everything = torch.cat(
                 [torch.tensor(rows).view(-1, 2) for rows in comm.gather_objects(ids_tested.tolist())]
             )

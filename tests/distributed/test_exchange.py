@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from distributed.conftest import World
 from pgccd.distributed import Comm
-from pgccd.distributed.exchange import Columns, make_route, merge_columns, merged_rows, pack, unpack
+from pgccd.distributed.exchange import Columns, make_route, pack, replace_rows, unpack
 from pgccd.distributed.migrate import Census
 
 
@@ -37,15 +37,14 @@ def test_packing_is_lossless() -> None:
 
 
 @given(st.sets(st.integers(0, 60)), st.randoms(use_true_random=False))
-def test_merging_is_sorting(ids: set[int], random: Random) -> None:
-    first = sorted(random.sample(sorted(ids), random.randint(0, len(ids))))
-    second = random.sample(sorted(ids - set(first)), len(ids) - len(first))
-    parts = [{"id": torch.tensor(rows, dtype=torch.int64), "x": 0.5 * torch.tensor(rows)} for rows in (first, second)]
-    rows = merged_rows(parts[0]["id"], parts[1]["id"])
-    merged = merge_columns(*parts, rows)
-    assert merged["id"].tolist() == sorted(ids)
-    assert torch.equal(merged["x"], 0.5 * merged["id"])
-    assert torch.equal(merged["id"][rows[0]], parts[0]["id"]) and torch.equal(merged["id"][rows[1]], parts[1]["id"])
+def test_replacing_rows_is_sorting(ids: set[int], random: Random) -> None:
+    former = sorted(random.sample(sorted(ids), random.randint(0, len(ids))))
+    added = random.sample(sorted(ids - set(former)), random.randint(0, len(ids) - len(former)))
+    removed = sorted(random.sample(range(len(former)), random.randint(0, len(former))))
+    parts = [{"id": torch.tensor(rows, dtype=torch.int64), "x": 0.5 * torch.tensor(rows)} for rows in (former, added)]
+    changed = replace_rows(parts[0], torch.tensor(removed, dtype=torch.int64), parts[1])
+    assert changed["id"].tolist() == sorted(set(former) - {former[row] for row in removed} | set(added))
+    assert torch.equal(changed["x"], 0.5 * changed["id"])
 
 
 def send_about(comm: Comm, neighbours_above: int) -> None:

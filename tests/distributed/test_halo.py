@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from support.shapes import directions, tensors
 
 import pgccd
+from distributed.conftest import World
 from pgccd import ops, sim
-from pgccd.distributed import Partition
-from pgccd.distributed.halo import Boxes
+from pgccd.distributed import Alone, Comm, Fleet, Partition, starting_share
+from pgccd.distributed.detection import Options, detect_distributed
+from pgccd.stages import StageClock
 
 
 def touching_spheres(seed: int, offset: float, separation: float) -> list[torch.Tensor]:
@@ -62,13 +64,16 @@ def test_boxes_hold_their_bodies_and_are_tight(device: torch.device) -> None:
 def test_bad_poses_and_separations_are_named() -> None:
     world = sim.World(sim.WorldConfig(robots=8))
     state = world.start()
-    partition = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 2)
-    radius = world.scene(state.id).radius
+    partition, own = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 1), {"id": state.id}
+
+    def build(columns: dict[str, torch.Tensor]) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
+        return world.scene(columns["id"]), world.motion(state)
+
     with pytest.raises(ValueError, match="^min_separation: "):
-        Boxes.of(partition, world.motion(state), radius, -1.0)
+        detect_distributed(Alone(), partition, own, build, Options(min_separation=-1.0), StageClock())
     state.position[3, 1] = torch.nan
     with pytest.raises(ValueError, match="^position_t0: body 3"):
-        Boxes.of(partition, world.motion(state), radius)
+        detect_distributed(Alone(), partition, own, build, Options(), StageClock())
 
 
 def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:
@@ -84,3 +89,19 @@ def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:
         pgccd.RigidMotion.from_rotation(*columns[:3], torch.tensor([[0.0], [1e7]]).expand(2, 3).repeat(25, 1).double())
     with pytest.raises(ValueError, match="^rotation: expected shape"):
         pgccd.RigidMotion.from_rotation(*columns[:3], motion.rotation[1:])
+
+
+def spoil(comm: Comm) -> None:
+    """A pose that is no number, on one rank: named there; no rank takes it for a body somewhere."""
+    world = sim.World(sim.WorldConfig(robots=60))
+    half = world.half_extent
+    partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
+    fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
+    if comm.rank == comm.size - 1:
+        fleet.state.position[3, 1] = torch.nan
+        with pytest.raises(ValueError, match="^position: body 3|^position_t0: body 3"):
+            fleet.step(0)
+
+
+def test_bad_poses_are_named_on_the_rank_that_has_them(ranks: World) -> None:
+    ranks.run(1, spoil)

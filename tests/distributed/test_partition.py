@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pgccd.distributed import Partition, factorise
-from pgccd.distributed.partition import MarkedCells, ranks_reached
 
 counts = st.integers(1, 24)
 
@@ -38,30 +37,6 @@ def boxes(draw: st.DrawFn, partition: Partition) -> tuple[torch.Tensor, torch.Te
     lower = torch.tensor(partition.lower) + extent * (3.0 * torch.rand((12, 3), generator=generator) - 1.0)
     size = extent * torch.rand((12, 3), generator=generator) ** 3 * torch.randint(3, (12, 1), generator=generator)
     return lower, lower + size
-
-
-@given(st.data())
-def test_a_box_reaches_the_ranks_that_brute_force_finds(data: st.DataObject) -> None:
-    partition = data.draw(partitions())
-    lower, upper = data.draw(boxes(partition))
-    first, last = partition.coordinates(lower), partition.coordinates(upper)
-    expected_cells, expected_ranks = [], {rank: [] for rank in range(partition.ranks)}
-    marked = torch.rand(partition.cell_count, generator=torch.Generator().manual_seed(1)) < 0.5
-    expected_marked = []
-    for box in range(len(first)):
-        axes = [range(int(a), int(b) + 1) for a, b in zip(first[box], last[box], strict=True)]
-        cells = [(x * partition.grid[1] + y) * partition.grid[2] + z for x, y, z in itertools.product(*axes)]
-        expected_cells += [(box, cell) for cell in cells]
-        expected_marked.append(int(marked[cells].sum()))
-        for rank in range(partition.ranks):
-            others = {int(partition.owner[cell]) for cell in cells} - {rank}
-            expected_ranks[rank] += [(box, other) for other in sorted(others)]
-    found = [(int(b), int(c)) for rows in partition.reached(first, last) for b, c in zip(*rows, strict=True)]
-    assert found == expected_cells
-    assert MarkedCells(partition, marked).count(first, last).tolist() == expected_marked
-    for rank in range(partition.ranks):
-        body, other = ranks_reached(partition, first, last, rank)
-        assert list(zip(body.tolist(), other.tolist(), strict=True)) == expected_ranks[rank]
 
 
 @given(st.data())

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
+from pgccd import ops
 from pgccd.sim import World, WorldConfig, first_collisions, make_step, respond, settle
 from pgccd.sim.world import RobotState
 
@@ -35,7 +42,9 @@ def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
     hits = pgccd.detect(scene, world.motion(state), nonzero_toi=True)
     assert len(hits) == 1 and hits.toi is not None and 0.0 < hits.toi[0] < 1.0
 
-    def find(changed: torch.Tensor, fraction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+        if not bool(anybody):
+            return None
         found = pgccd.detect(scene, world.motion(state, fraction), nonzero_toi=True)
         assert found.toi is not None
         return found.pairs, found.toi
@@ -56,7 +65,9 @@ def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
 def test_a_robot_stops_for_one_that_stopped_in_its_way() -> None:
     asked = []
 
-    def find(changed: torch.Tensor, fraction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+        if not bool(anybody):
+            return None
         asked.append((changed.tolist(), fraction.tolist()))
         if len(asked) == 1:  # 2 runs into 1, which no longer makes way
             return torch.tensor([[1, 2]]), torch.tensor([0.5], dtype=torch.float64)
@@ -70,10 +81,12 @@ def test_a_robot_stops_for_one_that_stopped_in_its_way() -> None:
 
 
 def test_settling_ends_even_where_contacts_never_cease() -> None:
-    def find(changed: torch.Tensor, fraction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+        if not bool(anybody):
+            return None
         return torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.9], dtype=torch.float64)
 
-    settled = settle(*find(torch.ones(0), torch.ones(0)), 4, find)
+    settled = settle(*find(*[torch.ones(1)] * 3), 4, find)
     assert settled.fraction.tolist() == [0.0, 0.0, 0.0, 1.0]
     assert settled.rounds < 10
 
@@ -81,7 +94,7 @@ def test_settling_ends_even_where_contacts_never_cease() -> None:
 def test_robots_that_could_hardly_move_stay() -> None:
     nobody = torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
     touching = torch.tensor([1e-3, 0.5], dtype=torch.float64)
-    settled = settle(torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *_: nobody)
+    settled = settle(torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *asked: nobody if bool(asked[2]) else None)
     assert settled.fraction.tolist() == [0.0, 0.0, 0.99 * 0.5, 0.99 * 0.5]
 
 
@@ -151,3 +164,93 @@ def test_collisions_do_not_pile_up() -> None:
     early, late = np.mean(stopped[40:100]), np.mean(stopped[100:])
     assert early > 5
     assert late < 1.35 * early
+
+
+@given(st.integers(0, 999), st.integers(0, 20))
+def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> None:
+    """To the bit, ghosts too; and what is found among their copies is what is found among all."""
+    world = World(WorldConfig(robots=60, speed=0.5, seed=seed))
+    state = world.plan(world.start(), 0)
+    generator = torch.Generator().manual_seed(seed)
+    fraction = torch.rand(len(state), dtype=torch.float64, generator=generator)
+    pairs = pgccd.broad.find_pairs(pgccd.MovingBodies(world.scene(state.id), world.motion(state)))
+    slowed = world.motion(state, fraction)
+    own_count = len(state) - ghost_count
+    own = {name: column[:own_count] for name, column in state.moving_columns.items()}
+    ghosts = {name: column[own_count:] for name, column in state.moving_columns.items()}
+    scene, motion = world.pair_motion(own, ghosts, fraction, pairs)
+    for name in ("position_t0", "orientation_t0", "position_t1", "rotation"):
+        assert torch.equal(getattr(motion, name), getattr(slowed, name)[pairs.reshape(-1)]), name
+    copies = torch.arange(2 * len(pairs)).view(-1, 2)
+    alone = pgccd.detect(scene, motion, pairs=copies)
+    among_all = pgccd.detect(world.scene(state.id), slowed, pairs=pairs)
+    assert torch.equal(pairs[alone.pairs[:, 0] // 2], among_all.pairs)
+    assert torch.equal(alone.toi, among_all.toi) and torch.equal(alone.features, among_all.features)
+
+
+def test_concerned_pairs_are_those_with_a_robot_that_changed(device: torch.device) -> None:
+    generator = torch.Generator().manual_seed(2)
+    pairs = torch.randint(500, (3000, 2), generator=generator)
+    changed = torch.rand(500, generator=generator) < 0.1
+    rows, found = ops.simulate_concerned_pairs(pairs.to(device), changed.to(device).view(torch.uint8))
+    expected = torch.nonzero(changed[pairs].any(dim=1))[:, 0]
+    assert torch.equal(rows[: int(found)].cpu(), expected) and len(expected) > 100
+    assert int(ops.simulate_concerned_pairs(pairs[:0].to(device), changed.to(device).view(torch.uint8))[1]) == 0
+
+
+def test_slowing_down(device: torch.device) -> None:
+    first = torch.tensor([0.5, torch.inf, 0.005, 1.0, 0.5], dtype=torch.float64, device=device)
+    fraction = torch.tensor([0.5, 1.0, 1.0, 1.0, 0.0], dtype=torch.float64, device=device)
+    rows = torch.tensor([4, 3, 2, 1, 0, 0], device=device)
+    made, changes = ops.simulate_slow_down(rows, first, fraction, 0.99, 0.01)
+    assert made.tolist() == [0.0, 0.99, 0.0, 1.0, 0.5 * 0.5 * 0.99, 0.5 * 0.5 * 0.99]
+    assert changes.tolist() == [0, 1, 1, 0, 1, 1]
+    made, _ = ops.simulate_slow_down(rows, first, fraction, 0.99, torch.inf)
+    assert made.tolist() == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+
+
+class Watch(TorchDispatchMode):
+    """Notes the operators that go over all of `count` rows, and those at which the host would wait for a GPU."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self._count = count
+        self.over_all: list[str] = []
+        self.waits: list[str] = []
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        result = func(*args, **(kwargs or {}))
+        name = func.name()
+        if name in ("aten::_local_scalar_dense", "aten::nonzero", "aten::_unique2", "aten::masked_select"):
+            self.waits.append(name)
+        # These touch the rows they are asked for.
+        some = (
+            "aten::index_put_",
+            "aten::index_fill_.int_Scalar",
+            "aten::scatter_reduce_.two",
+            "pgccd::simulate_slow_down",
+        )
+        leaves = torch.utils._pytree.tree_leaves((args, result))
+        shapes = [leaf.shape for leaf in leaves if isinstance(leaf, Tensor)]
+        if name not in some and any(shape[:1] == (self._count,) for shape in shapes):
+            self.over_all.append(name)
+        return result
+
+
+def test_a_round_costs_in_proportion_to_its_contacts() -> None:
+    """Not to the robots; and the host waits only where contacts are looked for."""
+    count = 12345
+    with Watch(count) as watch:
+        rounds = []
+
+        def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+            if not rounds:
+                watch.over_all.clear()  # what is made before the first round
+            rounds.append(len(changed))
+            if len(rounds) > 3:
+                return None
+            return torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.8], dtype=torch.float64)
+
+        settled = settle(torch.tensor([[0, 1]]), torch.tensor([0.5], dtype=torch.float64), count, find)
+    assert rounds == [count] * 4 and settled.secondary_contacts == 6
+    assert watch.over_all == [] and watch.waits == []

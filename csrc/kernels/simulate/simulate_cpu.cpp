@@ -1,3 +1,4 @@
+#include "kernels/find_rows.h"
 #include "kernels/simulate/robot_item.h"
 #include "kernels/simulate/simulate.h"
 
@@ -41,6 +42,29 @@ void random_uniforms_cpu(const Executor& executor, uint64_t seed, const int64_t*
   for_each_row(executor, count, [&](int64_t row) {
     const Uniforms drawn = random_uniforms(seed, {id[row], step, stream});
     for (int k = 0; k < 4; ++k) uniforms[4 * row + k] = drawn.u[k];
+  });
+}
+
+void pair_motion_cpu(const Executor& executor, const PairMotionInput& input, const PairMotion& motion) {
+  for_each_row(executor, 2 * input.pair_count, [&](int64_t row) { store_pair_motion(input, row, motion); });
+}
+
+void slow_down_cpu(const Executor& executor, const SlowDownInput& input, double* fraction, uint8_t* changes) {
+  for_each_row(executor, input.count, [&](int64_t k) { slow_down(input, k, fraction, changes); });
+}
+
+void concerned_pairs_cpu(const Executor& executor, const int64_t* pairs, int64_t pair_count, const uint8_t* changed,
+                         int64_t* rows, int64_t* found) {
+  find_rows(executor, pair_count, rows, found,
+            [&](int64_t pair) { return (changed[pairs[2 * pair]] | changed[pairs[2 * pair + 1]]) != 0; });
+}
+
+void hash_rows_cpu(const Executor& executor, const HashColumns& columns, uint64_t* sum) {
+  *sum = 0;
+  parallel_chunks(executor, columns.count, 1024, [&](int, int64_t begin, int64_t end) {
+    uint64_t part = 0;
+    for (int64_t row = begin; row < end; ++row) part += row_hash(columns, row);
+    add_shared(*sum, part, false);
   });
 }
 

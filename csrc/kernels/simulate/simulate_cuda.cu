@@ -1,8 +1,24 @@
-#include "kernels/device.cuh"
+#include "kernels/find_rows.cuh"
 #include "kernels/simulate/robot_item.h"
 #include "kernels/simulate/simulate_cuda.h"
 
 namespace pgccd {
+namespace {
+
+__global__ void __launch_bounds__(kBlockThreads) hash_rows(HashColumns columns, unsigned long long* sum) {
+  using Reduce = cub::BlockReduce<unsigned long long, kBlockThreads>;
+  __shared__ typename Reduce::TempStorage storage;
+  const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
+  unsigned long long part = 0;
+  for (int64_t row = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; row < columns.count; row += stride) {
+    part += row_hash(columns, row);
+  }
+  part = Reduce(storage).Sum(part);
+  if (threadIdx.x == 0) atomicAdd(sum, part);
+}
+
+}  // namespace
+
 void start_cuda(const DeviceContext& context, const World& world, const int64_t* id, int64_t count,
                 const RobotResults& results) {
   for_each_item(context, count,
@@ -33,6 +49,29 @@ void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int
     const Uniforms drawn = random_uniforms(seed, {id[row], step, stream});
     for (int k = 0; k < 4; ++k) uniforms[4 * row + k] = drawn.u[k];
   });
+}
+
+void pair_motion_cuda(const DeviceContext& context, const PairMotionInput& input, const PairMotion& motion) {
+  for_each_item(context, 2 * input.pair_count, [=] __device__(int64_t row) { store_pair_motion(input, row, motion); });
+}
+
+void slow_down_cuda(const DeviceContext& context, const SlowDownInput& input, double* fraction, uint8_t* changes) {
+  for_each_item(context, input.count, [=] __device__(int64_t k) { slow_down(input, k, fraction, changes); });
+}
+
+void concerned_pairs_cuda(const DeviceContext& context, const int64_t* pairs, int64_t pair_count,
+                          const uint8_t* changed, int64_t* rows, int64_t* found) {
+  find_rows(context, pair_count, rows, found,
+            [=] __device__(int64_t pair) { return (changed[pairs[2 * pair]] | changed[pairs[2 * pair + 1]]) != 0; });
+}
+
+void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {
+  fill_bytes(context, sum, 0, 1);
+  if (columns.count == 0) return;
+  const int64_t blocks = (columns.count + kBlockThreads - 1) / kBlockThreads;
+  hash_rows<<<static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks(16))), kBlockThreads, 0, context.stream>>>(
+      columns, reinterpret_cast<unsigned long long*>(sum));
+  check_cuda(cudaGetLastError(), "kernel launch");
 }
 
 }  // namespace pgccd

@@ -2,7 +2,10 @@
 #pragma once
 
 #include "kernels/device_context.h"
+#include "kernels/simulate/hash_item.h"
+#include "kernels/simulate/pair_motion_item.h"
 #include "kernels/simulate/robot.h"
+#include "kernels/simulate/settle_item.h"
 #include "kernels/simulate/world.h"
 
 namespace pgccd {
@@ -22,5 +25,18 @@ void respond_cuda(const DeviceContext& context, const RobotColumns& robots, cons
 // (count, 4) uniforms in (0, 1) of the counters (id, step, stream).
 void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
                           uint32_t stream, double* uniforms);
+
+// The motion of pairs' robots.
+void pair_motion_cuda(const DeviceContext& context, const PairMotionInput& input, const PairMotion& motion);
+
+// What robots that collide make of the step, fraction (count,), and which of them that slows down, changes (count,).
+void slow_down_cuda(const DeviceContext& context, const SlowDownInput& input, double* fraction, uint8_t* changes);
+
+// Pairs (pair_count, 2) of which at least one robot has changed (robots,); rows has room for all.
+void concerned_pairs_cuda(const DeviceContext& context, const int64_t* pairs, int64_t pair_count,
+                          const uint8_t* changed, int64_t* rows, int64_t* found);
+
+// The sum of the rows' hashes modulo 2^64.
+void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum);
 
 }  // namespace pgccd

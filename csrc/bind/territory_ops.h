@@ -1,0 +1,94 @@
+// The operators by which ranks share bodies out, written once for both backends.
+#pragma once
+
+#include "bind/detect_ops.h"
+#include "kernels/broad/territory.h"
+
+namespace pgccd::bind {
+
+// frame: lower corner, cells a length unit, number of cells; along x, y, z each.
+inline Territory territory_view(const std::vector<double>& frame, const Tensor& owner, int64_t rank) {
+  STD_TORCH_CHECK(frame.size() == 9, "frame: expected 9 numbers, got ", frame.size());
+  Territory view;
+  for (size_t axis = 0; axis < 3; ++axis) {
+    view.frame.lower[axis] = frame[axis];
+    view.frame.per_length[axis] = frame[3 + axis];
+    view.frame.count[axis] = static_cast<int64_t>(frame[6 + axis]);
+  }
+  view.owner = rows<int64_t>(owner, "owner", {view.frame.cell_count()});
+  view.rank = rank;
+  return view;
+}
+
+// centres = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
+inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, double separation) {
+  STD_TORCH_CHECK(centres.size() == 3, name, ": expected 3 tensors, got ", centres.size());
+  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, separation);
+}
+
+using FrameList = std::vector<double>;
+
+template <class Backend>
+struct TerritoryOps {
+  static std::tuple<Tensor, Tensor, Tensor> border_bodies(const TensorList& centres, double min_separation,
+                                                          FrameList frame, const Tensor& owner, int64_t rank) {
+    const BroadBodies bodies = centres_view(centres, "centres", min_separation);
+    Tensor reach = new_tensor<uint8_t>(owner, {bodies.count});
+    Tensor border = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
+    Backend(owner).border_bodies(bodies, territory_view(frame, owner, rank), data<uint8_t>(reach),
+                                 {data<int64_t>(border), data<int64_t>(found)});
+    return {reach, border, found};
+  }
+
+  static Tensor reached_ranks(const TensorList& centres, double min_separation, FrameList frame, const Tensor& owner,
+                              const Tensor& bodies, int64_t ranks) {
+    const int64_t* wanted = rows<int64_t>(bodies, "bodies", {kAnySize});
+    Tensor reached = new_tensor<uint8_t>(owner, {bodies.size(0), ranks});
+    Backend(owner).reached_ranks(centres_view(centres, "centres", min_separation), territory_view(frame, owner, 0),
+                                 wanted, bodies.size(0), ranks, data<uint8_t>(reached));
+    return reached;
+  }
+
+  static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const TensorList& centres, double min_separation,
+                                                const Tensor& reach, bool only_ghosts, FrameList frame,
+                                                const Tensor& owner, int64_t rank) {
+    OwnedPairs input;
+    input.bodies = centres_view(centres, "centres", min_separation);
+    input.territory = territory_view(frame, owner, rank);
+    input.reach = rows<uint8_t>(reach, "reach", {input.bodies.count});
+    input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
+    input.only_ghosts = only_ghosts;
+    Tensor owned = new_tensor<int64_t>(owner, {pairs.size(0)}), found = new_tensor<int64_t>(owner, {1});
+    Backend(owner).owned_pairs(input, pairs.size(0), {data<int64_t>(owned), data<int64_t>(found)});
+    return {owned, found};
+  }
+
+  static std::tuple<Tensor, Tensor> near_ghosts(const TensorList& centres, const TensorList& ghosts,
+                                                double min_separation, FrameList frame, const Tensor& owner,
+                                                int64_t rank) {
+    const BroadBodies bodies = centres_view(centres, "centres", min_separation);
+    Tensor near = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
+    Backend(owner).near_ghosts(bodies, centres_view(ghosts, "ghosts", min_separation),
+                               territory_view(frame, owner, rank), {data<int64_t>(near), data<int64_t>(found)});
+    return {near, found};
+  }
+
+  static std::tuple<Tensor, Tensor> leaving_bodies(const Tensor& position, FrameList frame, const Tensor& owner,
+                                                   int64_t rank, int64_t ranks) {
+    const double* centres = rows<double>(position, "position", {kAnySize, 3});
+    Tensor leaving = new_tensor<int64_t>(owner, {position.size(0)}), counts = new_tensor<int64_t>(owner, {ranks});
+    Backend(owner).leaving_bodies(centres, position.size(0), territory_view(frame, owner, rank), ranks,
+                                  data<int64_t>(leaving), data<int64_t>(counts));
+    return {leaving, counts};
+  }
+};
+
+// Use inside a STABLE_TORCH_LIBRARY_IMPL block.
+#define PGCCD_REGISTER_TERRITORY_OPS(library, Backend)                             \
+  library.impl("border_bodies", TORCH_BOX(&TerritoryOps<Backend>::border_bodies)); \
+  library.impl("reached_ranks", TORCH_BOX(&TerritoryOps<Backend>::reached_ranks)); \
+  library.impl("owned_pairs", TORCH_BOX(&TerritoryOps<Backend>::owned_pairs));     \
+  library.impl("near_ghosts", TORCH_BOX(&TerritoryOps<Backend>::near_ghosts));     \
+  library.impl("leaving_bodies", TORCH_BOX(&TerritoryOps<Backend>::leaving_bodies))
+
+}  // namespace pgccd::bind

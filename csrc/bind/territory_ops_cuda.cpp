@@ -1,0 +1,45 @@
+// Whose cells bodies reach, on a CUDA device.
+#if defined(PGCCD_WITH_CUDA)
+
+#include "bind/cuda_backend.h"
+#include "bind/territory_ops.h"
+#include "kernels/broad/territory_cuda.h"
+
+namespace pgccd::bind {
+namespace {
+
+class TerritoryOnCuda {
+ public:
+  explicit TerritoryOnCuda(const Tensor& like) : session_(like) {}
+
+  void border_bodies(const BroadBodies& bodies, const Territory& territory, uint8_t* reach,
+                     const FoundRows& border) const {
+    border_bodies_cuda(session_.context(), bodies, territory, reach, border);
+  }
+  void reached_ranks(const BroadBodies& bodies, const Territory& territory, const int64_t* rows, int64_t row_count,
+                     int64_t ranks, uint8_t* reached) const {
+    reached_ranks_cuda(session_.context(), bodies, territory, rows, row_count, ranks, reached);
+  }
+  void owned_pairs(const OwnedPairs& input, int64_t pair_count, const FoundRows& owned) const {
+    owned_pairs_cuda(session_.context(), input, pair_count, owned);
+  }
+  void near_ghosts(const BroadBodies& bodies, const BroadBodies& ghosts, const Territory& territory,
+                   const FoundRows& near) const {
+    near_ghosts_cuda(session_.context(), bodies, ghosts, territory, near);
+  }
+  void leaving_bodies(const double* position, int64_t count, const Territory& territory, int64_t ranks, int64_t* rows,
+                      int64_t* destinations) const {
+    leaving_bodies_cuda(session_.context(), position, count, territory, ranks, rows, destinations);
+  }
+
+ private:
+  CudaSession session_;
+};
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) { PGCCD_REGISTER_TERRITORY_OPS(library, TerritoryOnCuda); }
+
+}  // namespace pgccd::bind
+
+#endif

@@ -1,0 +1,23 @@
+// By which ranks share bodies out.
+//
+// centres, ghosts = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
+// frame = lower corner, cells a length unit, number of cells; along x, y, z each; owner (cells,) i64
+#include <torch/csrc/stable/library.h>
+
+STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
+  library.def(
+      "border_bodies(Tensor[] centres, float min_separation, float[] frame, Tensor owner, int rank) -> (Tensor reach, "
+      "Tensor border, Tensor found)");
+  library.def(
+      "reached_ranks(Tensor[] centres, float min_separation, float[] frame, Tensor owner, Tensor bodies, int ranks) -> "
+      "Tensor");
+  library.def(
+      "owned_pairs(Tensor pairs, Tensor[] centres, float min_separation, Tensor reach, bool only_ghosts, "
+      "float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
+  library.def(
+      "near_ghosts(Tensor[] centres, Tensor[] ghosts, float min_separation, float[] frame, Tensor owner, int rank) -> "
+      "(Tensor near, Tensor found)");
+  library.def(
+      "leaving_bodies(Tensor position, float[] frame, Tensor owner, int rank, int ranks) -> (Tensor leaving, "
+      "Tensor counts)");
+}

@@ -1,0 +1,123 @@
+// One body and the cells it reaches. Every function of a point is monotone along each axis, rounding included, so that
+// the cell of a point in a box lies between those of the box's corners.
+#pragma once
+
+#include <cmath>
+
+#include "kernels/broad/body_volumes.h"
+
+namespace pgccd {
+
+struct Cell {
+  int64_t x, y, z;
+};
+
+// Equal cells; those at the border extend to infinity.
+struct CellFrame {
+  double lower[3];
+  double per_length[3];  // cells a length unit
+  int64_t count[3];
+
+  PGCCD_HD int64_t along(int axis, double x) const {
+    const double at = std::floor((x - lower[axis]) * per_length[axis]), last = static_cast<double>(count[axis] - 1);
+    return at > 0.0 ? static_cast<int64_t>(at < last ? at : last) : 0;  // 0 for NaN too
+  }
+  PGCCD_HD Cell cell(Vec3<double> point) const { return {along(0, point.x), along(1, point.y), along(2, point.z)}; }
+  PGCCD_HD int64_t index(const Cell& cell) const { return (cell.x * count[1] + cell.y) * count[2] + cell.z; }
+  PGCCD_HD int64_t cell_count() const { return count[0] * count[1] * count[2]; }
+};
+
+struct Territory {
+  CellFrame frame;
+  const int64_t* owner;  // (cells,) rank of each
+  int64_t rank;
+};
+
+// The cells a box reaches, numbered 0 to count() - 1.
+struct CellRange {
+  Cell first, extent;
+
+  PGCCD_HD CellRange(const CellFrame& frame, const SweptBox& box) : first(frame.cell(box.lower)) {
+    const Cell last = frame.cell(box.upper);
+    extent = {last.x - first.x + 1, last.y - first.y + 1, last.z - first.z + 1};
+  }
+  PGCCD_HD int64_t count() const { return extent.x * extent.y * extent.z; }
+  PGCCD_HD Cell operator[](int64_t number) const {
+    const int64_t column = number / extent.z;
+    return {first.x + column / extent.y, first.y + column % extent.y, first.z + number % extent.z};
+  }
+};
+
+constexpr uint8_t kReachesOthers = 1, kIsGhost = 2;
+
+PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Territory& territory, int64_t body) {
+  const CellRange range(territory.frame, swept_box(bodies, body));
+  const int64_t count = range.count();
+  for (int64_t k = 0; k < count; ++k) {
+    if (territory.owner[territory.frame.index(range[k])] != territory.rank) return true;
+  }
+  return false;
+}
+
+struct OwnedPairs {
+  BroadBodies bodies;
+  Territory territory;
+  const uint8_t* reach;  // (bodies,) bits
+  const int64_t* pairs;  // (pairs, 2)
+  bool only_ghosts;      // pairs without a ghost are left out
+};
+
+// The reference point of two boxes that overlap is the lower corner of their intersection. It lies in both, so it is in
+// a cell of this rank for certain if one of them reaches no other.
+PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t pair) {
+  const int64_t i = input.pairs[2 * pair], j = input.pairs[2 * pair + 1];
+  const uint8_t reach_i = input.reach[i], reach_j = input.reach[j];
+  if (input.only_ghosts && ((reach_i | reach_j) & kIsGhost) == 0) return false;
+  if ((reach_i & reach_j & kReachesOthers) == 0) return true;
+  const Vec3<double> a = swept_box(input.bodies, i).lower, b = swept_box(input.bodies, j).lower;
+  const Vec3<double> reference{larger(a.x, b.x), larger(a.y, b.y), larger(a.z, b.z)};
+  const CellFrame& frame = input.territory.frame;
+  return input.territory.owner[frame.index(frame.cell(reference))] == input.territory.rank;
+}
+
+// Integers in the order of the numbers they stand for, so that devices have atomics for them.
+PGCCD_HD int64_t ordered(double x) {
+  union {
+    double number;
+    int64_t bits;
+  } value{x + 0.0};  // both zeros alike
+  return value.bits >= 0 ? value.bits : value.bits ^ INT64_MAX;
+}
+
+// Boxes around all ghosts in each cell: (cells, 6) ordered lower and upper corners.
+constexpr int64_t kEmptyLower = INT64_MAX, kEmptyUpper = INT64_MIN;
+
+PGCCD_HD void ordered_corners(const SweptBox& box, int64_t (&corners)[6]) {
+  for (int axis = 0; axis < 3; ++axis) {
+    corners[axis] = ordered(component(box.lower, axis));
+    corners[3 + axis] = ordered(component(box.upper, axis));
+  }
+}
+
+PGCCD_HD bool is_near(const BroadBodies& bodies, const CellFrame& frame, const int64_t* cell_boxes, int64_t body) {
+  const SweptBox box = swept_box(bodies, body);
+  const CellRange range(frame, box);
+  int64_t corners[6];
+  ordered_corners(box, corners);
+  const int64_t count = range.count();
+  for (int64_t k = 0; k < count; ++k) {
+    const int64_t* around = cell_boxes + 6 * frame.index(range[k]);
+    bool meets = true;
+    for (int axis = 0; axis < 3; ++axis) {
+      meets = meets && corners[axis] <= around[3 + axis] && corners[3 + axis] >= around[axis];
+    }
+    if (meets) return true;
+  }
+  return false;
+}
+
+PGCCD_HD int64_t owner_of(const Territory& territory, const double* position, int64_t body) {
+  return territory.owner[territory.frame.index(territory.frame.cell(load_vec3(position + 3 * body)))];
+}
+
+}  // namespace pgccd

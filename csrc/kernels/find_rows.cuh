@@ -1,0 +1,22 @@
+// Rows that fulfil a condition, in order, their number left on the device.
+#pragma once
+
+#include <thrust/iterator/counting_iterator.h>
+
+#include <cub/cub.cuh>
+
+#include "kernels/device.cuh"
+
+namespace pgccd {
+
+// rows (count,) has room for all; found (1,) is how many there are.
+template <class IsWanted>
+void find_rows(const DeviceContext& context, int64_t count, int64_t* rows, int64_t* found, const IsWanted& is_wanted) {
+  if (count == 0) return fill_bytes(context, found, 0, 1);
+  const thrust::counting_iterator<int64_t> everything(0);
+  run_cub(context, [&](void* scratch, size_t& bytes) {
+    return cub::DeviceSelect::If(scratch, bytes, everything, rows, found, count, is_wanted, context.stream);
+  });
+}
+
+}  // namespace pgccd

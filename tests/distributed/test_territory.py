@@ -1,0 +1,109 @@
+"""Whose cells bodies reach: operators against brute force over all cells, on every device."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from distributed.test_partition import partitions
+from pgccd import ops
+from pgccd.distributed import Partition
+from pgccd.distributed.halo import IS_GHOST, REACHES_OTHERS
+
+SEPARATION = 0.25
+DEVICES = ["cpu"] + (["cuda"] if torch.cuda.is_available() else [])
+
+
+def bodies(partition: Partition, count: int, generator: torch.Generator) -> list[torch.Tensor]:
+    """Centres and radii of moving bodies in and around the world's box, some of them larger than everything."""
+    lower, upper = (torch.tensor(x, dtype=torch.float64) for x in (partition.lower, partition.upper))
+    extent = upper - lower
+    start = lower + extent * (1.6 * torch.rand((count, 3), dtype=torch.float64, generator=generator) - 0.3)
+    travel = extent * (torch.rand((count, 3), dtype=torch.float64, generator=generator) - 0.5) ** 3
+    size = torch.rand(count, dtype=torch.float64, generator=generator) ** 6
+    return [start, start + travel, size * extent.min()]
+
+
+def cells_of_boxes(partition: Partition, centres: list[torch.Tensor]) -> list[set[int]]:
+    """The cells that each body's box reaches, one by one."""
+    lower, upper = ops.swept_boxes(*centres, SEPARATION)
+    found = []
+    for first, last in zip(partition.coordinates(lower).tolist(), partition.coordinates(upper).tolist(), strict=True):
+        axes = [range(a, b + 1) for a, b in zip(first, last, strict=True)]
+        cells = itertools.product(*axes)
+        found.append({(x * partition.grid[1] + y) * partition.grid[2] + z for x, y, z in cells})
+    return found
+
+
+def kept(rows: torch.Tensor, found: torch.Tensor) -> list[int]:
+    return rows[: int(found)].tolist()
+
+
+@given(st.data())
+def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
+    partition = data.draw(partitions())
+    generator = torch.Generator().manual_seed(data.draw(st.integers(0, 999)))
+    centres, ghosts = bodies(partition, 14, generator), bodies(partition, data.draw(st.integers(0, 5)), generator)
+    owner, ranks = partition.owner.tolist(), partition.ranks
+    rank = data.draw(st.integers(0, ranks - 1))
+    cells, ghost_cells = cells_of_boxes(partition, centres), cells_of_boxes(partition, ghosts)
+    crossing = [any(owner[cell] != rank for cell in reached) for reached in cells]
+
+    lower, upper = ops.swept_boxes(*centres, SEPARATION)
+    ghost_lower, ghost_upper = ops.swept_boxes(*ghosts, SEPARATION)
+    near = []
+    for body, reached in enumerate(cells):
+        for cell in (cell for cell in reached if owner[cell] == rank):
+            inside = [k for k, others in enumerate(ghost_cells) if cell in others]
+            low, high = ghost_lower[inside], ghost_upper[inside]
+            if inside and bool(((lower[body] <= high.amax(0)) & (upper[body] >= low.amin(0))).all()):
+                near.append(body)
+                break
+    pairs = torch.combinations(torch.arange(len(cells)))
+    reference = partition.owner_of(torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]]))
+    # Those that may collide: their boxes overlap.
+    overlap = (torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]]) <= torch.minimum(*upper[pairs].unbind(1))).all(1)
+    pairs, reference = pairs[overlap], reference[overlap]
+    is_ghost = torch.rand(len(cells), generator=generator) < 0.3
+    centre_owner = partition.owner_of(centres[0])
+
+    for device in DEVICES:
+        territory = (partition.frame, partition.owner.to(device), rank)
+        here, there = ([column.to(device) for column in columns] for columns in (centres, ghosts))
+        reach, border, found = ops.border_bodies(here, SEPARATION, territory)
+        assert reach.tolist() == [REACHES_OTHERS * crosses for crosses in crossing]
+        assert kept(border, found) == [body for body, crosses in enumerate(crossing) if crosses]
+        rows = torch.arange(len(cells), device=device).flip(0)
+        reached = ops.reached_ranks(here, SEPARATION, territory, rows, ranks).flip(0)
+        expected = [{owner[cell] for cell in each} for each in cells]
+        assert [set(torch.nonzero(row)[:, 0].tolist()) for row in reached] == expected
+        assert kept(*ops.near_ghosts(here, there, SEPARATION, territory)) == near
+        owned = ops.owned_pairs(pairs.to(device), here, SEPARATION, reach, False, territory)
+        assert kept(*owned) == torch.nonzero(reference == rank)[:, 0].tolist()
+        marked = reach | IS_GHOST * is_ghost.to(device, torch.uint8)
+        owned = ops.owned_pairs(pairs.to(device), here, SEPARATION, marked, True, territory)
+        wanted = (reference == rank) & is_ghost[pairs].any(dim=1)
+        assert kept(*owned) == torch.nonzero(wanted)[:, 0].tolist()
+        leaving, counts = ops.leaving_bodies(here[0], territory, ranks)
+        gone = centre_owner != rank
+        assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()
+        assert leaving[: int(counts.sum())].tolist() == torch.nonzero(gone)[:, 0].tolist()
+
+
+def test_positions_that_are_no_numbers_have_a_cell() -> None:
+    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
+    wrong = torch.tensor([[torch.nan] * 3, [torch.inf] * 3, [-torch.inf] * 3], dtype=torch.float64)
+    _, counts = ops.leaving_bodies(wrong, partition.territory(5), 2)
+    assert int(counts.sum()) == 3
+
+
+@pytest.mark.parametrize("change", [{"frame": [0.0] * 8}, {"owner": torch.zeros(3, dtype=torch.int64)}])
+def test_arguments_are_checked(change: dict) -> None:
+    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
+    arguments = {"frame": partition.frame, "owner": partition.owner} | change
+    with pytest.raises(RuntimeError, match=next(iter(change))):
+        ops.leaving_bodies(torch.zeros((2, 3), dtype=torch.float64), (*arguments.values(), 0), 2)

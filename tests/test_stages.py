@@ -1,0 +1,59 @@
+"""Where the time of a step goes: on the host by its clock, on a GPU by events that are read when asked for."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+import torch
+
+from pgccd.stages import StageClock
+
+
+class Event:
+    """Stands in for an event on a GPU's stream, a second after the one before."""
+
+    made: list[Event] = []
+
+    def __init__(self, enable_timing: bool) -> None:
+        assert enable_timing
+        self.at, self.waited_for = -1.0, False
+
+    def record(self) -> None:
+        Event.made.append(self)
+        self.at = float(len(Event.made))
+
+    def synchronize(self) -> None:
+        self.waited_for = True
+
+    def elapsed_time(self, later: Event) -> float:
+        assert later.waited_for
+        return 1e3 * (later.at - self.at)
+
+
+def test_stages_add_up_on_the_host() -> None:
+    clock = StageClock()
+    for _ in range(2):
+        with clock.stage("plan"):
+            time.sleep(0.01)
+    with clock.stage("gather"):
+        pass
+    clock.add({"narrow": 1.0})
+    assert list(clock.seconds) == ["plan", "gather", "narrow"]
+    assert 0.02 <= clock.seconds["plan"] <= clock.total
+    assert clock.work == clock.seconds["plan"] + 1.0
+
+
+def test_on_a_gpu_events_tell_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    Event.made = []
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.cuda, "Event", Event)
+    clock = StageClock()
+    with clock.stage("plan"), clock.stage("gather"):
+        pass
+    with clock.stage("plan"):
+        pass
+    assert not any(event.waited_for for event in Event.made)
+    assert clock.work == 4.0  # of the plan alone: from the 1st event to the 4th and from the 5th to the 6th
+    assert not Event.made[2].waited_for
+    assert clock.seconds == {"plan": 4.0, "gather": 1.0} == clock.seconds
