@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Literal, get_args
 
+import torch
 from torch import Tensor
 
 from pgccd import ops
@@ -33,14 +34,16 @@ def sweep(bodies: MovingBodies, min_separation: float = 0.0, axis: Literal["auto
 
     Returns:
         (P, 2) int64: every pair i < j that the scene's filters allow and whose swept spheres come within the separation
-        (and, by rounding outward, perhaps a few that miss it by about 1e-14 of their distance), sorted.
+        (and, by rounding outward, perhaps a few that miss it by about 1e-14 of their distance), and (i, i) for every
+        body that collides with itself; sorted.
 
     Example:
         >>> pairs = pgccd.broad.sweep(bodies)
     """
     if axis not in _AXES:
         raise ValueError(f"axis: expected one of {list(_AXES)}, got {axis!r}")
-    return ops.sweep(*_columns(bodies), check_separation(min_separation), _AXES[axis])
+    pairs = ops.sweep(*_columns(bodies), check_separation(min_separation), _AXES[axis])
+    return with_self_pairs(bodies, pairs)
 
 
 def grid(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
@@ -59,7 +62,7 @@ def grid(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
     Example:
         >>> pairs = pgccd.broad.grid(bodies)
     """
-    return ops.grid(*_columns(bodies), check_separation(min_separation))
+    return with_self_pairs(bodies, ops.grid(*_columns(bodies), check_separation(min_separation)))
 
 
 def lbvh(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
@@ -78,7 +81,7 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
     Example:
         >>> pairs = pgccd.broad.lbvh(bodies)
     """
-    return ops.lbvh(*_columns(bodies), check_separation(min_separation))
+    return with_self_pairs(bodies, ops.lbvh(*_columns(bodies), check_separation(min_separation)))
 
 
 def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase:
@@ -115,6 +118,23 @@ def find_pairs(bodies: MovingBodies, min_separation: float = 0.0, broad_phase: B
 
 
 _FINDERS: dict[str, Callable[[MovingBodies, float], Tensor]] = {"sweep": sweep, "grid": grid, "lbvh": lbvh}
+
+
+def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
+    """Sorted pairs (P, 2), and among them a pair (i, i) for every body that collides with itself. Its size is known
+    beforehand: no wait for a device.
+    """
+    own = bodies.self_colliding
+    if not len(own):
+        return pairs
+    # A row moves on by the bodies at or before its own, a new row by the rows that come before it.
+    first = pairs[:, 0].contiguous()
+    moved_on = torch.searchsorted(own, first, right=True)
+    before = torch.searchsorted(first, own)
+    merged = pairs.new_empty((len(pairs) + len(own), 2))
+    merged[moved_on + torch.arange(len(pairs), device=pairs.device)] = pairs
+    merged[before + torch.arange(len(own), device=pairs.device)] = own[:, None].expand(-1, 2)
+    return merged
 
 
 def _columns(

@@ -34,7 +34,7 @@ class Contacts:
     and all other fields are None.
     """
 
-    pairs: Tensor  #: (K, 2) int64 body indices, i < j
+    pairs: Tensor  #: (K, 2) int64 body indices, i < j; i, i where a body touches itself
     toi: (
         Tensor | None
     )  #: (K,) float64 in [0, 1]: no contact of these features happens before it; 0: touching at t0 already

@@ -10,11 +10,13 @@ struct NodePair {
   int32_t first, second;
 };
 
-// Children `block * 8 + slot` of one node of a pair, each paired with the other node.
+// Children `block * 8 + slot` of one node of a pair, each paired with the other node; those below `first_slot` are not
+// wanted.
 struct SplitPair {
   int32_t block;
   int32_t other;
   bool first_is_split;
+  int32_t first_slot;
 
   PGCCD_HD NodePair child(int slot) const {
     const int32_t node = block * kBlockWidth + slot;
@@ -41,12 +43,17 @@ class PairTree {
   PGCCD_HD bool is_leaf(int side, int32_t node) const { return link(side, node).triangle_count > 0; }
   PGCCD_HD bool is_leaf_pair(NodePair nodes) const { return is_leaf(0, nodes.first) && is_leaf(1, nodes.second); }
 
-  // The larger sphere of an inner pair is split.
+  // The larger sphere of an inner pair is split. Of a body and itself, (node, node) becomes (child, node) and that
+  // (child, later or equal child): so every two leaves meet once, not twice as mirror images.
   PGCCD_HD SplitPair split(NodePair nodes) const {
+    if (sweep_.is_one_body() && !is_leaf(1, nodes.second)) {
+      const int32_t block = link(1, nodes.second).first;
+      if (nodes.first / kBlockWidth == block) return {block, nodes.first, false, nodes.first % kBlockWidth};
+    }
     const bool split_first =
         is_leaf(1, nodes.second) || (!is_leaf(0, nodes.first) && radius(0, nodes.first) >= radius(1, nodes.second));
     const int32_t block = split_first ? link(0, nodes.first).first : link(1, nodes.second).first;
-    return {block, split_first ? nodes.second : nodes.first, split_first};
+    return {block, split_first ? nodes.second : nodes.first, split_first, 0};
   }
 
   // Bit s is set if child s and the other node may meet during the step.
@@ -57,7 +64,7 @@ class PairTree {
       clearances(split, k, clearance);
       for (int slot = 0; slot < kBlockWidth; ++slot) mask |= clearance[slot] <= 0.0f ? 1u << slot : 0u;
     }
-    return mask;
+    return mask >> split.first_slot << split.first_slot;
   }
 
   // The child that overlaps the other node most, or -1 if none does.
@@ -67,7 +74,7 @@ class PairTree {
     for (int k = 1; k <= sweep_.segment_count; ++k) {
       float clearance[kBlockWidth];
       clearances(split, k, clearance);
-      for (int slot = 0; slot < kBlockWidth; ++slot) {
+      for (int slot = split.first_slot; slot < kBlockWidth; ++slot) {
         if (!(clearance[slot] <= least) || (deepest >= 0 && clearance[slot] == least)) continue;
         least = clearance[slot];
         deepest = slot;

@@ -83,6 +83,7 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
   const auto triangles = [&](int side) { return tree.bodies().meshes.triangles + tree.sweep().first_face[side]; };
   const Triangle *first_triangles = triangles(0) + first.first, *second_triangles = triangles(1) + second.first;
   const float distance = tree.sweep().inflation;
+  const bool is_one_body = tree.sweep().is_one_body(), is_one_leaf = is_one_body && leaves.first == leaves.second;
   uint32_t meeting[kMaxLeafTriangles][kLanes] = {};
   for (int k = 1; k <= tree.sweep().segment_count; ++k) {
     const MovingPoints<3, Float8> i = moving_triangles<Float8>(tree, 0, first.first, k);
@@ -94,8 +95,11 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
     for_each_bit(reaching_i, [&](int p) {
       const MovingPoints<3, float> one = one_lane(i, p);
       const uint32_t apart = lane_bits(triangles_stay_apart(in_all_lanes(one), j, distance));
-      for_each_bit(reaching_j & ~apart, [&](int lane) {
-        const uint32_t wanted = represented_pairs(first_triangles[p], second_triangles[lane]) & ~meeting[p][lane];
+      const uint32_t mirrored = is_one_leaf ? (2u << p) - 1u : 0u;
+      for_each_bit(reaching_j & ~apart & ~mirrored, [&](int lane) {
+        const Triangle &first_triangle = first_triangles[p], &second_triangle = second_triangles[lane];
+        uint32_t wanted = represented_pairs(first_triangle, second_triangle) & ~meeting[p][lane];
+        if (is_one_body) wanted &= pairs_without_common_vertex(first_triangle, second_triangle);
         if (wanted == 0) return;
         const MovingPoints<3, float> other = one_lane(j, lane);
         const auto corner = [&](int side, int index, int end) {
@@ -111,7 +115,7 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
   for (int p = 0; p < first.triangle_count; ++p) {
     for (int lane = 0; lane < second.triangle_count; ++lane) {
       for_each_bit(meeting[p][lane],
-                   [&](int bit) { emit_pair(first_triangles[p], second_triangles[lane], bit, emit); });
+                   [&](int bit) { emit_pair(first_triangles[p], second_triangles[lane], bit, is_one_body, emit); });
     }
   }
 }
