@@ -37,6 +37,7 @@ struct RigidSweep : PairFrame {
   }
 
   // A rigid body keeps its distances from itself.
+  static constexpr bool may_be_one_body = false;
   PGCCD_HD static constexpr bool is_one_body() { return false; }
 
   // Segment boundary k of segment_count.

@@ -22,6 +22,10 @@ struct Counters {
   unsigned long long node_tests;
 };
 
+// Of bodies that may be tested against themselves.
+int64_t deforming_vertices(const RigidBodies&) { return 0; }
+int64_t deforming_vertices(const DeformingBodies& bodies) { return bodies.vertex_count; }
+
 int64_t candidates_of(const Counters& seen) { return int64_t{seen.edge_edge} + seen.vertex_face; }
 
 struct Capacity {
@@ -31,10 +35,15 @@ struct Capacity {
   static uint32_t grown(uint32_t needed, uint32_t capacity) {
     return needed <= capacity ? capacity : bounded(needed + int64_t{needed} / 4);
   }
-  // What the standard scene needs, twice over.
-  static Capacity guess(int64_t pair_count, bool leading) {
-    const auto for_pairs = [&](int64_t each) { return bounded(each * pair_count + 65536); };
-    return {for_pairs(3), for_pairs(1), for_pairs(leading ? 1 : 16), for_pairs(leading ? 4 : 12)};
+  // What the standard scene needs, twice over; and bodies that are tested against themselves, up to a size: each vertex
+  // of folded cloth stands for some ten pairs of leaves, and as many candidates.
+  static Capacity guess(const TraverseInput& input, int64_t vertex_count) {
+    const auto sum = [&](int64_t each_pair, int64_t each_vertex = 0) {
+      return bounded(each_pair * input.pair_count + 65536 +
+                     smaller<int64_t>(each_vertex * vertex_count, int64_t{1} << 22));
+    };
+    if (input.leading) return {sum(3), sum(1), sum(1), sum(4)};
+    return {sum(3), sum(1, 4), sum(16, 16), sum(12, 24)};
   }
   bool holds(const Counters& seen) const {
     return seen.poses <= poses && seen.most_rest <= tasks && seen.leaves <= leaves && candidates_of(seen) <= candidates;
@@ -67,7 +76,7 @@ struct Traversal {
 
   // Until everything fits: overflow is counted, never dropped.
   Counters run(CandidateSink& out) {
-    Capacity capacity = Capacity::guess(input_.pair_count, input_.leading);
+    Capacity capacity = Capacity::guess(input_, deforming_vertices(bodies_));
     for (;;) {
       fill_bytes(context_, counters_, 0, 1);
       const TaskList leaves{context_.allocate<Task>(capacity.leaves), &counters_->leaves, capacity.leaves};
