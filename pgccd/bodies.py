@@ -82,16 +82,14 @@ def _rigid(scene: Scene, motion: RigidMotion) -> list[Tensor]:
 
 
 def _deforming(scene: Scene, motion: VertexMotion) -> list[Tensor]:
-    offsets = scene.meshes.offsets
-    counts = (offsets[1:] - offsets[:-1])[scene.mesh_index.cpu().long()]
-    totals = counts.sum(0)
-    vertex_count, block_count = int(totals[0]), int(totals[3])
-    if motion.x_t0.shape[0] != vertex_count:
-        raise ValueError(f"motion: x_t0 has {motion.x_t0.shape[0]} vertices, the scene's bodies have {vertex_count}")
-    begin = (counts.cumsum(0) - counts).to(scene.device)
-    vertex_begin, block_begin = begin[:, 0].contiguous(), begin[:, 3].contiguous()
+    rows = scene.own_rows
+    if motion.x_t0.shape[0] != rows.vertex_count:
+        raise ValueError(
+            f"motion: x_t0 has {motion.x_t0.shape[0]} vertices, the scene's bodies have {rows.vertex_count}"
+        )
+    begin = rows.vertex_begin, rows.block_begin
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
-        scene.meshes.tensors, scene.mesh_index, motion.x_t0, motion.x_t1, vertex_begin, block_begin, block_count
+        scene.meshes.tensors, scene.mesh_index, motion.x_t0, motion.x_t1, *begin, rows.block_count
     )
     # A body may shrink to a point.
     unusable = ~((radius == 0.0) | ((radius >= SMALLEST_RADIUS) & (radius <= LARGEST_RADIUS)))
@@ -110,6 +108,5 @@ def _deforming(scene: Scene, motion: VertexMotion) -> list[Tensor]:
         motion.x_t1,
         blocks_t0,
         blocks_t1,
-        vertex_begin,
-        block_begin,
+        *begin,
     ]

@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from pgccd.mesh import Mesh, MeshSet
+
+
+@dataclass(frozen=True)
+class OwnRows:
+    """Where each body's own vertices and node blocks begin, if bodies bring their own: one body after the other."""
+
+    vertex_count: int  #: of all bodies
+    block_count: int
+    vertex_begin: Tensor  #: (N,) int64
+    block_begin: Tensor  #: (N,) int64
 
 
 class Scene:
@@ -87,6 +99,15 @@ class Scene:
     def radius(self) -> Tensor:
         """SBV radius of each body's mesh, (N,) float64."""
         return self.meshes.radius[self.mesh_index.long()]
+
+    @cached_property
+    def own_rows(self) -> OwnRows:
+        """Rows of bodies that deform. Kept, so that only the first step waits for a device."""
+        offsets = self.meshes.offsets
+        counts = (offsets[1:] - offsets[:-1])[self.mesh_index.cpu().long()]
+        vertex_count, _, _, block_count = counts.sum(0).tolist()
+        begin = (counts.cumsum(0) - counts).to(self.device)
+        return OwnRows(vertex_count, block_count, begin[:, 0].contiguous(), begin[:, 3].contiguous())
 
     def __repr__(self) -> str:
         return f"Scene(bodies={self.body_count}, meshes={len(self.meshes)}, device={self.device})"
