@@ -3,12 +3,14 @@
 from pgccd import broad, narrow, traverse
 from pgccd._host import build_information as _build_information
 from pgccd.bodies import MovingBodies
-from pgccd.contacts import Contacts, Stats
+from pgccd.capacity import Capacity
+from pgccd.contacts import Contacts, PaddedContacts, Stats
 from pgccd.detect import detect
 from pgccd.mesh import Mesh, MeshSet
 from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.narrow import Kind, Status
 from pgccd.scene import Scene
+from pgccd.within import CapacityError
 
 __version__: str = _build_information()["version"]
 
@@ -23,11 +25,14 @@ __all__ = [
     "UNRESOLVED",
     "VF_AB",
     "VF_BA",
+    "Capacity",
+    "CapacityError",
     "Contacts",
     "Kind",
     "Mesh",
     "MeshSet",
     "MovingBodies",
+    "PaddedContacts",
     "RigidMotion",
     "Scene",
     "Stats",

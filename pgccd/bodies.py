@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from pgccd import ops
 from pgccd.mesh import LARGEST_RADIUS, SMALLEST_RADIUS
-from pgccd.motion import RigidMotion, VertexMotion
+from pgccd.motion import RigidMotion, VertexMotion, first_row
 from pgccd.scene import Scene
 
 
@@ -15,6 +17,10 @@ class MovingBodies:
     """The bodies of `scene` during one step of `motion`, in the form the operators read.
 
     For deforming bodies this computes each body's bounds (refit of its hierarchy), once for all stages.
+
+    Args:
+        wait: raise for an invalid pose now. Otherwise `first_faults` tells, and nothing waits for a device; the stages
+            then take `invalid`, or must not be called.
 
     Raises:
         ValueError: if scene and motion disagree in number or device, or a pose is invalid.
@@ -24,18 +30,49 @@ class MovingBodies:
         >>> pairs = pgccd.broad.sweep(bodies)
     """
 
-    def __init__(self, scene: Scene, motion: RigidMotion | VertexMotion) -> None:
+    def __init__(self, scene: Scene, motion: RigidMotion | VertexMotion, *, wait: bool = True) -> None:
         if scene.device != motion.device:
             raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
-        motion.check()
         self.scene = scene
         self.motion = motion
         #: True if vertices move on straight lines instead of arcs.
         self.linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
         #: True for explicit vertex streams.
         self.deforming = isinstance(motion, VertexMotion)
+        if wait:
+            motion.check()
         #: The operators' `bodies` argument; rows 1 to 3 are centres at t0 and t1 (N, 3) and radius (N,).
         self.tensors = _deforming(scene, motion) if isinstance(motion, VertexMotion) else _rigid(scene, motion)
+        if wait and self.deforming:
+            self.raise_faults(self.first_faults().tolist())
+
+    def first_faults(self) -> Tensor:
+        """(F,) int64: the first faulty row of each thing checked, or a number past the last one."""
+        faults = self.motion.first_faults()
+        if not self.deforming:
+            return faults
+        # A body may shrink to a point.
+        sound = (self.radius == 0.0) | ((self.radius >= SMALLEST_RADIUS) & (self.radius <= LARGEST_RADIUS))
+        return torch.cat([faults, first_row(~sound).reshape(1)])
+
+    def raise_faults(self, first: Sequence[int]) -> None:
+        """Raises ValueError for the values of `first_faults`, if any names a row."""
+        if not self.deforming:
+            return self.motion.raise_faults(first)
+        *of_motion, body = first
+        self.motion.raise_faults(of_motion)
+        if body < self.scene.body_count:
+            raise ValueError(
+                f"motion: body {body} has SBV radius {float(self.radius[body]):g}; "
+                f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
+            )
+
+    def invalid(self, faults: Tensor) -> Tensor:
+        """(1,) bool on the device: whether `raise_faults` would raise for the values of `faults`."""
+        if isinstance(self.motion, VertexMotion):
+            of_motion = (faults[:-1] < self.motion.x_t0.shape[0]).any()
+            return (of_motion | (faults[-1] < self.scene.body_count)).reshape(1)
+        return (faults < self.scene.body_count).any().reshape(1)
 
     @property
     def device(self) -> torch.device:
@@ -82,31 +119,12 @@ def _rigid(scene: Scene, motion: RigidMotion) -> list[Tensor]:
 
 
 def _deforming(scene: Scene, motion: VertexMotion) -> list[Tensor]:
-    rows = scene.own_rows
-    if motion.x_t0.shape[0] != rows.vertex_count:
-        raise ValueError(
-            f"motion: x_t0 has {motion.x_t0.shape[0]} vertices, the scene's bodies have {rows.vertex_count}"
-        )
-    begin = rows.vertex_begin, rows.block_begin
+    layout = scene.layout
+    if motion.x_t0.shape[0] != layout.vertex_count:
+        expected = f"the scene's bodies have {layout.vertex_count}"
+        raise ValueError(f"motion: x_t0 has {motion.x_t0.shape[0]} vertices, {expected}")
+    vertices, begins = (motion.x_t0, motion.x_t1), (layout.vertex_begin, layout.block_begin)
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
-        scene.meshes.tensors, scene.mesh_index, motion.x_t0, motion.x_t1, *begin, rows.block_count
+        scene.meshes.tensors, scene.mesh_index, *vertices, *begins, layout.block_count
     )
-    # A body may shrink to a point.
-    unusable = ~((radius == 0.0) | ((radius >= SMALLEST_RADIUS) & (radius <= LARGEST_RADIUS)))
-    if bool(unusable.any()):
-        body = int(torch.nonzero(unusable)[0])
-        raise ValueError(
-            f"motion: body {body} has SBV radius {float(radius[body]):g}; "
-            f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
-        )
-    return [
-        scene.mesh_index,
-        position_t0,
-        position_t1,
-        radius,
-        motion.x_t0,
-        motion.x_t1,
-        blocks_t0,
-        blocks_t1,
-        *begin,
-    ]
+    return [scene.mesh_index, position_t0, position_t1, radius, *vertices, blocks_t0, blocks_t1, *begins]

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.bodies import MovingBodies
+from pgccd.capacity import COUNT_ROWS, Capacity
 
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
@@ -108,6 +109,37 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
     return "lbvh" if bodies.scene.body_count >= _MANY_BODIES else "sweep"
 
 
+def find_pairs_within(
+    bodies: MovingBodies, min_separation: float, broad_phase: BroadPhase, capacity: Capacity, invalid: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The PCS without waiting for its size.
+
+    Args:
+        bodies, min_separation, broad_phase: as for `find_pairs`.
+        capacity: room.
+        invalid: (1,) bool, see `MovingBodies.invalid`: then there are none.
+
+    Returns:
+        (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
+        `pgccd.capacity.Counts`. If there was no room for all pairs, any may be missing.
+    """
+    number = list(_FINDERS).index(choose(bodies, broad_phase))
+    own = len(bodies.self_colliding)
+    room, *rest = capacity.of_pairs
+    pairs, counts = ops.pairs_within(
+        *_columns(bodies),
+        invalid.view(torch.uint8),
+        check_separation(min_separation),
+        number,
+        [max(0, room - own), *rest],
+    )
+    if own:
+        for name in ("pairs", "pairs_written"):
+            counts[COUNT_ROWS[name]] += torch.where(invalid[0], 0, own)
+        counts[COUNT_ROWS["pairs_overflow"]] += max(0, own - room)
+    return with_self_pairs(bodies, pairs), counts
+
+
 def find_pairs(bodies: MovingBodies, min_separation: float = 0.0, broad_phase: BroadPhase = "auto") -> Tensor:
     """The PCS by the broad phase named, or by the one that `choose` thinks fastest. All of them give the same pairs.
 
@@ -121,19 +153,19 @@ _FINDERS: dict[str, Callable[[MovingBodies, float], Tensor]] = {"sweep": sweep, 
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
-    """Sorted pairs (P, 2), and among them a pair (i, i) for every body that collides with itself. Its size is known
-    beforehand: no wait for a device.
+    """Sorted pairs (P, 2), perhaps with rows of -1 after them, and among them (i, i) for every body that collides with
+    itself. How many they are is known, so that nothing waits for a device.
     """
     own = bodies.self_colliding
     if not len(own):
         return pairs
-    # A row moves on by the bodies at or before its own, a new row by the rows that come before it.
-    first = pairs[:, 0].contiguous()
-    moved_on = torch.searchsorted(own, first, right=True)
-    before = torch.searchsorted(first, own)
+    first = torch.where(pairs[:, 0] < 0, bodies.scene.body_count, pairs[:, 0])
+    # A row moves on by the bodies up to its own, and a new row comes before those of its body.
+    row_of_pair = torch.arange(len(pairs), device=pairs.device) + torch.searchsorted(own, first, right=True)
+    row_of_own = torch.arange(len(own), device=pairs.device) + torch.searchsorted(first, own)
     merged = pairs.new_empty((len(pairs) + len(own), 2))
-    merged[moved_on + torch.arange(len(pairs), device=pairs.device)] = pairs
-    merged[before + torch.arange(len(own), device=pairs.device)] = own[:, None].expand(-1, 2)
+    merged[row_of_pair] = pairs
+    merged[row_of_own] = own[:, None].expand(-1, 2)
     return merged
 
 

@@ -8,6 +8,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -254,7 +255,7 @@ def _detect(options: argparse.Namespace) -> int:
         raise ArgumentError("--device", f"this build of pgccd has no kernels for {device.type}") from error
     rows = _contact_rows(hits)
     if options.json:
-        print(json.dumps({"contacts": rows, "stats": vars(hits.stats)}))
+        print(json.dumps({"contacts": rows, "stats": asdict(hits.stats)}))
         return 0
     for row in rows:
         print("  ".join(f"{name}={_plain(value)}" for name, value in row.items()))

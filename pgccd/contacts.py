@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from torch import Tensor
+
+from pgccd.capacity import Capacity
 
 #: Columns of contacts as the operators give them: row of the pairs (K,), kind (K,), features (K, 2), status (K,), toi
 #: (K,), coordinates (K, 2), point (K, 3), normal (K, 3).
@@ -13,7 +16,11 @@ ContactRows = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tens
 
 @dataclass
 class Stats:
-    """What one call of `detect` did. `seconds` has one entry a stage: bounds, broad, traverse, narrow."""
+    """What one call of `detect` did.
+
+    `seconds` has one entry a stage: bounds, broad, traverse, narrow. On a GPU these are times of the device, but for
+    the host's time in bounds and in whatever is streamed.
+    """
 
     bodies: int = 0
     pcs: int = 0  #: potentially colliding body pairs
@@ -23,6 +30,9 @@ class Stats:
     unresolved: int = 0  #: rows reported because the iteration budget was spent
     broad_phase: str = ""  #: "sweep", "grid" or "lbvh"; "given" if the pairs were
     chunks: int = 0  #: pieces in which the PCS was streamed
+    waits: int = 0  #: times the host waited for a GPU
+    scratch_bytes: int = 0  #: most memory of a GPU held at once on the way to the result
+    needed: Capacity | None = None  #: room the step needed; on a GPU None if it was streamed
     seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -53,3 +63,30 @@ class Contacts:
 
     def __repr__(self) -> str:
         return f"Contacts(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
+
+
+@dataclass
+class PaddedContacts:
+    """Contacts in a fixed number of rows, from `detect(capacity=...)`: nothing has waited for the device yet.
+
+    The first `count` rows are contacts as in `Contacts`. The rest is padding: pairs and features -1, toi inf, status
+    FREE, all else 0; so that `toi.min()` needs no mask. Columns are None where those of `Contacts` are.
+    """
+
+    pairs: Tensor  #: (capacity.contacts, 2) int64
+    toi: Tensor | None
+    kind: Tensor | None
+    features: Tensor | None
+    coordinates: Tensor | None
+    point: Tensor | None
+    normal: Tensor | None
+    status: Tensor | None
+    count: Tensor  #: (1,) int64: number of contacts
+    #: (1,) bool: there was not room for everything, or the input is invalid, and contacts may be missing. `trim` says
+    #: which.
+    overflow: Tensor
+    #: (F,) int64, see `pgccd.MovingBodies.first_faults`
+    faults: Tensor
+    counts: Tensor  #: (21,) int64: the values of `pgccd.capacity.Counts`
+    capacity: Capacity
+    trim: Callable[[], Contacts]  #: waits; `Contacts`, with stats, or the error that `overflow` stands for

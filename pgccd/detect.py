@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from typing import overload
 
-import torch
 from torch import Tensor
 
 from pgccd import broad, narrow, traverse
 from pgccd.bodies import MovingBodies
-from pgccd.contacts import ContactRows, Contacts, Stats
+from pgccd.capacity import Capacity
+from pgccd.contacts import Contacts, PaddedContacts
+from pgccd.memory import memory_limit, recall_capacity, remember_needs
 from pgccd.motion import RigidMotion, VertexMotion
+from pgccd.query import Query
 from pgccd.scene import Scene
+from pgccd.streaming import stream
+from pgccd.within import search_within
 
-# What one pair of the PCS may need while it is traversed and solved, on the standard scene with room to spare.
-_BYTES_PER_PAIR = 1536
-_DEFAULT_BUDGET = 1 << 30
+# A step that does not fit is repeated with more room, once for every stage that may have run out of it.
+_ATTEMPTS = 6
 
 
+@overload
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
@@ -31,7 +34,35 @@ def detect(
     broad_phase: broad.BroadPhase = "auto",
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
-) -> Contacts:
+    capacity: None = None,
+) -> Contacts: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.Report = "first",
+    min_separation: float = 0.0,
+    *,
+    tolerance: float | None = None,
+    nonzero_toi: bool = False,
+    broad_phase: broad.BroadPhase = "auto",
+    pairs: Tensor | None = None,
+    memory_budget: int | None = None,
+    capacity: Capacity,
+) -> PaddedContacts: ...
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.Report = "first",
+    min_separation: float = 0.0,
+    *,
+    tolerance: float | None = None,
+    nonzero_toi: bool = False,
+    broad_phase: broad.BroadPhase = "auto",
+    pairs: Tensor | None = None,
+    memory_budget: int | None = None,
+    capacity: Capacity | None = None,
+) -> Contacts | PaddedContacts:
     """Finds the collisions that happen during one step.
 
     Nothing is missed: if two primitives of different bodies touch (distance <= min_separation) at some t in [0, 1] on
@@ -56,9 +87,13 @@ def detect(
             them.
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB,
             or a quarter of what is free on a GPU if that is more. The result does not depend on it.
+        capacity: room for the result and all on the way to it. Then sizes are fixed and nothing waits for the device,
+            so that the call can be captured by `torch.cuda.graph` and compiled by `torch.compile(fullgraph=True)`;
+            `overflow` of the result tells whether the room sufficed. (For bodies that deform, call once before.)
 
     Returns:
-        Contacts, on the scene's device.
+        Contacts, on the scene's device; PaddedContacts if `capacity` is given. On a GPU the host waits once, for the
+        counts that sizes follow from; again only where a step needs much more room than the last one.
 
     Raises:
         ValueError, TypeError: naming the argument.
@@ -67,98 +102,41 @@ def detect(
         >>> hits = pgccd.detect(scene, pgccd.RigidMotion(x0, q0, x1, q1))
         >>> x0 + hits.toi.min() * (x1 - x0)
     """
-    if report not in narrow.REPORTS:
-        raise ValueError(f"report: expected one of {list(narrow.REPORTS)}, got {report!r}")
-    broad.check_separation(min_separation)
+    query = Query(report, min_separation, tolerance, nonzero_toi)
     if memory_budget is not None and memory_budget <= 0:
         raise ValueError(f"memory_budget: expected a number of bytes > 0, got {memory_budget}")
-    stats = Stats(bodies=scene.body_count)
-
-    with _timed(stats, "bounds"):
-        bodies = MovingBodies(scene, motion)
-    with _timed(stats, "broad"):
-        chosen = broad.choose(bodies, broad_phase)
-        stats.broad_phase = chosen if pairs is None else "given"
-        if pairs is None:
-            pairs = broad.find_pairs(bodies, min_separation, chosen)
-        else:
-            pairs = traverse.check_pairs(pairs, bodies)
-    stats.pcs = pairs.shape[0]
-
-    node_tests: list[Tensor] = []
-    found = []
-    for chunk in pairs.split(max(1, _budget(memory_budget, len(pairs), bodies.device) // _BYTES_PER_PAIR)):
-        stats.chunks += 1
-        horizon = None
-        if report in ("first", "earliest") and bodies.device.type == "cpu":
-            # A good guess at each pair's first contact bounds how far the search for an earlier one need look. A GPU
-            # has searched all of it sooner than it has found the guess.
-            candidates, tests = _traverse(stats, bodies, chunk, min_separation, tolerance, None, leading=True)
-            node_tests.append(tests)
-            rows = _narrow(stats, bodies, chunk, candidates, "first", min_separation, tolerance, nonzero_toi)
-            horizon = torch.ones(len(chunk), dtype=torch.float64, device=bodies.device)
-            horizon[rows[0].long()] = rows[4]
-            if report == "earliest" and len(horizon):
-                horizon = horizon.min().expand_as(horizon).contiguous()
-        candidates, tests = _traverse(stats, bodies, chunk, min_separation, tolerance, horizon, leading=False)
-        node_tests.append(tests)
-        rows = _narrow(stats, bodies, chunk, candidates, report, min_separation, tolerance, nonzero_toi)
-        found.append((chunk[rows[0].long()], *rows[1:]))
-    rows = found[0] if len(found) == 1 else tuple(torch.cat(column) for column in zip(*found, strict=True))  # type: ignore[assignment]
-    if report == "earliest":  # of the chunks' earliest ones
-        rows = narrow.keep_earliest(rows)
-    pair, kind, features, status, toi, coordinates, point, normal = rows
-    stats.contacts = pair.shape[0]
-    # Read together: on a GPU every look at a number waits for it.
-    unresolved = (status == narrow.Status.UNRESOLVED).sum().reshape(1)
-    stats.unresolved, *tests_made = torch.cat([unresolved, *node_tests]).tolist()
-    stats.node_tests = sum(tests_made)
-    if report == "any":
-        return Contacts(pair, None, None, None, None, None, None, None, stats)
-    return Contacts(pair, toi, kind, features, coordinates, point, normal, status, stats)
+    on_cpu = scene.device.type == "cpu"
+    start = 0.0 if capacity else time.perf_counter()  # which compiled graphs do not know
+    bodies = MovingBodies(scene, motion, wait=on_cpu and capacity is None)
+    seconds = 0.0 if capacity else time.perf_counter() - start
+    broad.choose(bodies, broad_phase)  # complains of a name it does not know
+    if pairs is not None:
+        pairs = traverse.check_pairs(pairs, bodies)
+    if capacity is not None:
+        return search_within(bodies, query, capacity, broad_phase, pairs).padded()
+    # A CPU does better with less work: it looks for likely contacts first.
+    found = None if on_cpu else _detect_at_once(bodies, query, broad_phase, pairs, memory_budget)
+    if found is None:
+        found = stream(bodies, query, broad_phase, pairs, memory_budget)
+    found.stats.seconds = {"bounds": seconds} | found.stats.seconds
+    return found
 
 
-def _budget(wanted: int | None, pair_count: int, device: torch.device) -> int:
-    """Bytes of scratch memory to aim at. What a GPU has free is only asked where it matters: asking takes time."""
-    if wanted is not None:
-        return wanted
-    if device.type != "cuda" or pair_count * _BYTES_PER_PAIR <= _DEFAULT_BUDGET:
-        return _DEFAULT_BUDGET
-    free, _ = torch.cuda.mem_get_info(device)
-    return max(_DEFAULT_BUDGET, free // 4)
-
-
-def _traverse(
-    stats: Stats,
-    bodies: MovingBodies,
-    pairs: Tensor,
-    min_separation: float,
-    tolerance: float | None,
-    horizon: Tensor | None,
-    leading: bool,
-) -> tuple[Tensor, Tensor]:
-    with _timed(stats, "traverse"):
-        candidates, node_tests = traverse.search(bodies, pairs, min_separation, tolerance, horizon, leading)
-        stats.candidates += candidates.shape[0]
-    return candidates, node_tests
-
-
-def _narrow(
-    stats: Stats,
-    bodies: MovingBodies,
-    pairs: Tensor,
-    candidates: Tensor,
-    report: narrow.Report,
-    min_separation: float,
-    tolerance: float | None,
-    nonzero_toi: bool,
-) -> ContactRows:
-    with _timed(stats, "narrow"):
-        return narrow.solve(bodies, pairs, candidates, report, min_separation, tolerance, nonzero_toi)
-
-
-@contextmanager
-def _timed(stats: Stats, stage: str) -> Iterator[None]:
-    start = time.perf_counter()
-    yield
-    stats.seconds[stage] = stats.seconds.get(stage, 0.0) + time.perf_counter() - start
+def _detect_at_once(
+    bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
+) -> Contacts | None:
+    """All stages one after the other in the room that a step is expected to need; None if that is too much."""
+    capacity = recall_capacity(bodies.scene, query, pairs)
+    for attempt in range(1, _ATTEMPTS + 1):
+        if capacity.bytes > memory_limit(memory_budget, capacity.bytes, bodies.device):
+            return None
+        search = search_within(bodies, query, capacity, broad_phase, pairs)
+        counts = search.read()
+        needed = counts.needed(capacity)
+        remember_needs(bodies.scene, query, pairs, needed)
+        if capacity.holds(needed):
+            contacts = search.contacts(counts)
+            contacts.stats.waits = attempt
+            return contacts
+        capacity = capacity.grown(needed)
+    return None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -62,8 +64,28 @@ def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *_rest: objec
     return _fake_candidates(pairs)
 
 
-def _fake_contact_rows(pairs: Tensor) -> ContactRows:
-    count = _unknown_count()
+@torch.library.register_fake("pgccd::pairs_within")
+def _(position_t0: Tensor, *rest: Any) -> tuple[Tensor, Tensor]:
+    capacity = rest[-1]
+    return position_t0.new_empty((capacity[0], 2), dtype=torch.int64), position_t0.new_empty((7,), dtype=torch.int64)
+
+
+def _fake_found(pairs: Tensor, rest: Any) -> tuple[Tensor, ...]:
+    capacity = rest[-1]
+    return *_fake_contact_rows(pairs, capacity[-1]), pairs.new_empty((14,))
+
+
+@torch.library.register_fake("pgccd::contacts_within_rigid")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, *rest: Any) -> tuple[Tensor, ...]:
+    return _fake_found(pairs, rest)
+
+
+@torch.library.register_fake("pgccd::contacts_within_deforming")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *rest: Any) -> tuple[Tensor, ...]:
+    return _fake_found(pairs, rest)
+
+
+def _fake_contact_rows(pairs: Tensor, count: int | torch.SymInt) -> ContactRows:
     integers = [((), torch.int32), ((), torch.int8), ((2,), torch.int32), ((), torch.int8)]
     lengths = [(width, torch.float64) for width in ((), (2,), (3,), (3,))]
     columns = [pairs.new_empty((count, *width), dtype=dtype) for width, dtype in [*integers, *lengths]]
@@ -72,12 +94,12 @@ def _fake_contact_rows(pairs: Tensor) -> ContactRows:
 
 @torch.library.register_fake("pgccd::narrow_rigid")
 def _(mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, *_rest: object) -> ContactRows:
-    return _fake_contact_rows(pairs)
+    return _fake_contact_rows(pairs, _unknown_count())
 
 
 @torch.library.register_fake("pgccd::narrow_deforming")
 def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *_rest: object) -> ContactRows:
-    return _fake_contact_rows(pairs)
+    return _fake_contact_rows(pairs, _unknown_count())
 
 
 def _fake_elementary(points_t0: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

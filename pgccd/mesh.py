@@ -167,6 +167,8 @@ class MeshSet:
         self.tensors = [tensor.contiguous().to(device) for tensor in (*joined, corners, self.offsets)]
         #: As torch resolves it: "cuda" becomes "cuda:0".
         self.device = self.tensors[0].device
+        #: What steps have needed; kept by `pgccd.memory`.
+        self.experience: dict[str, object] = {}
 
     def __len__(self) -> int:
         return len(self.meshes)

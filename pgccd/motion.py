@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import torch
@@ -89,7 +90,7 @@ class RigidMotion:
         # Named before the positions that follow from them.
         motion._faults = {
             "linear_velocity": _first_not_finite(velocity),
-            "angular_velocity": _first_row(~(turn <= _LARGEST_TURN)),
+            "angular_velocity": first_row(~(turn <= _LARGEST_TURN)),
         } | motion._faults
         motion._check_now()
         return motion
@@ -118,7 +119,7 @@ class RigidMotion:
         motion._set(position_t0, orientation_t0, position_t1, path)
         motion.rotation = _rows(rotation, "rotation", count, 3, position_t0.device)
         turn = torch.linalg.vector_norm(motion.rotation, dim=1)
-        motion._faults["rotation"] = _first_row(~(turn <= _LARGEST_TURN))
+        motion._faults["rotation"] = first_row(~(turn <= _LARGEST_TURN))
         motion._check_now()
         return motion
 
@@ -146,13 +147,20 @@ class RigidMotion:
         return self.position_t0.shape[0]
 
     def _check_now(self) -> None:
-        # On a GPU reading the verdicts would stall the stream; `check` is then called by detect, which waits anyway.
-        if self.device.type == "cpu":
+        if _can_check_now(self.device):
             self.check()
 
     def check(self) -> None:
         """Raises ValueError if a pose is not finite or a quaternion not unit, naming the first body."""
-        _raise_faults(self._faults, self.body_count)
+        self.raise_faults(self.first_faults().tolist())
+
+    def first_faults(self) -> Tensor:
+        """(F,) int64: the first faulty body of each argument, or the number of bodies; where the motion is."""
+        return torch.stack(list(self._faults.values()))
+
+    def raise_faults(self, first: Sequence[int]) -> None:
+        """What `check` raises, given the values of `first_faults`."""
+        _raise_faults(self._faults, first, self.body_count)
 
 
 class VertexMotion:
@@ -176,7 +184,7 @@ class VertexMotion:
         self.x_t0 = _rows(x_t0, "x_t0", count, 3, x_t0.device)
         self.x_t1 = _rows(x_t1, "x_t1", count, 3, x_t0.device)
         self._faults = {"x_t0": _first_not_finite(self.x_t0), "x_t1": _first_not_finite(self.x_t1)}
-        if self.device.type == "cpu":
+        if _can_check_now(self.device):
             self.check()
 
     @property
@@ -185,7 +193,21 @@ class VertexMotion:
 
     def check(self) -> None:
         """Raises ValueError if a position is not finite, naming the first vertex."""
-        _raise_faults(self._faults, self.x_t0.shape[0], row="vertex")
+        self.raise_faults(self.first_faults().tolist())
+
+    def first_faults(self) -> Tensor:
+        """(2,) int64: the first faulty vertex of each argument, or the number of vertices; where the motion is."""
+        return torch.stack(list(self._faults.values()))
+
+    def raise_faults(self, first: Sequence[int]) -> None:
+        """What `check` raises, given the values of `first_faults`."""
+        _raise_faults(self._faults, first, self.x_t0.shape[0], row="vertex")
+
+
+def _can_check_now(device: torch.device) -> bool:
+    # On a GPU reading the verdicts would stall the stream; they are read along with what detect waits for. A compiled
+    # graph reads nothing.
+    return device.type == "cpu" and not torch.compiler.is_compiling()
 
 
 def _body_count(values: Tensor, name: str) -> int:
@@ -208,23 +230,22 @@ def _rows(values: Tensor, name: str, count: int, width: int, device: torch.devic
     return values.detach().to(torch.float64).contiguous()
 
 
-def _first_row(bad: Tensor) -> Tensor:
+def first_row(bad: Tensor) -> Tensor:
     """Index of the first true row, or the number of rows; stays on the device."""
     rows = torch.arange(bad.shape[0], device=bad.device)
     return torch.where(bad, rows, bad.shape[0]).min() if bad.shape[0] else rows.sum()
 
 
 def _first_not_finite(values: Tensor) -> Tensor:
-    return _first_row(~(values.abs() <= _LARGEST_COORDINATE).all(dim=1))  # NaN counts as too large
+    return first_row(~(values.abs() <= _LARGEST_COORDINATE).all(dim=1))  # NaN counts as too large
 
 
 def _first_not_unit(quaternions: Tensor) -> Tensor:
     off_unit = (torch.linalg.vector_norm(quaternions, dim=1) - 1.0).abs()
-    return _first_row(~(off_unit <= _UNIT_TOLERANCE))  # NaN counts as off
+    return first_row(~(off_unit <= _UNIT_TOLERANCE))  # NaN counts as off
 
 
-def _raise_faults(faults: dict[str, Tensor], count: int, row: str = "body") -> None:
-    first = torch.stack(list(faults.values())).tolist()
+def _raise_faults(faults: dict[str, Tensor], first: Sequence[int], count: int, row: str = "body") -> None:
     for name, index in zip(faults, first, strict=True):
         if index < count:
             expected = f"finite numbers up to {_LARGEST_COORDINATE:g}"

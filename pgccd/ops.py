@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-import pgccd._C  # noqa: F401  (importing it registers the operators)
+import pgccd._C as _C  # (importing it registers the operators)
 import pgccd.fake_ops  # noqa: F401  (and this their fake kernels)
 from pgccd.contacts import ContactRows
 
@@ -144,6 +144,46 @@ def narrow_deforming(
     return _ops.narrow_deforming(
         list(mesh_set), list(bodies), pairs, candidates, min_separation, tolerance, nonzero_toi, report
     )
+
+
+def pairs_within(
+    position_t0: Tensor,
+    position_t1: Tensor,
+    radius: Tensor,
+    group: Tensor | None,
+    mask: Tensor | None,
+    world: Tensor | None,
+    is_static: Tensor | None,
+    is_invalid: Tensor | None,
+    min_separation: float,
+    broad_phase: int,
+    capacity: Sequence[int],
+) -> tuple[Tensor, Tensor]:
+    """Pairs padded with -1, and counts (7,): see `pgccd.capacity`. Waits for nothing on a GPU."""
+    columns = position_t0, position_t1, radius, group, mask, world, is_static, is_invalid
+    return _ops.pairs_within(*columns, min_separation, broad_phase, list(capacity))
+
+
+def contacts_within_rigid(
+    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool, *rest: object
+) -> tuple[Tensor, ...]:
+    """As `contacts_within_deforming`, for rigid bodies."""
+    return _ops.contacts_within_rigid(list(mesh_set), list(bodies), linear_path, *rest)
+
+
+def contacts_within_deforming(
+    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest: object
+) -> tuple[Tensor, ...]:
+    """Contact rows padded, and counts (14,): see `pgccd.capacity`. Waits for nothing on a GPU.
+
+    `rest`: pairs, pair_count, min_separation, tolerance, nonzero_toi, report, capacity.
+    """
+    return _ops.contacts_within_deforming(list(mesh_set), list(bodies), *rest)
+
+
+def take_scratch_peak() -> int:
+    """Most bytes of scratch memory that one operator on a GPU has held for this thread since the last call."""
+    return _C.take_scratch_peak()
 
 
 def vertex_face(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -13,11 +13,11 @@ from pgccd.mesh import Mesh, MeshSet
 
 
 @dataclass(frozen=True)
-class OwnRows:
-    """Where each body's own vertices and node blocks begin, if bodies bring their own: one body after the other."""
+class VertexLayout:
+    """Bodies' own copies of their meshes' vertices and hierarchies, one body after the other."""
 
-    vertex_count: int  #: of all bodies
-    block_count: int
+    vertex_count: int
+    block_count: int  #: of nodes
     vertex_begin: Tensor  #: (N,) int64
     block_begin: Tensor  #: (N,) int64
 
@@ -94,20 +94,22 @@ class Scene:
             self.self_collision &= self.static == 0
         #: (S,) int64, ascending: these bodies. Known from the start, so that a step need not ask a device for them.
         self.self_colliding = _rows_of(self.self_collision, self.device)
+        #: How many vertices they have together.
+        self.self_colliding_vertices = _vertex_count(meshes, self.mesh_index[self.self_colliding])
 
     @property
     def radius(self) -> Tensor:
         """SBV radius of each body's mesh, (N,) float64."""
         return self.meshes.radius[self.mesh_index.long()]
 
-    @cached_property
-    def own_rows(self) -> OwnRows:
-        """Rows of bodies that deform. Kept, so that only the first step waits for a device."""
+    @functools.cached_property
+    def layout(self) -> VertexLayout:
+        """Where the rows of bodies that bring their own vertices begin."""
         offsets = self.meshes.offsets
         counts = (offsets[1:] - offsets[:-1])[self.mesh_index.cpu().long()]
-        vertex_count, _, _, block_count = counts.sum(0).tolist()
         begin = (counts.cumsum(0) - counts).to(self.device)
-        return OwnRows(vertex_count, block_count, begin[:, 0].contiguous(), begin[:, 3].contiguous())
+        vertex_count, _, _, block_count = counts.sum(0).tolist()
+        return VertexLayout(vertex_count, block_count, begin[:, 0].contiguous(), begin[:, 3].contiguous())
 
     def __repr__(self) -> str:
         return f"Scene(bodies={self.body_count}, meshes={len(self.meshes)}, device={self.device})"
@@ -146,6 +148,11 @@ def _self_column(values: Tensor | Sequence[bool] | bool, count: int, device: tor
     if isinstance(values, bool):
         return torch.ones(count, dtype=torch.bool, device=device) if values else None
     return _bool_column(values, "self_collision", count, device).to(torch.bool)
+
+
+def _vertex_count(meshes: MeshSet, mesh_index: Tensor) -> int:
+    begin = meshes.offsets[:, 0]
+    return int((begin[1:] - begin[:-1])[mesh_index.cpu().long()].sum()) if len(mesh_index) else 0
 
 
 def _rows_of(column: Tensor | None, device: torch.device) -> Tensor:

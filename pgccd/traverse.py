@@ -87,8 +87,9 @@ def check_pairs(pairs: Tensor, bodies: MovingBodies) -> Tensor:
     i, j = pairs.unbind(dim=1)
     in_order = (i >= 0) & (i < j) & (j < count)
     expected = f"pairs: expected rows 0 <= i < j < {count}"
-    if len(bodies.self_colliding):
-        in_order |= (i == j) & torch.isin(i, bodies.self_colliding)
+    own = bodies.scene.self_collision
+    if own is not None and len(bodies.self_colliding):
+        in_order |= (i == j) & (i >= 0) & (j < count) & own[i.clamp(0, count - 1)]
         expected += ", or (i, i) of a body that collides with itself"
     require(in_order, expected)
     return pairs.contiguous()

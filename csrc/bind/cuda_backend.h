@@ -7,8 +7,10 @@
 #include <torch/csrc/stable/ops.h>
 #include <torch/csrc/stable/tensor.h>
 
+#include <algorithm>
 #include <vector>
 
+#include "bind/scratch_peak.h"
 #include "kernels/device_context.h"
 
 namespace pgccd::bind {
@@ -20,12 +22,15 @@ class TorchMemory final : public DeviceMemory {
 
   void* allocate_bytes(int64_t bytes) override {
     held_.push_back(torch::stable::new_empty(like_, {bytes > 0 ? bytes : 1}, torch::headeronly::ScalarType::Byte));
+    held_bytes_ += bytes;
+    scratch_peak() = std::max(scratch_peak(), held_bytes_);
     return held_.back().data_ptr();
   }
 
  private:
   torch::stable::Tensor like_;
   std::vector<torch::stable::Tensor> held_;
+  int64_t held_bytes_ = 0;
 };
 
 class CudaSession {

@@ -4,7 +4,7 @@
 
 #include <functional>
 
-#include "bind/outputs.h"
+#include "bind/contact_tensors.h"
 #include "core/candidate.h"
 #include "kernels/broad/pair_output.h"
 #include "kernels/narrow/narrow.h"
@@ -13,7 +13,6 @@
 namespace pgccd::bind {
 
 using TensorList = std::vector<Tensor>;
-using ContactTensors = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
 template <class Backend>
 struct DetectOps {
@@ -133,24 +132,17 @@ struct DetectOps {
   static ContactTensors narrow(const Bodies& bodies, const Tensor& pairs, const Tensor& candidates,
                                const NarrowSettings& settings, int64_t report) {
     NarrowInput input;
-    input.candidates = rows<int32_t, Candidate>(candidates, "candidates", {kAnySize, 4});
-    input.candidate_count = candidates.size(0);
-    STD_TORCH_CHECK(input.candidate_count < (int64_t{1} << 31), "candidates: more than 2^31 - 1 rows in one call");
+    input.candidates.items = rows<int32_t, Candidate>(candidates, "candidates", {kAnySize, 4});
+    input.candidates.size = candidates.size(0);
+    STD_TORCH_CHECK(input.candidates.size < (int64_t{1} << 31), "candidates: more than 2^31 - 1 rows in one call");
     input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
     input.pair_count = pairs.size(0);
     input.settings = settings;
-    STD_TORCH_CHECK(report >= 0 && report <= 2, "report: expected 0 (any), 1 (first) or 2 (all), got ", report);
-    input.report = static_cast<Report>(report);
+    input.report = report_of(report);
     ContactTensors out{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};
     Backend(pairs).narrow(bodies, input, [&](int64_t count) {
-      out = {new_tensor<int32_t>(pairs, {count}),    new_tensor<int8_t>(pairs, {count}),
-             new_tensor<int32_t>(pairs, {count, 2}), new_tensor<int8_t>(pairs, {count}),
-             new_tensor<double>(pairs, {count}),     new_tensor<double>(pairs, {count, 2}),
-             new_tensor<double>(pairs, {count, 3}),  new_tensor<double>(pairs, {count, 3})};
-      auto& [pair, kind, features, status, toi, coordinates, point, normal] = out;
-      return ContactColumns{data<int32_t>(pair),  data<int8_t>(kind),  data<int32_t>(features),
-                            data<int8_t>(status), data<double>(toi),   data<double>(coordinates),
-                            data<double>(point),  data<double>(normal)};
+      out = new_contact_tensors(pairs, count);
+      return contact_columns(out);
     });
     return out;
   }

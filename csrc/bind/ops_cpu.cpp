@@ -1,10 +1,11 @@
 // The detection operators on the CPU.
 #include <algorithm>
-#include <cstring>
+#include <chrono>
 
 #include "bind/cpu_executor.h"
 #include "bind/detect_ops.h"
 #include "bind/elementary_ops.h"
+#include "bind/within_ops.h"
 #include "kernels/bounds/bounds.h"
 #include "kernels/broad/broad.h"
 
@@ -41,15 +42,58 @@ class CpuBackend {
   template <class Bodies, class Output>
   void narrow(const Bodies& bodies, const NarrowInput& input, Output&& make_output) const {
     const ContactRows found = narrow_phase_cpu(executor_, bodies, input);
-    const ContactColumns out = make_output(static_cast<int64_t>(found.pair.size()));
-    copy(found.pair, out.pair);
-    copy(found.kind, out.kind);
-    copy(found.features, out.features);
-    copy(found.status, out.status);
-    copy(found.toi, out.toi);
-    copy(found.coordinates, out.coordinates);
-    copy(found.point, out.point);
-    copy(found.normal, out.normal);
+    const int64_t rows = static_cast<int64_t>(found.pair.size());
+    copy_rows(found, make_output(rows), rows);
+  }
+
+  void pairs_within(const BroadBodies& bodies, BroadPhase phase, const PaddedPairs& out) const {
+    out.counts[kBroadBegan] = nanoseconds();
+    const int64_t room = out.capacity.pairs;
+    std::vector<int64_t> too_many;
+    int64_t count = 0;
+    const auto make_output = [&](int64_t found) {
+      count = found;
+      if (found <= room) return out.rows;
+      too_many.resize(2 * found);
+      return too_many.data();
+    };
+    if (!bodies.invalid()) find_pairs(bodies, phase, make_output);
+    const int64_t written = std::min(count, room);
+    if (!too_many.empty()) std::copy_n(too_many.data(), 2 * written, out.rows);
+    std::fill(out.rows + 2 * written, out.rows + 2 * room, int64_t{-1});
+    out.counts[kPairsNeeded] = count;
+    out.counts[kOverlapsNeeded] = out.counts[kLongRowsNeeded] = 0;
+    out.counts[kPairsWritten] = written;
+    out.counts[kPairsOverflow] = count > room;
+    out.counts[kBroadEnded] = nanoseconds();
+  }
+
+  // Takes the memory it needs: only rows can be too many.
+  template <class Bodies>
+  void contacts_within(const Bodies& bodies, TraverseInput traversal, const int64_t* pair_count,
+                       const TraverseCapacity&, NarrowInput narrow, const ContactCapacity& room,
+                       const ContactColumns& out, int64_t* traverse_counts, int64_t* contact_counts) const {
+    std::fill_n(traverse_counts, int64_t{kTraverseCounts}, int64_t{0});
+    std::fill_n(contact_counts, int64_t{kContactCounts}, int64_t{0});
+    traverse_counts[kTraverseBegan] = nanoseconds();
+    traversal.pair_count = narrow.pair_count = std::min(traversal.pair_count, *pair_count);
+    const CandidateList list = traverse_cpu(executor_, bodies, traversal);
+    std::vector<Candidate> candidates;
+    candidates.reserve(list.size());
+    for (const auto& part : list.parts) candidates.insert(candidates.end(), part.begin(), part.end());
+    traverse_counts[kTraverseEnded] = nanoseconds();
+    narrow.candidates = {candidates.data(), list.size()};
+    const ContactRows found = narrow_phase_cpu(executor_, bodies, narrow);
+    const int64_t rows = static_cast<int64_t>(found.pair.size()), written = std::min(rows, room.contacts);
+    copy_rows(found, out, written);
+    pad_rows(out, written, room.contacts);
+    traverse_counts[kCandidatesNeeded] = list.size();
+    traverse_counts[kNodeTests] = list.node_tests;
+    contact_counts[kContactsNeeded] = rows;
+    contact_counts[kContactsOverflow] = rows > room.contacts;
+    contact_counts[kUnresolvedWritten] =
+        std::count(found.status.begin(), found.status.begin() + written, static_cast<int8_t>(Status::kUnresolved));
+    contact_counts[kNarrowEnded] = nanoseconds();
   }
 
   template <bool kEdgeEdge, class T>
@@ -59,9 +103,36 @@ class CpuBackend {
   }
 
  private:
-  template <class T, class Target>
-  static void copy(const std::vector<T>& values, Target* target) {
-    if (!values.empty()) std::memcpy(target, values.data(), values.size() * sizeof(T));
+  static int64_t nanoseconds() {
+    return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
+        .count();
+  }
+  void find_pairs(const BroadBodies& bodies, BroadPhase phase, const PairOutput& make_output) const {
+    switch (phase) {
+      case BroadPhase::kSweep:
+        return sweep(bodies, -1, make_output);
+      case BroadPhase::kGrid:
+        return grid(bodies, make_output);
+      case BroadPhase::kLbvh:
+        return lbvh(bodies, make_output);
+    }
+  }
+  template <class T>
+  static void copy(const std::vector<T>& values, int64_t count, T* target) {
+    std::copy_n(values.data(), count, target);
+  }
+  static void copy_rows(const ContactRows& found, const ContactColumns& out, int64_t rows) {
+    copy(found.pair, rows, out.pair);
+    copy(found.kind, rows, out.kind);
+    copy(found.features, 2 * rows, out.features);
+    copy(found.status, rows, out.status);
+    copy(found.toi, rows, out.toi);
+    copy(found.coordinates, 2 * rows, out.coordinates);
+    copy(found.point, 3 * rows, out.point);
+    copy(found.normal, 3 * rows, out.normal);
+  }
+  static void pad_rows(const ContactColumns& out, int64_t begin, int64_t end) {
+    for (int64_t row = begin; row < end; ++row) pad_row(out, row);
   }
 
   TorchExecutor executor_;
@@ -71,6 +142,7 @@ class CpuBackend {
 
 STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
   PGCCD_REGISTER_DETECT_OPS(library, CpuBackend);
+  PGCCD_REGISTER_WITHIN_OPS(library, CpuBackend);
   PGCCD_REGISTER_ELEMENTARY_OPS(library, CpuBackend);
 }
 

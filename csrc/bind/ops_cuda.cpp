@@ -4,6 +4,7 @@
 #include "bind/cuda_backend.h"
 #include "bind/detect_ops.h"
 #include "bind/elementary_ops.h"
+#include "bind/within_ops.h"
 #include "kernels/bounds/bounds_cuda.h"
 #include "kernels/broad/broad_cuda.h"
 #include "kernels/narrow/narrow_cuda.h"
@@ -40,6 +41,24 @@ class CudaBackend {
   void narrow(const Bodies& bodies, const NarrowInput& input, const ContactOutput& make_output) const {
     narrow_phase_cuda(session_.context(), bodies, input, make_output);
   }
+  void pairs_within(const BroadBodies& bodies, BroadPhase phase, const PaddedPairs& out) const {
+    switch (phase) {
+      case BroadPhase::kSweep:
+        return sweep_cuda(session_.context(), bodies, -1, out);
+      case BroadPhase::kGrid:
+        return grid_cuda(session_.context(), bodies, out);
+      case BroadPhase::kLbvh:
+        return lbvh_cuda(session_.context(), bodies, out);
+    }
+  }
+  template <class Bodies>
+  void contacts_within(const Bodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
+                       const TraverseCapacity& room, NarrowInput narrow, const ContactCapacity& contact_room,
+                       const ContactColumns& out, int64_t* traverse_counts, int64_t* contact_counts) const {
+    const DeviceContext& context = session_.context();
+    narrow.candidates = traverse_within(context, bodies, traversal, pair_count, room, traverse_counts);
+    narrow_phase_within(context, bodies, narrow, contact_room, out, contact_counts);
+  }
   template <bool kEdgeEdge, class T>
   void elementary(const T* x0, const T* x1, int64_t count, const NarrowSettings& settings,
                   const ElementaryColumns<T>& out) const {
@@ -54,6 +73,7 @@ class CudaBackend {
 
 STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
   PGCCD_REGISTER_DETECT_OPS(library, CudaBackend);
+  PGCCD_REGISTER_WITHIN_OPS(library, CudaBackend);
   PGCCD_REGISTER_ELEMENTARY_OPS(library, CudaBackend);
 }
 

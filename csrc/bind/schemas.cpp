@@ -12,6 +12,10 @@
 #include <Python.h>
 #include <torch/csrc/stable/library.h>
 
+#include <utility>
+
+#include "bind/scratch_peak.h"
+
 STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def("rotations_between(Tensor orientation_t0, Tensor orientation_t1) -> Tensor");
   library.def(
@@ -44,6 +48,22 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "narrow_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor candidates, "
       "float min_separation, float tolerance, bool nonzero_toi, int report) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor)");
+  // Without waiting for a size: capacity = [pairs, overlaps, long_rows], see kernels/broad/pair_output.h; broad_phase =
+  // 0 (sweep), 1 (grid) or 2 (lbvh).
+  library.def(
+      "pairs_within(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
+      "Tensor? is_static, Tensor? is_invalid, float min_separation, int broad_phase, int[] capacity) "
+      "-> (Tensor pairs, Tensor counts)");
+  // capacity = [poses, tasks, leaf_pairs, candidates, launches, open, contacts], see kernels/traverse/traverse.h and
+  // kernels/narrow/narrow.h, where the counts are too.
+  library.def(
+      "contacts_within_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_count, "
+      "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
+      "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
+  library.def(
+      "contacts_within_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_count, "
+      "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
+      "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   library.def(
       "vertex_face(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) "
       "-> (Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
@@ -52,9 +72,31 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "-> (Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
 }
 
-// Importing pgccd._C runs the registrations of this binary; as a Python module it is empty.
+namespace pgccd::bind {
+
+int64_t& scratch_peak() {
+  thread_local int64_t bytes = 0;
+  return bytes;
+}
+
+}  // namespace pgccd::bind
+
+namespace {
+
+PyObject* take_scratch_peak(PyObject*, PyObject*) {
+  return PyLong_FromLongLong(std::exchange(pgccd::bind::scratch_peak(), 0));
+}
+
+PyMethodDef methods[] = {
+    {"take_scratch_peak", take_scratch_peak, METH_NOARGS,
+     "Most bytes of scratch memory that an operator on a GPU, called by this thread, has held since the last call."},
+    {nullptr, nullptr, 0, nullptr}};
+
+}  // namespace
+
+// Importing pgccd._C runs the registrations of this binary.
 PyMODINIT_FUNC PyInit__C() {
   static PyModuleDef definition = {
-      PyModuleDef_HEAD_INIT, "_C", nullptr, -1, nullptr, nullptr, nullptr, nullptr, nullptr};
+      PyModuleDef_HEAD_INIT, "_C", nullptr, -1, methods, nullptr, nullptr, nullptr, nullptr};
   return PyModule_Create(&definition);
 }

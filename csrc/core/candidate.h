@@ -3,6 +3,8 @@
 
 #include <cstdint>
 
+#include "core/platform.h"
+
 namespace pgccd {
 
 // Of a body pair (i, j), i < j. The numeric order is the canonical order of contacts with equal toi.
@@ -17,6 +19,26 @@ struct Candidate {
   int32_t kind;  // FeatureKind
   int32_t feature_i;
   int32_t feature_j;
+};
+
+// Candidates in memory: `size` of them, or, where a device counted them and nobody waited for the counts, some from the
+// front and some from the back of room for `size`.
+struct CandidateSpan {
+  const Candidate* items = nullptr;
+  int64_t size = 0;
+  const uint32_t* front = nullptr;  // null: all are given
+  const uint32_t* back = nullptr;
+
+  // None where there was no room for all: what lies there may be of two candidates.
+  PGCCD_HD int64_t count() const {
+    if (front == nullptr) return size;
+    const int64_t counted = static_cast<int64_t>(*front) + *back;
+    return counted <= size ? counted : 0;
+  }
+  // Where the k-th of `count()` is.
+  PGCCD_HD int64_t place(int64_t k) const {
+    return front == nullptr || k < static_cast<int64_t>(*front) ? k : size - 1 - (k - static_cast<int64_t>(*front));
+  }
 };
 
 }  // namespace pgccd

@@ -89,18 +89,33 @@ int resident_blocks_of(Kernel kernel, int block_threads = kBlockThreads) {
 namespace device_detail {
 
 template <class Count, class Fn>
-__global__ void __launch_bounds__(kBlockThreads) for_each_counted_kernel(const Count* count, Fn fn) {
-  const int64_t end = static_cast<int64_t>(*count), stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
+__global__ void __launch_bounds__(kBlockThreads) for_each_counted_kernel(const Count* count, int64_t most, Fn fn) {
+  const int64_t counted = static_cast<int64_t>(*count), end = counted < most ? counted : most;
+  const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
   for (int64_t item = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; item < end; item += stride) fn(item);
 }
 
 }  // namespace device_detail
 
-// Runs fn(item) for every item in [0, *count), a count that only the device knows.
+// Runs fn(item) for every item in [0, *count), a count that only the device knows, but for no more than `most`.
 template <class Count, class Fn>
-void for_each_counted(const DeviceContext& context, const Count* count, Fn fn) {
-  device_detail::for_each_counted_kernel<<<resident_blocks(8), kBlockThreads, 0, context.stream>>>(count, fn);
+void for_each_counted(const DeviceContext& context, const Count* count, int64_t most, Fn fn) {
+  if (most <= 0) return;
+  const int64_t blocks = smaller<int64_t>(resident_blocks(8), (most + kBlockThreads - 1) / kBlockThreads);
+  device_detail::for_each_counted_kernel<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(count,
+                                                                                                              most, fn);
   check_cuda(cudaGetLastError(), "kernel launch");
+}
+
+__device__ inline int64_t nanoseconds() {
+  int64_t now;
+  asm volatile("mov.u64 %0, %%globaltimer;" : "=l"(now));
+  return now;
+}
+
+// Notes when the stream has come here.
+inline void note_time(const DeviceContext& context, int64_t* time) {
+  for_each_item(context, 1, [=] __device__(int64_t) { *time = nanoseconds(); });
 }
 
 // Threads of a warp that append to one list share one atomic. Returns this thread's position.

@@ -18,6 +18,10 @@ struct BroadBodies {
   const int32_t* world;      // (count,) or null: one world
   const uint8_t* is_static;  // (count,) 0 or 1, or null: none
   double separation;
+  // Not 0 if something is wrong with the input, which nobody has waited to be told: then there are no pairs. Or null.
+  const uint8_t* is_invalid = nullptr;
+
+  PGCCD_HD bool invalid() const { return is_invalid != nullptr && *is_invalid != 0; }
 };
 
 PGCCD_HD bool may_collide(const BroadBodies& bodies, int64_t i, int64_t j) {
@@ -57,6 +61,7 @@ struct SweptBox {
 };
 
 PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
+  if (bodies.invalid()) return {};  // rather than anything that is not a number
   const Vec3<double> p0 = load_vec3(bodies.centres.position_t0 + 3 * body);
   const Vec3<double> p1 = load_vec3(bodies.centres.position_t1 + 3 * body);
   const double reach = swept_reach(bodies, body, p1 - p0);

@@ -1,14 +1,19 @@
 // Broad phases on the device: the rows of broad.h.
 #pragma once
 
+#include <variant>
+
 #include "kernels/broad/body_volumes.h"
 #include "kernels/broad/pair_output.h"
 #include "kernels/device_context.h"
 
 namespace pgccd {
 
-void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axis, const PairOutput& make_output);
-void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairOutput& make_output);
-void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairOutput& make_output);
+// An output of exactly the size needed, for which the host waits; or one with room, for which it does not.
+using PairSink = std::variant<PairOutput, PaddedPairs>;
+
+void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axis, const PairSink& out);
+void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out);
+void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out);
 
 }  // namespace pgccd

@@ -94,6 +94,7 @@ struct SortedCells {
 
 __global__ void __launch_bounds__(kBlockThreads)
     find_candidates(BroadBodies bodies, const GridFrame* frame, SortedCells sorted, PairList out) {
+  if (!out.is_wanted()) return;
   __shared__ PairBuffer buffer;
   buffer.clear();
   const int64_t p = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
@@ -132,10 +133,11 @@ __global__ void __launch_bounds__(kBlockThreads)
 
 }  // namespace
 
-void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairOutput& make_output) {
+void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out) {
+  note_beginning(context, out);
   const int64_t count = bodies.count;
   if (count < 2) {
-    make_output(0);
+    write_no_pairs(context, out);
     return;
   }
   GridFrame* frame = context.allocate<GridFrame>(1);
@@ -170,7 +172,7 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
     cells[position] = unsorted_cells[b];
   });
 
-  collect_pairs(context, bodies, make_output, [&](const PairList& list) {
+  collect_pairs(context, bodies, out, [&](const PairList& list) {
     const auto blocks = static_cast<unsigned>((count + kBlockThreads - 1) / kBlockThreads);
     find_candidates<<<blocks, kBlockThreads, 0, context.stream>>>(bodies, frame, {tables, start, boxes, cells}, list);
   });

@@ -34,6 +34,7 @@ __global__ void __launch_bounds__(kBlockThreads) build_nodes(LbvhTree tree, unsi
 }
 
 __global__ void __launch_bounds__(kBlockThreads) find_candidates(LbvhTree tree, const int32_t* root, PairList out) {
+  if (!out.is_wanted()) return;
   __shared__ PairBuffer buffer;
   buffer.clear();
   const int64_t p = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
@@ -52,10 +53,11 @@ unsigned blocks_for(int64_t count) { return static_cast<unsigned>((count + kBloc
 
 }  // namespace
 
-void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairOutput& make_output) {
+void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out) {
+  note_beginning(context, out);
   const int64_t count = bodies.count;
   if (count < 2) {
-    make_output(0);
+    write_no_pairs(context, out);
     return;
   }
   LbvhFrame* frame = context.allocate<LbvhFrame>(1);
@@ -83,7 +85,7 @@ void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
   fill_bytes(context, arrivals, 0, count - 1);
   build_nodes<<<blocks_for(count), kBlockThreads, 0, context.stream>>>(tree, arrivals, root);
   check_cuda(cudaGetLastError(), "broad phase");
-  collect_pairs(context, bodies, make_output, [&](const PairList& list) {
+  collect_pairs(context, bodies, out, [&](const PairList& list) {
     find_candidates<<<blocks_for(count), kBlockThreads, 0, context.stream>>>(tree, root, list);
   });
 }

@@ -12,6 +12,10 @@ struct PairList {
   unsigned long long* count;
   uint64_t* pairs;
   int64_t capacity;
+  const uint8_t* is_invalid = nullptr;  // of the bodies
+
+  // Nobody wants pairs of invalid bodies; there could be very many.
+  __device__ bool is_wanted() const { return is_invalid == nullptr || *is_invalid == 0; }
 
   // Threads of a warp that append together share one atomic.
   __device__ void append(uint64_t pair) const {
@@ -70,10 +74,16 @@ class PairBuffer {
 };
 
 // `launch(list)` fills the list with candidates on the stream, each pair at most once; those with
-// is_potentially_colliding are handed over. `launch` is called once more, with enough room, if the first guess was too
-// small. Waits once (or twice) for the number of pairs, which the output's size depends on.
+// is_potentially_colliding are handed over. Where the output has the size needed, this waits for that number, and
+// `launch` is called once more, with enough room, if the first guess was too small.
 using CandidateLaunch = std::function<void(const PairList& list)>;
-void collect_pairs(const DeviceContext& context, const BroadBodies& bodies, const PairOutput& make_output,
+void collect_pairs(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out,
                    const CandidateLaunch& launch);
+
+// Before any work.
+void note_beginning(const DeviceContext& context, const PairSink& out);
+
+// The output of a scene without pairs.
+void write_no_pairs(const DeviceContext& context, const PairSink& out);
 
 }  // namespace pgccd

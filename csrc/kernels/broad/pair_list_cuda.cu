@@ -10,7 +10,7 @@ namespace {
 constexpr uint32_t kLongestShortRow = 32;
 
 struct PairCounts {
-  unsigned long long candidates, pairs;
+  unsigned long long overlaps, pairs;
   unsigned has_long_row;
 };
 
@@ -48,15 +48,26 @@ __device__ void write_row(int64_t* out, int64_t row, int64_t i, int64_t j) {
   out[2 * row + 1] = j;
 }
 
-// Counting sort by i, then each row by itself: the pairs pass through memory twice.
-void write_short_rows(const DeviceContext& context, const RankedPairs& found, int64_t count, const uint32_t* row_begin,
-                      int64_t body_count, int64_t* out) {
-  int32_t* second = context.allocate<int32_t>(count);
-  for_each_item(context, count, [=] __device__(int64_t k) {
-    const uint64_t pair = found.list.pairs[k];
-    second[row_begin[first_of(pair)] + found.rank[k]] = second_of(pair);
+// What was found, on the device.
+struct Found {
+  RankedPairs ranked;
+  PairCounts* counts;
+  const uint32_t* row_begin;
+};
+
+// Counting sort by i, then each row by itself: the pairs pass through memory twice. Leaves long rows alone.
+void write_by_rows(const DeviceContext& context, const Found& found, int64_t capacity, int64_t body_count,
+                   int64_t* out) {
+  int32_t* second = context.allocate<int32_t>(capacity);
+  const RankedPairs ranked = found.ranked;
+  const uint32_t* row_begin = found.row_begin;
+  const unsigned* has_long_row = &found.counts->has_long_row;
+  for_each_counted(context, &found.counts->pairs, capacity, [=] __device__(int64_t k) {
+    const uint64_t pair = ranked.list.pairs[k];
+    second[row_begin[first_of(pair)] + ranked.rank[k]] = second_of(pair);
   });
   for_each_item(context, body_count, [=] __device__(int64_t i) {
+    if (*has_long_row != 0) return;
     const int64_t begin = row_begin[i], end = row_begin[i + 1];
     for (int64_t at = begin + 1; at < end; ++at) {
       const int32_t value = second[at];
@@ -68,64 +79,123 @@ void write_short_rows(const DeviceContext& context, const RankedPairs& found, in
   });
 }
 
-void write_by_radix_sort(const DeviceContext& context, const uint64_t* pairs, int64_t count, int64_t body_count,
+void write_by_radix_sort(const DeviceContext& context, const Found& found, int64_t capacity, int64_t body_count,
                          int64_t* out) {
   const int bits = bit_width(static_cast<uint64_t>(body_count));
-  uint64_t* keys = context.allocate<uint64_t>(count);
-  uint64_t* sorted = context.allocate<uint64_t>(count);
-  for_each_item(context, count, [=] __device__(int64_t k) {
+  const uint64_t low = (uint64_t{1} << bits) - 1;
+  uint64_t* keys = context.allocate<uint64_t>(capacity);
+  uint64_t* sorted = context.allocate<uint64_t>(capacity);
+  const uint64_t* pairs = found.ranked.list.pairs;
+  const unsigned long long* count = &found.counts->pairs;
+  for_each_item(context, capacity, [=] __device__(int64_t k) {
+    if (k >= static_cast<int64_t>(*count)) {
+      keys[k] = ~uint64_t{0};  // after all others
+      return;
+    }
     keys[k] = (static_cast<uint64_t>(first_of(pairs[k])) << bits) | static_cast<uint64_t>(second_of(pairs[k]));
   });
   run_cub(context, [&](void* scratch, size_t& bytes) {
-    return cub::DeviceRadixSort::SortKeys(scratch, bytes, keys, sorted, count, 0, 2 * bits, context.stream);
+    return cub::DeviceRadixSort::SortKeys(scratch, bytes, keys, sorted, capacity, 0, 2 * bits, context.stream);
   });
-  const uint64_t low = (uint64_t{1} << bits) - 1;
-  for_each_item(context, count, [=] __device__(int64_t row) {
+  for_each_counted(context, count, capacity, [=] __device__(int64_t row) {
     write_row(out, row, static_cast<int64_t>(sorted[row] >> bits), static_cast<int64_t>(sorted[row] & low));
   });
 }
 
+Found find_pairs(const DeviceContext& context, const BroadBodies& bodies, const PairCapacity& capacity,
+                 const CandidateLaunch& launch) {
+  auto* counts = context.allocate<PairCounts>(1);
+  uint32_t* row_counts = context.allocate<uint32_t>(bodies.count + 1);
+  uint32_t* row_begin = context.allocate<uint32_t>(bodies.count + 1);
+  const PairList candidates{&counts->overlaps, context.allocate<uint64_t>(capacity.overlaps), capacity.overlaps,
+                            bodies.is_invalid};
+  const Found found{{{&counts->pairs, context.allocate<uint64_t>(capacity.pairs), capacity.pairs},
+                     context.allocate<uint32_t>(capacity.pairs),
+                     row_counts,
+                     &counts->has_long_row},
+                    counts,
+                    row_begin};
+  fill_bytes(context, counts, 0, 1);
+  fill_bytes(context, row_counts, 0, bodies.count + 1);
+  launch(candidates);
+  check_cuda(cudaGetLastError(), "broad phase");
+  keep_colliding<<<resident_blocks(16), kBlockThreads, 0, context.stream>>>(bodies, candidates, found.ranked);
+  check_cuda(cudaGetLastError(), "broad phase");
+  run_cub(context, [&](void* scratch, size_t& bytes) {
+    return cub::DeviceScan::ExclusiveSum(scratch, bytes, row_counts, row_begin, bodies.count + 1, context.stream);
+  });
+  return found;
+}
+
+void write_pairs(const DeviceContext& context, const Found& found, int64_t capacity, bool long_rows, int64_t body_count,
+                 int64_t* out) {
+  if (long_rows) {
+    write_by_radix_sort(context, found, capacity, body_count, out);
+  } else {
+    write_by_rows(context, found, capacity, body_count, out);
+  }
+}
+
+void collect_exactly(const DeviceContext& context, const BroadBodies& bodies, const PairOutput& make_output,
+                     const CandidateLaunch& launch) {
+  PairCapacity capacity{4 * bodies.count + 1024, 6 * bodies.count + 1024, false};
+  for (;;) {
+    const Found found = find_pairs(context, bodies, capacity, launch);
+    const PairCounts seen = read(context, found.counts);
+    const int64_t count = static_cast<int64_t>(seen.pairs), overlaps = static_cast<int64_t>(seen.overlaps);
+    if (overlaps > capacity.overlaps || count > capacity.pairs) {
+      capacity.overlaps = capacity.pairs = overlaps;
+      continue;
+    }
+    int64_t* out = make_output(count);
+    const bool positions_fit = (seen.pairs >> 32) == 0;
+    if (count > 0) write_pairs(context, found, count, seen.has_long_row != 0 || !positions_fit, bodies.count, out);
+    return;
+  }
+}
+
+void collect_padded(const DeviceContext& context, const BroadBodies& bodies, const PaddedPairs& out,
+                    const CandidateLaunch& launch) {
+  const Found found = find_pairs(context, bodies, out.capacity, launch);
+  const PairCounts* seen = found.counts;
+  const PairCapacity capacity = out.capacity;
+  int64_t* counts = out.counts;
+  for_each_item(context, 1, [=] __device__(int64_t) {
+    const int64_t pairs = static_cast<int64_t>(seen->pairs);
+    counts[kPairsNeeded] = pairs;
+    counts[kOverlapsNeeded] = static_cast<int64_t>(seen->overlaps);
+    counts[kLongRowsNeeded] = seen->has_long_row;
+    const bool is_written = seen->has_long_row == 0 || capacity.long_rows;
+    counts[kPairsWritten] = is_written ? smaller(pairs, capacity.pairs) : 0;
+    const bool fits = pairs <= capacity.pairs && counts[kOverlapsNeeded] <= capacity.overlaps;
+    counts[kPairsOverflow] = fits && is_written ? 0 : 1;
+  });
+  fill_bytes(context, out.rows, 0xff, 2 * out.capacity.pairs);
+  write_pairs(context, found, out.capacity.pairs, out.capacity.long_rows, bodies.count, out.rows);
+  note_time(context, out.counts + kBroadEnded);
+}
+
 }  // namespace
 
-void collect_pairs(const DeviceContext& context, const BroadBodies& bodies, const PairOutput& make_output,
+void collect_pairs(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out,
                    const CandidateLaunch& launch) {
-  const int64_t body_count = bodies.count;
-  auto* counts = context.allocate<PairCounts>(1);
-  uint32_t* row_counts = context.allocate<uint32_t>(body_count + 1);
-  uint32_t* row_begin = context.allocate<uint32_t>(body_count + 1);
-  int64_t candidate_capacity = 6 * body_count + 1024, pair_capacity = 4 * body_count + 1024;
-  RankedPairs found;
-  PairCounts totals;
-  for (;;) {
-    const PairList candidates{&counts->candidates, context.allocate<uint64_t>(candidate_capacity), candidate_capacity};
-    found = {{&counts->pairs, context.allocate<uint64_t>(pair_capacity), pair_capacity},
-             context.allocate<uint32_t>(pair_capacity),
-             row_counts,
-             &counts->has_long_row};
-    fill_bytes(context, counts, 0, 1);
-    fill_bytes(context, row_counts, 0, body_count + 1);
-    launch(candidates);
-    check_cuda(cudaGetLastError(), "broad phase");
-    keep_colliding<<<resident_blocks(16), kBlockThreads, 0, context.stream>>>(bodies, candidates, found);
-    check_cuda(cudaGetLastError(), "broad phase");
-    run_cub(context, [&](void* scratch, size_t& bytes) {
-      return cub::DeviceScan::ExclusiveSum(scratch, bytes, row_counts, row_begin, body_count + 1, context.stream);
-    });
-    totals = read(context, counts);
-    const auto fits = [](unsigned long long count, int64_t capacity) {
-      return static_cast<int64_t>(count) <= capacity;
-    };
-    if (fits(totals.candidates, candidate_capacity) && fits(totals.pairs, pair_capacity)) break;
-    candidate_capacity = pair_capacity = static_cast<int64_t>(totals.candidates);
-  }
-  const int64_t count = static_cast<int64_t>(totals.pairs);
-  int64_t* out = make_output(count);
-  if (count == 0) return;
-  const bool positions_fit = (totals.pairs >> 32) == 0;
-  if (totals.has_long_row == 0 && positions_fit) {
-    write_short_rows(context, found, count, row_begin, body_count, out);
+  if (const auto* padded = std::get_if<PaddedPairs>(&out)) {
+    collect_padded(context, bodies, *padded, launch);
   } else {
-    write_by_radix_sort(context, found.list.pairs, count, body_count, out);
+    collect_exactly(context, bodies, std::get<PairOutput>(out), launch);
+  }
+}
+
+void note_beginning(const DeviceContext& context, const PairSink& out) {
+  if (const auto* padded = std::get_if<PaddedPairs>(&out)) note_time(context, padded->counts + kBroadBegan);
+}
+
+void write_no_pairs(const DeviceContext& context, const PairSink& out) {
+  if (const auto* padded = std::get_if<PaddedPairs>(&out)) {
+    fill_bytes(context, padded->rows, 0xff, 2 * padded->capacity.pairs);
+    fill_bytes(context, padded->counts, 0, kPairCounts);
+  } else {
+    std::get<PairOutput>(out)(0);
   }
 }
 

@@ -87,6 +87,7 @@ struct SweepArrays {
 };
 
 __global__ void __launch_bounds__(kBlockThreads) sweep_pieces(int64_t body_count, SweepArrays arrays, PairList out) {
+  if (!out.is_wanted()) return;
   const int lane = threadIdx.x & 31;
   const int64_t warps = static_cast<int64_t>(gridDim.x) * blockDim.x / 32;
   const int64_t pieces = arrays.first_piece[body_count];
@@ -115,10 +116,11 @@ __global__ void __launch_bounds__(kBlockThreads) sweep_pieces(int64_t body_count
 
 }  // namespace
 
-void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axis, const PairOutput& make_output) {
+void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axis, const PairSink& out) {
+  note_beginning(context, out);
   const int64_t count = bodies.count;
   if (count < 2) {
-    make_output(0);
+    write_no_pairs(context, out);
     return;
   }
   Frame* frame = context.allocate<Frame>(1);
@@ -178,7 +180,7 @@ void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axi
   });
 
   const SweepArrays arrays{sorted_keys, sorted_order, boxes, ends, first_piece};
-  collect_pairs(context, bodies, make_output, [&](const PairList& list) {
+  collect_pairs(context, bodies, out, [&](const PairList& list) {
     sweep_pieces<<<resident_blocks(16), kBlockThreads, 0, context.stream>>>(count, arrays, list);
   });
 }

@@ -17,12 +17,27 @@ enum class Report : int32_t {
 };
 
 struct NarrowInput {
-  const Candidate* candidates;  // (candidate_count)
-  int64_t candidate_count;
+  CandidateSpan candidates;
   const int64_t* pairs;  // (pair_count, 2) body indices
   int64_t pair_count;
   NarrowSettings settings;
   Report report;
+};
+
+// Room for a narrow phase that nobody waits for.
+struct ContactCapacity {
+  int64_t open;      // candidates that need more than a glance
+  int64_t contacts;  // rows
+};
+
+// Counts of it; the number of rows may be too small where the open candidates, or what came before, did not fit.
+enum ContactCount : int {
+  kOpenNeeded,
+  kContactsNeeded,
+  kUnresolvedWritten,
+  kContactsOverflow,  // 1 if there was not room for all, else 0
+  kNarrowEnded,
+  kContactCounts
 };
 
 // Rows in canonical order: by pair, then kind and features (all), or one row a pair (any, first).
@@ -48,6 +63,17 @@ struct ContactColumns {
   double* point;
   double* normal;
 };
+
+// A row that is no contact, where there is more room than contacts.
+PGCCD_HD void pad_row(const ContactColumns& out, int64_t row) {
+  out.pair[row] = -1;
+  out.kind[row] = 0;
+  out.features[2 * row] = out.features[2 * row + 1] = -1;
+  out.status[row] = static_cast<int8_t>(Status::kFree);
+  out.toi[row] = static_cast<double>(INFINITY);
+  out.coordinates[2 * row] = out.coordinates[2 * row + 1] = 0.0;
+  for (int k = 0; k < 3; ++k) out.point[3 * row + k] = out.normal[3 * row + k] = 0.0;
+}
 
 template <class Bodies>
 ContactRows narrow_phase_cpu(const Executor& executor, const Bodies& bodies, const NarrowInput& input);

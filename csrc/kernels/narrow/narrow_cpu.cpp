@@ -39,15 +39,15 @@ std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& 
   const bool bounded = input.report != Report::kAll;
   std::vector<double> best(bounded ? input.pair_count : 0, kNever);
   std::vector<std::vector<FoundContact>> found(executor.worker_count());
-  parallel_chunks(executor, input.candidate_count, kCandidateGrain, [&](int worker, int64_t begin, int64_t end) {
+  parallel_chunks(executor, input.candidates.size, kCandidateGrain, [&](int worker, int64_t begin, int64_t end) {
     int64_t c = begin;
     while (c < end) {
-      const int32_t row = input.candidates[c].pair;
+      const int32_t row = input.candidates.items[c].pair;
       const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * row], input.pairs[2 * row + 1]);
-      for (; c < end && input.candidates[c].pair == row; ++c) {
+      for (; c < end && input.candidates.items[c].pair == row; ++c) {
         double* pair_best = bounded ? &best[row] : nullptr;
         const double latest = bounded ? latest_useful(input.report, *pair_best) : kNever;
-        const Outcome<double> outcome = solve_candidate(bodies, pair, input.candidates[c], input.settings, latest);
+        const Outcome<double> outcome = solve_candidate(bodies, pair, input.candidates.items[c], input.settings, latest);
         if (!is_contact(outcome.status)) continue;
         found[worker].push_back({c, outcome});
         if (bounded) lower_to(*pair_best, outcome.toi);
@@ -62,10 +62,10 @@ std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& 
 // Canonical order, then one row a pair where the report asks for that.
 void select(std::vector<FoundContact>& found, const NarrowInput& input) {
   const auto features = [&](const FoundContact& f) {
-    const Candidate& c = input.candidates[f.candidate];
+    const Candidate& c = input.candidates.items[f.candidate];
     return std::make_tuple(c.kind, c.feature_i, c.feature_j);
   };
-  const auto pair = [&](const FoundContact& f) { return input.candidates[f.candidate].pair; };
+  const auto pair = [&](const FoundContact& f) { return input.candidates.items[f.candidate].pair; };
   const bool by_toi = input.report == Report::kFirst;
   std::sort(found.begin(), found.end(), [&](const FoundContact& a, const FoundContact& b) {
     const double toi_a = by_toi ? a.outcome.toi : 0.0, toi_b = by_toi ? b.outcome.toi : 0.0;
@@ -92,7 +92,7 @@ ContactRows to_rows(const Executor& executor, const Bodies& bodies, const Narrow
   out.normal.resize(3 * rows);
   parallel_chunks(executor, rows, kCandidateGrain, [&](int, int64_t begin, int64_t end) {
     for (int64_t row = begin; row < end; ++row) {
-      const Candidate& c = input.candidates[found[row].candidate];
+      const Candidate& c = input.candidates.items[found[row].candidate];
       const Outcome<double>& outcome = found[row].outcome;
       const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * c.pair], input.pairs[2 * c.pair + 1]);
       const ContactPlace at = contact_place(bodies, pair, c, outcome.toi, outcome.u, outcome.v);

@@ -17,9 +17,10 @@ struct FoundContact {
 };
 
 struct Counters {
-  uint32_t open;      // candidates that are not free at a glance, those that did not fit included
-  uint32_t contacts;  // among them
-  int64_t rows;       // to report
+  uint32_t open;        // candidates that are not free at a glance, those that did not fit included
+  uint32_t contacts;    // among them
+  uint32_t unresolved;  // of the rows written
+  int64_t rows;         // to report
 };
 
 // Contacts, in any order; and per pair the earliest toi so far, unless all are to be reported.
@@ -31,8 +32,9 @@ struct Search {
   unsigned long long* best;  // bits of the toi, or null
   Counters* counters;
 
+  __device__ bool has_contact(int64_t contact) const { return contact < static_cast<int64_t>(counters->contacts); }
   __device__ const Candidate& candidate(uint32_t contact) const {
-    return input.candidates[contacts[contact].candidate];
+    return input.candidates.items[contacts[contact].candidate];
   }
 };
 
@@ -55,12 +57,15 @@ __device__ typename PairOf<Bodies>::type pair_of(const Bodies& bodies, const Nar
 // One thread a candidate.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, 3) glance_at_candidates(Bodies bodies, Search search) {
-  const int64_t c = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
-  if (c >= search.input.candidate_count) return;
-  const Candidate candidate = search.input.candidates[c];
-  if (free_at_a_glance(bodies, pair_of(bodies, search.input, candidate), candidate, search.input.settings)) return;
-  const uint32_t at = warp_append(&search.counters->open, 1);
-  if (at < search.capacity) search.open[at] = static_cast<int32_t>(c);
+  const CandidateSpan candidates = search.input.candidates;
+  const int64_t count = candidates.count(), stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
+  for (int64_t k = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; k < count; k += stride) {
+    const int64_t c = candidates.place(k);
+    const Candidate candidate = candidates.items[c];
+    if (free_at_a_glance(bodies, pair_of(bodies, search.input, candidate), candidate, search.input.settings)) continue;
+    const uint32_t at = warp_append(&search.counters->open, 1);
+    if (at < search.capacity) search.open[at] = static_cast<int32_t>(c);
+  }
 }
 
 // One thread an open candidate. Those certainly later than the pair's best so far are cut short, which cannot change
@@ -71,7 +76,7 @@ __global__ void __launch_bounds__(kSolveThreads, 6) solve_candidates(Bodies bodi
   const uint32_t stride = gridDim.x * blockDim.x;
   for (uint32_t item = blockIdx.x * blockDim.x + threadIdx.x; item < count; item += stride) {
     const int32_t c = search.open[item];
-    const Candidate candidate = search.input.candidates[c];
+    const Candidate candidate = search.input.candidates.items[c];
     double latest = INFINITY;
     if (search.best != nullptr) {
       const unsigned long long seen = *static_cast<volatile unsigned long long*>(search.best + candidate.pair);
@@ -97,11 +102,11 @@ int32_t* select_first(const DeviceContext& context, const Search& search) {
   int32_t* winner = context.allocate<int32_t>(pair_count);
   fill_bytes(context, best_key, 0xff, pair_count);
   fill_bytes(context, winner, 0xff, pair_count);
-  for_each_counted(context, &search.counters->contacts, [=] __device__(int64_t k) {
+  for_each_counted(context, &search.counters->contacts, search.capacity, [=] __device__(int64_t k) {
     const Candidate& c = search.candidate(k);
     if (toi_bits(search.contacts[k].toi) == search.best[c.pair]) atomicMin(best_key + c.pair, feature_key(c));
   });
-  for_each_counted(context, &search.counters->contacts, [=] __device__(int64_t k) {
+  for_each_counted(context, &search.counters->contacts, search.capacity, [=] __device__(int64_t k) {
     const Candidate& c = search.candidate(k);
     if (toi_bits(search.contacts[k].toi) == search.best[c.pair] && feature_key(c) == best_key[c.pair]) {
       winner[c.pair] = static_cast<int32_t>(k);
@@ -116,35 +121,41 @@ int32_t* select_first(const DeviceContext& context, const Search& search) {
   return selected;
 }
 
-// All of them, sorted by pair, kind and features: two stable sorts, the less significant key first.
-int32_t* sort_all(const DeviceContext& context, const Search& search, uint32_t count) {
+// The first `count` of them, or all there are if that is less, sorted by pair, kind and features: two stable sorts, the
+// less significant key first.
+int32_t* sort_all(const DeviceContext& context, const Search& search, int64_t count) {
   uint64_t* keys = context.allocate<uint64_t>(count);
   uint64_t* sorted_keys = context.allocate<uint64_t>(count);
   int32_t* order = context.allocate<int32_t>(count);
   int32_t* sorted_order = context.allocate<int32_t>(count);
   for_each_item(context, count, [=] __device__(int64_t k) {
-    keys[k] = feature_key(search.candidate(k));
+    keys[k] = search.has_contact(k) ? feature_key(search.candidate(k)) : ~uint64_t{0};  // after all others
     order[k] = static_cast<int32_t>(k);
   });
   run_cub(context, [&](void* scratch, size_t& bytes) {
-    return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, order, sorted_order,
-                                           static_cast<int64_t>(count), 0, 64, context.stream);
+    return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, order, sorted_order, count, 0, 64,
+                                           context.stream);
   });
-  for_each_item(context, count,
-                [=] __device__(int64_t k) { keys[k] = static_cast<uint64_t>(search.candidate(sorted_order[k]).pair); });
+  for_each_item(context, count, [=] __device__(int64_t k) {
+    const int32_t contact = sorted_order[k];
+    keys[k] = search.has_contact(contact) ? static_cast<uint64_t>(search.candidate(contact).pair) : ~uint64_t{0};
+  });
   run_cub(context, [&](void* scratch, size_t& bytes) {
-    return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, sorted_order, order,
-                                           static_cast<int64_t>(count), 0, 32, context.stream);
+    return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, sorted_order, order, count, 0, 32,
+                                           context.stream);
   });
+  for_each_item(context, 1, [=] __device__(int64_t) { search.counters->rows = search.counters->contacts; });
   return order;
 }
 
+// To all rows of `out`: contacts, then padding.
 template <class Bodies>
 void write_rows(const DeviceContext& context, const Bodies& bodies, const Search& search, const int32_t* selected,
                 int64_t rows, const ContactColumns& out) {
   for_each_item(context, rows, [=] __device__(int64_t row) {
+    if (row >= search.counters->rows) return pad_row(out, row);
     const FoundContact& contact = search.contacts[selected[row]];
-    const Candidate c = search.input.candidates[contact.candidate];
+    const Candidate c = search.input.candidates.items[contact.candidate];
     const auto pair = pair_of(bodies, search.input, c);
     const ContactPlace at = contact_place(bodies, pair, c, contact.toi, contact.u, contact.v);
     out.pair[row] = c.pair;
@@ -157,7 +168,33 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Search
     out.coordinates[2 * row + 1] = contact.v;
     store_vec3(out.point + 3 * row, at.point);
     store_vec3(out.normal + 3 * row, at.normal);
+    if (contact.status == static_cast<int32_t>(Status::kUnresolved)) atomicAdd(&search.counters->unresolved, 1u);
   });
+}
+
+// `most_open`: candidates that need more than a glance.
+Search make_search(const DeviceContext& context, const NarrowInput& input, int64_t most_open) {
+  Search search{};
+  search.input = input;
+  search.counters = context.allocate<Counters>(1);
+  search.best = input.report != Report::kAll ? context.allocate<unsigned long long>(input.pair_count) : nullptr;
+  search.capacity = static_cast<uint32_t>(smaller<int64_t>(most_open, 0x7ffffff0));
+  search.open = context.allocate<int32_t>(search.capacity);
+  search.contacts = context.allocate<FoundContact>(search.capacity);
+  return search;
+}
+
+template <class Bodies>
+void run_search(const DeviceContext& context, const Bodies& bodies, const Search& search) {
+  fill_bytes(context, search.counters, 0, 1);
+  if (search.best != nullptr) fill_bytes(context, search.best, 0xff, search.input.pair_count);
+  glance_at_candidates<Bodies>
+      <<<resident_blocks_of(glance_at_candidates<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
+  check_cuda(cudaGetLastError(), "glance_at_candidates");
+  solve_candidates<Bodies>
+      <<<resident_blocks_of(solve_candidates<Bodies>, kSolveThreads), kSolveThreads, 0, context.stream>>>(bodies,
+                                                                                                          search);
+  check_cuda(cudaGetLastError(), "solve_candidates");
 }
 
 }  // namespace
@@ -165,33 +202,20 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Search
 template <class Bodies>
 void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                        const ContactOutput& make_output) {
-  if (input.candidate_count == 0 || input.pair_count == 0) {
+  if (input.candidates.size == 0 || input.pair_count == 0) {
     make_output(0);
     return;
   }
   const bool one_a_pair = input.report != Report::kAll;
-  Search search{};
-  search.input = input;
-  search.counters = context.allocate<Counters>(1);
-  search.best = one_a_pair ? context.allocate<unsigned long long>(input.pair_count) : nullptr;
   // About one in four is open; all of them may be.
-  search.capacity = static_cast<uint32_t>(smaller<int64_t>(input.candidate_count, input.candidate_count / 2 + 65536));
-  const int64_t blocks = (input.candidate_count + kBlockThreads - 1) / kBlockThreads;
+  int64_t capacity = smaller<int64_t>(input.candidates.size, input.candidates.size / 2 + 65536);
   for (;;) {
-    search.open = context.allocate<int32_t>(search.capacity);
-    search.contacts = context.allocate<FoundContact>(search.capacity);
-    fill_bytes(context, search.counters, 0, 1);
-    if (one_a_pair) fill_bytes(context, search.best, 0xff, input.pair_count);
-    glance_at_candidates<Bodies><<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(bodies, search);
-    check_cuda(cudaGetLastError(), "glance_at_candidates");
-    solve_candidates<Bodies>
-        <<<resident_blocks_of(solve_candidates<Bodies>, kSolveThreads), kSolveThreads, 0, context.stream>>>(bodies,
-                                                                                                            search);
-    check_cuda(cudaGetLastError(), "solve_candidates");
+    const Search search = make_search(context, input, capacity);
+    run_search(context, bodies, search);
     const int32_t* selected = one_a_pair ? select_first(context, search) : nullptr;
     const Counters seen = read(context, search.counters);
     if (seen.open > search.capacity) {
-      search.capacity = seen.open;
+      capacity = seen.open;
       continue;
     }
     const int64_t rows = one_a_pair ? seen.rows : seen.contacts;
@@ -202,6 +226,34 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
   }
 }
 
+template <class Bodies>
+void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
+                         const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts) {
+  const Search search = make_search(context, input, capacity.open);
+  if (input.pair_count == 0) {
+    fill_bytes(context, search.counters, 0, 1);
+  } else {
+    run_search(context, bodies, search);
+  }
+  const int32_t* selected = nullptr;
+  if (input.pair_count > 0 && search.capacity > 0) {
+    selected = search.best != nullptr ? select_first(context, search) : sort_all(context, search, search.capacity);
+  }
+  write_rows(context, bodies, search, selected, capacity.contacts, out);
+  const Counters* seen = search.counters;
+  for_each_item(context, 1, [=] __device__(int64_t) {
+    counts[kOpenNeeded] = seen->open;
+    counts[kContactsNeeded] = seen->rows;
+    counts[kUnresolvedWritten] = seen->unresolved;
+    counts[kContactsOverflow] = seen->open > search.capacity || seen->rows > capacity.contacts;
+    counts[kNarrowEnded] = nanoseconds();
+  });
+}
+
+template void narrow_phase_within(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactCapacity&,
+                                  const ContactColumns&, int64_t*);
+template void narrow_phase_within(const DeviceContext&, const DeformingBodies&, const NarrowInput&,
+                                  const ContactCapacity&, const ContactColumns&, int64_t*);
 template void narrow_phase_cuda(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactOutput&);
 template void narrow_phase_cuda(const DeviceContext&, const DeformingBodies&, const NarrowInput&, const ContactOutput&);
 

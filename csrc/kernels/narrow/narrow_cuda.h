@@ -15,6 +15,12 @@ template <class Bodies>
 void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                        const ContactOutput& make_output);
 
+// As narrow_phase_cuda, without waiting. Rows of `out` after the last contact are filled: pair and features -1, toi
+// infinite, the rest 0.
+template <class Bodies>
+void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
+                         const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts);
+
 template <bool kEdgeEdge, class T>
 void elementary_cuda(const DeviceContext& context, const T* points_t0, const T* points_t1, int64_t count,
                      const NarrowSettings& settings, const ElementaryColumns<T>& out);

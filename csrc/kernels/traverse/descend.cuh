@@ -14,7 +14,10 @@ constexpr int kStackSize = 64;
 // Rounds before a group hands back. While there are not tasks enough to fill the device, few; as launches go on, more:
 // what is left is spread by then.
 constexpr uint32_t kTasksThatFill = 16384;
+// The last launch, where it is known to be that, hands back only what its stacks cannot hold.
+constexpr int kLastLaunch = 1 << 20;
 PGCCD_HD int rounds_of_launch(int launch, uint32_t task_count) {
+  if (launch == kLastLaunch) return kLastLaunch;
   constexpr int kRounds[] = {6, 6, 12, 48};
   const int rounds = kRounds[launch < 3 ? launch : 3];
   return task_count >= kTasksThatFill && rounds < 20 ? 20 : rounds;
@@ -127,7 +130,7 @@ template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     descend_from_roots(Pairs<Bodies> pairs, TaskList leaves, TaskList rest, unsigned long long* node_tests) {
   const auto roots = [](uint32_t pair) { return Task{static_cast<int32_t>(pair), {0, 0}}; };
-  descend(pairs, 0, static_cast<uint32_t>(*pairs.count), roots, leaves, rest, node_tests);
+  descend(pairs, 0, pairs.count(), roots, leaves, rest, node_tests);
 }
 
 // What earlier launches left.
@@ -143,7 +146,7 @@ template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     descend_greedily(Pairs<Bodies> pairs, TaskList leaves, unsigned long long* node_tests) {
   const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
-  if (pair >= *pairs.count) return;
+  if (pair >= pairs.count()) return;
   const PairTree<Bodies> tree = pairs.tree(static_cast<int32_t>(pair));
   NodePair nodes{0, 0};
   unsigned long long tests = 0;

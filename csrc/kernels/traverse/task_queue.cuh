@@ -54,8 +54,12 @@ struct Pairs {
   const Sweep* sweeps;
   const LocalPose* poses;
   const uint32_t* pose_begin;
-  const int64_t* count;  // on the device
+  const int64_t* given_count;  // on the device, as the next
+  const uint32_t* pose_count;
+  uint32_t pose_capacity;
 
+  // None where poses did not fit: all is repeated with more room anyway.
+  __device__ uint32_t count() const { return *pose_count <= pose_capacity ? static_cast<uint32_t>(*given_count) : 0u; }
   __device__ PairTree<Bodies> tree(int32_t pair) const { return {bodies, sweeps[pair], poses + pose_begin[pair]}; }
 };
 

@@ -18,6 +18,30 @@ struct TraverseInput {
   bool leading;  // only the leaf pair that overlaps most, found by greedy descent: where contact is likely first
 };
 
+// Room for a traversal that nobody waits for.
+struct TraverseCapacity {
+  int64_t poses;  // at all segment boundaries of all body pairs
+  int64_t tasks;  // node pairs handed from launch to launch
+  int64_t leaf_pairs;
+  int64_t candidates;
+  int64_t launches;  // after the first
+};
+
+// What a traversal counted: the room needed (as far as it went), how many node pairs were left when launches ended, and
+// how many were tested. Times as for the broad phase.
+enum TraverseCount : int {
+  kPosesNeeded,
+  kTasksNeeded,
+  kLeafPairsNeeded,
+  kCandidatesNeeded,
+  kTasksLeft,
+  kNodeTests,
+  kTraverseOverflow,  // 1 if there was not room for all, or tasks are left, else 0
+  kTraverseBegan,
+  kTraverseEnded,
+  kTraverseCounts
+};
+
 struct CandidateList {
   std::vector<std::vector<Candidate>> parts;  // one after the other: by pair
   int64_t node_tests = 0;

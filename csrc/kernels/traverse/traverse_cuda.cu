@@ -26,12 +26,13 @@ struct Counters {
 int64_t deforming_vertices(const RigidBodies&) { return 0; }
 int64_t deforming_vertices(const DeformingBodies& bodies) { return bodies.vertex_count; }
 
-int64_t candidates_of(const Counters& seen) { return int64_t{seen.edge_edge} + seen.vertex_face; }
+PGCCD_HD int64_t candidates_of(const Counters& seen) { return int64_t{seen.edge_edge} + seen.vertex_face; }
+
+uint32_t bounded(int64_t count) { return static_cast<uint32_t>(smaller<int64_t>(count, 0xfffffff0)); }
 
 struct Capacity {
   uint32_t poses, tasks, leaves, candidates;
 
-  static uint32_t bounded(int64_t count) { return static_cast<uint32_t>(smaller<int64_t>(count, 0xfffffff0)); }
   static uint32_t grown(uint32_t needed, uint32_t capacity) {
     return needed <= capacity ? capacity : bounded(needed + int64_t{needed} / 4);
   }
@@ -45,7 +46,7 @@ struct Capacity {
     if (input.leading) return {sum(3), sum(1), sum(1), sum(4)};
     return {sum(3), sum(1, 4), sum(16, 16), sum(12, 24)};
   }
-  bool holds(const Counters& seen) const {
+  PGCCD_HD bool holds(const Counters& seen) const {
     return seen.poses <= poses && seen.most_rest <= tasks && seen.leaves <= leaves && candidates_of(seen) <= candidates;
   }
   void grow(const Counters& seen) {
@@ -61,10 +62,16 @@ template <class Bodies>
 struct Traversal {
   using Sweep = typename SweepOf<Bodies>::type;
 
-  Traversal(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input)
+  // `count`: of the pairs, on the device; null if that is all of the input's.
+  Traversal(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input, const int64_t* count)
       : context_(context), bodies_(bodies), input_(input), counters_(context.allocate<Counters>(1)) {
-    const int64_t count = input.pair_count;
-    pairs_ = {bodies, context.allocate<Sweep>(count), nullptr, context.allocate<uint32_t>(count), count_on_device()};
+    pairs_ = {bodies,
+              context.allocate<Sweep>(input.pair_count),
+              nullptr,
+              context.allocate<uint32_t>(input.pair_count),
+              count != nullptr ? count : count_on_device(),
+              &counters_->poses,
+              0};
   }
 
   int64_t* count_on_device() {
@@ -78,15 +85,48 @@ struct Traversal {
   Counters run(CandidateSink& out) {
     Capacity capacity = Capacity::guess(input_, deforming_vertices(bodies_));
     for (;;) {
-      fill_bytes(context_, counters_, 0, 1);
-      const TaskList leaves{context_.allocate<Task>(capacity.leaves), &counters_->leaves, capacity.leaves};
-      out = {context_.allocate<Candidate>(capacity.candidates), &counters_->edge_edge, &counters_->vertex_face,
-             capacity.candidates};
-      place_pairs(capacity.poses);
+      const TaskList leaves = start(capacity, out);
       Counters seen = input_.leading ? lead(leaves, out) : descend_all(capacity.tasks, leaves, out);
       if (capacity.holds(seen)) return seen;
       capacity.grow(seen);
     }
+  }
+
+  // Without waiting.
+  CandidateSpan run_within(const TraverseCapacity& given, int64_t* counts) {
+    const Capacity capacity{bounded(larger<int64_t>(given.poses, kMaxSegments + 1)), bounded(given.tasks),
+                            bounded(given.leaf_pairs), bounded(given.candidates)};
+    CandidateSink out;
+    note_time(context_, counts + kTraverseBegan);
+    const TaskList leaves = start(capacity, out);
+    const TaskList rest[2] = {rest_list(capacity.tasks, 0), rest_list(capacity.tasks, 1)};
+    descend_roots(leaves, rest[0]);
+    int from = 0;
+    for (int launch = 1; launch <= given.launches; ++launch, from = 1 - from) {
+      descend_rest(launch == given.launches ? kLastLaunch : launch, rest[from], leaves, rest[1 - from]);
+    }
+    visit(leaves, 0, out);
+    const Counters* seen = counters_;
+    for_each_item(context_, 1, [=] __device__(int64_t) {
+      counts[kPosesNeeded] = seen->poses;
+      counts[kTasksNeeded] = larger(seen->most_rest, seen->rest[from]);
+      counts[kLeafPairsNeeded] = seen->leaves;
+      counts[kCandidatesNeeded] = candidates_of(*seen);
+      counts[kTasksLeft] = seen->rest[from];
+      counts[kNodeTests] = static_cast<int64_t>(seen->node_tests);
+      counts[kTraverseOverflow] =
+          counts[kTasksLeft] != 0 || counts[kTasksNeeded] > capacity.tasks || !capacity.holds(*seen);
+      counts[kTraverseEnded] = nanoseconds();
+    });
+    return {out.items, capacity.candidates, out.edge_edge_count, out.vertex_face_count};
+  }
+
+  TaskList start(const Capacity& capacity, CandidateSink& out) {
+    fill_bytes(context_, counters_, 0, 1);
+    out = {context_.allocate<Candidate>(capacity.candidates), &counters_->edge_edge, &counters_->vertex_face,
+           capacity.candidates};
+    place_pairs(capacity.poses);
+    return {context_.allocate<Task>(capacity.leaves), &counters_->leaves, capacity.leaves};
   }
 
   // Sweeps and poses of all body pairs; how many poses each needs depends on how far its bodies turn.
@@ -98,11 +138,12 @@ struct Traversal {
     auto* pose_begin = const_cast<uint32_t*>(pairs_.pose_begin);
     LocalPose* poses = context_.allocate<LocalPose>(capacity);
     pairs_.poses = poses;
-    for_each_item(context_, input.pair_count, [=] __device__(int64_t pair) {
+    pairs_.pose_capacity = capacity;
+    for_each_counted(context_, pairs_.given_count, input.pair_count, [=] __device__(int64_t pair) {
       const double horizon = input.horizon ? input.horizon[pair] : 1.0;
       const Sweep sweep(bodies, input.pairs[2 * pair], input.pairs[2 * pair + 1], input.settings, horizon);
       uint32_t begin = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
-      if (begin + sweep.segment_count >= capacity) begin = 0;  // somebody else's: all is repeated anyway
+      if (begin + sweep.segment_count >= capacity) begin = 0;  // somebody else's: nobody will look
       for (int k = 0; k <= sweep.segment_count; ++k) poses[begin + k] = sweep.pose(bodies, k);
       sweeps[pair] = sweep;
       pose_begin[pair] = begin;
@@ -114,41 +155,51 @@ struct Traversal {
     descend_greedily<Bodies>
         <<<static_cast<unsigned>(blocks), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_greedily");
-    return visit(leaves, 0, out);
+    visit(leaves, 0, out);
+    return read(context_, counters_);
   }
 
   Counters descend_all(uint32_t task_capacity, TaskList leaves, CandidateSink out) {
-    Counters* counters = counters_;
-    const auto list = [&](int parity) {
-      return TaskList{context_.allocate<Task>(task_capacity), &counters->rest[parity], task_capacity};
-    };
-    const TaskList rest[2] = {list(0), list(1)};
-    descend_from_roots<Bodies><<<resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
-        pairs_, leaves, rest[0], &counters->node_tests);
-    check_cuda(cudaGetLastError(), "descend_from_roots");
+    const TaskList rest[2] = {rest_list(task_capacity, 0), rest_list(task_capacity, 1)};
+    descend_roots(leaves, rest[0]);
     uint32_t visited = 0;
     for (int from = 0, launch = 1;;) {
       for (int k = 0; k < kLaunchesPerBatch; ++k, ++launch, from = 1 - from) {
-        for_each_item(context_, 1, [=] __device__(int64_t) {
-          counters->most_rest = larger(counters->most_rest, counters->rest[from]);
-          counters->rest[1 - from] = 0;
-        });
-        descend_further<Bodies><<<resident_blocks_of(descend_further<Bodies>), kBlockThreads, 0, context_.stream>>>(
-            pairs_, launch, rest[from], leaves, rest[1 - from], &counters->node_tests);
-        check_cuda(cudaGetLastError(), "descend_further");
+        descend_rest(launch, rest[from], leaves, rest[1 - from]);
       }
       // Leaves are visited at once in the hope that none are to come.
-      const Counters seen = visit(leaves, visited, out);
+      visit(leaves, visited, out);
+      const Counters seen = read(context_, counters_);
       if (seen.rest[from] == 0 || larger(seen.most_rest, seen.rest[from]) > task_capacity) return seen;
       visited = smaller(seen.leaves, leaves.capacity);
     }
   }
 
-  Counters visit(TaskList leaves, uint32_t begin, CandidateSink out) {
+  TaskList rest_list(uint32_t capacity, int parity) {
+    return {context_.allocate<Task>(capacity), &counters_->rest[parity], capacity};
+  }
+
+  void descend_roots(TaskList leaves, TaskList rest) {
+    descend_from_roots<Bodies><<<resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
+        pairs_, leaves, rest, &counters_->node_tests);
+    check_cuda(cudaGetLastError(), "descend_from_roots");
+  }
+
+  void descend_rest(int launch, TaskList from, TaskList leaves, TaskList rest) {
+    Counters* counters = counters_;
+    for_each_item(context_, 1, [=] __device__(int64_t) {
+      counters->most_rest = larger(counters->most_rest, *from.count);
+      *rest.count = 0;
+    });
+    descend_further<Bodies><<<resident_blocks_of(descend_further<Bodies>), kBlockThreads, 0, context_.stream>>>(
+        pairs_, launch, from, leaves, rest, &counters_->node_tests);
+    check_cuda(cudaGetLastError(), "descend_further");
+  }
+
+  void visit(TaskList leaves, uint32_t begin, CandidateSink out) {
     visit_leaves<Bodies>
         <<<resident_blocks_of(visit_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, begin, out);
     check_cuda(cudaGetLastError(), "visit_leaves");
-    return read(context_, counters_);
   }
 
   const DeviceContext& context_;
@@ -169,7 +220,7 @@ void traverse_cuda(const DeviceContext& context, const Bodies& bodies, const Tra
     return;
   }
   CandidateSink found;
-  const Counters seen = Traversal<Bodies>(context, bodies, input).run(found);
+  const Counters seen = Traversal<Bodies>(context, bodies, input, nullptr).run(found);
   Candidate* out = make_output(candidates_of(seen));
   copy(context, found.items, seen.edge_edge, out);
   copy(context, found.items + found.capacity - seen.vertex_face, seen.vertex_face, out + seen.edge_edge);
@@ -177,9 +228,23 @@ void traverse_cuda(const DeviceContext& context, const Bodies& bodies, const Tra
   for_each_item(context, 1, [=] __device__(int64_t) { *node_tests = tests; });
 }
 
+template <class Bodies>
+CandidateSpan traverse_within(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
+                              const int64_t* pair_count, const TraverseCapacity& capacity, int64_t* counts) {
+  if (input.pair_count == 0) {
+    fill_bytes(context, counts, 0, kTraverseCounts);
+    return {};
+  }
+  return Traversal<Bodies>(context, bodies, input, pair_count).run_within(capacity, counts);
+}
+
 template void traverse_cuda(const DeviceContext&, const RigidBodies&, const TraverseInput&, const CandidateOutput&,
                             int64_t*);
 template void traverse_cuda(const DeviceContext&, const DeformingBodies&, const TraverseInput&, const CandidateOutput&,
                             int64_t*);
+template CandidateSpan traverse_within(const DeviceContext&, const RigidBodies&, const TraverseInput&, const int64_t*,
+                                       const TraverseCapacity&, int64_t*);
+template CandidateSpan traverse_within(const DeviceContext&, const DeformingBodies&, const TraverseInput&,
+                                       const int64_t*, const TraverseCapacity&, int64_t*);
 
 }  // namespace pgccd

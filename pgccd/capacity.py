@@ -1,0 +1,164 @@
+"""How much room a step of detection is given where nothing may wait for the device to say how much it needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+# Bytes of each unit of room on a GPU, all that the operators keep of it together.
+_BYTES = {
+    "pairs": 168,
+    "overlaps": 8,
+    "poses": 84,
+    "tasks": 24,
+    "leaf_pairs": 12,
+    "candidates": 16,
+    "open": 60,
+    "contacts": 102,
+}
+# Kept free beyond what was needed, so that small scenes need not repeat a step when they change.
+_SMALLEST = 4096
+_MOST = 2**31 - 1  # rows are numbered by 32 bits
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """Room for one step of `detect`, or what a step needed of it (`Stats.needed`).
+
+    On a CPU only pairs and contacts can run out; the rest is scratch memory of a GPU.
+
+    Example:
+        >>> room = pgccd.detect(scene, motion).stats.needed.times(1.5)
+        >>> hits = pgccd.detect(scene, motion, capacity=room)
+    """
+
+    pairs: int  #: body pairs of the PCS
+    contacts: int  #: rows of the result
+    overlaps: int = 0  #: body pairs whose boxes overlap
+    poses: int = 0  #: of body pairs at the ends of their time segments
+    tasks: int = 0  #: node pairs that one launch of the traversal leaves to the next
+    leaf_pairs: int = 0  #: pairs of leaves
+    candidates: int = 0  #: feature pairs
+    open: int = 0  #: feature pairs that take more than a glance
+    launches: int = 4  #: of the traversal, after the first
+    long_rows: bool = False  #: may one body have more than 32 partners of larger index?
+
+    @classmethod
+    def guess(cls, body_count: int, pair_count: int | None = None, self_vertex_count: int = 0) -> Capacity:
+        """Room for a scene like the nanorobot world, nearly twice over, and for folded cloth.
+
+        Args:
+            body_count: bodies of the scene.
+            pair_count: body pairs, where they are given.
+            self_vertex_count: vertices of bodies that collide with themselves.
+
+        Example:
+            >>> room = pgccd.Capacity.guess(scene.body_count)
+        """
+        pairs = 5 * body_count // 4 if pair_count is None else pair_count
+        return cls(
+            pairs=pairs,
+            contacts=pairs // 2 + 4 * self_vertex_count,
+            overlaps=3 * body_count if pair_count is None else 0,
+            poses=3 * pairs,
+            tasks=pairs + 4 * self_vertex_count,
+            leaf_pairs=12 * pairs + 12 * self_vertex_count,
+            candidates=8 * pairs + 20 * self_vertex_count,
+            open=3 * pairs + 8 * self_vertex_count,
+        ).times(1.0)
+
+    def times(self, factor: float) -> Capacity:
+        """This room, each part `factor` times as large and not tiny."""
+        scaled = {
+            name: min(_MOST, math.ceil(factor * getattr(self, name)) + _SMALLEST)
+            for name in _BYTES
+            if name != "overlaps" or self.overlaps
+        }
+        return replace(self, **scaled)
+
+    def holds(self, needed: Capacity) -> bool:
+        """Whether a step that needs so much fits."""
+        return all(getattr(self, field.name) >= getattr(needed, field.name) for field in fields(self))
+
+    def grown(self, needed: Capacity) -> Capacity:
+        """Room for a step that needed at least so much, and was cut short by the first part that did not fit."""
+        # What came after that saw only a part.
+        more = max(1.0, needed.pairs / max(1, self.pairs), needed.overlaps / max(1, self.overlaps))
+        enough = replace(
+            needed,
+            pairs=max(needed.pairs, min(needed.overlaps, math.ceil(more * needed.pairs))),
+            **{name: math.ceil(more * getattr(needed, name)) for name in _BYTES if name not in ("pairs", "overlaps")},
+        ).times(1.25)
+        larger = {field.name: max(getattr(self, field.name), getattr(enough, field.name)) for field in fields(self)}
+        return Capacity(**larger)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of a GPU that all this room takes, roughly."""
+        return sum(size * getattr(self, name) for name, size in _BYTES.items())
+
+    @property
+    def of_pairs(self) -> list[int]:
+        """As `ops.pairs_within` takes it."""
+        return [self.pairs, self.overlaps, int(self.long_rows)]
+
+    @property
+    def of_contacts(self) -> list[int]:
+        """As `ops.contacts_within_*` take it."""
+        return [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches, self.open, self.contacts]
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What the operators counted in one step, in their order; times in nanoseconds of the device's clock."""
+
+    pairs: int
+    overlaps: int
+    long_rows: int
+    pairs_written: int
+    pairs_overflow: int
+    broad_began: int
+    broad_ended: int
+    poses: int
+    tasks: int
+    leaf_pairs: int
+    candidates: int
+    tasks_left: int
+    node_tests: int
+    traverse_overflow: int
+    traverse_began: int
+    traverse_ended: int
+    open: int
+    contacts: int
+    unresolved: int
+    contacts_overflow: int
+    narrow_ended: int
+
+    @classmethod
+    def of(cls, values: Sequence[int]) -> Counts:
+        """From the operators' two columns, one after the other."""
+        return cls(*values)
+
+    def needed(self, capacity: Capacity) -> Capacity:
+        """The room that the step, made within `capacity`, would have needed."""
+        return Capacity(
+            launches=2 * capacity.launches if self.tasks_left else capacity.launches,
+            long_rows=self.long_rows != 0,
+            **{name: getattr(self, name) for name in _BYTES},
+        )
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """By stage."""
+        return {
+            "broad": 1e-9 * (self.broad_ended - self.broad_began),
+            "traverse": 1e-9 * (self.traverse_ended - self.traverse_began),
+            "narrow": 1e-9 * (self.narrow_ended - self.traverse_ended),
+        }
+
+
+#: Where each of the counts is.
+COUNT_ROWS: dict[str, int] = {field.name: row for row, field in enumerate(fields(Counts))}
+#: How many of them are the broad phase's.
+COUNTS_OF_PAIRS = COUNT_ROWS["poses"]

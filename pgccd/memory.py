@@ -1,0 +1,76 @@
+"""How much memory a step may take, and how much it is expected to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pgccd.capacity import Capacity
+from pgccd.query import Query
+from pgccd.scene import Scene
+
+_DEFAULT_BUDGET = 1 << 30
+# Beyond what the last step needed.
+_SLACK = 1.25
+# What one pair of the PCS may need while it is traversed and solved, on the standard scene with room to spare.
+_BYTES_PER_PAIR = 1536
+
+
+def memory_limit(budget: int | None, wanted: int, device: torch.device) -> int:
+    """Bytes of scratch memory to aim at. What a GPU has free is only asked where it matters: asking takes time.
+
+    Args:
+        budget: as the user said.
+        wanted: what would be used.
+        device: where.
+    """
+    if budget is not None:
+        return budget
+    if device.type != "cuda" or wanted <= _DEFAULT_BUDGET:
+        return _DEFAULT_BUDGET
+    free, _ = torch.cuda.mem_get_info(device)
+    return max(_DEFAULT_BUDGET, free // 4)
+
+
+@dataclass(frozen=True)
+class _Experience:
+    size: int  #: of the step: bodies, or pairs where they were given
+    needed: Capacity
+
+
+def recall_capacity(scene: Scene, query: Query, pairs: Tensor | None) -> Capacity:
+    """Room for a step like the last one of these meshes, or of the standard scene if there was none.
+
+    The meshes remember, since scenes come and go with the bodies of a rank. What they remember changes how often a step
+    is repeated, never its result.
+    """
+    size = scene.body_count if pairs is None else len(pairs)
+    last = scene.meshes.experience.get(_kind(query, pairs))
+    if not isinstance(last, _Experience):
+        given = None if pairs is None else len(pairs)
+        return Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
+    return last.needed.times(_SLACK * size / last.size)
+
+
+def remember_needs(scene: Scene, query: Query, pairs: Tensor | None, needed: Capacity) -> None:
+    """For `recall_capacity`."""
+    size = scene.body_count if pairs is None else len(pairs)
+    if size > 0:
+        scene.meshes.experience[_kind(query, pairs)] = _Experience(size, needed)
+
+
+def pairs_a_chunk(scene: Scene, query: Query, budget: int | None, pair_count: int) -> int:
+    """How many body pairs to traverse at a time, so that memory stays within the budget."""
+    bytes_per_pair = _BYTES_PER_PAIR
+    last = scene.meshes.experience.get(query.report)
+    if isinstance(last, _Experience) and last.needed.pairs:
+        bytes_per_pair = max(bytes_per_pair, math.ceil(last.needed.bytes / last.needed.pairs))
+    limit = memory_limit(budget, pair_count * bytes_per_pair, scene.device)
+    return max(1, limit // bytes_per_pair)
+
+
+def _kind(query: Query, pairs: Tensor | None) -> str:
+    return query.report if pairs is None else f"{query.report} of given pairs"

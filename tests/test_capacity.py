@@ -1,0 +1,214 @@
+"""Detection in a fixed room: the same contacts, nothing waits, and what does not fit is told."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support.crowds import crowds
+from support.shapes import approaching
+
+import pgccd
+from pgccd.capacity import Capacity
+
+COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
+REPORTS = ("any", "first", "all", "earliest")
+
+
+def crowd(device: torch.device, name: str = "faster than cells") -> tuple[pgccd.Scene, pgccd.RigidMotion]:
+    bodies = crowds()[name]
+    columns = (bodies.position, bodies.orientation, bodies.velocity, bodies.rotation)
+    motion = pgccd.RigidMotion.from_velocity(*(column.to(device) for column in columns), dt=1.0)
+    return pgccd.Scene(bodies.meshes, bodies.mesh_index, device), motion
+
+
+def assert_same(found: pgccd.Contacts, expected: pgccd.Contacts) -> None:
+    for column in COLUMNS:
+        one, other = getattr(found, column), getattr(expected, column)
+        assert (one is None) == (other is None), column
+        assert one is None or torch.equal(one, other), column
+
+
+def room_for(scene: pgccd.Scene, motion: Any, *arguments: Any, **options: Any) -> tuple[pgccd.Contacts, Capacity]:
+    found = pgccd.detect(scene, motion, *arguments, **options)
+    assert found.stats.needed is not None
+    return found, found.stats.needed.times(1.5)
+
+
+@pytest.mark.parametrize("report", REPORTS)
+def test_same_contacts_in_a_fixed_room(device: torch.device, report: Any) -> None:
+    scene, motion = crowd(device)
+    for broad_phase in ("sweep", "grid", "lbvh"):
+        expected, room = room_for(scene, motion, report, 0.01, broad_phase=broad_phase)
+        assert len(expected) > 0
+        hits = pgccd.detect(scene, motion, report, 0.01, broad_phase=broad_phase, capacity=room)
+        assert int(hits.count) == len(expected) and not bool(hits.overflow)
+        trimmed = hits.trim()
+        assert_same(trimmed, expected)
+        for name in ("pcs", "contacts", "unresolved", "broad_phase"):
+            assert getattr(trimmed.stats, name) == getattr(expected.stats, name), name
+        assert set(trimmed.stats.seconds) >= {"broad", "traverse", "narrow"}
+        assert all(spent >= 0.0 for spent in trimmed.stats.seconds.values())
+
+
+def test_padding(device: torch.device) -> None:
+    scene, motion = crowd(device)
+    expected, room = room_for(scene, motion, "all")
+    hits = pgccd.detect(scene, motion, "all", capacity=room)
+    count = len(expected)
+    assert len(hits.pairs) == room.contacts > count
+    assert torch.equal(hits.pairs[:count], expected.pairs) and torch.equal(hits.toi[:count], expected.toi)
+    padding = {"pairs": -1, "features": -1, "toi": torch.inf, "kind": 0, "status": pgccd.FREE, "coordinates": 0}
+    for column, value in (padding | {"point": 0, "normal": 0}).items():
+        assert bool((getattr(hits, column)[count:] == value).all()), column
+    assert torch.equal(hits.toi.min(), expected.toi.min())
+
+
+def test_deforming_bodies_and_given_pairs(device: torch.device) -> None:
+    bodies = approaching(np.random.default_rng(5), (0, 1, 0), (1.0, 1.0, 1.0), closeness=0.7)
+    scene = bodies.scene(device)
+    x = torch.cat([m.vertices + torch.from_numpy(p) for m, p in zip(bodies.meshes, bodies.position_t0, strict=True)])
+    moving = pgccd.VertexMotion(x.to(device), (x + 0.3 * torch.randn(3, dtype=torch.float64)).to(device))
+    pairs = torch.tensor([[0, 2], [1, 2]], device=device)
+    for motion, given in ((moving, None), (moving, pairs), (bodies.motion(device=device), pairs)):
+        expected, room = room_for(scene, motion, "all", 0.1, pairs=given)
+        assert_same(pgccd.detect(scene, motion, "all", 0.1, pairs=given, capacity=room).trim(), expected)
+    nothing = pgccd.detect(scene, moving, pairs=pairs[:0], capacity=room)
+    assert int(nothing.count) == 0 and not bool(nothing.overflow) and len(nothing.trim()) == 0
+
+
+@pytest.mark.parametrize("part", [f.name for f in fields(Capacity) if f.name not in ("launches", "long_rows")])
+def test_too_little_room_is_told(device: torch.device, part: str) -> None:
+    if device.type == "cpu" and part not in ("pairs", "contacts"):
+        pytest.skip("a CPU takes the memory it needs")
+    scene, motion = crowd(device)
+    expected, room = room_for(scene, motion, "all", broad_phase="grid")
+    needed = expected.stats.needed
+    assert needed is not None
+    tight = replace(room, **{part: getattr(needed, part) // 2})
+    if part == "tasks" and needed.tasks < 2:
+        pytest.skip("the launches leave no tasks behind")
+    hits = pgccd.detect(scene, motion, "all", broad_phase="grid", capacity=tight)
+    assert bool(hits.overflow)
+    with pytest.raises(pgccd.CapacityError, match=part) as error:
+        hits.trim()
+    # With what it says was needed, in a few steps.
+    for _ in range(6):
+        more = error.value.capacity.grown(error.value.needed)
+        hits = pgccd.detect(scene, motion, "all", broad_phase="grid", capacity=more)
+        if not bool(hits.overflow):
+            break
+        with pytest.raises(pgccd.CapacityError) as error:
+            hits.trim()
+    assert_same(hits.trim(), expected)
+
+
+def test_no_room_at_all(device: torch.device) -> None:
+    scene, motion = crowd(device)
+    hits = pgccd.detect(scene, motion, capacity=Capacity(0, 0))
+    assert bool(hits.overflow) and len(hits.pairs) == 0
+    with pytest.raises(pgccd.CapacityError, match="pairs: .* in 0"):
+        hits.trim()
+
+
+def test_a_body_with_many_partners(device: torch.device) -> None:
+    bodies = crowds()["a terrain under all"]
+    scene, motion = crowd(device, "a terrain under all")
+    many = torch.cat([torch.arange(len(bodies.mesh_index)), *[torch.arange(1, len(bodies.mesh_index))] * 2])
+    columns = columns_of(motion)
+    motion = pgccd.RigidMotion.from_rotation(*(column[many.to(device)] for column in columns))
+    scene = pgccd.Scene(bodies.meshes, bodies.mesh_index[many], device)
+    assert int(torch.bincount(pgccd.broad.find_pairs(pgccd.MovingBodies(scene, motion))[:, 0]).max()) > 32
+    expected, room = room_for(scene, motion)
+    assert_same(pgccd.detect(scene, motion, capacity=room).trim(), expected)
+    if device.type == "cuda":
+        assert room.long_rows
+        assert bool(pgccd.detect(scene, motion, capacity=replace(room, long_rows=False)).overflow)
+
+
+def test_invalid_poses_are_told_later(device: torch.device) -> None:
+    scene, motion = crowd(device)
+    room = Capacity.guess(scene.body_count)
+    for broad_phase in ("sweep", "grid", "lbvh"):
+        motion.position_t1[3, 1] = torch.nan
+        motion._faults["position_t1"] = motion._faults["position_t1"] * 0 + 3
+        hits = pgccd.detect(scene, motion, broad_phase=broad_phase, capacity=room)
+        assert bool(hits.overflow) and int(hits.count) == 0
+        with pytest.raises(ValueError, match="position_t1: body 3"):
+            hits.trim()
+
+
+def columns_of(motion: pgccd.RigidMotion) -> list[torch.Tensor]:
+    return [motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation]
+
+
+def test_compile_the_whole_step(device: torch.device) -> None:
+    scene, motion = crowd(device)
+    expected, room = room_for(scene, motion)
+
+    @torch.compile(fullgraph=True, backend="aot_eager")
+    def step(*columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        hits = pgccd.detect(scene, pgccd.RigidMotion.from_rotation(*columns), capacity=room)
+        assert hits.toi is not None
+        return hits.pairs, hits.toi.clamp(max=1.0), hits.count, hits.overflow
+
+    pairs, toi, count, overflow = step(*columns_of(motion))
+    assert int(count) == len(expected) and not bool(overflow)
+    assert torch.equal(pairs[: len(expected)], expected.pairs)
+    assert torch.equal(toi[: len(expected)], expected.toi) and bool((toi[len(expected) :] == 1.0).all())
+    columns = columns_of(motion)
+    columns[0] = columns[0] * torch.nan
+    assert bool(step(*columns)[3])
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("report", REPORTS)
+@pytest.mark.parametrize("broad_phase", ["sweep", "grid", "lbvh"])
+def test_capture_in_a_graph(report: Any, broad_phase: Any) -> None:
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    scene, motion = crowd(torch.device("cuda"))
+    _, room = room_for(scene, motion, report, broad_phase=broad_phase)
+    columns = [column.clone() for column in columns_of(motion)]
+
+    def step() -> pgccd.PaddedContacts:
+        moved = pgccd.RigidMotion.from_rotation(*columns)
+        return pgccd.detect(scene, moved, report, broad_phase=broad_phase, capacity=room)
+
+    stream = torch.cuda.Stream()
+    stream.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(stream):
+        step()
+    torch.cuda.current_stream().wait_stream(stream)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        hits = step()
+    contacts = set()
+    for shift in (0.0, 0.01, -0.02):
+        columns[2].copy_(motion.position_t1 + shift * motion.position_t1.sin())
+        graph.replay()
+        moved = pgccd.RigidMotion.from_rotation(*(column.clone() for column in columns))
+        expected = pgccd.detect(scene, moved, report, broad_phase=broad_phase)
+        assert_same(hits.trim(), expected)
+        contacts.add(len(expected))
+    assert max(contacts) > 0
+
+
+@pytest.mark.cuda
+def test_one_wait_a_step() -> None:
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    scene, motion = crowd(torch.device("cuda"))
+    for report in REPORTS:
+        pgccd.detect(scene, motion, report)
+        assert pgccd.detect(scene, motion, report).stats.waits == 1
+    # In a fixed room not even one, and no copy to the host at all.
+    room = Capacity.guess(scene.body_count)
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        pgccd.detect(scene, motion, capacity=room)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
