@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -247,6 +248,43 @@ def test_reports_agree(device: torch.device) -> None:
     own = pgccd.Scene(shapes, device=device, self_collision=True)
     given = pgccd.detect(own, motion_of(ends[0], device=device), "all", pairs=torch.tensor([[0, 0]], device=device))
     assert_same(given, everything)
+
+
+@pytest.mark.parametrize("report", list(narrow.REPORTS))
+def test_in_a_fixed_room(device: torch.device, report: narrow.Report) -> None:
+    shapes, ends = crumpled(4)
+    scene = pgccd.Scene(shapes, device=device, self_collision=[False, True, True, True])
+    motion = motion_of(*ends, device=device)
+    expected = pgccd.detect(scene, motion, report)
+    needed = expected.stats.needed
+    assert needed is not None and needed.pairs == expected.stats.pcs > 3
+    # A CPU that bounds its search by a first guess meets fewer candidates.
+    room = replace(needed.times(1.5), candidates=100_000)
+    for broad_phase in ("sweep", "grid", "lbvh"):
+        hits = pgccd.detect(scene, motion, report, broad_phase=broad_phase, capacity=room)
+        assert not bool(hits.overflow)
+        assert hits.trim().stats.pcs == needed.pairs
+        assert_same(hits.trim(), expected)
+    # Just enough, one too few, fewer than bodies that collide with themselves, and none.
+    for pairs in (needed.pairs, needed.pairs - 1, 2, 0):
+        hits = pgccd.detect(scene, motion, report, capacity=replace(room, pairs=pairs))
+        assert bool(hits.overflow) == (pairs < needed.pairs)
+        if pairs < needed.pairs:
+            with pytest.raises(pgccd.CapacityError, match=f"pairs: .* in {pairs}"):
+                hits.trim()
+
+
+def test_invalid_vertices_in_a_fixed_room(device: torch.device) -> None:
+    shapes, ends = crumpled(2)
+    scene = pgccd.Scene(shapes, device=device, self_collision=True)
+    room = pgccd.detect(scene, motion_of(*ends, device=device)).stats.needed
+    assert room is not None
+    ends[1][1][3, 2] = np.nan
+    with pytest.raises(ValueError, match="^x_t1"):
+        motion = motion_of(*ends, device=device)  # on a CPU this raises already
+        hits = pgccd.detect(scene, motion, capacity=room.times(1.5))
+        assert bool(hits.overflow) and int(hits.count) == 0
+        hits.trim()
 
 
 def test_threads(device: torch.device) -> None:
