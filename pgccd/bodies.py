@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.mesh import LARGEST_RADIUS, SMALLEST_RADIUS
-from pgccd.motion import RigidMotion, VertexMotion, first_row
+from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.scene import Scene
 
 
@@ -47,32 +47,28 @@ class MovingBodies:
             self.raise_faults(self.first_faults().tolist())
 
     def first_faults(self) -> Tensor:
-        """(F,) int64: the first faulty row of each thing checked, or a number past the last one."""
+        """(F,) int64: the first faulty row of each thing checked, or a number past the last one; and 1 if there is any
+        such row, else 0."""
         faults = self.motion.first_faults()
         if not self.deforming:
             return faults
         # A body may shrink to a point.
         sound = (self.radius == 0.0) | ((self.radius >= SMALLEST_RADIUS) & (self.radius <= LARGEST_RADIUS))
-        return torch.cat([faults, first_row(~sound).reshape(1)])
+        row = torch.arange(len(sound), device=sound.device)
+        body = torch.where(sound, len(sound), row).min().reshape(1) if len(sound) else row.sum().reshape(1)
+        return torch.cat([body, faults[:-1], torch.maximum(faults[-1:], (body < len(sound)).long())])
 
     def raise_faults(self, first: Sequence[int]) -> None:
         """Raises ValueError for the values of `first_faults`, if any names a row."""
         if not self.deforming:
             return self.motion.raise_faults(first)
-        *of_motion, body = first
+        body, *of_motion = first
         self.motion.raise_faults(of_motion)
         if body < self.scene.body_count:
             raise ValueError(
                 f"motion: body {body} has SBV radius {float(self.radius[body]):g}; "
                 f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
             )
-
-    def invalid(self, faults: Tensor) -> Tensor:
-        """(1,) bool on the device: whether `raise_faults` would raise for the values of `faults`."""
-        if isinstance(self.motion, VertexMotion):
-            of_motion = (faults[:-1] < self.motion.x_t0.shape[0]).any()
-            return (of_motion | (faults[-1] < self.scene.body_count)).reshape(1)
-        return (faults < self.scene.body_count).any().reshape(1)
 
     @property
     def device(self) -> torch.device:

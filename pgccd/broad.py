@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from typing import Literal, get_args
 
-import torch
 from torch import Tensor
 
 from pgccd import ops
@@ -117,7 +116,7 @@ def find_pairs_within(
     Args:
         bodies, min_separation, broad_phase: as for `find_pairs`.
         capacity: room.
-        invalid: (1,) bool, see `MovingBodies.invalid`: then there are none.
+        invalid: (1,) int64; unless it is 0, there are none.
 
     Returns:
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
@@ -128,7 +127,7 @@ def find_pairs_within(
     room, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_within(
         *_columns(bodies),
-        invalid.view(torch.uint8),
+        invalid,
         check_separation(min_separation),
         number,
         [max(0, room - own), *rest],

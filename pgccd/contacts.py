@@ -85,8 +85,6 @@ class PaddedContacts:
     #: (1,) bool: there was not room for everything, or the input is invalid, and contacts may be missing. `trim` says
     #: which.
     overflow: Tensor
-    #: (F,) int64, see `pgccd.MovingBodies.first_faults`
-    faults: Tensor
-    counts: Tensor  #: (21,) int64: the values of `pgccd.capacity.Counts`
+    counts: Tensor  #: (21 + F,) int64: `pgccd.capacity.Counts`, then `pgccd.MovingBodies.first_faults`
     capacity: Capacity
     trim: Callable[[], Contacts]  #: waits; `Contacts`, with stats, or the error that `overflow` stands for

@@ -14,6 +14,11 @@ def _unknown_count() -> torch.SymInt:
     return torch.library.get_ctx().new_dynamic_size(min=0)
 
 
+@torch.library.register_fake("pgccd::first_faults")
+def _(columns: list[Tensor], checks: list[int], limits: list[float]) -> Tensor:
+    return columns[0].new_empty((len(columns) + 1,), dtype=torch.int64)
+
+
 @torch.library.register_fake("pgccd::rotations_between")
 def _(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     return orientation_t0.new_empty((orientation_t0.shape[0], 3))
@@ -71,8 +76,9 @@ def _(position_t0: Tensor, *rest: Any) -> tuple[Tensor, Tensor]:
 
 
 def _fake_found(pairs: Tensor, rest: Any) -> tuple[Tensor, ...]:
-    capacity = rest[-1]
-    return *_fake_contact_rows(pairs, capacity[-1]), pairs.new_empty((14,))
+    (_, faults, *_), count = rest, rest[-1][-1]
+    _, *columns = _fake_contact_rows(pairs, count)
+    return pairs.new_empty((count, 2)), *columns, pairs.new_empty((21 + faults.shape[0],))
 
 
 @torch.library.register_fake("pgccd::contacts_within_rigid")

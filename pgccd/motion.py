@@ -16,6 +16,10 @@ _UNIT_TOLERANCE = 1e-3
 _LARGEST_COORDINATE = 1e150
 # Sine and cosine are proven up to here.
 _LARGEST_TURN = 1e6
+# Checks of `ops.first_faults`, and their limits.
+_FINITE = (0, _LARGEST_COORDINATE)
+_UNIT = (1, _UNIT_TOLERANCE)
+_TURN = (2, _LARGEST_TURN)
 
 
 class RigidMotion:
@@ -51,8 +55,7 @@ class RigidMotion:
         device = position_t0.device
         orientation_t1 = _rows(orientation_t1, "orientation_t1", count, 4, device)
         self._set(position_t0, orientation_t0, position_t1, path)
-        self._faults["orientation_t1"] = _first_not_unit(orientation_t1)
-        self._check_now()
+        self._check({"orientation_t1": (orientation_t1, *_UNIT)})
         #: (N, 3) rotation vector of the whole step, radians, world frame.
         self.rotation = ops.rotations_between(self.orientation_t0, orientation_t1)
 
@@ -86,13 +89,8 @@ class RigidMotion:
         start = _rows(position, "position", count, 3, position.device)
         motion._set(start, orientation, start + dt * velocity, path)
         motion.rotation = (dt * spin).contiguous()
-        turn = torch.linalg.vector_norm(motion.rotation, dim=1)
         # Named before the positions that follow from them.
-        motion._faults = {
-            "linear_velocity": _first_not_finite(velocity),
-            "angular_velocity": first_row(~(turn <= _LARGEST_TURN)),
-        } | motion._faults
-        motion._check_now()
+        motion._check({"linear_velocity": (velocity, *_FINITE), "angular_velocity": (motion.rotation, *_TURN)})
         return motion
 
     @classmethod
@@ -118,9 +116,7 @@ class RigidMotion:
         motion = cls.__new__(cls)
         motion._set(position_t0, orientation_t0, position_t1, path)
         motion.rotation = _rows(rotation, "rotation", count, 3, position_t0.device)
-        turn = torch.linalg.vector_norm(motion.rotation, dim=1)
-        motion._faults["rotation"] = first_row(~(turn <= _LARGEST_TURN))
-        motion._check_now()
+        motion._check({"rotation": (motion.rotation, *_TURN)})
         return motion
 
     def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: str) -> None:
@@ -132,11 +128,6 @@ class RigidMotion:
         self.position_t0 = _rows(position_t0, "position_t0", count, 3, device)
         self.position_t1 = _rows(position_t1, "position_t1", count, 3, device)
         self.orientation_t0 = _rows(orientation_t0, "orientation_t0", count, 4, device)
-        self._faults = {
-            "position_t0": _first_not_finite(self.position_t0),
-            "position_t1": _first_not_finite(self.position_t1),
-            "orientation_t0": _first_not_unit(self.orientation_t0),
-        }
 
     @property
     def device(self) -> torch.device:
@@ -146,21 +137,29 @@ class RigidMotion:
     def body_count(self) -> int:
         return self.position_t0.shape[0]
 
-    def _check_now(self) -> None:
-        if _can_check_now(self.device):
-            self.check()
+    def _check(self, more: dict[str, tuple[Tensor, int, float]]) -> None:
+        """Looks for faults in the poses, and in what else was given, which is named first."""
+        self._faults = _Faults(
+            more
+            | {
+                "position_t0": (self.position_t0, *_FINITE),
+                "position_t1": (self.position_t1, *_FINITE),
+                "orientation_t0": (self.orientation_t0, *_UNIT),
+            }
+        )
 
     def check(self) -> None:
         """Raises ValueError if a pose is not finite or a quaternion not unit, naming the first body."""
-        self.raise_faults(self.first_faults().tolist())
+        self._faults.check()
 
     def first_faults(self) -> Tensor:
-        """(F,) int64: the first faulty body of each argument, or the number of bodies; where the motion is."""
-        return torch.stack(list(self._faults.values()))
+        """(F + 1,) int64: the first faulty body of each argument, or the number of bodies; and 1 if there is any, else
+        0. Where the motion is."""
+        return self._faults.first
 
     def raise_faults(self, first: Sequence[int]) -> None:
         """What `check` raises, given the values of `first_faults`."""
-        _raise_faults(self._faults, first, self.body_count)
+        self._faults.raise_from(first)
 
 
 class VertexMotion:
@@ -183,9 +182,7 @@ class VertexMotion:
         #: (X, 3) float64.
         self.x_t0 = _rows(x_t0, "x_t0", count, 3, x_t0.device)
         self.x_t1 = _rows(x_t1, "x_t1", count, 3, x_t0.device)
-        self._faults = {"x_t0": _first_not_finite(self.x_t0), "x_t1": _first_not_finite(self.x_t1)}
-        if _can_check_now(self.device):
-            self.check()
+        self._faults = _Faults({"x_t0": (self.x_t0, *_FINITE), "x_t1": (self.x_t1, *_FINITE)}, row="vertex")
 
     @property
     def device(self) -> torch.device:
@@ -193,21 +190,46 @@ class VertexMotion:
 
     def check(self) -> None:
         """Raises ValueError if a position is not finite, naming the first vertex."""
-        self.raise_faults(self.first_faults().tolist())
+        self._faults.check()
 
     def first_faults(self) -> Tensor:
-        """(2,) int64: the first faulty vertex of each argument, or the number of vertices; where the motion is."""
-        return torch.stack(list(self._faults.values()))
+        """(3,) int64: the first faulty vertex of each argument, or the number of vertices; and 1 if there is any, else
+        0. Where the motion is."""
+        return self._faults.first
 
     def raise_faults(self, first: Sequence[int]) -> None:
         """What `check` raises, given the values of `first_faults`."""
-        _raise_faults(self._faults, first, self.x_t0.shape[0], row="vertex")
+        self._faults.raise_from(first)
 
 
-def _can_check_now(device: torch.device) -> bool:
-    # On a GPU reading the verdicts would stall the stream; they are read along with what detect waits for. A compiled
-    # graph reads nothing.
-    return device.type == "cpu" and not torch.compiler.is_compiling()
+class _Faults:
+    """What is wrong with columns of the input.
+
+    On a CPU it raises at once. On a GPU reading the verdicts would stall the stream: they are read along with what
+    `detect` waits for. A compiled graph reads nothing.
+    """
+
+    def __init__(self, columns: dict[str, tuple[Tensor, int, float]], row: str = "body") -> None:
+        self._names, self._row = list(columns), row
+        values, checks, limits = zip(*columns.values(), strict=True)
+        self._count = values[0].shape[0]
+        #: (F + 1,) int64: the first faulty row of each column, or the number of rows; and whether there is any.
+        self.first = ops.first_faults(values, checks, limits)
+        if self.first.device.type == "cpu" and not torch.compiler.is_compiling():
+            self.check()
+
+    def check(self) -> None:
+        self.raise_from(self.first.tolist())
+
+    def raise_from(self, first: Sequence[int]) -> None:
+        for name, index in zip(self._names, first, strict=False):
+            if index < self._count:
+                expected = f"finite numbers up to {_LARGEST_COORDINATE:g}"
+                if name.startswith("orientation"):
+                    expected = "a unit quaternion (w, x, y, z)"
+                if name in ("angular_velocity", "rotation"):
+                    expected = f"a turn of at most {_LARGEST_TURN:g} radians in the step"
+                raise ValueError(f"{name}: {self._row} {index}: expected {expected}")
 
 
 def _body_count(values: Tensor, name: str) -> int:
@@ -228,29 +250,3 @@ def _rows(values: Tensor, name: str, count: int, width: int, device: torch.devic
     if values.device != device:
         raise ValueError(f"{name}: expected device {device}, got {values.device}")
     return values.detach().to(torch.float64).contiguous()
-
-
-def first_row(bad: Tensor) -> Tensor:
-    """Index of the first true row, or the number of rows; stays on the device."""
-    rows = torch.arange(bad.shape[0], device=bad.device)
-    return torch.where(bad, rows, bad.shape[0]).min() if bad.shape[0] else rows.sum()
-
-
-def _first_not_finite(values: Tensor) -> Tensor:
-    return first_row(~(values.abs() <= _LARGEST_COORDINATE).all(dim=1))  # NaN counts as too large
-
-
-def _first_not_unit(quaternions: Tensor) -> Tensor:
-    off_unit = (torch.linalg.vector_norm(quaternions, dim=1) - 1.0).abs()
-    return first_row(~(off_unit <= _UNIT_TOLERANCE))  # NaN counts as off
-
-
-def _raise_faults(faults: dict[str, Tensor], first: Sequence[int], count: int, row: str = "body") -> None:
-    for name, index in zip(faults, first, strict=True):
-        if index < count:
-            expected = f"finite numbers up to {_LARGEST_COORDINATE:g}"
-            if name.startswith("orientation"):
-                expected = "a unit quaternion (w, x, y, z)"
-            if name in ("angular_velocity", "rotation"):
-                expected = f"a turn of at most {_LARGEST_TURN:g} radians in the step"
-            raise ValueError(f"{name}: {row} {index}: expected {expected}")

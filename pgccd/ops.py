@@ -16,6 +16,14 @@ from pgccd.contacts import ContactRows
 _ops = torch.ops.pgccd
 
 
+def first_faults(columns: Sequence[Tensor], checks: Sequence[int], limits: Sequence[float]) -> Tensor:
+    """First faulty row of each column (rows, width), or its number of rows; then 1 if there is any, else 0: (n + 1,).
+
+    Checks: 0, no number's magnitude exceeds the limit; 1, a row's length is 1 within the limit; 2, nor exceeds it.
+    """
+    return _ops.first_faults(list(columns), list(checks), list(limits))
+
+
 def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     """Rotation vectors (N, 3) of the turns between two orientations (N, 4)."""
     return _ops.rotations_between(orientation_t0.contiguous(), orientation_t1.contiguous())
@@ -174,9 +182,9 @@ def contacts_within_rigid(
 def contacts_within_deforming(
     mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest: object
 ) -> tuple[Tensor, ...]:
-    """Contact rows padded, and counts (14,): see `pgccd.capacity`. Waits for nothing on a GPU.
+    """Contact rows padded, with body pairs first; all counts (21,) and then the faults. Waits for nothing on a GPU.
 
-    `rest`: pairs, pair_count, min_separation, tolerance, nonzero_toi, report, capacity.
+    `rest`: pairs, pair_counts, faults, min_separation, tolerance, nonzero_toi, report, capacity.
     """
     return _ops.contacts_within_deforming(list(mesh_set), list(bodies), *rest)
 

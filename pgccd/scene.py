@@ -97,7 +97,7 @@ class Scene:
         #: How many vertices they have together.
         self.self_colliding_vertices = _vertex_count(meshes, self.mesh_index[self.self_colliding])
 
-    @property
+    @functools.cached_property
     def radius(self) -> Tensor:
         """SBV radius of each body's mesh, (N,) float64."""
         return self.meshes.radius[self.mesh_index.long()]

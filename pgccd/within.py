@@ -36,10 +36,8 @@ class Search:
     query: Query
     capacity: Capacity
     broad_phase: str
-    pairs: Tensor  #: (P, 2) int64 with padding
-    rows: ContactRows  #: with padding
-    faults: Tensor  #: see `MovingBodies.first_faults`
-    counts: Tensor  #: (21,) int64, see `Counts`
+    rows: ContactRows  #: with padding; the first column is body pairs (., 2)
+    counts: Tensor  #: (21 + F,) int64, see `Counts`, and after them `MovingBodies.first_faults`
 
     def read(self) -> Counts:
         """Waits for the counts.
@@ -47,10 +45,9 @@ class Search:
         Raises:
             ValueError: the input is invalid.
         """
-        values = torch.cat([self.counts, self.faults]).tolist()
-        fields = len(self.counts)
-        self.bodies.raise_faults(values[fields:])
-        return Counts.of(values[:fields])
+        values = self.counts.tolist()
+        self.bodies.raise_faults(values[len(COUNT_ROWS) :])
+        return Counts.of(values[: len(COUNT_ROWS)])
 
     def contacts(self, counts: Counts) -> Contacts:
         """The result, once the counts are known and there was room."""
@@ -67,15 +64,14 @@ class Search:
             unresolved=counts.unresolved,
             broad_phase=self.broad_phase,
             chunks=1,
-            waits=int(self.pairs.is_cuda),
-            scratch_bytes=self.capacity.bytes if self.pairs.is_cuda else 0,
+            waits=int(self.counts.is_cuda),
+            scratch_bytes=self.capacity.bytes if self.counts.is_cuda else 0,
             needed=counts.needed(self.capacity),
             seconds=counts.seconds,
         )
-        pairs = self.pairs[rows[0].long()]
         if self.query.report == "any":
-            return Contacts(pairs, None, None, None, None, None, None, None, stats)
-        _, kind, features, status, toi, coordinates, point, normal = rows
+            return Contacts(rows[0], None, None, None, None, None, None, None, stats)
+        pairs, kind, features, status, toi, coordinates, point, normal = rows
         return Contacts(pairs, toi, kind, features, coordinates, point, normal, status, stats)
 
     def padded(self) -> PaddedContacts:
@@ -91,14 +87,13 @@ class Search:
         rows, count = self.rows, self._count("contacts")
         if self.query.report == "earliest":
             rows, count = _earliest_row(rows), count.clamp(max=1)
-        row, kind, features, status, toi, coordinates, point, normal = rows
-        pairs = torch.where(row[:, None] < 0, -1, self.pairs[row.clamp(min=0).long()])
+        pairs, kind, features, status, toi, coordinates, point, normal = rows
         columns = (toi, kind, features, coordinates, point, normal, status)
         if self.query.report == "any":
             columns = (None,) * len(columns)  # type: ignore[assignment]
         lost = sum(self._count(f"{stage}_overflow") for stage in ("pairs", "traverse", "contacts"))
-        overflow = (lost > 0) | self.bodies.invalid(self.faults)
-        return PaddedContacts(pairs, *columns, count, overflow, self.faults, self.counts, self.capacity, trim)
+        overflow = lost + self.counts[-1:] > 0
+        return PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, trim)
 
     def _count(self, name: str) -> Tensor:
         return self.counts[COUNT_ROWS[name]].reshape(1)
@@ -117,26 +112,22 @@ def search_within(
         pairs: (P, 2) int64, instead of that.
     """
     faults = bodies.first_faults()
-    invalid = bodies.invalid(faults)
     if pairs is None:
         chosen = broad.choose(bodies, broad_phase)
-        pairs, pair_counts = broad.find_pairs_within(bodies, query.min_separation, chosen, capacity, invalid)
-        written = pair_counts[COUNT_ROWS["pairs_written"]].reshape(1)
+        pairs, pair_counts = broad.find_pairs_within(bodies, query.min_separation, chosen, capacity, faults[-1:])
     else:
         chosen = None
-        written = torch.where(invalid, 0, len(pairs))
         pair_counts = torch.zeros(COUNTS_OF_PAIRS, dtype=torch.int64, device=pairs.device)
         pair_counts[COUNT_ROWS["pairs"]] = len(pairs)
-        if len(pairs) == 0:
-            pairs = pairs.new_full((1, 2), -1)
+        pair_counts[COUNT_ROWS["pairs_written"]] = len(pairs)
+        pair_counts *= 1 - faults[-1:]
     settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
-    rest = (pairs, written, *settings, narrow.REPORTS[query.report], capacity.of_contacts)
+    rest = (pairs, pair_counts, faults, *settings, narrow.REPORTS[query.report], capacity.of_contacts)
     if bodies.deforming:
-        *rows, contact_counts = ops.contacts_within_deforming(bodies.mesh_set, bodies.tensors, *rest)
+        *rows, counts = ops.contacts_within_deforming(bodies.mesh_set, bodies.tensors, *rest)
     else:
-        *rows, contact_counts = ops.contacts_within_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
-    counts = torch.cat([pair_counts, contact_counts])
-    return Search(bodies, query, capacity, chosen or "given", pairs, tuple(rows), faults, counts)  # type: ignore[arg-type]
+        *rows, counts = ops.contacts_within_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
+    return Search(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
 
 
 def _earliest_row(rows: ContactRows) -> ContactRows:

@@ -110,7 +110,7 @@ def test_no_room_at_all(device: torch.device) -> None:
     scene, motion = crowd(device)
     hits = pgccd.detect(scene, motion, capacity=Capacity(0, 0))
     assert bool(hits.overflow) and len(hits.pairs) == 0
-    with pytest.raises(pgccd.CapacityError, match="pairs: .* in 0"):
+    with pytest.raises(pgccd.CapacityError, match="in 0"):
         hits.trim()
 
 
@@ -133,9 +133,13 @@ def test_invalid_poses_are_told_later(device: torch.device) -> None:
     scene, motion = crowd(device)
     room = Capacity.guess(scene.body_count)
     for broad_phase in ("sweep", "grid", "lbvh"):
-        motion.position_t1[3, 1] = torch.nan
-        motion._faults["position_t1"] = motion._faults["position_t1"] * 0 + 3
-        hits = pgccd.detect(scene, motion, broad_phase=broad_phase, capacity=room)
+        columns = columns_of(motion)
+        columns[2] = columns[2].clone()
+        columns[2][3, 1] = torch.nan
+        with pytest.MonkeyPatch.context() as patch:  # a CPU would tell at once
+            patch.setattr(torch.compiler, "is_compiling", lambda: True)
+            wrong = pgccd.RigidMotion.from_rotation(*columns)
+        hits = pgccd.detect(scene, wrong, broad_phase=broad_phase, capacity=room)
         assert bool(hits.overflow) and int(hits.count) == 0
         with pytest.raises(ValueError, match="position_t1: body 3"):
             hits.trim()

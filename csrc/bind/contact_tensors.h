@@ -20,8 +20,9 @@ inline ContactTensors new_contact_tensors(const Tensor& like, int64_t count) {
 
 inline ContactColumns contact_columns(ContactTensors& tensors) {
   auto& [pair, kind, features, status, toi, coordinates, point, normal] = tensors;
-  return {data<int32_t>(pair), data<int8_t>(kind),        data<int32_t>(features), data<int8_t>(status),
-          data<double>(toi),   data<double>(coordinates), data<double>(point),     data<double>(normal)};
+  return {data<int32_t>(pair),  nullptr,           data<int8_t>(kind),        data<int32_t>(features),
+          data<int8_t>(status), data<double>(toi), data<double>(coordinates), data<double>(point),
+          data<double>(normal)};
 }
 
 inline Report report_of(int64_t report) {

@@ -20,17 +20,35 @@ class TorchMemory final : public DeviceMemory {
  public:
   explicit TorchMemory(const torch::stable::Tensor& like) : like_(like) {}
 
+  // Small pieces share a block: asking torch takes as long as launching a kernel.
   void* allocate_bytes(int64_t bytes) override {
-    held_.push_back(torch::stable::new_empty(like_, {bytes > 0 ? bytes : 1}, torch::headeronly::ScalarType::Byte));
-    held_bytes_ += bytes;
-    scratch_peak() = std::max(scratch_peak(), held_bytes_);
-    return held_.back().data_ptr();
+    const int64_t aligned = (std::max<int64_t>(bytes, 1) + kAlignment - 1) / kAlignment * kAlignment;
+    if (aligned > kBlockBytes / 4) return static_cast<void*>(new_block(aligned));
+    if (aligned > left_) {
+      next_ = new_block(kBlockBytes);
+      left_ = kBlockBytes;
+    }
+    char* const piece = next_;
+    next_ += aligned;
+    left_ -= aligned;
+    return piece;
   }
 
  private:
+  static constexpr int64_t kAlignment = 256, kBlockBytes = int64_t{4} << 20;
+
+  char* new_block(int64_t bytes) {
+    held_.push_back(torch::stable::new_empty(like_, {bytes}, torch::headeronly::ScalarType::Byte));
+    held_bytes_ += bytes;
+    scratch_peak() = std::max(scratch_peak(), held_bytes_);
+    return static_cast<char*>(held_.back().data_ptr());
+  }
+
   torch::stable::Tensor like_;
   std::vector<torch::stable::Tensor> held_;
   int64_t held_bytes_ = 0;
+  char* next_ = nullptr;
+  int64_t left_ = 0;
 };
 
 class CudaSession {

@@ -6,6 +6,7 @@
 
 #include "bind/contact_tensors.h"
 #include "core/candidate.h"
+#include "kernels/bounds/faults.h"
 #include "kernels/broad/pair_output.h"
 #include "kernels/narrow/narrow.h"
 #include "kernels/traverse/traverse.h"
@@ -16,6 +17,21 @@ using TensorList = std::vector<Tensor>;
 
 template <class Backend>
 struct DetectOps {
+  static Tensor first_faults(const TensorList& columns, const std::vector<int64_t>& checks,
+                             const std::vector<double>& limits) {
+    STD_TORCH_CHECK(!columns.empty() && checks.size() == columns.size() && limits.size() == columns.size(),
+                    "columns: expected as many checks and limits, and one at least");
+    std::vector<RowColumn> views;
+    for (size_t k = 0; k < columns.size(); ++k) {
+      const double* values = rows<double>(columns[k], "columns", {kAnySize, kAnySize});
+      const auto width = static_cast<int32_t>(columns[k].size(1));
+      views.push_back({values, columns[k].size(0), width, static_cast<RowCheck>(checks[k]), limits[k]});
+    }
+    Tensor first = new_tensor<int64_t>(columns[0], {static_cast<int64_t>(columns.size()) + 1});
+    Backend(columns[0]).first_faults(views, data<int64_t>(first));
+    return first;
+  }
+
   static Tensor rotations_between(const Tensor& orientation_t0, const Tensor& orientation_t1) {
     const double* q0 = rows<double>(orientation_t0, "orientation_t0", {kAnySize, 4});
     const int64_t count = orientation_t0.size(0);
@@ -150,6 +166,7 @@ struct DetectOps {
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
 #define PGCCD_REGISTER_DETECT_OPS(library, Backend)                                       \
+  library.impl("first_faults", TORCH_BOX(&DetectOps<Backend>::first_faults));             \
   library.impl("rotations_between", TORCH_BOX(&DetectOps<Backend>::rotations_between));   \
   library.impl("refit", TORCH_BOX(&DetectOps<Backend>::refit));                           \
   library.impl("sweep", TORCH_BOX(&DetectOps<Backend>::sweep));                           \

@@ -46,6 +46,10 @@ class CpuBackend {
     copy_rows(found, make_output(rows), rows);
   }
 
+  void copy_counts(const int64_t* from, int64_t count, int64_t* to) const { std::copy_n(from, count, to); }
+  void first_faults(const std::vector<RowColumn>& columns, int64_t* first) const {
+    first_faults_cpu(executor_, columns, first);
+  }
   void pairs_within(const BroadBodies& bodies, BroadPhase phase, const PaddedPairs& out) const {
     out.counts[kBroadBegan] = nanoseconds();
     const int64_t room = out.capacity.pairs;
@@ -86,6 +90,9 @@ class CpuBackend {
     const ContactRows found = narrow_phase_cpu(executor_, bodies, narrow);
     const int64_t rows = static_cast<int64_t>(found.pair.size()), written = std::min(rows, room.contacts);
     copy_rows(found, out, written);
+    for (int64_t row = 0; row < written; ++row) {
+      std::copy_n(narrow.pairs + 2 * int64_t{found.pair[row]}, 2, out.bodies + 2 * row);
+    }
     pad_rows(out, written, room.contacts);
     traverse_counts[kCandidatesNeeded] = list.size();
     traverse_counts[kNodeTests] = list.node_tests;
@@ -122,7 +129,7 @@ class CpuBackend {
     std::copy_n(values.data(), count, target);
   }
   static void copy_rows(const ContactRows& found, const ContactColumns& out, int64_t rows) {
-    copy(found.pair, rows, out.pair);
+    if (out.pair != nullptr) copy(found.pair, rows, out.pair);
     copy(found.kind, rows, out.kind);
     copy(found.features, 2 * rows, out.features);
     copy(found.status, rows, out.status);

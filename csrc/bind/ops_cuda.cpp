@@ -6,7 +6,9 @@
 #include "bind/elementary_ops.h"
 #include "bind/within_ops.h"
 #include "kernels/bounds/bounds_cuda.h"
+#include "kernels/bounds/faults_cuda.h"
 #include "kernels/broad/broad_cuda.h"
+#include "kernels/copy_cuda.h"
 #include "kernels/narrow/narrow_cuda.h"
 #include "kernels/traverse/traverse_cuda.h"
 
@@ -50,6 +52,12 @@ class CudaBackend {
       case BroadPhase::kLbvh:
         return lbvh_cuda(session_.context(), bodies, out);
     }
+  }
+  void copy_counts(const int64_t* from, int64_t count, int64_t* to) const {
+    copy_counts_cuda(session_.context(), from, count, to);
+  }
+  void first_faults(const std::vector<RowColumn>& columns, int64_t* first) const {
+    first_faults_cuda(session_.context(), columns, first);
   }
   template <class Bodies>
   void contacts_within(const Bodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,

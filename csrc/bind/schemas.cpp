@@ -17,6 +17,8 @@
 #include "bind/scratch_peak.h"
 
 STABLE_TORCH_LIBRARY(pgccd, library) {
+  // Checks of columns (., width): 0 each number's magnitude, 1 length 1 within the limit, 2 length.
+  library.def("first_faults(Tensor[] columns, int[] checks, float[] limits) -> Tensor");
   library.def("rotations_between(Tensor orientation_t0, Tensor orientation_t1) -> Tensor");
   library.def(
       "refit(Tensor[] mesh_set, Tensor mesh_index, Tensor vertices_t0, Tensor vertices_t1, Tensor vertex_begin, "
@@ -54,14 +56,16 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "pairs_within(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, Tensor? is_invalid, float min_separation, int broad_phase, int[] capacity) "
       "-> (Tensor pairs, Tensor counts)");
+  // Columns of contacts, of which the first is body pairs (., 2) i64; all counts together, and the faults after them.
   // capacity = [poses, tasks, leaf_pairs, candidates, launches, open, contacts], see kernels/traverse/traverse.h and
   // kernels/narrow/narrow.h, where the counts are too.
   library.def(
-      "contacts_within_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_count, "
+      "contacts_within_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_counts, "
+      "Tensor faults, "
       "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   library.def(
-      "contacts_within_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_count, "
+      "contacts_within_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, Tensor faults, "
       "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   library.def(

@@ -14,6 +14,7 @@ enum class BroadPhase : int64_t { kSweep = 0, kGrid = 1, kLbvh = 2 };
 
 template <class Backend>
 struct WithinOps {
+  // Columns of contacts, with body pairs (rows, 2) first; and all counts.
   using Found = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
   static std::tuple<Tensor, Tensor> pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
@@ -22,7 +23,7 @@ struct WithinOps {
                                           const std::optional<Tensor>& is_invalid, double min_separation,
                                           int64_t broad_phase, const std::vector<int64_t>& capacity) {
     BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
-    bodies.is_invalid = optional_column<uint8_t>(is_invalid, "is_invalid", 1);
+    bodies.is_invalid = optional_column<int64_t>(is_invalid, "is_invalid", 1);
     STD_TORCH_CHECK(broad_phase >= 0 && broad_phase <= 2, "broad_phase: expected 0 (sweep), 1 (grid) or 2 (lbvh), got ",
                     broad_phase);
     check_capacity(capacity, 3);
@@ -34,18 +35,19 @@ struct WithinOps {
   }
 
   static Found contacts_rigid(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies, bool linear_path,
-                              const Tensor& pairs, const Tensor& pair_count, double min_separation, double tolerance,
-                              bool nonzero_toi, int64_t report, const std::vector<int64_t>& capacity) {
-    return contacts(rigid_view(mesh_set, bodies, linear_path), pairs, pair_count,
+                              const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
+                              double min_separation, double tolerance, bool nonzero_toi, int64_t report,
+                              const std::vector<int64_t>& capacity) {
+    return contacts(rigid_view(mesh_set, bodies, linear_path), pairs, pair_counts, faults,
                     {min_separation, tolerance, nonzero_toi}, report, capacity);
   }
 
   static Found contacts_deforming(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies,
-                                  const Tensor& pairs, const Tensor& pair_count, double min_separation,
-                                  double tolerance, bool nonzero_toi, int64_t report,
+                                  const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
+                                  double min_separation, double tolerance, bool nonzero_toi, int64_t report,
                                   const std::vector<int64_t>& capacity) {
-    return contacts(deforming_view(mesh_set, bodies), pairs, pair_count, {min_separation, tolerance, nonzero_toi},
-                    report, capacity);
+    return contacts(deforming_view(mesh_set, bodies), pairs, pair_counts, faults,
+                    {min_separation, tolerance, nonzero_toi}, report, capacity);
   }
 
  private:
@@ -58,7 +60,7 @@ struct WithinOps {
   }
 
   template <class Bodies>
-  static Found contacts(const Bodies& bodies, const Tensor& pairs, const Tensor& pair_count,
+  static Found contacts(const Bodies& bodies, const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
                         const NarrowSettings& settings, int64_t report, const std::vector<int64_t>& capacity) {
     check_capacity(capacity, 7);
     TraverseInput traversal{};
@@ -72,10 +74,22 @@ struct WithinOps {
     narrow.settings = settings;
     narrow.report = report_of(report);
     ContactTensors found = new_contact_tensors(pairs, capacity[6]);
-    Tensor counts = new_tensor<int64_t>(pairs, {int64_t{kTraverseCounts} + int64_t{kContactCounts}});
-    int64_t* traverse_counts = data<int64_t>(counts);
-    Backend(pairs).contacts_within(bodies, traversal, rows<int64_t>(pair_count, "pair_count", {1}), room, narrow,
-                                   {capacity[5], capacity[6]}, contact_columns(found), traverse_counts, traverse_counts + kTraverseCounts);
+    ContactColumns columns = contact_columns(found);
+    Tensor body_pairs = new_tensor<int64_t>(pairs, {capacity[6], 2});
+    columns.pair = nullptr;
+    columns.bodies = data<int64_t>(body_pairs);
+    std::get<0>(found) = body_pairs;
+    Tensor counts =
+        new_tensor<int64_t>(pairs, {kPairCounts + int64_t{kTraverseCounts} + int64_t{kContactCounts} + faults.size(0)});
+    const int64_t* of_pairs = rows<int64_t>(pair_counts, "pair_counts", {kPairCounts});
+    const Backend backend(pairs);
+    int64_t* next = data<int64_t>(counts);
+    backend.copy_counts(of_pairs, kPairCounts, next);
+    next += kPairCounts;
+    backend.contacts_within(bodies, traversal, of_pairs + kPairsWritten, room, narrow, {capacity[5], capacity[6]},
+                            columns, next, next + kTraverseCounts);
+    next += int64_t{kTraverseCounts} + int64_t{kContactCounts};
+    backend.copy_counts(rows<int64_t>(faults, "faults", {kAnySize}), faults.size(0), next);
     return std::tuple_cat(found, std::make_tuple(counts));
   }
 };

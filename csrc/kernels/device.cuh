@@ -4,8 +4,10 @@
 #include <cuda_runtime.h>
 
 #include <cstdint>
+#include <map>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 #include "core/scalar.h"
 #include "kernels/device_context.h"
@@ -69,10 +71,15 @@ void for_each_item(const DeviceContext& context, int64_t count, Fn fn) {
   check_cuda(cudaGetLastError(), "kernel launch");
 }
 
-inline int resident_blocks(int blocks_a_multiprocessor) {
-  int device = 0, multiprocessors = 0;
+inline int current_device() {
+  int device = 0;
   check_cuda(cudaGetDevice(&device), "cudaGetDevice");
-  check_cuda(cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, device),
+  return device;
+}
+
+inline int resident_blocks(int blocks_a_multiprocessor) {
+  int multiprocessors = 0;
+  check_cuda(cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, current_device()),
              "cudaDeviceGetAttribute");
   return multiprocessors * blocks_a_multiprocessor;
 }
@@ -80,10 +87,14 @@ inline int resident_blocks(int blocks_a_multiprocessor) {
 // As many blocks as the device holds at once; for kernels that find out on the device how much there is to do.
 template <class Kernel>
 int resident_blocks_of(Kernel kernel, int block_threads = kBlockThreads) {
+  // The driver takes longer to find out than to launch.
+  thread_local std::map<std::pair<Kernel, int>, int> known;
+  int& found = known[{kernel, current_device()}];
+  if (found > 0) return found;
   int blocks = 0;
   check_cuda(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, kernel, block_threads, 0),
              "cudaOccupancyMaxActiveBlocksPerMultiprocessor");
-  return resident_blocks(larger(blocks, 1));
+  return found = resident_blocks(larger(blocks, 1));
 }
 
 namespace device_detail {

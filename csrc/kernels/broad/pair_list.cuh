@@ -12,7 +12,7 @@ struct PairList {
   unsigned long long* count;
   uint64_t* pairs;
   int64_t capacity;
-  const uint8_t* is_invalid = nullptr;  // of the bodies
+  const int64_t* is_invalid = nullptr;  // of the bodies
 
   // Nobody wants pairs of invalid bodies; there could be very many.
   __device__ bool is_wanted() const { return is_invalid == nullptr || *is_invalid == 0; }

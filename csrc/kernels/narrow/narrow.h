@@ -54,7 +54,8 @@ struct ContactRows {
 
 // Where contact rows go; columns as in ContactRows.
 struct ContactColumns {
-  int32_t* pair;
+  int32_t* pair;    // or null, as the next
+  int64_t* bodies;  // (rows, 2)
   int8_t* kind;
   int32_t* features;
   int8_t* status;
@@ -66,7 +67,8 @@ struct ContactColumns {
 
 // A row that is no contact, where there is more room than contacts.
 PGCCD_HD void pad_row(const ContactColumns& out, int64_t row) {
-  out.pair[row] = -1;
+  if (out.pair != nullptr) out.pair[row] = -1;
+  if (out.bodies != nullptr) out.bodies[2 * row] = out.bodies[2 * row + 1] = -1;
   out.kind[row] = 0;
   out.features[2 * row] = out.features[2 * row + 1] = -1;
   out.status[row] = static_cast<int8_t>(Status::kFree);

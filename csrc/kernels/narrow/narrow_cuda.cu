@@ -158,7 +158,10 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Search
     const Candidate c = search.input.candidates.items[contact.candidate];
     const auto pair = pair_of(bodies, search.input, c);
     const ContactPlace at = contact_place(bodies, pair, c, contact.toi, contact.u, contact.v);
-    out.pair[row] = c.pair;
+    if (out.pair != nullptr) out.pair[row] = c.pair;
+    if (out.bodies != nullptr) {
+      for (int side = 0; side < 2; ++side) out.bodies[2 * row + side] = search.input.pairs[2 * int64_t{c.pair} + side];
+    }
     out.kind[row] = static_cast<int8_t>(c.kind);
     out.features[2 * row] = c.feature_i;
     out.features[2 * row + 1] = c.feature_j;

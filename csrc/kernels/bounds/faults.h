@@ -1,0 +1,44 @@
+// Looking for rows of the input that are not what they should be.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "core/platform.h"
+#include "kernels/executor.h"
+
+namespace pgccd {
+
+enum class RowCheck : int32_t {
+  kMagnitude = 0,   // of each number: at most the limit
+  kUnitLength = 1,  // off by at most the limit
+  kLength = 2,      // at most the limit
+};
+
+struct RowColumn {
+  const double* values;  // (rows, width)
+  int64_t rows;
+  int32_t width;
+  RowCheck check;
+  double limit;
+};
+
+// What is not a number is faulty.
+PGCCD_HD bool is_faulty(const RowColumn& column, int64_t row) {
+  const double* values = column.values + row * column.width;
+  double squared = 0.0;
+  bool small = true;
+  for (int k = 0; k < column.width; ++k) {
+    small &= std::fabs(values[k]) <= column.limit;
+    squared += values[k] * values[k];
+  }
+  if (column.check == RowCheck::kMagnitude) return !small;
+  const double length = std::sqrt(squared);
+  return !((column.check == RowCheck::kUnitLength ? std::fabs(length - 1.0) : length) <= column.limit);
+}
+
+// To `first`: the first faulty row of each column, or its number of rows; then 1 if there is any, else 0.
+void first_faults_cpu(const Executor& executor, const std::vector<RowColumn>& columns, int64_t* first);
+
+}  // namespace pgccd

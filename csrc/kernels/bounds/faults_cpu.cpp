@@ -1,0 +1,29 @@
+#include <algorithm>
+#include <atomic>
+
+#include "kernels/bounds/faults.h"
+
+namespace pgccd {
+
+void first_faults_cpu(const Executor& executor, const std::vector<RowColumn>& columns, int64_t* first) {
+  constexpr int64_t kGrain = 4096;
+  bool any = false;
+  for (size_t k = 0; k < columns.size(); ++k) {
+    const RowColumn& column = columns[k];
+    std::atomic<int64_t> least{column.rows};
+    parallel_chunks(executor, column.rows, kGrain, [&](int, int64_t begin, int64_t end) {
+      for (int64_t row = begin; row < end; ++row) {
+        if (!is_faulty(column, row)) continue;
+        int64_t seen = least.load();
+        while (row < seen && !least.compare_exchange_weak(seen, row)) {
+        }
+        return;
+      }
+    });
+    first[k] = least;
+    any |= first[k] < column.rows;
+  }
+  first[columns.size()] = any;
+}
+
+}  // namespace pgccd

@@ -1,0 +1,45 @@
+#include <stdexcept>
+
+#include "kernels/bounds/faults_cuda.h"
+#include "kernels/device.cuh"
+
+namespace pgccd {
+namespace {
+
+struct Columns {
+  RowColumn column[kMostColumns];
+  int count;
+};
+
+__global__ void __launch_bounds__(kBlockThreads) find_faults(Columns columns, int64_t* first) {
+  const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
+  for (int c = 0; c < columns.count; ++c) {
+    const RowColumn& column = columns.column[c];
+    for (int64_t row = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; row < column.rows; row += stride) {
+      if (!is_faulty(column, row)) continue;
+      atomicMin(reinterpret_cast<unsigned long long*>(first) + c, static_cast<unsigned long long>(row));
+      first[columns.count] = 1;
+    }
+  }
+}
+
+}  // namespace
+
+void first_faults_cuda(const DeviceContext& context, const std::vector<RowColumn>& columns, int64_t* first) {
+  if (columns.size() > kMostColumns) throw std::runtime_error("first_faults: too many columns");
+  Columns all{};
+  all.count = static_cast<int>(columns.size());
+  int64_t most = 0;
+  for (int c = 0; c < all.count; ++c) {
+    all.column[c] = columns[c];
+    most = larger(most, columns[c].rows);
+  }
+  for_each_item(context, all.count + 1,
+                [=] __device__(int64_t c) { first[c] = c < all.count ? all.column[c].rows : 0; });
+  if (most == 0) return;
+  const int64_t blocks = smaller<int64_t>((most + kBlockThreads - 1) / kBlockThreads, resident_blocks(16));
+  find_faults<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(all, first);
+  check_cuda(cudaGetLastError(), "find_faults");
+}
+
+}  // namespace pgccd
