@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Literal, get_args
 
+import torch
 from torch import Tensor
 
 from pgccd import ops
@@ -134,7 +135,7 @@ def find_pairs_within(
     )
     if own:
         for name in ("pairs", "pairs_written"):
-            counts[COUNT_ROWS[name]] += torch.where(invalid[0], 0, own)
+            counts[COUNT_ROWS[name]] += own * (invalid[0] == 0)
         counts[COUNT_ROWS["pairs_overflow"]] += max(0, own - room)
     return with_self_pairs(bodies, pairs), counts
 
