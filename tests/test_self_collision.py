@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,18 +10,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import TriMesh, meshes
+from support.deforming import COLUMNS, Ends, assert_same, crumpled, motion_of, noisy
 from support.shapes import approaching, bumpy, tensors
 from support.truth import assert_linear_rows_close, assert_nothing_missed, rows_of, self_truth
 
 import pgccd
 from pgccd import narrow
-
-Ends = list[np.ndarray]
-COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
-
-
-def motion_of(*bodies: Ends, device: torch.device) -> pgccd.VertexMotion:
-    return pgccd.VertexMotion(*tensors(*(np.concatenate([e[t] for e in bodies]) for t in (0, 1)), device=device))
 
 
 def own_hits(
@@ -72,10 +65,6 @@ def rolled(vertices: np.ndarray, angle: float) -> np.ndarray:
     """A sheet bent about the y axis, `angle` radians a unit of x."""
     x = vertices[:, 0]
     return np.stack([np.sin(angle * x) / angle, vertices[:, 1], (1.0 - np.cos(angle * x)) / angle], axis=1)
-
-
-def noisy(rng: np.random.Generator, vertices: np.ndarray, size: float) -> np.ndarray:
-    return vertices + size * rng.normal(size=vertices.shape)
 
 
 @pytest.mark.parametrize("bend", [0.1, 0.9])
@@ -191,23 +180,6 @@ def test_any_mesh(shape: TriMesh, seed: int, shake: float) -> None:
     assert truth.keys() <= {tuple(row) for row in found[:, 1:].tolist()}
 
 
-def crumpled(count: int, seed: int = 9) -> tuple[list[pgccd.Mesh], list[Ends]]:
-    """Bodies that deform strongly and meet one another."""
-    rng = np.random.default_rng(seed)
-    bodies = approaching(rng, (1,) * count, tuple(rng.uniform(0.5, 1.5, count)), closeness=0.9)
-    ends = [
-        [noisy(rng, m.vertices.numpy() + x[k], 0.4) for x in (bodies.position_t0, bodies.position_t1)]
-        for k, m in enumerate(bodies.meshes)
-    ]
-    return bodies.meshes, ends
-
-
-def assert_same(a: pgccd.Contacts, b: pgccd.Contacts) -> None:
-    for column in COLUMNS:
-        x, y = getattr(a, column), getattr(b, column)
-        assert (x is None) == (y is None) and (x is None or torch.equal(x.cpu(), y.cpu())), column
-
-
 @pytest.mark.parametrize("report", list(narrow.REPORTS))
 def test_among_other_bodies(device: torch.device, report: narrow.Report) -> None:
     """Pairs of two bodies do not change; each body's own contacts are those it has alone; chunks change nothing."""
@@ -248,43 +220,6 @@ def test_reports_agree(device: torch.device) -> None:
     own = pgccd.Scene(shapes, device=device, self_collision=True)
     given = pgccd.detect(own, motion_of(ends[0], device=device), "all", pairs=torch.tensor([[0, 0]], device=device))
     assert_same(given, everything)
-
-
-@pytest.mark.parametrize("report", list(narrow.REPORTS))
-def test_in_a_fixed_room(device: torch.device, report: narrow.Report) -> None:
-    shapes, ends = crumpled(4)
-    scene = pgccd.Scene(shapes, device=device, self_collision=[False, True, True, True])
-    motion = motion_of(*ends, device=device)
-    expected = pgccd.detect(scene, motion, report)
-    needed = expected.stats.needed
-    assert needed is not None and needed.pairs == expected.stats.pcs > 3
-    # A CPU that bounds its search by a first guess meets fewer candidates.
-    room = replace(needed.times(1.5), candidates=100_000)
-    for broad_phase in ("sweep", "grid", "lbvh"):
-        hits = pgccd.detect(scene, motion, report, broad_phase=broad_phase, capacity=room)
-        assert not bool(hits.overflow)
-        assert hits.trim().stats.pcs == needed.pairs
-        assert_same(hits.trim(), expected)
-    # Just enough, one too few, fewer than bodies that collide with themselves, and none.
-    for pairs in (needed.pairs, needed.pairs - 1, 2, 0):
-        hits = pgccd.detect(scene, motion, report, capacity=replace(room, pairs=pairs))
-        assert bool(hits.overflow) == (pairs < needed.pairs)
-        if pairs < needed.pairs:
-            with pytest.raises(pgccd.CapacityError, match=f"pairs: .* in {pairs}"):
-                hits.trim()
-
-
-def test_invalid_vertices_in_a_fixed_room(device: torch.device) -> None:
-    shapes, ends = crumpled(2)
-    scene = pgccd.Scene(shapes, device=device, self_collision=True)
-    room = pgccd.detect(scene, motion_of(*ends, device=device)).stats.needed
-    assert room is not None
-    ends[1][1][3, 2] = np.nan
-    with pytest.raises(ValueError, match="^x_t1"):
-        motion = motion_of(*ends, device=device)  # on a CPU this raises already
-        hits = pgccd.detect(scene, motion, capacity=room.times(1.5))
-        assert bool(hits.overflow) and int(hits.count) == 0
-        hits.trim()
 
 
 def test_threads(device: torch.device) -> None:
