@@ -134,9 +134,11 @@ def find_pairs_within(
         [max(0, room - own), *rest],
     )
     if own:
+        added = own * (invalid[0] == 0)
         for name in ("pairs", "pairs_written"):
-            counts[COUNT_ROWS[name]] += own * (invalid[0] == 0)
-        counts[COUNT_ROWS["pairs_overflow"]] += max(0, own - room)
+            counts[COUNT_ROWS[name]] += added
+    if own > room:
+        counts[COUNT_ROWS["pairs_overflow"]] += 1
     return with_self_pairs(bodies, pairs), counts
 
 
@@ -159,6 +161,8 @@ def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
     own = bodies.self_colliding
     if not len(own):
         return pairs
+    if bodies.scene.body_count == 1:  # which has no other partner
+        return pairs.new_zeros((1, 2))
     first = torch.where(pairs[:, 0] < 0, bodies.scene.body_count, pairs[:, 0])
     # A row moves on by the bodies up to its own, and a new row comes before those of its body.
     row_of_pair = torch.arange(len(pairs), device=pairs.device) + torch.searchsorted(own, first, right=True)

@@ -90,7 +90,7 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, 
         meets = is_leaf = slot == 0;
       } else {
         const SplitPair split = tree.split(nodes);
-        for (int k = 1; k <= tree.sweep().segment_count && slot >= split.first_slot && !meets; ++k) {
+        for (int k = 1; k <= tree.sweep().segment_count && !meets; ++k) {
           meets = tree.clearance(split, tree.other_node(split, k), k, slot) <= 0.0f;
         }
         child.nodes = split.child(slot);

@@ -10,19 +10,23 @@ struct NodePair {
   int32_t first, second;
 };
 
-// Children `block * 8 + slot` of one node of a pair, each paired with the other node; those below `first_slot` are not
-// wanted.
+// Children `block * 8 + slot` of one node of a pair, each paired with the other node.
 struct SplitPair {
   int32_t block;
   int32_t other;
   bool first_is_split;
-  int32_t first_slot;
 
   PGCCD_HD NodePair child(int slot) const {
     const int32_t node = block * kBlockWidth + slot;
     return first_is_split ? NodePair{node, other} : NodePair{other, node};
   }
 };
+
+// A body is tested against itself from the pairs of nodes that share a block, in all of its blocks, and the pairs of a
+// leaf and itself: below these, every two leaves meet once, not twice as mirror images. They are many and small, so
+// that the work is spread from the beginning.
+constexpr int kPairsInBlock = kBlockWidth * (kBlockWidth - 1) / 2;
+PGCCD_HD SplitPair with_siblings(int32_t block, int slot) { return {block, block * kBlockWidth + slot, false}; }
 
 // Poses at all segment boundaries of a pair are kept by the caller: segment_count + 1 of them.
 template <class Bodies>
@@ -40,20 +44,20 @@ class PairTree {
   PGCCD_HD NodeLink link(int side, int32_t node) const {
     return bodies_.meshes.node_links[sweep_.first_block[side] * kBlockWidth + node];
   }
+  // Of the first body.
+  PGCCD_HD int32_t block_count() const {
+    const MeshOffsets* offsets = bodies_.meshes.offsets + bodies_.mesh_index[sweep_.body[0]];
+    return static_cast<int32_t>(offsets[1].block - offsets[0].block);
+  }
   PGCCD_HD bool is_leaf(int side, int32_t node) const { return link(side, node).triangle_count > 0; }
   PGCCD_HD bool is_leaf_pair(NodePair nodes) const { return is_leaf(0, nodes.first) && is_leaf(1, nodes.second); }
 
-  // The larger sphere of an inner pair is split. Of a body and itself, (node, node) becomes (child, node) and that
-  // (child, later or equal child): so every two leaves meet once, not twice as mirror images.
+  // The larger sphere of an inner pair is split.
   PGCCD_HD SplitPair split(NodePair nodes) const {
-    if (sweep_.is_one_body() && !is_leaf(1, nodes.second)) {
-      const int32_t block = link(1, nodes.second).first;
-      if (nodes.first / kBlockWidth == block) return {block, nodes.first, false, nodes.first % kBlockWidth};
-    }
     const bool split_first =
         is_leaf(1, nodes.second) || (!is_leaf(0, nodes.first) && radius(0, nodes.first) >= radius(1, nodes.second));
     const int32_t block = split_first ? link(0, nodes.first).first : link(1, nodes.second).first;
-    return {block, split_first ? nodes.second : nodes.first, split_first, 0};
+    return {block, split_first ? nodes.second : nodes.first, split_first};
   }
 
   // Bit s is set if child s and the other node may meet during the step.
@@ -64,7 +68,7 @@ class PairTree {
       clearances(split, k, clearance);
       for (int slot = 0; slot < kBlockWidth; ++slot) mask |= clearance[slot] <= 0.0f ? 1u << slot : 0u;
     }
-    return mask >> split.first_slot << split.first_slot;
+    return mask;
   }
 
   // The child that overlaps the other node most, or -1 if none does.
@@ -74,7 +78,7 @@ class PairTree {
     for (int k = 1; k <= sweep_.segment_count; ++k) {
       float clearance[kBlockWidth];
       clearances(split, k, clearance);
-      for (int slot = split.first_slot; slot < kBlockWidth; ++slot) {
+      for (int slot = 0; slot < kBlockWidth; ++slot) {
         if (!(clearance[slot] <= least) || (deepest >= 0 && clearance[slot] == least)) continue;
         least = clearance[slot];
         deepest = slot;

@@ -120,14 +120,37 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
   }
 }
 
+// The tasks of a body that is tested against itself. Returns the number of node tests.
+template <class Bodies>
+int64_t start_within(const PairTree<Bodies>& tree, int32_t pair, std::vector<Task>& tasks) {
+  const int32_t blocks = tree.block_count();
+  for (int32_t block = 0; block < blocks; ++block) {
+    for (int slot = 0; slot < kBlockWidth; ++slot) {
+      const SplitPair siblings = with_siblings(block, slot);
+      if (tree.is_leaf(0, siblings.other)) tasks.push_back({pair, {siblings.other, siblings.other}});
+      const uint32_t later = 0xffu << (slot + 1);
+      for_each_bit(tree.children_meeting(siblings) & later,
+                   [&](int other) { tasks.push_back({pair, siblings.child(other)}); });
+    }
+  }
+  return int64_t{kPairsInBlock} * blocks;
+}
+
 // A few large pairs are cut into many tasks, level by level, so that every worker has some; order is kept.
 template <class Bodies>
 std::vector<Task> make_tasks(const Bodies& bodies, const TraverseInput& input, int workers, int64_t& node_tests) {
   std::vector<Task> tasks;
   tasks.reserve(input.pair_count);
-  for (int64_t pair = 0; pair < input.pair_count; ++pair) tasks.push_back({static_cast<int32_t>(pair), {0, 0}});
-  const size_t enough = static_cast<size_t>(workers > 1 && !input.leading ? 16 * workers : 0);
   PairCache<Bodies> cache(bodies, input);
+  for (int64_t pair = 0; pair < input.pair_count; ++pair) {
+    const int32_t row = static_cast<int32_t>(pair);
+    if (!SweepOf<Bodies>::type::may_be_one_body || input.pairs[2 * pair] != input.pairs[2 * pair + 1]) {
+      tasks.push_back({row, {0, 0}});
+    } else if (!input.leading) {
+      node_tests += start_within(cache.tree(row), row, tasks);
+    }
+  }
+  const size_t enough = static_cast<size_t>(workers > 1 && !input.leading ? 16 * workers : 0);
   for (int level = 0; level < 2 * kMaxTreeDepth && !tasks.empty() && tasks.size() < enough; ++level) {
     std::vector<Task> next;
     for (const Task& task : tasks) {
