@@ -159,6 +159,32 @@ def test_compile_with_the_default_backend(device: torch.device) -> None:
     assert torch.equal(nearest(*points), pgccd.narrow.vertex_face(points[0] + 0.5, points[1] + 0.5).toi.min())
 
 
+def test_operators_complain_themselves(device: torch.device) -> None:
+    columns = tensors(*np.zeros((2, 5, 3)), np.ones(5), device=device)
+    with pytest.raises(RuntimeError, match="position_t0: wrong dtype"):
+        ops.sweep(columns[0].float(), *columns[1:], None, None, None, None, 0.0, -1)
+    with pytest.raises(RuntimeError, match="expected size 5 in dimension 0, got 4"):
+        ops.lbvh(columns[0], columns[1][:4], columns[2], None, None, None, None, 0.0)
+    with pytest.raises(RuntimeError, match="capacity: expected 3 numbers, got 1"):
+        ops.pairs_within(*columns, None, None, None, None, None, 0.0, 1, [8])
+
+
+@pytest.mark.cuda
+def test_out_of_memory_is_an_exception() -> None:
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    count = 40_000
+    columns = tensors(*np.random.default_rng(3).uniform(0, 0.3, (2, count, 3)), np.ones(count), device="cuda")
+    torch.cuda.empty_cache()
+    torch.cuda.set_per_process_memory_fraction(0.005)
+    try:
+        with pytest.raises(RuntimeError, match=r"(?i)memory"):
+            ops.sweep(*columns, None, None, None, None, 0.0, -1)  # 800 million pairs
+    finally:
+        torch.cuda.set_per_process_memory_fraction(1.0)
+    assert ops.sweep(*(column[:50] for column in columns), None, None, None, None, 0.0, -1).shape == (1225, 2)
+
+
 def test_layout_does_not_matter(device: torch.device) -> None:
     rng = np.random.default_rng(4)
     points = tensors(*rng.normal(size=(2, 40, 4, 3)), device=device)

@@ -34,7 +34,7 @@ struct GroupShared {
 
 template <class T>
 __device__ void copy_words(const T& source, T& target, int slot) {
-  static_assert(sizeof(T) % sizeof(uint32_t) == 0);
+  static_assert(sizeof(T) % sizeof(uint32_t) == 0 && std::is_trivially_copyable_v<T>);
   const auto* from = reinterpret_cast<const uint32_t*>(&source);
   auto* to = reinterpret_cast<uint32_t*>(&target);
   for (int k = slot; k < static_cast<int>(sizeof(T) / sizeof(uint32_t)); k += kBlockWidth) to[k] = from[k];
@@ -102,11 +102,12 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, 
     }
     const uint32_t leaf_lanes = __ballot_sync(kAllLanes, is_leaf);
     const uint32_t inner_lanes = (__ballot_sync(kAllLanes, meets && !is_leaf) >> shift) & 0xffu;
-    // Every group has read the top of its stack.
+    __syncwarp();  // every group has read the top of its stack
     if (meets && !is_leaf) shared.stack[group.size + __popc(inner_lanes & lanes_below(slot))] = child.nodes;
     group.size += __popc(inner_lanes);
     waiting = buffer.add(waiting, leaf_lanes, child, lane, leaves.count, put_leaf);
 
+    __syncwarp();  // the stacks are written
     const bool hands_back = group.size > 0 && (group.rounds >= most_rounds || group.size > kStackSize - kBlockWidth);
     if (__ballot_sync(kAllLanes, hands_back) == 0) continue;
     if (hands_back) {

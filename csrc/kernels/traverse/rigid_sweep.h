@@ -14,6 +14,7 @@ struct RigidSweep : PairFrame {
   // |n1 - n0| (3/2 h - h^2) <= 3/2 |n_end - n0|.
   float tilt;
   int segment_count;
+  int32_t unused = 0;  // instead of padding, since sweeps are copied word by word
 
   PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until)
       : PairFrame(bodies, i, j, until) {
