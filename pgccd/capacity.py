@@ -66,6 +66,7 @@ class Capacity:
             leaf_pairs=12 * pairs + 12 * self_vertex_count,
             candidates=8 * pairs + 20 * self_vertex_count,
             open=3 * pairs + 8 * self_vertex_count,
+            launches=12 if self_vertex_count else 4,  # a few parts of such a body hold most of the work
         ).times(1.0)
 
     def times(self, factor: float) -> Capacity:

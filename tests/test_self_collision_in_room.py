@@ -11,6 +11,8 @@ from support.deforming import Ends, assert_same, crumpled, motion_of
 
 import pgccd
 from pgccd import narrow
+from pgccd.memory import recall_capacity
+from pgccd.query import Query
 
 
 def crumpled_room(device: torch.device) -> tuple[pgccd.Scene, list[Ends], pgccd.Capacity]:
@@ -99,3 +101,13 @@ def test_capture_in_a_graph() -> None:
         expected = pgccd.detect(scene, pgccd.VertexMotion(start.clone(), end.clone()), "all")
         assert len(expected) > 0
         assert_same(hits.trim(), expected)
+
+
+def test_room_expected_of_a_first_step(device: torch.device) -> None:
+    """More for bodies that collide with themselves, and more launches even where the meshes remember a step without."""
+    shapes, ends = crumpled(2)
+    meshes, query = pgccd.MeshSet(shapes, device), Query("all", 0.0, None, False)
+    plain, own = (pgccd.Scene(meshes, self_collision=wanted) for wanted in (False, True))
+    assert recall_capacity(own, query, None).candidates > recall_capacity(plain, query, None).candidates
+    pgccd.detect(plain, motion_of(*ends, device=device), "all")
+    assert recall_capacity(own, query, None).launches > recall_capacity(plain, query, None).launches

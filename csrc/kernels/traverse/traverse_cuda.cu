@@ -20,6 +20,7 @@ struct Counters {
   uint32_t edge_edge, vertex_face;  // candidates
   uint32_t poses;
   unsigned long long node_tests;
+  unsigned long long within;  // see PairsWithin
 };
 
 // Of bodies that may be tested against themselves.
@@ -72,6 +73,8 @@ struct Traversal {
               count != nullptr ? count : count_on_device(),
               &counters_->poses,
               0};
+    const int64_t most_within = Sweep::may_be_one_body ? input.pair_count : 0;
+    within_ = {&counters_->within, context.allocate<uint32_t>(most_within), context.allocate<int32_t>(most_within)};
   }
 
   int64_t* count_on_device() {
@@ -134,6 +137,7 @@ struct Traversal {
     const Bodies bodies = bodies_;
     const TraverseInput input = input_;
     Counters* counters = counters_;
+    const PairsWithin within = within_;
     auto* sweeps = const_cast<Sweep*>(pairs_.sweeps);
     auto* pose_begin = const_cast<uint32_t*>(pairs_.pose_begin);
     LocalPose* poses = context_.allocate<LocalPose>(capacity);
@@ -146,6 +150,7 @@ struct Traversal {
       if (begin + sweep.segment_count >= capacity) begin = 0;  // somebody else's: nobody will look
       for (int k = 0; k <= sweep.segment_count; ++k) poses[begin + k] = sweep.pose(bodies, k);
       sweeps[pair] = sweep;
+      within.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
       pose_begin[pair] = begin;
     });
   }
@@ -183,6 +188,11 @@ struct Traversal {
     descend_from_roots<Bodies><<<resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
         pairs_, leaves, rest, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_from_roots");
+    if constexpr (Sweep::may_be_one_body) {
+      start_within<Bodies><<<resident_blocks_of(start_within<Bodies>), kBlockThreads, 0, context_.stream>>>(
+          pairs_, within_, leaves, rest, &counters_->node_tests);
+      check_cuda(cudaGetLastError(), "start_within");
+    }
   }
 
   void descend_rest(int launch, TaskList from, TaskList leaves, TaskList rest) {
@@ -207,6 +217,7 @@ struct Traversal {
   const TraverseInput& input_;
   Counters* counters_;
   Pairs<Bodies> pairs_;
+  PairsWithin within_;
 };
 
 }  // namespace
