@@ -91,6 +91,15 @@ class MovingBodies:
     def radius(self) -> Tensor:
         return self.tensors[3]
 
+    @property
+    def self_colliding(self) -> Tensor:
+        """(S,) int64, ascending: the bodies that are tested against themselves. None unless they deform: distances
+        within a rigid body stay, and on straight paths it changes by an affine map, which joins nothing that is apart
+        (but for the moment in the middle of exactly half a turn).
+        """
+        rows = self.scene.self_colliding
+        return rows if self.deforming else rows[:0]
+
 
 def _rigid(scene: Scene, motion: RigidMotion) -> list[Tensor]:
     if motion.body_count != scene.body_count:

@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable
 from typing import Literal, get_args
 
+import torch
 from torch import Tensor
 
 from pgccd import ops
 from pgccd.bodies import MovingBodies
-from pgccd.capacity import Capacity
+from pgccd.capacity import COUNT_ROWS, Capacity
 
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
@@ -34,14 +35,16 @@ def sweep(bodies: MovingBodies, min_separation: float = 0.0, axis: Literal["auto
 
     Returns:
         (P, 2) int64: every pair i < j that the scene's filters allow and whose swept spheres come within the separation
-        (and, by rounding outward, perhaps a few that miss it by about 1e-14 of their distance), sorted.
+        (and, by rounding outward, perhaps a few that miss it by about 1e-14 of their distance), and (i, i) for every
+        body that collides with itself; sorted.
 
     Example:
         >>> pairs = pgccd.broad.sweep(bodies)
     """
     if axis not in _AXES:
         raise ValueError(f"axis: expected one of {list(_AXES)}, got {axis!r}")
-    return ops.sweep(*_columns(bodies), check_separation(min_separation), _AXES[axis])
+    pairs = ops.sweep(*_columns(bodies), check_separation(min_separation), _AXES[axis])
+    return with_self_pairs(bodies, pairs)
 
 
 def grid(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
@@ -60,7 +63,7 @@ def grid(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
     Example:
         >>> pairs = pgccd.broad.grid(bodies)
     """
-    return ops.grid(*_columns(bodies), check_separation(min_separation))
+    return with_self_pairs(bodies, ops.grid(*_columns(bodies), check_separation(min_separation)))
 
 
 def lbvh(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
@@ -79,7 +82,7 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
     Example:
         >>> pairs = pgccd.broad.lbvh(bodies)
     """
-    return ops.lbvh(*_columns(bodies), check_separation(min_separation))
+    return with_self_pairs(bodies, ops.lbvh(*_columns(bodies), check_separation(min_separation)))
 
 
 def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase:
@@ -121,13 +124,22 @@ def find_pairs_within(
         `pgccd.capacity.Counts`. If there was no room for all pairs, any may be missing.
     """
     number = list(_FINDERS).index(choose(bodies, broad_phase))
-    return ops.pairs_within(
+    own = len(bodies.self_colliding)
+    room, *rest = capacity.of_pairs
+    pairs, counts = ops.pairs_within(
         *_columns(bodies),
         invalid,
         check_separation(min_separation),
         number,
-        capacity.of_pairs,
+        [max(0, room - own), *rest],
     )
+    if own:
+        added = own * (invalid[0] == 0)
+        for name in ("pairs", "pairs_written"):
+            counts[COUNT_ROWS[name]] += added
+    if own > room:
+        counts[COUNT_ROWS["pairs_overflow"]] += 1
+    return with_self_pairs(bodies, pairs), counts
 
 
 def find_pairs(bodies: MovingBodies, min_separation: float = 0.0, broad_phase: BroadPhase = "auto") -> Tensor:
@@ -140,6 +152,25 @@ def find_pairs(bodies: MovingBodies, min_separation: float = 0.0, broad_phase: B
 
 
 _FINDERS: dict[str, Callable[[MovingBodies, float], Tensor]] = {"sweep": sweep, "grid": grid, "lbvh": lbvh}
+
+
+def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
+    """Sorted pairs (P, 2), perhaps with rows of -1 after them, and among them (i, i) for every body that collides with
+    itself. How many they are is known, so that nothing waits for a device.
+    """
+    own = bodies.self_colliding
+    if not len(own):
+        return pairs
+    if bodies.scene.body_count == 1:  # which has no other partner
+        return pairs.new_zeros((1, 2))
+    first = torch.where(pairs[:, 0] < 0, bodies.scene.body_count, pairs[:, 0])
+    # A row moves on by the bodies up to its own, and a new row comes before those of its body.
+    row_of_pair = torch.arange(len(pairs), device=pairs.device) + torch.searchsorted(own, first, right=True)
+    row_of_own = torch.arange(len(own), device=pairs.device) + torch.searchsorted(first, own)
+    merged = pairs.new_empty((len(pairs) + len(own), 2))
+    merged[row_of_pair] = pairs
+    merged[row_of_own] = own[:, None].expand(-1, 2)
+    return merged
 
 
 def _columns(

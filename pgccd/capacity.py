@@ -45,12 +45,13 @@ class Capacity:
     long_rows: bool = False  #: may one body have more than 32 partners of larger index?
 
     @classmethod
-    def guess(cls, body_count: int, pair_count: int | None = None) -> Capacity:
-        """Room for a scene like the nanorobot world, nearly twice over.
+    def guess(cls, body_count: int, pair_count: int | None = None, self_vertex_count: int = 0) -> Capacity:
+        """Room for a scene like the nanorobot world, nearly twice over, and for folded cloth.
 
         Args:
             body_count: bodies of the scene.
             pair_count: body pairs, where they are given.
+            self_vertex_count: vertices of bodies that collide with themselves.
 
         Example:
             >>> room = pgccd.Capacity.guess(scene.body_count)
@@ -58,13 +59,14 @@ class Capacity:
         pairs = 5 * body_count // 4 if pair_count is None else pair_count
         return cls(
             pairs=pairs,
-            contacts=pairs // 2,
+            contacts=pairs // 2 + 4 * self_vertex_count,
             overlaps=3 * body_count if pair_count is None else 0,
             poses=3 * pairs,
-            tasks=pairs,
-            leaf_pairs=12 * pairs,
-            candidates=8 * pairs,
-            open=3 * pairs,
+            tasks=pairs + 4 * self_vertex_count,
+            leaf_pairs=12 * pairs + 12 * self_vertex_count,
+            candidates=8 * pairs + 20 * self_vertex_count,
+            open=3 * pairs + 8 * self_vertex_count,
+            launches=12 if self_vertex_count else 4,  # a few parts of such a body hold most of the work
         ).times(1.0)
 
     def times(self, factor: float) -> Capacity:

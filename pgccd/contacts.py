@@ -44,7 +44,7 @@ class Contacts:
     and all other fields are None.
     """
 
-    pairs: Tensor  #: (K, 2) int64 body indices, i < j
+    pairs: Tensor  #: (K, 2) int64 body indices, i < j; i, i where a body touches itself
     toi: (
         Tensor | None
     )  #: (K,) float64 in [0, 1]: no contact of these features happens before it; 0: touching at t0 already
@@ -54,7 +54,9 @@ class Contacts:
         Tensor | None
     )  #: (K, 2): face point f0 + u (f1 - f0) + v (f2 - f0), or parameters along i's and j's edge
     point: Tensor | None  #: (K, 3) world: halfway between the nearest points at toi
-    normal: Tensor | None  #: (K, 3) unit vector from i towards j at toi (zero if degenerate features coincide)
+    normal: (
+        Tensor | None
+    )  #: (K, 3) unit vector from i (or the first feature) towards j at toi (zero if degenerate features coincide)
     status: Tensor | None  #: (K,) int8, see `Status`
     stats: Stats
 

@@ -66,7 +66,9 @@ def detect(
     """Finds the collisions that happen during one step.
 
     Nothing is missed: if two primitives of different bodies touch (distance <= min_separation) at some t in [0, 1] on
-    the paths the motion defines, a contact is reported, and its toi is not later than that t.
+    the paths the motion defines, a contact is reported, and its toi is not later than that t. The same holds within a
+    body that deforms (`VertexMotion`) and has `self_collision` set in the scene, for primitives that share no vertex;
+    such contacts are of a pair (i, i).
 
     Args:
         scene: the bodies.
@@ -80,8 +82,9 @@ def detect(
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
         broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses one by the bodies' sizes
             and says so in `stats`. The result does not depend on it.
-        pairs: (P, 2) int64, i < j, sorted: test these body pairs and no others, without a broad phase (a part of an
-            earlier step's, say). The scene's filters are not applied to them.
+        pairs: (P, 2) int64, i < j (or i, i where a body collides with itself), sorted: test these body pairs and no
+            others, without a broad phase (a part of an earlier step's, say). The scene's filters are not applied to
+            them.
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB,
             or a quarter of what is free on a GPU if that is more. The result does not depend on it.
         capacity: room for the result and all on the way to it. Then sizes are fixed and nothing waits for the device,

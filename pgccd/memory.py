@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -49,9 +49,12 @@ def recall_capacity(scene: Scene, query: Query, pairs: Tensor | None) -> Capacit
     """
     size = scene.body_count if pairs is None else len(pairs)
     last = scene.meshes.experience.get(_kind(query, pairs))
+    given = None if pairs is None else len(pairs)
+    guess = Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
     if not isinstance(last, _Experience):
-        return Capacity.guess(scene.body_count, None if pairs is None else len(pairs))
-    return last.needed.times(_SLACK * size / last.size)
+        return guess
+    room = last.needed.times(_SLACK * size / last.size)
+    return replace(room, launches=max(room.launches, guess.launches))
 
 
 def remember_needs(scene: Scene, query: Query, pairs: Tensor | None, needed: Capacity) -> None:

@@ -38,6 +38,9 @@ class Scene:
         group, mask: (N,) int64 bit sets; default all bits.
         world: (N,) integers; default all in one.
         static: (N,) bool; default none.
+        self_collision: bool, or (N,) bool: which bodies are also tested against themselves, as pairs (i, i), while they
+            deform (`VertexMotion`); default none. Of a body's features those are tested that share no vertex. Neither
+            group, mask nor world keep a body from itself; being static does.
 
     Raises:
         ValueError, TypeError: naming the argument.
@@ -58,6 +61,7 @@ class Scene:
         mask: Tensor | Sequence[int] | None = None,
         world: Tensor | Sequence[int] | None = None,
         static: Tensor | Sequence[bool] | None = None,
+        self_collision: Tensor | Sequence[bool] | bool = False,
     ) -> None:
         if device is None:
             if isinstance(meshes, MeshSet):
@@ -86,7 +90,15 @@ class Scene:
         self.group = None if group is None else _integer_column(group, "group", count, self.device)
         self.mask = None if mask is None else _integer_column(mask, "mask", count, self.device)
         self.world = None if world is None else _world_column(world, count, self.device)
-        self.static = None if static is None else _static_column(static, count, self.device)
+        self.static = None if static is None else _bool_column(static, "static", count, self.device)
+        #: (N,) bool, or None where no body is tested against itself.
+        self.self_collision = _self_column(self_collision, count, self.device)
+        if self.self_collision is not None and self.static is not None:
+            self.self_collision &= self.static == 0
+        #: (S,) int64, ascending: these bodies. Known from the start, so that a step need not ask a device for them.
+        self.self_colliding = _rows_of(self.self_collision, self.device)
+        #: How many vertices they have together.
+        self.self_colliding_vertices = _vertex_count(meshes, self.mesh_index[self.self_colliding])
 
     @classmethod
     def of_checked(cls, meshes: MeshSet, mesh_index: Tensor, **filters: Tensor) -> Scene:
@@ -141,10 +153,27 @@ def _world_column(values: Tensor | Sequence[int], count: int, device: torch.devi
     return column.to(torch.int32)
 
 
-def _static_column(values: Tensor | Sequence[bool], count: int, device: torch.device) -> Tensor:
+def _bool_column(values: Tensor | Sequence[bool], name: str, count: int, device: torch.device) -> Tensor:
     column = torch.as_tensor(values)
     if column.numel() and column.dtype != torch.bool:
-        raise TypeError(f"static: expected bool, got {column.dtype}")
+        raise TypeError(f"{name}: expected bool, got {column.dtype}")
     if column.shape != (count,):
-        raise ValueError(f"static: expected shape ({count},), got {tuple(column.shape)}")
+        raise ValueError(f"{name}: expected shape ({count},), got {tuple(column.shape)}")
     return column.to(device=device, dtype=torch.uint8).contiguous()
+
+
+def _self_column(values: Tensor | Sequence[bool] | bool, count: int, device: torch.device) -> Tensor | None:
+    if isinstance(values, bool):
+        return torch.ones(count, dtype=torch.bool, device=device) if values else None
+    return _bool_column(values, "self_collision", count, device).to(torch.bool)
+
+
+def _vertex_count(meshes: MeshSet, mesh_index: Tensor) -> int:
+    begin = meshes.offsets[:, 0]
+    return int((begin[1:] - begin[:-1])[mesh_index.cpu().long()].sum()) if len(mesh_index) else 0
+
+
+def _rows_of(column: Tensor | None, device: torch.device) -> Tensor:
+    if column is None:
+        return torch.empty(0, dtype=torch.int64, device=device)
+    return torch.nonzero(column).flatten()

@@ -25,7 +25,7 @@ def bvtt(
 
     Args:
         bodies: the scene in motion.
-        pairs: (P, 2) int64 body pairs, i < j; P below 2^31.
+        pairs: (P, 2) int64 body pairs, i < j, or (i, i) where the body collides with itself; P below 2^31.
         min_separation: length.
         tolerance: length; default 1e-6 of the smaller SBV radius of each pair.
         horizon: (P,) float64 in [0, 1]: look no further than this time in each pair. Default: the whole step.
@@ -35,7 +35,8 @@ def bvtt(
     Returns:
         candidates (C, 4) int32: row of `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Unless
         `leading`, every feature pair that may touch is listed, and none twice (representative triangles, Curtis et
-        al. 2008). The order is not specified.
+        al. 2008). Of a pair (i, i) they are of kind VF_AB, or EE with the smaller edge first. The order of rows is not
+        specified.
         node_tests (1,) int64: how many node pairs were tested.
 
     Example:
@@ -83,8 +84,14 @@ def check_pairs(pairs: Tensor, bodies: MovingBodies) -> Tensor:
     if pairs.device != bodies.device:
         raise ValueError(f"pairs: expected device {bodies.device}, got {pairs.device}")
     count = bodies.scene.body_count
-    in_order = (pairs[:, 0] >= 0) & (pairs[:, 0] < pairs[:, 1]) & (pairs[:, 1] < count)
-    require(in_order, f"pairs: expected rows 0 <= i < j < {count}")
+    i, j = pairs.unbind(dim=1)
+    in_order = (i >= 0) & (i < j) & (j < count)
+    expected = f"pairs: expected rows 0 <= i < j < {count}"
+    own = bodies.scene.self_collision
+    if own is not None and len(bodies.self_colliding):
+        in_order |= (i == j) & (i >= 0) & (j < count) & own[i.clamp(0, count - 1)]
+        expected += ", or (i, i) of a body that collides with itself"
+    require(in_order, expected)
     return pairs.contiguous()
 
 

@@ -144,3 +144,20 @@ def test_many(device: torch.device) -> None:
         rng = np.random.default_rng([7, seed])
         bodies, ends = random_ends(rng, float(rng.choice([0.0, 0.01, 0.3, 1.0])), float(rng.choice([0.0, 1e6])))
         check(bodies.meshes, ends, device, float(rng.choice([0.0, 0.01, 0.2])))
+
+
+@pytest.mark.cuda
+def test_bounds_have_the_bits_of_the_cpu() -> None:
+    """Bodies of one block of nodes and of thousands, side by side."""
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    rng = np.random.default_rng(8)
+    meshes = [pgccd.Mesh(np.eye(3), [[0, 1, 2]]), *(bumpy(rng, k) for k in (0, 3, 5))]
+    index = rng.integers(0, 4, 50)
+    ends = [[rng.normal(size=3) + rng.normal(size=meshes[k].vertices.shape) for _ in (0, 1)] for k in index]
+    bounds = []
+    for device in (torch.device("cpu"), torch.device("cuda")):
+        scene = pgccd.Scene(meshes, torch.from_numpy(index).to(device), device)
+        bounds.append(pgccd.MovingBodies(scene, vertex_motion(ends, device)).tensors)
+    for on_cpu, on_gpu in zip(*bounds, strict=True):  # empty slots hold NaN
+        assert torch.equal(on_cpu.view(torch.uint8), on_gpu.cpu().view(torch.uint8))

@@ -136,6 +136,9 @@ for _name in ("group", "mask", "world", "static"):
 for _name in ("group", "mask", "world"):
     case(f"{_name} float", lambda n=_name: scene(**{n: [0.5, 1.0]}), _name, "integers")
 case("world range", lambda: scene(world=[0, 2**31]), "world")
+case("self_collision count", lambda: scene(self_collision=[True]), "self_collision", "2")
+case("self_collision type", lambda: scene(self_collision=[1, 0]), "self_collision", "bool")
+case("self_collision number", lambda: scene(self_collision=1), "self_collision", "bool")
 case("static type", lambda: scene(static=[0, 1]), "static", "bool")
 case("no faces", lambda: pgccd.Mesh(TRIANGLE, np.zeros((0, 3), int)), "faces")
 case("face range", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2], [0, 1, 3]]), "faces", "face 1", "3 vertices")
@@ -164,9 +167,21 @@ case("pairs dtype", lambda: pgccd.traverse.bvtt(moved(), PAIR.int()), "pairs", "
 case("pairs shape", lambda: pgccd.traverse.bvtt(moved(), PAIR[0]), "pairs", "shape")
 for _rows in ([[0, 2]], [[-1, 1]], [[1, 0]], [[0, 1], [1, 1]]):
     case(f"pairs {_rows}", lambda r=_rows: pgccd.traverse.bvtt(moved(), torch.tensor(r)), "pairs")
+for _kind in ("other body", "rigid motion"):
+    case(f"pair of one body, {_kind}", lambda k=_kind: one_body_as_pair(k), "pairs", "i < j")
 case("horizon", lambda: pgccd.traverse.bvtt(moved(), PAIR, horizon=torch.ones(2)), "horizon")
 case("horizon nan", lambda: pgccd.traverse.bvtt(moved(), PAIR, horizon=torch.tensor([NAN]).double()), "horizon")
 case("candidates", lambda: pgccd.narrow.contacts(moved(), PAIR, torch.zeros(1, 4)), "candidates", "int32")
+
+
+def one_body_as_pair(kind: str) -> pgccd.Contacts:
+    """A pair (1, 1), which is none: only body 0 collides with itself, or nothing deforms."""
+    b = bodies()
+    ends = torch.cat([mesh.vertices for mesh in b.meshes])
+    deforms = kind == "other body"
+    motion = pgccd.VertexMotion(ends, ends) if deforms else b.motion()
+    filtered = pgccd.Scene(b.meshes, self_collision=[True, not deforms])
+    return pgccd.detect(filtered, motion, pairs=torch.tensor([[1, 1]]))
 
 
 def detect_spinning(spin: float, dt: float) -> pgccd.Contacts:

@@ -133,3 +133,38 @@ def test_contacts_between_components(name: str) -> None:
     assert true - found == set(), "missed"
     assert len(extra) <= SCENE_FALSE_POSITIVES.get(f"{name}.bodies", 0)
     assert hits.stats.unresolved <= len(hits) // 100
+
+
+@pytest.mark.parametrize("name", names("scenes/*.npz"))
+def test_contacts_of_one_body(name: str, device: torch.device) -> None:
+    """The whole scene as one body that collides with itself: the true contacts of the list, and no others."""
+    scene = load_scene(name)
+    mesh = pgccd.Mesh(scene["vertices_t0"], scene["faces"])
+    ends = [torch.from_numpy(scene[key]).to(device) for key in ("vertices_t0", "vertices_t1")]
+    bodies = pgccd.Scene([mesh], device=device, self_collision=True)
+    hits = pgccd.detect(bodies, pgccd.VertexMotion(*ends), "all", tolerance=1e-6)
+
+    # One number a row: kind, first, second. The scene's edges are numbered otherwise than the mesh's.
+    vertices = len(scene["vertices_t0"])
+    of_mesh, of_scene = (
+        np.sort(e, axis=1) @ np.array([vertices, 1]) for e in (mesh.edges.long().numpy(), scene["edges"])
+    )
+    renumbered = np.searchsorted(of_mesh, of_scene)
+    assert np.array_equal(of_mesh[renumbered], of_scene)
+    key = np.array([2**60, 2**30, 1])
+    vf, ee = (
+        scene["vf_pairs"][scene["vf_collides"]],
+        np.sort(renumbered[scene["ee_pairs"]], axis=1)[scene["ee_collides"]],
+    )
+    rows = [np.insert(pairs, 0, kind, axis=1) for kind, pairs in ((pgccd.VF_AB, vf), (pgccd.EE, ee))]
+    true = np.concatenate(rows).astype(np.int64) @ key
+    found = torch.cat([hits.kind.long()[:, None], hits.features.long()], dim=1).cpu().numpy() @ key
+    assert len(np.unique(found)) == len(found), "a contact is listed twice"
+
+    missed, extra = np.setdiff1d(true, found), np.setdiff1d(found, true)
+    per_contact = hits.stats.candidates / max(1, len(true))
+    print(f"{name}: {len(true)} true contacts, {len(found)} found, {len(missed)} missed, {len(extra)} extra", end=", ")  # noqa: T201
+    print(f"{per_contact:.1f} candidates a true contact")  # noqa: T201
+    assert len(missed) == 0
+    assert len(extra) <= SCENE_FALSE_POSITIVES.get(f"{name}.self", 0)
+    assert hits.stats.unresolved <= len(hits) // 100

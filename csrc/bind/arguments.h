@@ -107,6 +107,7 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
   const int64_t count = t[0].size(0);
   view.centres = {rows<double>(t[1], "bodies.position_t0", {count, 3}),
                   rows<double>(t[2], "bodies.position_t1", {count, 3}), rows<double>(t[3], "bodies.radius", {count})};
+  view.vertex_count = t[4].size(0);
   view.vertices_t0 = rows<double>(t[4], "bodies.vertices_t0", {kAnySize, 3});
   view.vertices_t1 = rows<double>(t[5], "bodies.vertices_t1", {t[4].size(0), 3});
   view.blocks_t0 = rows<float, NodeBlock>(t[6], "bodies.blocks_t0", {kAnySize, kBlockColumns, kBlockWidth});

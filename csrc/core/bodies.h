@@ -30,6 +30,7 @@ struct DeformingBodies {
   MeshSetView meshes;  // topology; `vertices` and `node_blocks` are not read
   const int32_t* mesh_index;
   BodyCentres centres;
+  int64_t vertex_count;         // of all bodies
   const double* vertices_t0;    // (all vertices, 3), world
   const double* vertices_t1;    // (all vertices, 3), world
   const NodeBlock* blocks_t0;   // (all blocks) relative to the body's centre at t0

@@ -121,17 +121,40 @@ def detect_linear(
     contacts = []
     for kind, pairs, index_a, index_b in _candidates(boxes[0], faces_a, boxes[1], faces_b, min_separation):
         start, end = (_gather(kind, ends_a[k], ends_b[k], index_a, index_b) for k in (0, 1))
-        is_face = kind != EE
-        keep = filters.may_touch(start, end, is_face, min_separation)
-        start, end, pairs = start[keep], end[keep], pairs[keep]
-        if min_separation:
-            hits = separation.within_many(start, end, min_separation, is_face, width)
-        else:
-            hits = (linear.vertex_face_many if is_face else linear.edge_edge_many)(start, end, width)
-        for (i, j), hit in zip(pairs.tolist(), hits, strict=True):
-            if hit is not None:
-                contacts.append(Contact(kind, i, j, hit.toi_lower, hit.toi_upper))
+        contacts += _touching(kind, pairs, start, end, min_separation, width)
     return Detection(sorted(contacts), [])
+
+
+def detect_linear_self(
+    t0: np.ndarray, t1: np.ndarray, faces: np.ndarray, min_separation: float = 0.0, width: Fraction = linear.WIDTH
+) -> Detection:
+    """All touching feature pairs of one body (vertices (v, 3), straight paths) that have no vertex in common: vertex
+    and face as VF_AB, two edges as EE with the smaller index first.
+    """
+    ends = [np.asarray(x, dtype=np.float64) for x in (t0, t1)]
+    boxes = np.minimum(*ends)[None], np.maximum(*ends)[None]
+    contacts = []
+    for kind, pairs, index_a, index_b in _candidates(boxes, faces, boxes, faces, min_separation):
+        keep = ~(index_a[:, :, None] == index_b[:, None, :]).any(axis=(1, 2))
+        keep &= (pairs[:, 0] < pairs[:, 1]) if kind == EE else np.array(kind == VF_AB)
+        start, end = (_gather(kind, x, x, index_a[keep], index_b[keep]) for x in ends)
+        contacts += _touching(kind, pairs[keep], start, end, min_separation, width)
+    return Detection(sorted(contacts), [])
+
+
+def _touching(
+    kind: int, pairs: np.ndarray, start: np.ndarray, end: np.ndarray, min_separation: float, width: Fraction
+) -> list[Contact]:
+    # Of feature pairs (k, 2) whose points are at `start` and `end` (k, 4, 3).
+    is_face = kind != EE
+    keep = filters.may_touch(start, end, is_face, min_separation)
+    start, end, pairs = start[keep], end[keep], pairs[keep]
+    if min_separation:
+        hits = separation.within_many(start, end, min_separation, is_face, width)
+    else:
+        hits = (linear.vertex_face_many if is_face else linear.edge_edge_many)(start, end, width)
+    named = zip(pairs.tolist(), hits, strict=True)
+    return [Contact(kind, i, j, hit.toi_lower, hit.toi_upper) for (i, j), hit in named if hit is not None]
 
 
 def _arc_boxes(vertices: np.ndarray, motion: rigid.BodyMotion, path: tuple[Interval, Interval], slices: int) -> Boxes:

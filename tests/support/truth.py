@@ -68,6 +68,11 @@ def linear_truth(
     return detect.detect_linear(*ends[0], faces[0], *ends[1], faces[1], min_separation)
 
 
+def self_truth(ends: list[np.ndarray], faces: np.ndarray, min_separation: float = 0.0) -> detect.Detection:
+    """Every contact of a body with itself, whose vertices move straight between `ends` (t0 and t1), exactly."""
+    return detect.detect_linear_self(*ends, faces, min_separation)
+
+
 def assert_nothing_missed(rows: Rows, truth: detect.Detection) -> None:
     """Every contact that certainly happens is reported, not later than it happens."""
     assert truth.keys() - rows.keys() == set(), "missed"

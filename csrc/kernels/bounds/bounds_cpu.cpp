@@ -39,8 +39,10 @@ void refit_body(const DeformingInput& input, const DeformingBounds& bounds, int6
   const int64_t first = input.block_begin[body];
   // Blocks of parents precede those of their children, so backwards is bottom-up.
   for (int64_t block = block_count - 1; block >= 0; --block) {
-    refit_block(shape, triangles, links, block, nodes.data(), bounds.blocks_t0 + first + block,
-                bounds.blocks_t1 + first + block);
+    for (int slot = 0; slot < kBlockWidth; ++slot) {
+      refit_node(shape, triangles, links, block, slot, nodes.data(), bounds.blocks_t0 + first + block,
+                 bounds.blocks_t1 + first + block);
+    }
   }
 }
 

@@ -5,94 +5,188 @@
 namespace pgccd {
 namespace {
 
-constexpr int kRefitThreads = 256;
+constexpr int kWarp = 32;
+constexpr int kWarpsPerBlock = kBlockThreads / kWarp;
+constexpr unsigned kAllLanes = ~0u;
 
-// Scratch rows of a body start at its block_begin; a mesh never has more chunks of faces than blocks of nodes.
-struct RefitScratch {
-  Vec3<double>* chunk_sums[2];  // (blocks)
-  NodeBounds* nodes;            // (blocks, 8)
-  int32_t* parent;              // (blocks) block of the parent node
-  int32_t* pending;             // (blocks) children's blocks not done yet
+// Work is shared out by the rows of all bodies' node blocks: a large body has many, small ones few.
+struct Refit {
+  DeformingInput input;
+  DeformingBounds bounds;
+  Vec3<double>* chunk_sums[2];          // (blocks); a mesh never has more chunks of faces than blocks of nodes
+  unsigned long long* largest_squared;  // (bodies) bits of the squared radius so far, which are in the same order
+  NodeBounds* nodes;                    // (blocks, 8)
+  int32_t* body_of_block;               // (blocks)
+  int32_t* parent;                      // (blocks) block of the parent node, local to its body
+  int32_t* pending;                     // (blocks) children's blocks not done yet
 };
 
-// One thread block a body.
-__global__ void __launch_bounds__(kRefitThreads)
-    refit_bodies(DeformingInput input, DeformingBounds bounds, RefitScratch scratch) {
-  const int64_t body = blockIdx.x;
-  const int32_t mesh = input.mesh_index[body];
-  const MeshOffsets& offsets = input.meshes.offsets[mesh];
-  const MeshOffsets& next = input.meshes.offsets[mesh + 1];
-  const int64_t face_count = next.face - offsets.face, block_count = next.block - offsets.block;
-  const int32_t* faces = input.meshes.faces + 3 * offsets.face;
-  const int64_t first = input.block_begin[body];
-  __shared__ BodyShape shape;
-  __shared__ unsigned long long largest_squared;
-  if (threadIdx.x == 0) {
-    largest_squared = 0;
-    shape.vertices[0] = input.vertices_t0 + 3 * input.vertex_begin[body];
-    shape.vertices[1] = input.vertices_t1 + 3 * input.vertex_begin[body];
-  }
-  __syncthreads();
+// A body's mesh and its rows.
+struct RefitBody {
+  int64_t index;
+  int64_t first_block, block_count, face_count;
+  const int32_t* faces;
+  const Triangle* triangles;
+  const NodeLink* links;
+};
 
-  const int64_t chunk_count = (face_count + kMeanChunk - 1) / kMeanChunk;
-  for (int64_t task = threadIdx.x; task < 2 * chunk_count; task += blockDim.x) {
-    const int end = task < chunk_count ? 0 : 1;
-    const int64_t chunk = task - end * chunk_count;
-    scratch.chunk_sums[end][first + chunk] = corner_sum(faces, face_count, chunk, shape.vertices[end]);
-  }
-  __syncthreads();
-  if (threadIdx.x < 2) {
-    const int end = threadIdx.x;
-    Vec3<double> sum{0.0, 0.0, 0.0};
-    for (int64_t chunk = 0; chunk < chunk_count; ++chunk) sum = sum + scratch.chunk_sums[end][first + chunk];
-    shape.centre[end] = (1.0 / (3.0 * static_cast<double>(face_count))) * sum;
-    store_vec3((end == 0 ? bounds.position_t0 : bounds.position_t1) + 3 * body, shape.centre[end]);
-  }
-  __syncthreads();
+__device__ RefitBody refit_body(const DeformingInput& input, int64_t body) {
+  const MeshOffsets& offsets = input.meshes.offsets[input.mesh_index[body]];
+  const MeshOffsets& next = input.meshes.offsets[input.mesh_index[body] + 1];
+  return {body,
+          input.block_begin[body],
+          next.block - offsets.block,
+          next.face - offsets.face,
+          input.meshes.faces + 3 * offsets.face,
+          input.meshes.triangles + offsets.face,
+          input.meshes.node_links + offsets.block * kBlockWidth};
+}
 
-  double squared = 0.0;
-  for (int64_t corner = threadIdx.x; corner < 3 * face_count; corner += blockDim.x) {
-    for (int end = 0; end < 2; ++end) squared = larger(squared, norm_squared(shape.local(end, faces[corner])));
-  }
-  atomicMax(&largest_squared,
-            static_cast<unsigned long long>(__double_as_longlong(squared)));  // >= 0: bits are in order
-  __syncthreads();
-  if (threadIdx.x == 0) {
-    bounds.radius[body] = std::sqrt(__longlong_as_double(static_cast<long long>(largest_squared))) * (1.0 + 0x1p-40);
-  }
+__device__ RefitBody body_of_block(const Refit& refit, int64_t row) {
+  return refit_body(refit.input, refit.body_of_block[row]);
+}
 
-  const Triangle* triangles = input.meshes.triangles + offsets.face;
-  const NodeLink* links = input.meshes.node_links + offsets.block * kBlockWidth;
-  for (int64_t block = threadIdx.x; block < block_count; block += blockDim.x) {
-    int32_t inner = 0;
-    for (int slot = 0; slot < used_slots(links, block); ++slot) {
-      const NodeLink link = links[block * kBlockWidth + slot];
-      if (link.triangle_count > 0) continue;
-      ++inner;
-      scratch.parent[first + link.first] = static_cast<int32_t>(block);
-    }
-    scratch.pending[first + block] = inner;
+__device__ const double* body_vertices(const DeformingInput& input, int64_t body, int end) {
+  return (end == 0 ? input.vertices_t0 : input.vertices_t1) + 3 * input.vertex_begin[body];
+}
+
+__device__ BodyShape body_shape(const Refit& refit, int64_t body) {
+  BodyShape shape;
+  for (int end = 0; end < 2; ++end) {
+    shape.vertices[end] = body_vertices(refit.input, body, end);
+    shape.centre[end] = load_vec3((end == 0 ? refit.bounds.position_t0 : refit.bounds.position_t1) + 3 * body);
   }
-  __syncthreads();
-  // Bottom up: whoever finishes a block's last child goes on with that block (Karras 2012).
-  for (int64_t start = threadIdx.x; start < block_count; start += blockDim.x) {
-    bool has_children = false;
-    for (int slot = 0; slot < used_slots(links, start); ++slot) {
-      has_children = has_children || links[start * kBlockWidth + slot].triangle_count == 0;
+  return shape;
+}
+
+// Sums of `value(k)`, k below `count`, in order: a warp fetches many of them at a time, and three of its lanes add up a
+// coordinate each. The result is in lane 0.
+constexpr int kStaged = 96;
+template <class Value>
+__device__ Vec3<double> sum_in_order(int64_t count, double (&staged)[kStaged][3], Value&& value) {
+  const int lane = threadIdx.x % kWarp;
+  double sum = 0.0;
+  for (int64_t begin = 0; begin < count; begin += kStaged) {
+    const int taken = static_cast<int>(smaller<int64_t>(kStaged, count - begin));
+    for (int k = lane; k < taken; k += kWarp) {
+      const Vec3<double> x = value(begin + k);
+      staged[k][0] = x.x;
+      staged[k][1] = x.y;
+      staged[k][2] = x.z;
     }
-    if (has_children) continue;
-    for (int64_t block = start;;) {
-      refit_block(shape, triangles, links, block, scratch.nodes + first * kBlockWidth, bounds.blocks_t0 + first + block,
-                  bounds.blocks_t1 + first + block);
-      if (block == 0) break;
-      __threadfence();
-      const int64_t parent = scratch.parent[first + block];
-      if (atomicSub(scratch.pending + first + parent, 1) != 1) break;
-      __threadfence();
-      block = parent;
-    }
+    __syncwarp();
+    for (int k = 0; lane < 3 && k < taken; ++k) sum = sum + staged[k][lane];
+    __syncwarp();  // the next ones may overwrite them
+  }
+  return {__shfl_sync(kAllLanes, sum, 0), __shfl_sync(kAllLanes, sum, 1), __shfl_sync(kAllLanes, sum, 2)};
+}
+
+// One warp a body.
+__global__ void __launch_bounds__(kBlockThreads) name_bodies(Refit refit) {
+  const int64_t index = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
+  if (index >= refit.input.body_count) return;
+  const RefitBody body = refit_body(refit.input, index);
+  for (int64_t block = threadIdx.x % kWarp; block < body.block_count; block += kWarp) {
+    refit.body_of_block[body.first_block + block] = static_cast<int32_t>(index);
   }
 }
+
+// One warp a row of the blocks and end of the step: the chunk of that number, if the mesh has as many.
+__global__ void __launch_bounds__(kBlockThreads) sum_chunks(Refit refit) {
+  __shared__ double staged[kWarpsPerBlock][kStaged][3];
+  const int64_t task = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
+  if (task >= 2 * refit.input.block_count) return;
+  const int end = static_cast<int>(task % 2);
+  const int64_t row = task / 2;
+  const RefitBody body = body_of_block(refit, row);
+  const int64_t first = (row - body.first_block) * kMeanChunk;
+  if (first >= body.face_count) return;
+  const int32_t* corners = body.faces + 3 * first;
+  const double* vertices = body_vertices(refit.input, body.index, end);
+  const Vec3<double> sum = sum_in_order(3 * smaller(kMeanChunk, body.face_count - first), staged[threadIdx.x / kWarp],
+                                        [&](int64_t k) { return load_vec3(vertices + 3 * int64_t(corners[k])); });
+  if (threadIdx.x % kWarp == 0) refit.chunk_sums[end][row] = sum;
+}
+
+// One warp a body and end of the step.
+__global__ void __launch_bounds__(kBlockThreads) place_centres(Refit refit) {
+  __shared__ double staged[kWarpsPerBlock][kStaged][3];
+  const int64_t task = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
+  if (task >= 2 * refit.input.body_count) return;
+  const int end = static_cast<int>(task % 2);
+  const RefitBody body = refit_body(refit.input, task / 2);
+  const Vec3<double>* sums = refit.chunk_sums[end] + body.first_block;
+  const Vec3<double> sum = sum_in_order((body.face_count + kMeanChunk - 1) / kMeanChunk, staged[threadIdx.x / kWarp],
+                                        [&](int64_t k) { return sums[k]; });
+  if (threadIdx.x % kWarp == 0) {
+    store_vec3((end == 0 ? refit.bounds.position_t0 : refit.bounds.position_t1) + 3 * body.index,
+               (1.0 / (3.0 * static_cast<double>(body.face_count))) * sum);
+  }
+}
+
+// One warp a row of the blocks: an equal share of its body's corners, and which blocks hang below this one.
+__global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
+  const int lane = threadIdx.x % kWarp;
+  const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
+  if (row >= refit.input.block_count) return;
+  const RefitBody body = body_of_block(refit, row);
+  const int64_t block = row - body.first_block;
+  const BodyShape shape = body_shape(refit, body.index);
+  const int64_t corner_count = 3 * body.face_count;
+  const int64_t corners_end = (block + 1) * corner_count / body.block_count;
+  double squared = 0.0;
+  for (int64_t corner = block * corner_count / body.block_count + lane; corner < corners_end; corner += kWarp) {
+    for (int end = 0; end < 2; ++end) squared = larger(squared, norm_squared(shape.local(end, body.faces[corner])));
+  }
+  for (int step = kWarp / 2; step > 0; step /= 2) {
+    squared = larger(squared, __shfl_xor_sync(kAllLanes, squared, step));
+  }
+  const bool has_child =
+      lane < used_slots(body.links, block) && body.links[block * kBlockWidth + lane].triangle_count == 0;
+  if (has_child) {
+    refit.parent[body.first_block + body.links[block * kBlockWidth + lane].first] = static_cast<int32_t>(block);
+  }
+  const uint32_t children = __ballot_sync(kAllLanes, has_child);
+  if (lane == 0) {
+    refit.pending[row] = __popc(children);
+    atomicMax(refit.largest_squared + body.index, static_cast<unsigned long long>(__double_as_longlong(squared)));
+  }
+}
+
+// Eight threads a block, one for each slot. Bottom up from the blocks without children: whoever finishes a block's last
+// child goes on with that block (Karras 2012).
+__global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
+  const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, leader = lane - slot;
+  const unsigned members = 0xffu << leader;
+  const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kBlockWidth;
+  if (row >= refit.input.block_count) return;
+  const RefitBody body = body_of_block(refit, row);
+  const BodyShape shape = body_shape(refit, body.index);
+  const int64_t first = body.first_block;
+  int64_t block = row - first;
+  if (block == 0 && slot == 0) {
+    const auto squared = static_cast<long long>(refit.largest_squared[body.index]);
+    refit.bounds.radius[body.index] = std::sqrt(__longlong_as_double(squared)) * (1.0 + 0x1p-40);
+  }
+  const bool has_child =
+      slot < used_slots(body.links, block) && body.links[block * kBlockWidth + slot].triangle_count == 0;
+  if (__ballot_sync(members, has_child) != 0) return;
+  for (;;) {
+    refit_node(shape, body.triangles, body.links, block, slot, refit.nodes + first * kBlockWidth,
+               refit.bounds.blocks_t0 + first + block, refit.bounds.blocks_t1 + first + block);
+    if (block == 0) return;
+    __threadfence();
+    __syncwarp(members);  // all eight are written before the parent hears of it
+    const int64_t parent = refit.parent[first + block];
+    int32_t pending = 0;
+    if (slot == 0) pending = atomicSub(refit.pending + first + parent, 1);
+    if (__shfl_sync(members, pending, leader) != 1) return;
+    __threadfence();
+    block = parent;
+  }
+}
+
+unsigned blocks_for(int64_t threads) { return static_cast<unsigned>((threads + kBlockThreads - 1) / kBlockThreads); }
 
 }  // namespace
 
@@ -106,13 +200,26 @@ void rotations_between_cuda(const DeviceContext& context, const double* orientat
 
 void refit_cuda(const DeviceContext& context, const DeformingInput& input, const DeformingBounds& bounds) {
   if (input.body_count == 0) return;
-  RefitScratch scratch;
-  for (auto& sums : scratch.chunk_sums) sums = context.allocate<Vec3<double>>(input.block_count);
-  scratch.nodes = context.allocate<NodeBounds>(input.block_count * kBlockWidth);
-  scratch.parent = context.allocate<int32_t>(input.block_count);
-  scratch.pending = context.allocate<int32_t>(input.block_count);
-  refit_bodies<<<static_cast<unsigned>(input.body_count), kRefitThreads, 0, context.stream>>>(input, bounds, scratch);
-  check_cuda(cudaGetLastError(), "refit_bodies");
+  Refit refit;
+  refit.input = input;
+  refit.bounds = bounds;
+  for (auto& sums : refit.chunk_sums) sums = context.allocate<Vec3<double>>(input.block_count);
+  refit.largest_squared = context.allocate<unsigned long long>(input.body_count);
+  refit.nodes = context.allocate<NodeBounds>(input.block_count * kBlockWidth);
+  refit.body_of_block = context.allocate<int32_t>(input.block_count);
+  refit.parent = context.allocate<int32_t>(input.block_count);
+  refit.pending = context.allocate<int32_t>(input.block_count);
+  fill_bytes(context, refit.largest_squared, 0, input.body_count);
+  name_bodies<<<blocks_for(kWarp * input.body_count), kBlockThreads, 0, context.stream>>>(refit);
+  check_cuda(cudaGetLastError(), "name_bodies");
+  sum_chunks<<<blocks_for(2 * kWarp * input.block_count), kBlockThreads, 0, context.stream>>>(refit);
+  check_cuda(cudaGetLastError(), "sum_chunks");
+  place_centres<<<blocks_for(2 * kWarp * input.body_count), kBlockThreads, 0, context.stream>>>(refit);
+  check_cuda(cudaGetLastError(), "place_centres");
+  measure_bodies<<<blocks_for(kWarp * input.block_count), kBlockThreads, 0, context.stream>>>(refit);
+  check_cuda(cudaGetLastError(), "measure_bodies");
+  refit_nodes<<<blocks_for(kBlockWidth * input.block_count), kBlockThreads, 0, context.stream>>>(refit);
+  check_cuda(cudaGetLastError(), "refit_nodes");
 }
 
 }  // namespace pgccd

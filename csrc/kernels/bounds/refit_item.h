@@ -174,24 +174,21 @@ PGCCD_HD void store_empty(int slot, NodeBlock& block) {
   block.normal_x[slot] = block.normal_y[slot] = block.normal_z[slot] = block.low[slot] = block.high[slot] = NAN;
 }
 
-// The nodes of one block, once the blocks below it are done, and their spheres at both ends.
-PGCCD_HD void refit_block(const BodyShape& shape, const Triangle* triangles, const NodeLink* links, int64_t block,
-                          NodeBounds* nodes, NodeBlock* at_t0, NodeBlock* at_t1) {
-  const int count = used_slots(links, block);
-  for (int slot = 0; slot < kBlockWidth; ++slot) {
-    if (slot >= count) {
-      store_empty(slot, *at_t0);
-      store_empty(slot, *at_t1);
-      continue;
-    }
-    const int64_t n = block * kBlockWidth + slot;
-    const NodeLink link = links[n];
-    nodes[n] = link.triangle_count > 0 ? leaf_bounds(shape, triangles, link)
-                                       : parent_bounds(shape, triangles, nodes + int64_t(link.first) * kBlockWidth,
-                                                       used_slots(links, link.first));
-    store_node(nodes[n], 0, slot, *at_t0);
-    store_node(nodes[n], 1, slot, *at_t1);
+// One node, once the block below it is done, and its spheres at both ends; or an empty slot.
+PGCCD_HD void refit_node(const BodyShape& shape, const Triangle* triangles, const NodeLink* links, int64_t block,
+                         int slot, NodeBounds* nodes, NodeBlock* at_t0, NodeBlock* at_t1) {
+  if (slot >= used_slots(links, block)) {
+    store_empty(slot, *at_t0);
+    store_empty(slot, *at_t1);
+    return;
   }
+  const int64_t n = block * kBlockWidth + slot;
+  const NodeLink link = links[n];
+  nodes[n] = link.triangle_count > 0 ? leaf_bounds(shape, triangles, link)
+                                     : parent_bounds(shape, triangles, nodes + int64_t(link.first) * kBlockWidth,
+                                                     used_slots(links, link.first));
+  store_node(nodes[n], 0, slot, *at_t0);
+  store_node(nodes[n], 1, slot, *at_t1);
 }
 
 }  // namespace pgccd

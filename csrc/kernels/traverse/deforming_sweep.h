@@ -18,6 +18,10 @@ struct DeformingSweep : PairFrame {
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
   }
 
+  // A body may be tested against itself: both sides are one tree then, and of mirror images one is wanted.
+  static constexpr bool may_be_one_body = true;
+  PGCCD_HD bool is_one_body() const { return body[0] == body[1]; }
+
   PGCCD_HD LocalPose pose(const DeformingBodies& bodies, int k) const {
     const RelativeCentre centre = relative_centre(bodies.centres, body[0], body[1]);
     const double t = k == 0 ? 0.0 : horizon;

@@ -4,7 +4,7 @@
 // group.
 #pragma once
 
-#include "kernels/traverse/task_queue.cuh"
+#include "kernels/traverse/start_within.cuh"
 
 namespace pgccd {
 
@@ -44,7 +44,7 @@ __device__ void copy_words(const T& source, T& target, int slot) {
 struct Group {
   const LocalPose* poses = nullptr;
   int size = 0;
-  int rounds = 0;
+  int rounds = 0, most_rounds = 0;
   int32_t pair = 0;
 };
 
@@ -66,9 +66,11 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, 
   int waiting = 0;
   uint32_t splits = 0;
   for (;;) {
-    if (group.size == 0 && item < count) {
+    while (group.size == 0 && item < count) {
       const Task task = task_at(item);
       item += groups;
+      const bool is_one_body = Sweep::may_be_one_body && pairs.sweeps[task.pair].is_one_body();
+      if (is_one_body && task.nodes.first == task.nodes.second) continue;  // of which start_within takes care
       if (slot == 0) shared.stack[0] = task.nodes;
       const LocalPose* poses = pairs.poses + pairs.pose_begin[task.pair];
       copy_words(pairs.sweeps[task.pair], shared.sweep, slot);
@@ -76,6 +78,7 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, 
       group.poses = pairs.sweeps[task.pair].segment_count < kPosesAtHand ? shared.poses : poses;
       group.size = 1;
       group.rounds = 0;
+      group.most_rounds = is_one_body && launch != kLastLaunch ? kRoundsWithin : most_rounds;
       group.pair = task.pair;
     }
     if (__ballot_sync(kAllLanes, group.size > 0) == 0) break;
@@ -108,7 +111,8 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, 
     waiting = buffer.add(waiting, leaf_lanes, child, lane, leaves.count, put_leaf);
 
     __syncwarp();  // the stacks are written
-    const bool hands_back = group.size > 0 && (group.rounds >= most_rounds || group.size > kStackSize - kBlockWidth);
+    const bool hands_back =
+        group.size > 0 && (group.rounds >= group.most_rounds || group.size > kStackSize - kBlockWidth);
     if (__ballot_sync(kAllLanes, hands_back) == 0) continue;
     if (hands_back) {
       const unsigned members = 0xffu << shift;
@@ -151,7 +155,7 @@ __global__ void __launch_bounds__(kBlockThreads)
   const PairTree<Bodies> tree = pairs.tree(static_cast<int32_t>(pair));
   NodePair nodes{0, 0};
   unsigned long long tests = 0;
-  bool reached = true;
+  bool reached = !tree.sweep().is_one_body();
   while (reached && !tree.is_leaf_pair(nodes)) {
     const SplitPair split = tree.split(nodes);
     tests += kBlockWidth;

@@ -36,6 +36,21 @@ PGCCD_HD uint32_t represented_pairs(const Triangle& ti, const Triangle& tj) {
   return bits;
 }
 
+// Those of all 15 whose features have no vertex in common, for two triangles of one body: others are not tested.
+PGCCD_HD uint32_t pairs_without_common_vertex(const Triangle& ti, const Triangle& tj) {
+  uint32_t common = 0;  // bit 3 c + d: corner c of i is corner d of j
+  for (int c = 0; c < 3; ++c) {
+    for (int d = 0; d < 3; ++d) common |= ti.vertex[c] == tj.vertex[d] ? 1u << (3 * c + d) : 0u;
+  }
+  if (common == 0) return (1u << kFeaturePairBits) - 1u;
+  const uint32_t corners_i = ((common & 7u) ? 1u : 0u) | ((common & 0x38u) ? 2u : 0u) | ((common & 0x1c0u) ? 4u : 0u);
+  const uint32_t corners_j = (common | common >> 3 | common >> 6) & 7u;
+  // Edge c of i joins its corners c and c + 1, edge d of j likewise: a row or a column and the next.
+  const uint32_t with_next_d = common | (common >> 1 & 0xdbu) | (common & 0x49u) << 2;
+  const uint32_t edges = with_next_d | with_next_d >> 3 | (with_next_d & 7u) << 6;
+  return ~(corners_i | corners_j << 3 | edges << kFirstEdgeBit) & ((1u << kFeaturePairBits) - 1u);
+}
+
 // May the feature pair of that bit meet over the segment? `corner(side, index, end)` tells where the triangles' corners
 // are. One path through the code for both sorts of pairs: on a device they share a warp.
 template <class Corner>
@@ -55,9 +70,17 @@ PGCCD_HD bool pair_meets(Corner&& corner, int bit, float distance) {
   return !stays_apart(features(0), features(1), distance, is_edge_edge);
 }
 
-// Calls emit(kind, feature_i, feature_j) for the feature pair of that bit.
+// Calls emit(kind, feature_i, feature_j) for the feature pair of that bit. Of one body, the vertex comes before the
+// face and the smaller edge before the other.
 template <class Emit>
-PGCCD_HD void emit_pair(const Triangle& ti, const Triangle& tj, int bit, Emit&& emit) {
+PGCCD_HD void emit_pair(const Triangle& ti, const Triangle& tj, int bit, bool is_one_body, Emit&& emit) {
+  if (is_one_body) {
+    if (bit >= 3 && bit < kFirstEdgeBit) return emit(FeatureKind::kVertexFace, tj.vertex[bit - 3], ti.face);
+    if (bit >= kFirstEdgeBit) {
+      const int32_t edge_i = ti.edge[(bit - 6) / 3], edge_j = tj.edge[(bit - 6) % 3];
+      return emit(FeatureKind::kEdgeEdge, smaller(edge_i, edge_j), larger(edge_i, edge_j));
+    }
+  }
   if (bit < 3) return emit(FeatureKind::kVertexFace, ti.vertex[bit], tj.face);
   if (bit < 6) return emit(FeatureKind::kFaceVertex, ti.face, tj.vertex[bit - 3]);
   emit(FeatureKind::kEdgeEdge, ti.edge[(bit - 6) / 3], tj.edge[(bit - 6) % 3]);

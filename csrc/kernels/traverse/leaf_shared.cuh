@@ -25,7 +25,8 @@ struct LeafShared {
   const Triangle* first_triangle[2][2];  // leaf pair, side
   float distance[2];
   int32_t pair[2];
-  alignas(4) uint16_t met[2 * kTrianglePairs];          // feature pairs emitted so far, where segments are many
+  bool is_one_body[2], is_one_leaf[2];          // both sides are; written where a body may be tested against itself
+  alignas(4) uint16_t met[2 * kTrianglePairs];  // feature pairs emitted so far, where segments are many
   uint16_t features[kWarp * kFeaturePairBits + kWarp];  // waiting: triangle pair * 16 + bit
 };
 

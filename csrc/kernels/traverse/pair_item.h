@@ -22,6 +22,12 @@ struct SplitPair {
   }
 };
 
+// A body is tested against itself from the pairs of nodes that share a block, in all of its blocks, and the pairs of a
+// leaf and itself: below these, every two leaves meet once, not twice as mirror images. They are many and small, so
+// that the work is spread from the beginning.
+constexpr int kPairsInBlock = kBlockWidth * (kBlockWidth - 1) / 2;
+PGCCD_HD SplitPair with_siblings(int32_t block, int slot) { return {block, block * kBlockWidth + slot, false}; }
+
 // Poses at all segment boundaries of a pair are kept by the caller: segment_count + 1 of them.
 template <class Bodies>
 class PairTree {
@@ -37,6 +43,11 @@ class PairTree {
 
   PGCCD_HD NodeLink link(int side, int32_t node) const {
     return bodies_.meshes.node_links[sweep_.first_block[side] * kBlockWidth + node];
+  }
+  // Of the first body.
+  PGCCD_HD int32_t block_count() const {
+    const MeshOffsets* offsets = bodies_.meshes.offsets + bodies_.mesh_index[sweep_.body[0]];
+    return static_cast<int32_t>(offsets[1].block - offsets[0].block);
   }
   PGCCD_HD bool is_leaf(int side, int32_t node) const { return link(side, node).triangle_count > 0; }
   PGCCD_HD bool is_leaf_pair(NodePair nodes) const { return is_leaf(0, nodes.first) && is_leaf(1, nodes.second); }

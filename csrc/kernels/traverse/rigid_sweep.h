@@ -37,6 +37,10 @@ struct RigidSweep : PairFrame {
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
   }
 
+  // A rigid body keeps its distances from itself.
+  static constexpr bool may_be_one_body = false;
+  PGCCD_HD static constexpr bool is_one_body() { return false; }
+
   // Segment boundary k of segment_count.
   PGCCD_HD LocalPose pose(const RigidBodies& bodies, int k) const {
     const RelativeCentre centre = relative_centre(bodies.centres, body[0], body[1]);

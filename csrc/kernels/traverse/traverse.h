@@ -15,7 +15,8 @@ struct TraverseInput {
   int64_t pair_count;
   const double* horizon;  // (pair_count,) look no further than this time, or null: the whole step
   SweepSettings settings;
-  bool leading;  // only the leaf pair that overlaps most, found by greedy descent: where contact is likely first
+  bool leading;  // only the leaf pair that overlaps most, found by greedy descent: where contact is likely first; none
+                 // of a body and itself
 };
 
 // Room for a traversal that nobody waits for.

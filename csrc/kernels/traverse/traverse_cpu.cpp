@@ -83,6 +83,7 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
   const auto triangles = [&](int side) { return tree.bodies().meshes.triangles + tree.sweep().first_face[side]; };
   const Triangle *first_triangles = triangles(0) + first.first, *second_triangles = triangles(1) + second.first;
   const float distance = tree.sweep().inflation;
+  const bool is_one_body = tree.sweep().is_one_body(), is_one_leaf = is_one_body && leaves.first == leaves.second;
   uint32_t meeting[kMaxLeafTriangles][kLanes] = {};
   for (int k = 1; k <= tree.sweep().segment_count; ++k) {
     const MovingPoints<3, Float8> i = moving_triangles<Float8>(tree, 0, first.first, k);
@@ -94,8 +95,11 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
     for_each_bit(reaching_i, [&](int p) {
       const MovingPoints<3, float> one = one_lane(i, p);
       const uint32_t apart = lane_bits(triangles_stay_apart(in_all_lanes(one), j, distance));
-      for_each_bit(reaching_j & ~apart, [&](int lane) {
-        const uint32_t wanted = represented_pairs(first_triangles[p], second_triangles[lane]) & ~meeting[p][lane];
+      const uint32_t mirrored = is_one_leaf ? (2u << p) - 1u : 0u;
+      for_each_bit(reaching_j & ~apart & ~mirrored, [&](int lane) {
+        const Triangle &first_triangle = first_triangles[p], &second_triangle = second_triangles[lane];
+        uint32_t wanted = represented_pairs(first_triangle, second_triangle) & ~meeting[p][lane];
+        if (is_one_body) wanted &= pairs_without_common_vertex(first_triangle, second_triangle);
         if (wanted == 0) return;
         const MovingPoints<3, float> other = one_lane(j, lane);
         const auto corner = [&](int side, int index, int end) {
@@ -111,9 +115,25 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
   for (int p = 0; p < first.triangle_count; ++p) {
     for (int lane = 0; lane < second.triangle_count; ++lane) {
       for_each_bit(meeting[p][lane],
-                   [&](int bit) { emit_pair(first_triangles[p], second_triangles[lane], bit, emit); });
+                   [&](int bit) { emit_pair(first_triangles[p], second_triangles[lane], bit, is_one_body, emit); });
     }
   }
+}
+
+// The tasks of a body that is tested against itself. Returns the number of node tests.
+template <class Bodies>
+int64_t start_within(const PairTree<Bodies>& tree, int32_t pair, std::vector<Task>& tasks) {
+  const int32_t blocks = tree.block_count();
+  for (int32_t block = 0; block < blocks; ++block) {
+    for (int slot = 0; slot < kBlockWidth; ++slot) {
+      const SplitPair siblings = with_siblings(block, slot);
+      if (tree.is_leaf(0, siblings.other)) tasks.push_back({pair, {siblings.other, siblings.other}});
+      const uint32_t later = 0xffu << (slot + 1);
+      for_each_bit(tree.children_meeting(siblings) & later,
+                   [&](int other) { tasks.push_back({pair, siblings.child(other)}); });
+    }
+  }
+  return int64_t{kPairsInBlock} * blocks;
 }
 
 // A few large pairs are cut into many tasks, level by level, so that every worker has some; order is kept.
@@ -121,9 +141,16 @@ template <class Bodies>
 std::vector<Task> make_tasks(const Bodies& bodies, const TraverseInput& input, int workers, int64_t& node_tests) {
   std::vector<Task> tasks;
   tasks.reserve(input.pair_count);
-  for (int64_t pair = 0; pair < input.pair_count; ++pair) tasks.push_back({static_cast<int32_t>(pair), {0, 0}});
-  const size_t enough = static_cast<size_t>(workers > 1 && !input.leading ? 16 * workers : 0);
   PairCache<Bodies> cache(bodies, input);
+  for (int64_t pair = 0; pair < input.pair_count; ++pair) {
+    const int32_t row = static_cast<int32_t>(pair);
+    if (!SweepOf<Bodies>::type::may_be_one_body || input.pairs[2 * pair] != input.pairs[2 * pair + 1]) {
+      tasks.push_back({row, {0, 0}});
+    } else if (!input.leading) {
+      node_tests += start_within(cache.tree(row), row, tasks);
+    }
+  }
+  const size_t enough = static_cast<size_t>(workers > 1 && !input.leading ? 16 * workers : 0);
   for (int level = 0; level < 2 * kMaxTreeDepth && !tasks.empty() && tasks.size() < enough; ++level) {
     std::vector<Task> next;
     for (const Task& task : tasks) {

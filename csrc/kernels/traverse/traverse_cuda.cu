@@ -20,7 +20,12 @@ struct Counters {
   uint32_t edge_edge, vertex_face;  // candidates
   uint32_t poses;
   unsigned long long node_tests;
+  unsigned long long within;  // see PairsWithin
 };
+
+// Of bodies that may be tested against themselves.
+int64_t deforming_vertices(const RigidBodies&) { return 0; }
+int64_t deforming_vertices(const DeformingBodies& bodies) { return bodies.vertex_count; }
 
 PGCCD_HD int64_t candidates_of(const Counters& seen) { return int64_t{seen.edge_edge} + seen.vertex_face; }
 
@@ -32,10 +37,15 @@ struct Capacity {
   static uint32_t grown(uint32_t needed, uint32_t capacity) {
     return needed <= capacity ? capacity : bounded(needed + int64_t{needed} / 4);
   }
-  // What the standard scene needs, twice over.
-  static Capacity guess(int64_t pair_count, bool leading) {
-    const auto for_pairs = [&](int64_t each) { return bounded(each * pair_count + 65536); };
-    return {for_pairs(3), for_pairs(1), for_pairs(leading ? 1 : 16), for_pairs(leading ? 4 : 12)};
+  // What the standard scene needs, twice over; and bodies that are tested against themselves, up to a size: each vertex
+  // of folded cloth stands for some ten pairs of leaves, and as many candidates.
+  static Capacity guess(const TraverseInput& input, int64_t vertex_count) {
+    const auto sum = [&](int64_t each_pair, int64_t each_vertex = 0) {
+      return bounded(each_pair * input.pair_count + 65536 +
+                     smaller<int64_t>(each_vertex * vertex_count, int64_t{1} << 22));
+    };
+    if (input.leading) return {sum(3), sum(1), sum(1), sum(4)};
+    return {sum(3), sum(1, 4), sum(16, 16), sum(12, 24)};
   }
   PGCCD_HD bool holds(const Counters& seen) const {
     return seen.poses <= poses && seen.most_rest <= tasks && seen.leaves <= leaves && candidates_of(seen) <= candidates;
@@ -63,6 +73,8 @@ struct Traversal {
               count != nullptr ? count : count_on_device(),
               &counters_->poses,
               0};
+    const int64_t most_within = Sweep::may_be_one_body ? input.pair_count : 0;
+    within_ = {&counters_->within, context.allocate<uint32_t>(most_within), context.allocate<int32_t>(most_within)};
   }
 
   int64_t* count_on_device() {
@@ -74,7 +86,7 @@ struct Traversal {
 
   // Until everything fits: overflow is counted, never dropped.
   Counters run(CandidateSink& out) {
-    Capacity capacity = Capacity::guess(input_.pair_count, input_.leading);
+    Capacity capacity = Capacity::guess(input_, deforming_vertices(bodies_));
     for (;;) {
       const TaskList leaves = start(capacity, out);
       Counters seen = input_.leading ? lead(leaves, out) : descend_all(capacity.tasks, leaves, out);
@@ -125,6 +137,7 @@ struct Traversal {
     const Bodies bodies = bodies_;
     const TraverseInput input = input_;
     Counters* counters = counters_;
+    const PairsWithin within = within_;
     auto* sweeps = const_cast<Sweep*>(pairs_.sweeps);
     auto* pose_begin = const_cast<uint32_t*>(pairs_.pose_begin);
     LocalPose* poses = context_.allocate<LocalPose>(capacity);
@@ -137,6 +150,7 @@ struct Traversal {
       if (begin + sweep.segment_count >= capacity) begin = 0;  // somebody else's: nobody will look
       for (int k = 0; k <= sweep.segment_count; ++k) poses[begin + k] = sweep.pose(bodies, k);
       sweeps[pair] = sweep;
+      within.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
       pose_begin[pair] = begin;
     });
   }
@@ -174,6 +188,11 @@ struct Traversal {
     descend_from_roots<Bodies><<<resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
         pairs_, leaves, rest, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_from_roots");
+    if constexpr (Sweep::may_be_one_body) {
+      start_within<Bodies><<<resident_blocks_of(start_within<Bodies>), kBlockThreads, 0, context_.stream>>>(
+          pairs_, within_, leaves, rest, &counters_->node_tests);
+      check_cuda(cudaGetLastError(), "start_within");
+    }
   }
 
   void descend_rest(int launch, TaskList from, TaskList leaves, TaskList rest) {
@@ -198,6 +217,7 @@ struct Traversal {
   const TraverseInput& input_;
   Counters* counters_;
   Pairs<Bodies> pairs_;
+  PairsWithin within_;
 };
 
 }  // namespace

@@ -7,8 +7,9 @@
 namespace pgccd {
 
 // Tests one listed feature pair a lane (those with `is_given`), and emits the ones that may meet.
-__device__ inline void test_features(LeafShared& shared, int listed, bool is_given, bool remember,
-                                     CandidateWriter& writer, int lane) {
+template <class Sweep>
+__device__ void test_features(LeafShared& shared, int listed, bool is_given, bool remember, CandidateWriter& writer,
+                              int lane) {
   const int code = listed / 16, bit = listed % 16;
   const int half = code / kTrianglePairs, p = code / 8 % 8, q = code % 8;
   const auto corner_of = [&](int side, int index, int end) {
@@ -17,7 +18,8 @@ __device__ inline void test_features(LeafShared& shared, int listed, bool is_giv
   const bool meets = is_given && pair_meets(corner_of, bit, shared.distance[half]);
   Candidate candidate{};
   if (meets) {
-    emit_pair(shared.first_triangle[half][0][p], shared.first_triangle[half][1][q], bit,
+    const bool is_one_body = Sweep::may_be_one_body && shared.is_one_body[half];
+    emit_pair(shared.first_triangle[half][0][p], shared.first_triangle[half][1][q], bit, is_one_body,
               [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
                 candidate = {shared.pair[half], static_cast<int32_t>(kind), feature_i, feature_j};
               });
@@ -31,6 +33,7 @@ __device__ inline void test_features(LeafShared& shared, int listed, bool is_giv
 template <class Bodies>
 __device__ void visit_two_leaf_pairs(const Pairs<Bodies>& pairs, const Task* tasks, int count, LeafShared& shared,
                                      CandidateWriter& writer) {
+  using Sweep = typename SweepOf<Bodies>::type;
   const int lane = threadIdx.x % kWarp, half = lane / kHalf;
   const int side = lane % kHalf / kMaxLeafTriangles, row = lane % kMaxLeafTriangles;
   const bool has_pair = half < count;
@@ -47,6 +50,10 @@ __device__ void visit_two_leaf_pairs(const Pairs<Bodies>& pairs, const Task* tas
     shared.first_triangle[half][side] = pairs.bodies.meshes.triangles + first;
     shared.distance[half] = tree.sweep().inflation;
     shared.pair[half] = task.pair;
+    if constexpr (Sweep::may_be_one_body) {
+      shared.is_one_body[half] = tree.sweep().is_one_body();
+      shared.is_one_leaf[half] = tree.sweep().is_one_body() && own == other;
+    }
   }
   if (remember) {
     for (int k = lane; k < 2 * kTrianglePairs; k += kWarp) shared.met[k] = 0;
@@ -76,7 +83,12 @@ __device__ void visit_two_leaf_pairs(const Pairs<Bodies>& pairs, const Task* tas
         const int count_j = __popc(rows_j);
         const int p = nth_set_bit(rows_reaching(h, 0), index / count_j), q = nth_set_bit(rows_j, index % count_j);
         code = triangle_pair(h, p, q);
-        wanted = represented_pairs(shared.first_triangle[h][0][p], shared.first_triangle[h][1][q]);
+        const Triangle &first = shared.first_triangle[h][0][p], &second = shared.first_triangle[h][1][q];
+        wanted = represented_pairs(first, second);
+        if constexpr (Sweep::may_be_one_body) {
+          if (shared.is_one_body[h]) wanted &= pairs_without_common_vertex(first, second);
+          if (shared.is_one_leaf[h] && q <= p) wanted = 0;
+        }
         if (remember) wanted &= ~static_cast<uint32_t>(shared.met[code]);
         if (wanted != 0 && triangles_stay_apart(load_triangle(shared, triangle_slot(h, 0, p)),
                                                 load_triangle(shared, triangle_slot(h, 1, q)), shared.distance[h])) {
@@ -96,7 +108,7 @@ __device__ void visit_two_leaf_pairs(const Pairs<Bodies>& pairs, const Task* tas
         const int tested = waiting < kWarp ? waiting : kWarp;
         const uint16_t mine = lane < tested ? shared.features[waiting - tested + lane] : uint16_t{0};
         waiting -= tested;
-        test_features(shared, mine, lane < tested, remember, writer, lane);
+        test_features<Sweep>(shared, mine, lane < tested, remember, writer, lane);
       }
       __syncwarp();  // `met` and the list are settled
     }

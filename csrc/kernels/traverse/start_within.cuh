@@ -1,0 +1,71 @@
+// Where the test of a body against itself begins: pairs of nodes that share a block, and pairs of a leaf and itself.
+#pragma once
+
+#include "kernels/traverse/task_queue.cuh"
+
+namespace pgccd {
+
+// Rounds before a group hands back what it has of a body and itself: a few large parts of the tree hold most of the
+// work, and are soon spread.
+constexpr int kRoundsWithin = 8;
+
+// The rows of the body pairs that are a body and itself, and the blocks of their hierarchies one after the other.
+struct PairsWithin {
+  unsigned long long* reserved;  // the number of rows in the upper half, of blocks in the lower
+  uint32_t* begin;               // (rows) first of its blocks
+  int32_t* pair;                 // (rows)
+
+  template <class Bodies>
+  __device__ void add_if_one_body(const Bodies& bodies, const typename SweepOf<Bodies>::type& sweep,
+                                  int32_t row) const {
+    if constexpr (SweepOf<Bodies>::type::may_be_one_body) {
+      if (!sweep.is_one_body()) return;
+      const int32_t blocks = PairTree<Bodies>(bodies, sweep, nullptr).block_count();
+      const unsigned long long at = atomicAdd(reserved, (1ull << 32) | static_cast<uint32_t>(blocks));
+      begin[at >> 32] = static_cast<uint32_t>(at);
+      pair[at >> 32] = row;
+    }
+  }
+};
+
+// One warp a block.
+template <class Bodies>
+__global__ void __launch_bounds__(kBlockThreads) start_within(Pairs<Bodies> pairs, PairsWithin within, TaskList leaves,
+                                                              TaskList rest, unsigned long long* node_tests) {
+  if (pairs.count() == 0) return;
+  const uint32_t row_count = static_cast<uint32_t>(*within.reserved >> 32);
+  const uint32_t block_count = static_cast<uint32_t>(*within.reserved);
+  const uint32_t warps = gridDim.x * kWarpsPerBlock;
+  const int lane = threadIdx.x % kWarp;
+  uint32_t visited = 0;
+  for (uint32_t item = (blockIdx.x * blockDim.x + threadIdx.x) / kWarp; item < block_count; item += warps) {
+    // The last row that begins there or before.
+    uint32_t row = 0;
+    for (uint32_t end = row_count; end - row > 1;) {
+      const uint32_t middle = row + (end - row) / 2;
+      (within.begin[middle] <= item ? row : end) = middle;
+    }
+    const int32_t pair = within.pair[row], block = static_cast<int32_t>(item - within.begin[row]);
+    const PairTree<Bodies> tree = pairs.tree(pair);
+    if (lane < kPairsInBlock) {
+      int slot = 0, other = lane;
+      for (; other >= kBlockWidth - 1 - slot; ++slot) other -= kBlockWidth - 1 - slot;
+      other += slot + 1;
+      const SplitPair siblings = with_siblings(block, slot);
+      bool meets = false;
+      for (int k = 1; k <= tree.sweep().segment_count && !meets; ++k) {
+        meets = tree.clearance(siblings, tree.other_node(siblings, k), k, other) <= 0.0f;
+      }
+      const Task task{pair, siblings.child(other)};
+      const bool is_leaf = meets && tree.is_leaf_pair(task.nodes);
+      if (is_leaf) leaves.put(warp_append(leaves.count, 1), task);
+      if (meets && !is_leaf) rest.put(warp_append(rest.count, 1), task);
+    }
+    const int32_t node = block * kBlockWidth + lane;
+    if (lane < kBlockWidth && tree.is_leaf(0, node)) leaves.put(warp_append(leaves.count, 1), {pair, {node, node}});
+    ++visited;
+  }
+  if (lane == 0 && visited > 0) atomicAdd(node_tests, static_cast<unsigned long long>(visited) * kPairsInBlock);
+}
+
+}  // namespace pgccd

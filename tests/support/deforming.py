@@ -1,0 +1,41 @@
+"""Bodies that deform, at random, and comparison of what was found of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+import pgccd
+from support.shapes import approaching, tensors
+
+#: Vertices of a body at t0 and at t1.
+Ends = list[np.ndarray]
+COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
+
+
+def motion_of(*bodies: Ends, device: torch.device) -> pgccd.VertexMotion:
+    """Of bodies one after the other."""
+    return pgccd.VertexMotion(*tensors(*(np.concatenate([e[t] for e in bodies]) for t in (0, 1)), device=device))
+
+
+def noisy(rng: np.random.Generator, vertices: np.ndarray, size: float) -> np.ndarray:
+    """Normally distributed noise added."""
+    return vertices + size * rng.normal(size=vertices.shape)
+
+
+def crumpled(count: int, seed: int = 9) -> tuple[list[pgccd.Mesh], list[Ends]]:
+    """Bodies that deform strongly and meet one another."""
+    rng = np.random.default_rng(seed)
+    bodies = approaching(rng, (1,) * count, tuple(rng.uniform(0.5, 1.5, count)), closeness=0.9)
+    ends = [
+        [noisy(rng, m.vertices.numpy() + x[k], 0.4) for x in (bodies.position_t0, bodies.position_t1)]
+        for k, m in enumerate(bodies.meshes)
+    ]
+    return bodies.meshes, ends
+
+
+def assert_same(a: pgccd.Contacts, b: pgccd.Contacts) -> None:
+    """Equal bits in all columns."""
+    for column in COLUMNS:
+        x, y = getattr(a, column), getattr(b, column)
+        assert (x is None) == (y is None) and (x is None or torch.equal(x.cpu(), y.cpu())), column

@@ -1,0 +1,113 @@
+"""Self-collision in a fixed room: pairs of one body need room too, and nothing waits for them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from support.deforming import Ends, assert_same, crumpled, motion_of
+
+import pgccd
+from pgccd import narrow
+from pgccd.memory import recall_capacity
+from pgccd.query import Query
+
+
+def crumpled_room(device: torch.device) -> tuple[pgccd.Scene, list[Ends], pgccd.Capacity]:
+    """A scene whose bodies collide with themselves, and room for all contacts of its step."""
+    shapes, ends = crumpled(2)
+    scene = pgccd.Scene(shapes, device=device, self_collision=True)
+    needed = pgccd.detect(scene, motion_of(*ends, device=device), "all").stats.needed
+    assert needed is not None
+    return scene, ends, replace(needed.times(2.0), candidates=100_000)
+
+
+@pytest.mark.parametrize("report", list(narrow.REPORTS))
+def test_in_a_fixed_room(device: torch.device, report: narrow.Report) -> None:
+    shapes, ends = crumpled(4)
+    scene = pgccd.Scene(shapes, device=device, self_collision=[False, True, True, True])
+    motion = motion_of(*ends, device=device)
+    expected = pgccd.detect(scene, motion, report)
+    needed = expected.stats.needed
+    assert needed is not None and needed.pairs == expected.stats.pcs > 3
+    # A CPU that bounds its search by a first guess meets fewer candidates.
+    room = replace(needed.times(1.5), candidates=100_000)
+    for broad_phase in ("sweep", "grid", "lbvh"):
+        hits = pgccd.detect(scene, motion, report, broad_phase=broad_phase, capacity=room)
+        assert not bool(hits.overflow)
+        assert hits.trim().stats.pcs == needed.pairs
+        assert_same(hits.trim(), expected)
+    # Just enough, one too few, fewer than bodies that collide with themselves, and none.
+    for pairs in (needed.pairs, needed.pairs - 1, 2, 0):
+        hits = pgccd.detect(scene, motion, report, capacity=replace(room, pairs=pairs))
+        assert bool(hits.overflow) == (pairs < needed.pairs)
+        if pairs < needed.pairs:
+            with pytest.raises(pgccd.CapacityError, match=f"pairs: .* in {pairs}"):
+                hits.trim()
+
+
+def test_invalid_vertices(device: torch.device) -> None:
+    scene, ends, room = crumpled_room(device)
+    ends[1][1][3, 2] = np.nan
+    with pytest.MonkeyPatch.context() as patch:  # a CPU would tell at once
+        patch.setattr(torch.compiler, "is_compiling", lambda: True)
+        motion = motion_of(*ends, device=device)
+    hits = pgccd.detect(scene, motion, capacity=room)
+    assert bool(hits.overflow) and int(hits.count) == 0
+    with pytest.raises(ValueError, match="^x_t1: vertex 45"):
+        hits.trim()
+
+
+def test_compile_the_whole_step(device: torch.device) -> None:
+    scene, ends, room = crumpled_room(device)
+    start, end = (x.to(device) for x in (motion_of(*ends, device=device).x_t0, motion_of(*ends, device=device).x_t1))
+    expected = pgccd.detect(scene, pgccd.VertexMotion(start, end))
+
+    @torch.compile(fullgraph=True, backend="aot_eager")
+    def step(x_t0: torch.Tensor, x_t1: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        hits = pgccd.detect(scene, pgccd.VertexMotion(x_t0, x_t1), capacity=room)
+        return hits.pairs, hits.count, hits.overflow
+
+    pairs, count, overflow = step(start, end)
+    assert int(count) == len(expected) and not bool(overflow)
+    assert torch.equal(pairs[: len(expected)], expected.pairs)
+
+
+@pytest.mark.cuda
+def test_capture_in_a_graph() -> None:
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    scene, ends, room = crumpled_room(torch.device("cuda"))
+    motion = motion_of(*ends, device=torch.device("cuda"))
+    start, end = motion.x_t0.clone(), motion.x_t1.clone()
+    torch.cuda.set_sync_debug_mode("error")  # nothing waits, nothing is copied to the host
+    try:
+        pgccd.detect(scene, pgccd.VertexMotion(start, end), "all", capacity=room)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    stream = torch.cuda.Stream()
+    stream.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(stream):
+        pgccd.detect(scene, pgccd.VertexMotion(start, end), "all", capacity=room)
+    torch.cuda.current_stream().wait_stream(stream)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        hits = pgccd.detect(scene, pgccd.VertexMotion(start, end), "all", capacity=room)
+    for shift in (0.0, 0.01, -0.02):
+        end.copy_(motion.x_t1 + shift * motion.x_t1.sin())
+        graph.replay()
+        expected = pgccd.detect(scene, pgccd.VertexMotion(start.clone(), end.clone()), "all")
+        assert len(expected) > 0
+        assert_same(hits.trim(), expected)
+
+
+def test_room_expected_of_a_first_step(device: torch.device) -> None:
+    """More for bodies that collide with themselves, and more launches even where the meshes remember a step without."""
+    shapes, ends = crumpled(2)
+    meshes, query = pgccd.MeshSet(shapes, device), Query("all", 0.0, None, False)
+    plain, own = (pgccd.Scene(meshes, self_collision=wanted) for wanted in (False, True))
+    assert recall_capacity(own, query, None).candidates > recall_capacity(plain, query, None).candidates
+    pgccd.detect(plain, motion_of(*ends, device=device), "all")
+    assert recall_capacity(own, query, None).launches > recall_capacity(plain, query, None).launches
