@@ -131,9 +131,9 @@ def operators_module() -> Extension:
         "define_macros": TORCH_MACROS,
         "extra_compile_args": {"cxx": CXX_FLAGS, "nvcc": NVCC_FLAGS},
         "depends": glob("csrc/**/*.h", recursive=True),
-        # Named, so that the linker takes the shared one first where it is told to prefer the static one: two copies in
-        # one process do not format an error's message alike, and crash.
-        "libraries": ["stdc++"],
+        # Where the compiler links its C++ library statically, the symbols of that copy must not mix with those of
+        # torch's: formatting an error's message would crash.
+        "extra_link_args": ["-Wl,--exclude-libs,ALL"],
         "py_limited_api": True,
     }
     if toolkit is None:

@@ -78,10 +78,6 @@ class Capacity:
         }
         return replace(self, **scaled)
 
-    def holds(self, needed: Capacity) -> bool:
-        """Whether a step that needs so much fits."""
-        return all(getattr(self, field.name) >= getattr(needed, field.name) for field in fields(self))
-
     def grown(self, needed: Capacity) -> Capacity:
         """Room for a step that needed at least so much, and was cut short by the first part that did not fit."""
         # What came after that saw only a part.
@@ -140,6 +136,11 @@ class Counts:
     def of(cls, values: Sequence[int]) -> Counts:
         """From the operators' two columns, one after the other."""
         return cls(*values)
+
+    @property
+    def overflow(self) -> bool:
+        """Whether there was not room for everything."""
+        return bool(self.pairs_overflow or self.traverse_overflow or self.contacts_overflow)
 
     def needed(self, capacity: Capacity) -> Capacity:
         """The room that the step, made within `capacity`, would have needed."""

@@ -134,7 +134,7 @@ def _detect_at_once(
         counts = search.read()
         needed = counts.needed(capacity)
         remember_needs(bodies.scene, query, pairs, needed)
-        if capacity.holds(needed):
+        if not counts.overflow:
             contacts = search.contacts(counts)
             contacts.stats.waits = attempt
             return contacts

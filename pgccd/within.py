@@ -79,9 +79,8 @@ class Search:
 
         def trim() -> Contacts:
             counts = self.read()
-            needed = counts.needed(self.capacity)
-            if not self.capacity.holds(needed):
-                raise CapacityError(self.capacity, needed)
+            if counts.overflow:
+                raise CapacityError(self.capacity, counts.needed(self.capacity))
             return self.contacts(counts)
 
         rows, count = self.rows, self._count("contacts")
