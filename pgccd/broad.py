@@ -16,9 +16,9 @@ from pgccd.capacity import COUNT_ROWS, Capacity
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
 
-# Where "auto" goes from one to another, as measured on a CPU (bench/bench_broad_phase.py): fewer bodies are swept
-# faster than sorted into cells; every octave of sizes is a level of the grid that bodies look into; a sweep's work
-# grows with the power 5/3 of the bodies.
+# Where "auto" goes from one to another, as measured (bench/bench_broad_phase.py): fewer bodies are swept faster than
+# sorted into cells. On a CPU every octave of sizes is a level of the grid that bodies look into one after the other, and
+# a sweep's work grows with the power 5/3 of the bodies; a GPU does best with the grid over all sizes.
 _FEW_BODIES = 2_000
 _GRID_OCTAVES = 3
 _MANY_BODIES = 150_000
@@ -103,6 +103,8 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
         return broad_phase
     if bodies.scene.body_count < _FEW_BODIES:
         return "sweep"
+    if bodies.device.type != "cpu":
+        return "grid"
     octaves = {math.frexp(mesh.radius)[1] for mesh in bodies.scene.meshes.meshes}
     if len(octaves) <= _GRID_OCTAVES:
         return "grid"

@@ -103,7 +103,7 @@ class Scene:
     @classmethod
     def of_checked(cls, meshes: MeshSet, mesh_index: Tensor, **filters: Tensor) -> Scene:
         """Of columns that come from a scene already checked, rows of its `mesh_index`, `group` and so on: nothing is
-        looked at.
+        looked at. None of the bodies is tested against itself.
 
         Example:
             >>> part = pgccd.Scene.of_checked(scene.meshes, scene.mesh_index[rows])
@@ -113,6 +113,8 @@ class Scene:
         scene.mesh_index, scene.body_count = mesh_index, mesh_index.shape[0]
         for name in FILTERS:
             setattr(scene, name, filters.get(name))
+        scene.self_collision, scene.self_colliding_vertices = None, 0
+        scene.self_colliding = _rows_of(None, meshes.device)
         return scene
 
     @functools.cached_property

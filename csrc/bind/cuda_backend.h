@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <vector>
 
+#include "bind/outputs.h"
 #include "bind/scratch_peak.h"
 #include "kernels/device_context.h"
 
@@ -38,7 +39,7 @@ class TorchMemory final : public DeviceMemory {
   static constexpr int64_t kAlignment = 256, kBlockBytes = int64_t{4} << 20;
 
   char* new_block(int64_t bytes) {
-    held_.push_back(torch::stable::new_empty(like_, {bytes}, torch::headeronly::ScalarType::Byte));
+    held_.push_back(new_empty(like_, {bytes}, ScalarType::Byte, bytes));
     held_bytes_ += bytes;
     scratch_peak() = std::max(scratch_peak(), held_bytes_);
     return static_cast<char*>(held_.back().data_ptr());

@@ -47,7 +47,8 @@ std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& 
       for (; c < end && input.candidates.items[c].pair == row; ++c) {
         double* pair_best = bounded ? &best[row] : nullptr;
         const double latest = bounded ? latest_useful(input.report, *pair_best) : kNever;
-        const Outcome<double> outcome = solve_candidate(bodies, pair, input.candidates.items[c], input.settings, latest);
+        const Outcome<double> outcome =
+            solve_candidate(bodies, pair, input.candidates.items[c], input.settings, latest);
         if (!is_contact(outcome.status)) continue;
         found[worker].push_back({c, outcome});
         if (bounded) lower_to(*pair_best, outcome.toi);
