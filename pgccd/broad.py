@@ -17,8 +17,8 @@ BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
 
 # Where "auto" goes from one to another, as measured (bench/bench_broad_phase.py): fewer bodies are swept faster than
-# sorted into cells. On a CPU every octave of sizes is a level of the grid that bodies look into one after the other, and
-# a sweep's work grows with the power 5/3 of the bodies; a GPU does best with the grid over all sizes.
+# sorted into cells. On a CPU every octave of sizes is a level of the grid that bodies look into one after the other,
+# and a sweep's work grows with the power 5/3 of the bodies; a GPU does best with the grid whatever the sizes.
 _FEW_BODIES = 2_000
 _GRID_OCTAVES = 3
 _MANY_BODIES = 150_000
