@@ -178,9 +178,13 @@ def _(state: list[Tensor], fraction: Tensor) -> tuple[Tensor, ...]:
 
 
 @torch.library.register_fake("pgccd::simulate_pair_motion")
-def _(own: list[Tensor], ghosts: list[Tensor], fraction: Tensor, pairs: Tensor) -> tuple[Tensor, ...]:
+def _(
+    own: list[Tensor], ghosts: list[Tensor], fraction: Tensor, pairs: Tensor, mesh_radius: Tensor
+) -> tuple[Tensor, ...]:
     count = 2 * pairs.shape[0]
-    return pairs.new_empty((count,)), *_fake_robots(fraction, count, 3, 4, 3, 3)
+    position_t0, position_t1, orientation, rotation = _fake_robots(fraction, count, 3, 3, 4, 3)
+    mesh_index = pairs.new_empty((count,), dtype=torch.int32)
+    return mesh_index, position_t0, position_t1, fraction.new_empty((count,)), orientation, rotation
 
 
 @torch.library.register_fake("pgccd::simulate_slow_down")
@@ -189,9 +193,19 @@ def _(robots: Tensor, first: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
     return first.new_empty((count,)), first.new_empty((count,), dtype=torch.uint8)
 
 
+@torch.library.register_fake("pgccd::simulate_slow_all_down")
+def _(first: Tensor, *_rest: object) -> Tensor:
+    return first.new_empty((1,), dtype=torch.int64)
+
+
+@torch.library.register_fake("pgccd::simulate_first_toi")
+def _(first: Tensor, robots: Tensor, pairs: Tensor, toi: Tensor) -> None:
+    return None
+
+
 @torch.library.register_fake("pgccd::simulate_concerned_pairs")
-def _(pairs: Tensor, changed: Tensor) -> tuple[Tensor, Tensor]:
-    return _fake_rows(pairs.shape[0], pairs)
+def _(pairs: Tensor, changed: Tensor, room: int) -> tuple[Tensor, Tensor]:
+    return pairs.new_empty((room, 2)), pairs.new_empty((7,))
 
 
 @torch.library.register_fake("pgccd::simulate_hash")

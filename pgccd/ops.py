@@ -143,17 +143,9 @@ def traverse_rigid(
     )
 
 
-def traverse_deforming(
-    mesh_set: Sequence[Tensor],
-    bodies: Sequence[Tensor],
-    pairs: Tensor,
-    horizon: Tensor | None,
-    min_separation: float,
-    tolerance: float,
-    leading: bool,
-) -> tuple[Tensor, Tensor]:
-    """Candidates (C, 4) int32 of deforming body pairs, and the number of node tests (1,)."""
-    return _ops.traverse_deforming(list(mesh_set), list(bodies), pairs, horizon, min_separation, tolerance, leading)
+def traverse_deforming(mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest: object) -> tuple[Tensor, Tensor]:
+    """As `traverse_rigid`, for deforming bodies, whose paths are linear."""
+    return _ops.traverse_deforming(list(mesh_set), list(bodies), *rest)
 
 
 def narrow_rigid(
@@ -173,20 +165,9 @@ def narrow_rigid(
     )
 
 
-def narrow_deforming(
-    mesh_set: Sequence[Tensor],
-    bodies: Sequence[Tensor],
-    pairs: Tensor,
-    candidates: Tensor,
-    min_separation: float,
-    tolerance: float,
-    nonzero_toi: bool,
-    report: int,
-) -> ContactRows:
-    """Contact rows of the candidates of deforming body pairs."""
-    return _ops.narrow_deforming(
-        list(mesh_set), list(bodies), pairs, candidates, min_separation, tolerance, nonzero_toi, report
-    )
+def narrow_deforming(mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest: object) -> ContactRows:
+    """As `narrow_rigid`, for deforming bodies, whose paths are linear."""
+    return _ops.narrow_deforming(list(mesh_set), list(bodies), *rest)
 
 
 def pairs_within(
@@ -262,12 +243,12 @@ def simulate_respond(state: Sequence[Tensor], fraction: Tensor) -> tuple[Tensor,
 
 
 def simulate_pair_motion(
-    own: Sequence[Tensor], ghosts: Sequence[Tensor], fraction: Tensor, pairs: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Id, position at t0, orientation, position at t1 and rotation of the robots of pairs (P, 2), two rows a pair, of
-    which each makes `fraction` (N + G,) of its step. own, ghosts: the first five columns of a state; rows of ghosts
-    follow own ones."""
-    return _ops.simulate_pair_motion(list(own), list(ghosts), fraction, pairs)
+    own: Sequence[Tensor], ghosts: Sequence[Tensor], fraction: Tensor, pairs: Tensor, mesh_radius: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Mesh, position at t0 and t1, radius, orientation and rotation of the robots of pairs (P, 2), two rows a pair, of
+    which each makes `fraction` (N + G,) of its step; pairs may be padded with -1. own, ghosts: the first five columns
+    of a state; rows of ghosts follow own ones. mesh_radius (M,): the robot with id k has mesh k modulo M."""
+    return _ops.simulate_pair_motion(list(own), list(ghosts), fraction, pairs, mesh_radius)
 
 
 def simulate_slow_down(
@@ -277,9 +258,24 @@ def simulate_slow_down(
     return _ops.simulate_slow_down(robots, first, fraction, approach, smallest)
 
 
-def simulate_concerned_pairs(pairs: Tensor, changed: Tensor) -> tuple[Tensor, Tensor]:
-    """Rows of pairs (P, 2) with a robot of which changed (N,) uint8 is 1, in the first `found` (1,) places of (P,)."""
-    return _ops.simulate_concerned_pairs(pairs, changed)
+def simulate_slow_all_down(
+    first: Tensor, fraction: Tensor, changed: Tensor, approach: float, smallest: float
+) -> Tensor:
+    """The same for all robots, in place: fraction (N,), and changed (N,) uint8, 1 for those that change; first (N,)
+    becomes infinite. Returns (1,) int64: 1 if any changes, else 0."""
+    return _ops.simulate_slow_all_down(first, fraction, changed, approach, smallest)
+
+
+def simulate_first_toi(first: Tensor, robots: Tensor, pairs: Tensor, toi: Tensor) -> None:
+    """Lowers first (N,), in place, to the toi (K,) of contacts of pairs (K, 2) of copies, which may be padded with -1;
+    robots (C,) says of which robot each is a copy."""
+    _ops.simulate_first_toi(first, robots, pairs, toi)
+
+
+def simulate_concerned_pairs(pairs: Tensor, changed: Tensor, room: int) -> tuple[Tensor, Tensor]:
+    """Those of the pairs (P, 2) with a robot of which changed (N,) uint8 is 1: (room, 2), padded with -1; and counts
+    (7,) as of `pairs_within`. Waits for nothing on a GPU."""
+    return _ops.simulate_concerned_pairs(pairs, changed, room)
 
 
 def simulate_hash(columns: Sequence[Tensor]) -> Tensor:

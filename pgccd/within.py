@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -120,13 +121,44 @@ def search_within(
         pair_counts[COUNT_ROWS["pairs"]] = len(pairs)
         pair_counts[COUNT_ROWS["pairs_written"]] = len(pairs)
         pair_counts *= 1 - faults[-1:]
+    linear_path = None if bodies.deforming else bodies.linear_path
+    rows, counts = contacts_within(
+        bodies.mesh_set, bodies.tensors, linear_path, pairs, pair_counts, faults, query, capacity
+    )
+    return Search(bodies, query, capacity, chosen or "given", rows, counts)
+
+
+def contacts_within(
+    mesh_set: Sequence[Tensor],
+    tensors: Sequence[Tensor],
+    linear_path: bool | None,
+    pairs: Tensor,
+    pair_counts: Tensor,
+    faults: Tensor,
+    query: Query,
+    capacity: Capacity,
+) -> tuple[ContactRows, Tensor]:
+    """Traversal and narrow phase of a step, of pairs whose number the host need not know.
+
+    Args:
+        mesh_set, tensors: as of `MovingBodies`.
+        linear_path: True if vertices move on straight lines, False if on arcs; None: the bodies deform.
+        pairs: (P, 2) int64; those beyond the number written are padding.
+        pair_counts: (7,) int64, the first of `Counts`.
+        faults: (F,) int64, handed on.
+        query: what is asked.
+        capacity: room for the answer.
+
+    Returns:
+        Contacts with padding, the first column being body pairs; and counts (21 + F,).
+    """
     settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
     rest = (pairs, pair_counts, faults, *settings, narrow.REPORTS[query.report], capacity.of_contacts)
-    if bodies.deforming:
-        *rows, counts = ops.contacts_within_deforming(bodies.mesh_set, bodies.tensors, *rest)
+    if linear_path is None:
+        *rows, counts = ops.contacts_within_deforming(mesh_set, tensors, *rest)
     else:
-        *rows, counts = ops.contacts_within_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
-    return Search(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
+        *rows, counts = ops.contacts_within_rigid(mesh_set, tensors, linear_path, *rest)
+    return tuple(rows), counts  # type: ignore[return-value]
 
 
 def _earliest_row(rows: ContactRows) -> ContactRows:

@@ -50,7 +50,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "narrow_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor candidates, "
       "float min_separation, float tolerance, bool nonzero_toi, int report) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor)");
-  // Without waiting for a size: capacity = [pairs, overlaps, long_rows], see kernels/broad/pair_output.h; broad_phase =
+  // Without waiting for a size: capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h; broad_phase =
   // 0 (sweep), 1 (grid) or 2 (lbvh).
   library.def(
       "pairs_within(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "

@@ -62,23 +62,28 @@ struct SimulateOps {
     return {position, orientation, velocity, angular_velocity};
   }
 
-  static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> simulate_pair_motion(const TensorList& own,
-                                                                                 const TensorList& ghosts,
-                                                                                 const Tensor& fraction,
-                                                                                 const Tensor& pairs) {
+  static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor> simulate_pair_motion(const TensorList& own,
+                                                                                         const TensorList& ghosts,
+                                                                                         const Tensor& fraction,
+                                                                                         const Tensor& pairs,
+                                                                                         const Tensor& mesh_radius) {
     PairMotionInput input;
     input.own = moving_robots(own, "own");
     input.ghosts = moving_robots(ghosts, "ghosts");
     input.fraction = rows<double>(fraction, "fraction", {input.own.count + input.ghosts.count});
     input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
     input.pair_count = pairs.size(0);
+    input.mesh_radius = rows<double>(mesh_radius, "mesh_radius", {kAnySize});
+    input.mesh_count = mesh_radius.size(0);
+    STD_TORCH_CHECK(input.mesh_count > 0, "mesh_radius: expected at least one mesh");
     const int64_t count = 2 * input.pair_count;
-    Tensor id = new_integers(fraction, count), orientation = new_rows(fraction, count, 4);
+    Tensor mesh_index = new_tensor<int32_t>(fraction, {count}), radius = new_tensor<double>(fraction, {count});
     Tensor position_t0 = new_rows(fraction, count, 3), position_t1 = new_rows(fraction, count, 3);
-    Tensor rotation = new_rows(fraction, count, 3);
-    Backend(fraction).pair_motion(input, {data<int64_t>(id), data<double>(position_t0), data<double>(orientation),
-                                          data<double>(position_t1), data<double>(rotation)});
-    return {id, position_t0, orientation, position_t1, rotation};
+    Tensor orientation = new_rows(fraction, count, 4), rotation = new_rows(fraction, count, 3);
+    Backend(fraction).pair_motion(
+        input, {data<int32_t>(mesh_index), data<double>(position_t0), data<double>(radius), data<double>(orientation),
+                data<double>(position_t1), data<double>(rotation)});
+    return {mesh_index, position_t0, position_t1, radius, orientation, rotation};
   }
 
   static std::tuple<Tensor, Tensor> simulate_slow_down(const Tensor& robots, const Tensor& first,
@@ -92,12 +97,33 @@ struct SimulateOps {
     return {made, changes};
   }
 
-  static std::tuple<Tensor, Tensor> simulate_concerned_pairs(const Tensor& pairs, const Tensor& changed) {
-    const int64_t* all = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
-    Tensor concerned = new_integers(pairs, pairs.size(0)), found = new_integers(pairs, 1);
-    Backend(pairs).concerned_pairs(all, pairs.size(0), rows<uint8_t>(changed, "changed", {kAnySize}),
-                                   data<int64_t>(concerned), data<int64_t>(found));
-    return {concerned, found};
+  static Tensor simulate_slow_all_down(Tensor first, Tensor fraction, Tensor changed, double approach,
+                                       double smallest) {
+    const int64_t count = first.size(0);
+    rows<double>(first, "first", {count});
+    rows<double>(fraction, "fraction", {count});
+    rows<uint8_t>(changed, "changed", {count});
+    Tensor changes = new_integers(first, 1);
+    Backend(first).slow_all_down(
+        {data<double>(first), data<double>(fraction), data<uint8_t>(changed), count, approach, smallest},
+        data<int64_t>(changes));
+    return changes;
+  }
+
+  static void simulate_first_toi(Tensor first, const Tensor& robots, const Tensor& pairs, const Tensor& toi) {
+    rows<double>(first, "first", {kAnySize});
+    const int64_t count = toi.size(0);
+    Backend(first).first_toi({rows<int64_t>(robots, "robots", {kAnySize}), rows<int64_t>(pairs, "pairs", {count, 2}),
+                              rows<double>(toi, "toi", {count}), count},
+                             data<double>(first));
+  }
+
+  static std::tuple<Tensor, Tensor> simulate_concerned_pairs(const Tensor& pairs, const Tensor& changed, int64_t room) {
+    STD_TORCH_CHECK(room >= 0 && room < (int64_t{1} << 31), "room: expected a number in [0, 2^31), got ", room);
+    Tensor concerned = new_tensor<int64_t>(pairs, {room, 2}), counts = new_integers(pairs, int64_t{kPairCounts});
+    Backend(pairs).concerned_pairs(concerned_view(pairs, changed), pairs.size(0),
+                                   {{room, 0, false}, data<int64_t>(concerned), data<int64_t>(counts)});
+    return {concerned, counts};
   }
 
   static Tensor simulate_hash(const TensorList& columns) {
@@ -123,6 +149,8 @@ struct SimulateOps {
   library.impl("simulate_respond", TORCH_BOX(&SimulateOps<Backend>::simulate_respond));                 \
   library.impl("simulate_pair_motion", TORCH_BOX(&SimulateOps<Backend>::simulate_pair_motion));         \
   library.impl("simulate_slow_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_down));             \
+  library.impl("simulate_slow_all_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_all_down));     \
+  library.impl("simulate_first_toi", TORCH_BOX(&SimulateOps<Backend>::simulate_first_toi));             \
   library.impl("simulate_concerned_pairs", TORCH_BOX(&SimulateOps<Backend>::simulate_concerned_pairs)); \
   library.impl("simulate_hash", TORCH_BOX(&SimulateOps<Backend>::simulate_hash));                       \
   library.impl("random_uniforms", TORCH_BOX(&SimulateOps<Backend>::random_uniforms))

@@ -31,9 +31,14 @@ class SimulateOnCuda {
   void slow_down(const SlowDownInput& input, double* fraction, uint8_t* changes) const {
     slow_down_cuda(session_.context(), input, fraction, changes);
   }
-  void concerned_pairs(const int64_t* pairs, int64_t pair_count, const uint8_t* changed, int64_t* rows,
-                       int64_t* found) const {
-    concerned_pairs_cuda(session_.context(), pairs, pair_count, changed, rows, found);
+  void slow_all_down(const SlowAllDown& robots, int64_t* changes) const {
+    slow_all_down_cuda(session_.context(), robots, changes);
+  }
+  void first_toi(const FirstToiInput& contacts, double* first) const {
+    first_toi_cuda(session_.context(), contacts, first);
+  }
+  void concerned_pairs(const ConcernedPairs& concerned, int64_t pair_count, const PaddedPairs& out) const {
+    concerned_pairs_cuda(session_.context(), concerned, pair_count, out);
   }
   void hash_rows(const HashColumns& columns, uint64_t* sum) const { hash_rows_cuda(session_.context(), columns, sum); }
 

@@ -16,12 +16,18 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "simulate_respond(Tensor[] state, Tensor fraction) -> (Tensor position, Tensor orientation, Tensor velocity, "
       "Tensor angular_velocity)");
   library.def(
-      "simulate_pair_motion(Tensor[] own, Tensor[] ghosts, Tensor fraction, Tensor pairs) -> (Tensor id, "
-      "Tensor position_t0, Tensor orientation, Tensor position_t1, Tensor rotation)");
+      "simulate_pair_motion(Tensor[] own, Tensor[] ghosts, Tensor fraction, Tensor pairs, Tensor mesh_radius) -> "
+      "(Tensor mesh_index, Tensor position_t0, Tensor position_t1, Tensor radius, Tensor orientation, Tensor "
+      "rotation)");
   library.def(
       "simulate_slow_down(Tensor robots, Tensor first, Tensor fraction, float approach, float smallest) -> "
       "(Tensor made, Tensor changes)");
-  library.def("simulate_concerned_pairs(Tensor pairs, Tensor changed) -> (Tensor concerned, Tensor found)");
+  library.def(
+      "simulate_slow_all_down(Tensor(a!) first, Tensor(b!) fraction, Tensor(c!) changed, float approach, "
+      "float smallest) -> Tensor changes");
+  library.def("simulate_first_toi(Tensor(a!) first, Tensor robots, Tensor pairs, Tensor toi) -> ()");
+  // counts: see kernels/padded_pairs.h
+  library.def("simulate_concerned_pairs(Tensor pairs, Tensor changed, int room) -> (Tensor concerned, Tensor counts)");
   library.def("simulate_hash(Tensor[] columns) -> Tensor");
   library.def("random_uniforms(Tensor id, int seed, int step, int stream) -> Tensor");
 }

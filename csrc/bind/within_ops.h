@@ -5,7 +5,7 @@
 #include <tuple>
 
 #include "bind/contact_tensors.h"
-#include "kernels/broad/pair_output.h"
+#include "kernels/padded_pairs.h"
 #include "kernels/traverse/traverse.h"
 
 namespace pgccd::bind {

@@ -123,11 +123,25 @@ class HeldExchange:
         self._sent, self._flags_sent = _with_flags(route.sent, device)
         self._received, self._flags_received = _with_flags(route.received, device)
 
+    @property
+    def rank(self) -> int:
+        return self._route.comm.rank
+
     def collect(self, first: Tensor) -> None:
         """Lowers the first toi (N + G,) of own bodies to the smallest over all ranks that hold them."""
         if self._route.comm.size > 1:
-            found = self._route.back({"toi": first[self._ghosts]}).wait()["toi"]
+            found = self._send(first[self._ghosts], self._route.received, self._route.sent)
             first.scatter_reduce_(0, self._route.rows, found, "amin")
+
+    def share(self, first: Tensor) -> None:
+        """Sets that of all bodies to the smallest."""
+        if self._route.comm.size > 1:
+            self.collect(first)
+            first[self._ghosts] = self._send(first[self._route.rows], self._route.sent, self._route.received)
+
+    def gather(self, values: Tensor) -> Tensor:
+        """values (k,) -> (ranks, k): those of every rank."""
+        return self._route.comm.all_gather(values)
 
     def spread(self, first: Tensor, changed: Tensor) -> Tensor:
         """Sets that of ghosts to their owners'; and says whether a body changes on any rank, (1,) bool."""
@@ -138,9 +152,14 @@ class HeldExchange:
         message[self._sent] = first[self._route.rows]
         message[self._flags_sent] = changed.to(first.dtype)
         sent, received = ([count + 1 for count in counts] for counts in (self._route.sent, self._route.received))
-        answer = comm.exchange(message.view(torch.uint8).view(-1, 8), sent, received).wait().view(first.dtype)[:, 0]
+        answer = self._send(message, sent, received)
         first[self._ghosts] = answer[self._received]
         return (answer[self._flags_received] > 0.0).any().reshape(1)
+
+    def _send(self, values: Tensor, sent: list[int], received: list[int]) -> Tensor:
+        """float64 values, so many to and from each rank."""
+        rows = values.view(torch.uint8).view(-1, values.element_size())
+        return self._route.comm.exchange(rows, sent, received).wait().view(values.dtype)[:, 0]
 
 
 def _with_flags(counts: list[int], device: torch.device) -> tuple[Tensor, Tensor]:

@@ -19,8 +19,9 @@ from pgccd.distributed.partition import Partition
 from pgccd.motion import RigidMotion
 from pgccd.scene import Scene
 from pgccd.sim.hashing import id_hash_of
-from pgccd.sim.response import Settlement, respond, settle
-from pgccd.sim.step import Partners, Tally, count_step, toi_of
+from pgccd.sim.response import Settlement, respond
+from pgccd.sim.rounds import Pace
+from pgccd.sim.step import Partners, Tally, count_step, settle_step, toi_of
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
 
@@ -64,6 +65,7 @@ class Fleet:
         state: of any share of the robots; all ranks together have each robot once.
         balance: how cells change hands.
         broad_phase, overlap: see `Options`.
+        ahead: see `pgccd.sim.make_step`; the same on all ranks.
 
     Example:
         >>> fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
@@ -79,11 +81,14 @@ class Fleet:
         balance: BalanceOptions | None = None,
         overlap: bool = True,
         broad_phase: BroadPhase = "auto",
+        ahead: bool | None = None,
     ) -> None:
         self.comm, self.world, self.partition = comm, world, partition
         self.balance = balance or BalanceOptions()
         # nonzero_toi: robots that part after a contact are free.
         self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
+        # The fleet's own, so that all ranks know the same number of rounds.
+        self._pace = Pace() if (world.device.type == "cuda" if ahead is None else ahead) else None
         self._expected = Census.of_range(world.config.robots)
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()
@@ -109,7 +114,7 @@ class Fleet:
         held, toi = found.held, toi_of(found.contacts)
         with clock.stage("respond"):
             partners = Partners(self.world, own, held.ghosts, found.pairs)
-            settlement = settle(found.contacts.pairs, toi, len(held), partners, HeldExchange(held))
+            settlement = settle_step(found.contacts, len(held), partners, self._pace, HeldExchange(held))
             fraction = settlement.fraction[: len(planned)]
             after = respond(planned, fraction)
         with clock.stage("hash"):

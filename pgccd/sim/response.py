@@ -46,6 +46,9 @@ class Exchange(Protocol):
     #: (S,) int64 rows of the robots that others know too.
     shared: Tensor
 
+    @property
+    def rank(self) -> int: ...
+
     def collect(self, first: Tensor) -> None:
         """Lowers the first toi (N,) of the robots that this rank owns to the smallest over all ranks that hold them."""
         ...
@@ -56,8 +59,24 @@ class Exchange(Protocol):
         """
         ...
 
+    def share(self, first: Tensor) -> None:
+        """Sets the first toi (N,) of all robots to the smallest over all ranks that hold them."""
+        ...
 
-class _Alone:
+    def gather(self, values: Tensor) -> Tensor:
+        """values (k,) -> (ranks, k): those of every rank."""
+        ...
+
+
+class Alone:
+    """There is one rank.
+
+    Args:
+        rows: any (., ) int64, where the robots are.
+    """
+
+    rank = 0
+
     def __init__(self, rows: Tensor) -> None:
         self.shared = rows[:0]
 
@@ -66,6 +85,12 @@ class _Alone:
 
     def spread(self, first: Tensor, changed: Tensor) -> Tensor:
         return changed
+
+    def share(self, first: Tensor) -> None:
+        pass
+
+    def gather(self, values: Tensor) -> Tensor:
+        return values[None]
 
 
 @dataclass
@@ -121,7 +146,7 @@ def settle(
         >>> settled = pgccd.sim.settle(hits.pairs, hits.toi, len(state), find_contacts)
     """
     rows = pairs.reshape(-1)
-    exchange = exchange or _Alone(rows)
+    exchange = exchange or Alone(rows)
     fraction = torch.ones(body_count, dtype=torch.float64, device=toi.device)
     first = torch.full_like(fraction, torch.inf)
     changed = torch.zeros(body_count, dtype=torch.bool, device=toi.device)
@@ -131,8 +156,7 @@ def settle(
         exchange.collect(first)
         # A row may be named several times: what is written for it is the same each time.
         rows = torch.cat([rows, exchange.shared])
-        # Every round stops or slows somebody, and from round _ROUNDS on stops for good: the loop ends.
-        limits = (_APPROACH, _SMALLEST_PART if rounds < _ROUNDS else torch.inf)
+        limits = limits_of(rounds)
         made, changes = ops.simulate_slow_down(rows, first, fraction, *limits)
         anybody = exchange.spread(first, changes.any().reshape(1))
         if len(exchange.shared):
@@ -147,6 +171,12 @@ def settle(
         rows = pairs.reshape(-1)
         rounds += 1
         secondary_contacts += len(toi)
+
+
+def limits_of(rounds: int) -> tuple[float, float]:
+    """Part of the way to its toi that a robot goes after so many rounds; and who could make less of the step stays."""
+    # Every round stops or slows somebody, and from this one on stops for good: settling ends.
+    return _APPROACH, _SMALLEST_PART if rounds < _ROUNDS else torch.inf
 
 
 def _of_both(toi: Tensor) -> Tensor:

@@ -11,13 +11,22 @@ from torch import Tensor
 
 from pgccd import broad, ops
 from pgccd.bodies import MovingBodies
+from pgccd.capacity import Capacity
 from pgccd.contacts import Contacts
 from pgccd.detect import detect
+from pgccd.memory import memory_limit
+from pgccd.query import Query
 from pgccd.scene import Scene
 from pgccd.sim.hashing import contacts_hash_of, state_hash_of
-from pgccd.sim.response import Settlement, respond, settle
+from pgccd.sim.response import Alone, Exchange, Settlement, respond, settle
+from pgccd.sim.rounds import Pace, settle_ahead
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
+from pgccd.within import contacts_within
+
+# What a round of settling asks, as does the detection of the whole step. nonzero_toi: robots that part after a contact
+# are free.
+_ROUND = Query("first", 0.0, None, True)
 
 
 @dataclass
@@ -34,7 +43,12 @@ class Step:
 
 
 def make_step(
-    world: World, scene: Scene, state: RobotState, index: int, broad_phase: broad.BroadPhase = "auto"
+    world: World,
+    scene: Scene,
+    state: RobotState,
+    index: int,
+    broad_phase: broad.BroadPhase = "auto",
+    ahead: bool | None = None,
 ) -> Step:
     """Moves the robots by one step.
 
@@ -44,6 +58,8 @@ def make_step(
         state: of all robots, after step `index` - 1.
         index: number of the step, from 0.
         broad_phase: as for `detect`.
+        ahead: whether the rounds of settling are made several at a time, without waiting for each; default: on a GPU.
+            The result does not depend on it.
 
     Example:
         >>> step = pgccd.sim.make_step(world, scene, world.start(), 0)
@@ -60,7 +76,9 @@ def make_step(
     clock.add(contacts.stats.seconds)
     toi = toi_of(contacts)
     with clock.stage("respond"):
-        settlement = settle(contacts.pairs, toi, len(before), Partners(world, before.moving_columns, None, pairs))
+        partners = Partners(world, before.moving_columns, None, pairs)
+        pace = _pace_of(scene) if (scene.device.type == "cuda" if ahead is None else ahead) else None
+        settlement = settle_step(contacts, len(before), partners, pace)
         after = respond(before, settlement.fraction)
     with clock.stage("hash"):
         counted = count_step(after, settlement.fraction, before.id[contacts.pairs], toi).tolist()
@@ -133,8 +151,33 @@ def count_step(after: RobotState, fraction: Tensor, id_pairs: Tensor, toi: Tenso
     return torch.cat([robots, contacts_hash_of(id_pairs, toi), state_hash_of(after), stopped, touching])
 
 
+def settle_step(
+    contacts: Contacts, body_count: int, partners: Partners, pace: Pace | None, exchange: Exchange | None = None
+) -> Settlement:
+    """Decides how much of a step each robot makes.
+
+    Args:
+        contacts: of the whole step.
+        body_count: number of robots N.
+        partners: who may meet whom.
+        pace: of the last step; None: the host looks at the outcome of every round.
+        exchange: how ranks agree; default: there is one.
+    """
+    pairs, toi = contacts.pairs, toi_of(contacts)
+    exchange = exchange or Alone(pairs.reshape(-1))
+    # The first step waits for each round, and tells what room rounds need; so does one that did not find enough.
+    if pace is not None and pace.rounds is not None:
+        settled = settle_ahead(pairs, toi, body_count, partners.start_round, exchange, pace)
+        if settled is not None:
+            return settled
+    settled = settle(pairs, toi, body_count, partners, exchange)
+    if pace is not None:
+        pace.learn(partners.needed)
+    return settled
+
+
 class Partners:
-    """What `settle` asks, answered for potentially colliding pairs.
+    """What settling asks, answered for potentially colliding pairs.
 
     Args:
         world: the rules.
@@ -143,22 +186,55 @@ class Partners:
     """
 
     def __init__(self, world: World, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, pairs: Tensor) -> None:
-        self._world, self._own, self._ghosts, self._pairs = world, own, ghosts, pairs
+        self._world, self._pairs = world, pairs
+        self._own = [own[name] for name in own]
+        self._ghosts = [column[:0] if ghosts is None else ghosts[name] for name, column in own.items()]
+        #: Room that each round needed, where rounds were waited for.
+        self.needed: list[Capacity] = []
+        self._copies = self._copies_of(0)
+        self._no_faults = pairs.new_empty(0)
 
     def __call__(self, changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+        """See `FindContacts`."""
         # A slowed robot stays within the volume it was to sweep: it meets nobody but its partners in the PCS.
-        concerned, found = ops.simulate_concerned_pairs(self._pairs, changed.view(torch.uint8))
+        pairs, counts = ops.simulate_concerned_pairs(self._pairs, changed.view(torch.uint8), len(self._pairs))
         # Read together: on a GPU every look at a number waits for it.
-        goes_on, count = torch.cat([anybody, found]).tolist()
+        goes_on, count, *_ = torch.cat([anybody, counts]).tolist()
         if not goes_on:
             return None
         if not count:
-            return self._pairs[:0], fraction[:0]
-        pairs = self._pairs[concerned[:count]]
+            self.needed.append(Capacity(0, 0))
+            return pairs[:0], fraction[:0]
+        pairs = pairs[:count]
         scene, motion = self._world.pair_motion(self._own, self._ghosts, fraction, pairs)
-        copies = torch.arange(2 * count, device=pairs.device).view(count, 2)
-        contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=copies)
+        # nonzero_toi: as for the whole step.
+        contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=self._copies_of(count))
+        self.needed.append(contacts.stats.needed or Capacity.guess(2 * count, count))
         return pairs[contacts.pairs[:, 0] // 2], toi_of(contacts)
+
+    def start_round(self, changed: Tensor, fraction: Tensor, room: Capacity, first: Tensor) -> Tensor:
+        """See `StartRound`."""
+        if room.bytes > memory_limit(None, room.bytes, fraction.device):
+            room = Capacity(0, 0)  # which does not suffice: the rounds are waited for, then, and searched in pieces
+        if room.pairs > len(self._copies):
+            self._copies = self._copies_of(room.pairs)
+        pairs, pair_counts = ops.simulate_concerned_pairs(self._pairs, changed, room.pairs)
+        bodies = self._world.pair_bodies(self._own, self._ghosts, fraction, pairs)
+        copies, meshes = self._copies[: room.pairs], self._world.meshes.tensors
+        rows, counts = contacts_within(meshes, bodies, False, copies, pair_counts, self._no_faults, _ROUND, room)
+        ops.simulate_first_toi(first, pairs.view(-1), rows[0], rows[4])
+        return counts
+
+    def _copies_of(self, count: int) -> Tensor:
+        """The two robots of each pair among their copies."""
+        return torch.arange(2 * count, device=self._pairs.device).view(count, 2)
+
+
+def _pace_of(scene: Scene) -> Pace:
+    """The meshes remember it, as they do what room a step needs."""
+    pace = scene.meshes.experience.setdefault("settling", Pace())
+    assert isinstance(pace, Pace)
+    return pace
 
 
 def toi_of(contacts: Contacts) -> Tensor:

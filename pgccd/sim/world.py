@@ -172,25 +172,30 @@ class World:
             velocity, spin = fraction[:, None] * velocity, fraction[:, None] * spin
         return RigidMotion.from_velocity(state.position, state.orientation, velocity, spin, dt=1.0)
 
-    def pair_motion(
-        self, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, fraction: Tensor, pairs: Tensor
-    ) -> tuple[Scene, RigidMotion]:
+    def pair_bodies(
+        self, own: Sequence[Tensor], ghosts: Sequence[Tensor], fraction: Tensor, pairs: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The robots of some pairs alone, each pair with its own copies of its two robots.
 
         Args:
             own, ghosts: `moving_columns` of planned states; rows of ghosts follow own ones.
             fraction: (N + G,) of the step that each robot makes.
-            pairs: (P, 2) int64 rows.
+            pairs: (P, 2) int64 rows; may be padded with -1.
 
         Returns:
-            Scene and motion of 2 P bodies, of which 2 k and 2 k + 1 are the robots of pair k.
+            What `MovingBodies.tensors` would be for 2 P bodies, of which 2 k and 2 k + 1 are the robots of pair k.
         """
-        ghosts = ghosts or {name: column[:0] for name, column in own.items()}
-        own_columns, ghost_columns = ([part[name] for name in _MOVING] for part in (own, ghosts))
-        id, position_t0, orientation, position_t1, rotation = ops.simulate_pair_motion(
-            own_columns, ghost_columns, fraction, pairs
-        )
-        return self.scene(id), RigidMotion.of_checked(position_t0, orientation, position_t1, rotation)
+        return ops.simulate_pair_motion(own, ghosts, fraction, pairs, self.meshes.radius)
+
+    def pair_motion(
+        self, own: Sequence[Tensor], ghosts: Sequence[Tensor], fraction: Tensor, pairs: Tensor
+    ) -> tuple[Scene, RigidMotion]:
+        """Scene and motion of `pair_bodies`, of pairs without padding."""
+        tensors = self.pair_bodies(own, ghosts, fraction, pairs)
+        mesh_index, position_t0, position_t1, radius, orientation, rotation = tensors
+        scene = Scene.of_checked(self.meshes, mesh_index)
+        scene.radius = radius  # known already
+        return scene, RigidMotion.of_checked(position_t0, orientation, position_t1, rotation)
 
     def scene(self, id: Tensor) -> Scene:
         """The scene of the robots `id` (N,) int64."""

@@ -176,8 +176,8 @@ def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> N
     pairs = pgccd.broad.find_pairs(pgccd.MovingBodies(world.scene(state.id), world.motion(state)))
     slowed = world.motion(state, fraction)
     own_count = len(state) - ghost_count
-    own = {name: column[:own_count] for name, column in state.moving_columns.items()}
-    ghosts = {name: column[own_count:] for name, column in state.moving_columns.items()}
+    own = [column[:own_count] for column in state.moving_columns.values()]
+    ghosts = [column[own_count:] for column in state.moving_columns.values()]
     scene, motion = world.pair_motion(own, ghosts, fraction, pairs)
     for name in ("position_t0", "orientation_t0", "position_t1", "rotation"):
         assert torch.equal(getattr(motion, name), getattr(slowed, name)[pairs.reshape(-1)]), name

@@ -2,10 +2,14 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 
 #include "core/platform.h"
+#include "kernels/padded_pairs.h"
 
 namespace pgccd {
+
+constexpr double kNever = std::numeric_limits<double>::infinity();
 
 struct SlowDownInput {
   const int64_t* rows;  // (count,) robots looked at; any may be named several times
@@ -16,13 +20,75 @@ struct SlowDownInput {
   double smallest;         // who could make less of the step stays
 };
 
+struct SlowedDown {
+  double fraction;
+  bool changes;
+};
+
 // Robots that do not move at all can only touch where they did before: nothing is left to decide about them.
+PGCCD_HD SlowedDown slowed_down(double first, double former, double approach, double smallest) {
+  if (!(first <= 1.0 && former > 0.0)) return {former, false};
+  const double allowed = former * first * approach;
+  return {allowed < smallest ? 0.0 : allowed, true};
+}
+
 PGCCD_HD void slow_down(const SlowDownInput& input, int64_t k, double* fraction, uint8_t* changes) {
-  const double first = input.first[input.rows[k]], former = input.fraction[input.rows[k]];
-  const bool slower = first <= 1.0 && former > 0.0;
-  const double allowed = former * first * input.approach;
-  changes[k] = slower ? 1 : 0;
-  fraction[k] = slower ? (allowed < input.smallest ? 0.0 : allowed) : former;
+  const int64_t row = input.rows[k];
+  const SlowedDown made = slowed_down(input.first[row], input.fraction[row], input.approach, input.smallest);
+  changes[k] = made.changes ? 1 : 0;
+  fraction[k] = made.fraction;
+}
+
+// All robots, in place.
+struct SlowAllDown {
+  double* first;     // (count,), infinite afterwards
+  double* fraction;  // (count,)
+  uint8_t* changed;  // (count,)
+  int64_t count;
+  double approach, smallest;  // as above
+
+  // Whether the robot changes.
+  PGCCD_HD bool slow_down(int64_t row) const {
+    const double toi = first[row];
+    const bool looks = toi <= 1.0;
+    const SlowedDown made = looks ? slowed_down(toi, fraction[row], approach, smallest) : SlowedDown{};
+    changed[row] = made.changes ? 1 : 0;
+    if (made.changes) fraction[row] = made.fraction;
+    if (looks) first[row] = kNever;
+    return made.changes;
+  }
+};
+
+// Contacts (count,) of pairs of copies of robots; rows of padding have negative pairs.
+struct FirstToiInput {
+  const int64_t* robots;  // of each copy
+  const int64_t* pairs;   // (count, 2) copies
+  const double* toi;      // (count,) >= 0
+  int64_t count;
+};
+
+// Pairs of which at least one robot has changed.
+struct ConcernedPairs {
+  const int64_t* pairs;    // (pair_count, 2)
+  const uint8_t* changed;  // (robots,)
+
+  PGCCD_HD bool operator()(int64_t pair) const {
+    return (changed[pairs[2 * pair]] | changed[pairs[2 * pair + 1]]) != 0;
+  }
+};
+
+// The k-th of the concerned pairs, `rows` (found,) of all, where there is room for it.
+PGCCD_HD void store_concerned_pair(const int64_t* pairs, const int64_t* rows, int64_t found, int64_t k,
+                                   const PaddedPairs& out) {
+  const int64_t room = out.capacity.pairs, written = found < room ? found : room;
+  if (k == 0) {
+    for (int count = 0; count < kPairCounts; ++count) out.counts[count] = 0;
+    out.counts[kPairsNeeded] = found;
+    out.counts[kPairsWritten] = written;
+    out.counts[kPairsOverflow] = found > room ? 1 : 0;
+  }
+  if (k >= room) return;
+  for (int side = 0; side < 2; ++side) out.rows[2 * k + side] = k < written ? pairs[2 * rows[k] + side] : -1;
 }
 
 }  // namespace pgccd

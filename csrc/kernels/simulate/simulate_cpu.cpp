@@ -1,3 +1,5 @@
+#include <vector>
+
 #include "kernels/find_rows.h"
 #include "kernels/simulate/robot_item.h"
 #include "kernels/simulate/simulate.h"
@@ -53,10 +55,32 @@ void slow_down_cpu(const Executor& executor, const SlowDownInput& input, double*
   for_each_row(executor, input.count, [&](int64_t k) { slow_down(input, k, fraction, changes); });
 }
 
-void concerned_pairs_cpu(const Executor& executor, const int64_t* pairs, int64_t pair_count, const uint8_t* changed,
-                         int64_t* rows, int64_t* found) {
-  find_rows(executor, pair_count, rows, found,
-            [&](int64_t pair) { return (changed[pairs[2 * pair]] | changed[pairs[2 * pair + 1]]) != 0; });
+void slow_all_down_cpu(const Executor& executor, const SlowAllDown& robots, int64_t* changes) {
+  *changes = 0;
+  parallel_chunks(executor, robots.count, 1024, [&](int, int64_t begin, int64_t end) {
+    bool any = false;
+    for (int64_t row = begin; row < end; ++row) any |= robots.slow_down(row);
+    if (any) add_shared(*changes, int64_t{1}, false);
+  });
+  *changes = *changes != 0;
+}
+
+void first_toi_cpu(const Executor&, const FirstToiInput& contacts, double* first) {
+  for (int64_t side = 0; side < 2 * contacts.count; ++side) {
+    const int64_t copy = contacts.pairs[side];
+    if (copy < 0) continue;
+    double& target = first[contacts.robots[copy]];
+    target = smaller(target, contacts.toi[side / 2]);
+  }
+}
+
+void concerned_pairs_cpu(const Executor& executor, const ConcernedPairs& concerned, int64_t pair_count,
+                         const PaddedPairs& out) {
+  std::vector<int64_t> rows(static_cast<size_t>(pair_count));
+  int64_t found = 0;
+  find_rows(executor, pair_count, rows.data(), &found, concerned);
+  for_each_row(executor, larger<int64_t>(1, out.capacity.pairs),
+               [&](int64_t k) { store_concerned_pair(concerned.pairs, rows.data(), found, k, out); });
 }
 
 void hash_rows_cpu(const Executor& executor, const HashColumns& columns, uint64_t* sum) {

@@ -59,10 +59,32 @@ void slow_down_cuda(const DeviceContext& context, const SlowDownInput& input, do
   for_each_item(context, input.count, [=] __device__(int64_t k) { slow_down(input, k, fraction, changes); });
 }
 
-void concerned_pairs_cuda(const DeviceContext& context, const int64_t* pairs, int64_t pair_count,
-                          const uint8_t* changed, int64_t* rows, int64_t* found) {
-  find_rows(context, pair_count, rows, found,
-            [=] __device__(int64_t pair) { return (changed[pairs[2 * pair]] | changed[pairs[2 * pair + 1]]) != 0; });
+void slow_all_down_cuda(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes) {
+  fill_bytes(context, changes, 0, 1);
+  for_each_item(context, robots.count, [=] __device__(int64_t row) {
+    if (robots.slow_down(row)) *changes = 1;  // whoever does writes the same
+  });
+}
+
+void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts, double* first) {
+  // Doubles that are not negative are in the order of their bits.
+  static_assert(sizeof(long long) == sizeof(double));
+  for_each_item(context, 2 * contacts.count, [=] __device__(int64_t side) {
+    const int64_t copy = contacts.pairs[side];
+    if (copy < 0) return;
+    atomicMin(reinterpret_cast<long long*>(first + contacts.robots[copy]),
+              __double_as_longlong(contacts.toi[side / 2]));
+  });
+}
+
+void concerned_pairs_cuda(const DeviceContext& context, const ConcernedPairs& concerned, int64_t pair_count,
+                          const PaddedPairs& out) {
+  int64_t* const rows = context.allocate<int64_t>(pair_count);
+  int64_t* const found = context.allocate<int64_t>(1);
+  find_rows(context, pair_count, rows, found, concerned);
+  const int64_t* const pairs = concerned.pairs;
+  for_each_item(context, larger<int64_t>(1, out.capacity.pairs),
+                [=] __device__(int64_t k) { store_concerned_pair(pairs, rows, *found, k, out); });
 }
 
 void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {

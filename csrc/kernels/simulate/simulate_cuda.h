@@ -32,9 +32,16 @@ void pair_motion_cuda(const DeviceContext& context, const PairMotionInput& input
 // What robots that collide make of the step, fraction (count,), and which of them that slows down, changes (count,).
 void slow_down_cuda(const DeviceContext& context, const SlowDownInput& input, double* fraction, uint8_t* changes);
 
-// Pairs (pair_count, 2) of which at least one robot has changed (robots,); rows has room for all.
-void concerned_pairs_cuda(const DeviceContext& context, const int64_t* pairs, int64_t pair_count,
-                          const uint8_t* changed, int64_t* rows, int64_t* found);
+// The same for all robots, in place; changes (1,) becomes 1 if any robot changes, else 0.
+void slow_all_down_cuda(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes);
+
+// Lowers the first toi of robots to that of their contacts.
+void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts, double* first);
+
+// Of the pairs (pair_count, 2) those concerned, in as much room as there is. In the counts nothing is said of overlaps
+// and times.
+void concerned_pairs_cuda(const DeviceContext& context, const ConcernedPairs& concerned, int64_t pair_count,
+                          const PaddedPairs& out);
 
 // The sum of the rows' hashes modulo 2^64.
 void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum);
