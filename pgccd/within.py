@@ -117,10 +117,7 @@ def search_within(
         pairs, pair_counts = broad.find_pairs_within(bodies, query.min_separation, chosen, capacity, faults[-1:])
     else:
         chosen = None
-        pair_counts = torch.zeros(COUNTS_OF_PAIRS, dtype=torch.int64, device=pairs.device)
-        pair_counts[COUNT_ROWS["pairs"]] = len(pairs)
-        pair_counts[COUNT_ROWS["pairs_written"]] = len(pairs)
-        pair_counts *= 1 - faults[-1:]
+        pair_counts = _counts_of_given(pairs, faults)
     linear_path = None if bodies.deforming else bodies.linear_path
     rows, counts = contacts_within(
         bodies.mesh_set, bodies.tensors, linear_path, pairs, pair_counts, faults, query, capacity
@@ -159,6 +156,14 @@ def contacts_within(
     else:
         *rows, counts = ops.contacts_within_rigid(mesh_set, tensors, linear_path, *rest)
     return tuple(rows), counts  # type: ignore[return-value]
+
+
+def _counts_of_given(pairs: Tensor, faults: Tensor) -> Tensor:
+    """(7,) int64: as though a broad phase had found the pairs; none if the input is invalid."""
+    written = len(pairs) * (1 - faults[-1:])
+    counts = {"pairs": written, "pairs_written": written}
+    nothing = torch.zeros_like(written)
+    return torch.cat([counts.get(name, nothing) for name in list(COUNT_ROWS)[:COUNTS_OF_PAIRS]])
 
 
 def _earliest_row(rows: ContactRows) -> ContactRows:

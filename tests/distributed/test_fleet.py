@@ -12,8 +12,10 @@ import torch
 
 from distributed.conftest import World
 from pgccd import sim
+from pgccd.capacity import Capacity
 from pgccd.distributed import BalanceOptions, Comm, Fleet, Partition, starting_share
 from pgccd.distributed.runner import gather_state, gather_step
+from pgccd.sim.rounds import Pace
 
 TIMES = ("seconds", "stage_seconds", "ranks")
 # Fast robots in a small world, so that much happens in few steps.
@@ -40,20 +42,43 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if name not in TIMES}
 
 
-def make_fleet(comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu") -> Fleet:
+def make_fleet(
+    comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu", ahead: bool | None = None
+) -> Fleet:
     world = sim.World(sim.WorldConfig(**WORLDS[name]), device=device)
     upper = world.half_extent
     partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=4, device=device)
     start = starting_share(comm, world, partition)
-    return Fleet(comm, world, partition, start, BalanceOptions(policy), overlap)
+    return Fleet(comm, world, partition, start, BalanceOptions(policy), overlap, ahead=ahead)
+
+
+class Cramped(Pace):
+    """Has no room for one round of some steps."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.steps = 0
+
+    def room(self, round: int) -> Capacity:
+        self.steps += round == 0
+        return Capacity(0, 0) if self.steps % 4 == 3 and round == 1 else super().room(round)
 
 
 def follow(
-    comm: Comm, name: str, policy: str, steps: int, random_owners: bool, overlap: bool, device: str = "cpu"
+    comm: Comm,
+    name: str,
+    policy: str,
+    steps: int,
+    random_owners: bool,
+    overlap: bool,
+    device: str = "cpu",
+    ahead: bool | None = None,
 ) -> dict[str, int]:
     """Compares every step's log and the last step's columns with one process."""
     records, last = single_run(name, steps)
-    fleet = make_fleet(comm, name, policy, overlap, device)
+    fleet = make_fleet(comm, name, policy, overlap, device, ahead)
+    if ahead and comm.rank == comm.size - 1:
+        fleet._pace = Cramped()
     generator = torch.Generator().manual_seed(17)
     seen = {"moved cells": 0, "arrived": 0, "contacts": 0}
     for index in range(steps):
@@ -104,6 +129,12 @@ def test_same_bits_as_one_process(world: World, name: str, policy: str, random_o
         assert seen[0]["arrived"] > 20
         if policy != "none":
             assert seen[0]["moved cells"] > 0
+
+
+@pytest.mark.parametrize(("name", "policy"), [("random", "cost"), ("skewed", "one-cell")])
+def test_same_bits_with_rounds_made_ahead(world: World, name: str, policy: str) -> None:
+    """Now and then one rank alone has not enough room, and all must make the rounds again."""
+    world(follow, name, policy, 24, policy == "cost", True, "cpu", True)
 
 
 @pytest.mark.cuda

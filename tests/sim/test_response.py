@@ -192,10 +192,17 @@ def test_concerned_pairs_are_those_with_a_robot_that_changed(device: torch.devic
     generator = torch.Generator().manual_seed(2)
     pairs = torch.randint(500, (3000, 2), generator=generator)
     changed = torch.rand(500, generator=generator) < 0.1
-    rows, found = ops.simulate_concerned_pairs(pairs.to(device), changed.to(device).view(torch.uint8))
-    expected = torch.nonzero(changed[pairs].any(dim=1))[:, 0]
-    assert torch.equal(rows[: int(found)].cpu(), expected) and len(expected) > 100
-    assert int(ops.simulate_concerned_pairs(pairs[:0].to(device), changed.to(device).view(torch.uint8))[1]) == 0
+    marks, expected = changed.to(device).view(torch.uint8), pairs[changed[pairs].any(dim=1)]
+    count = len(expected)
+    assert count > 100
+    for room in (3000, count, count - 1, 0):
+        rows, counts = ops.simulate_concerned_pairs(pairs.to(device), marks, room)
+        written = min(count, room)
+        assert rows.shape == (room, 2) and counts.tolist() == [count, 0, 0, written, int(room < count), 0, 0]
+        assert torch.equal(rows[:written].cpu(), expected[:written]) and bool((rows[written:] == -1).all())
+    assert ops.simulate_concerned_pairs(pairs[:0].to(device), marks, 5)[1].tolist() == [0] * 7
+    with pytest.raises(RuntimeError, match=r"room: expected a number in \[0, 2\^31\), got -1"):
+        ops.simulate_concerned_pairs(pairs.to(device), marks, -1)
 
 
 def test_slowing_down(device: torch.device) -> None:
@@ -207,6 +214,31 @@ def test_slowing_down(device: torch.device) -> None:
     assert changes.tolist() == [0, 1, 1, 0, 1, 1]
     made, _ = ops.simulate_slow_down(rows, first, fraction, 0.99, torch.inf)
     assert made.tolist() == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+
+
+def test_slowing_all_down(device: torch.device) -> None:
+    first = torch.tensor([0.5, torch.inf, 0.005, 1.0, 0.5, torch.inf], dtype=torch.float64, device=device)
+    fraction = torch.tensor([0.5, 1.0, 1.0, 1.0, 0.0, 0.0], dtype=torch.float64, device=device)
+    rows = torch.arange(6, device=device)
+    made, changes = ops.simulate_slow_down(rows, first, fraction, 0.99, 0.01)
+    changed = torch.full((6,), 7, dtype=torch.uint8, device=device)
+    assert ops.simulate_slow_all_down(first, fraction, changed, 0.99, 0.01).tolist() == [1]
+    assert torch.equal(fraction, made) and torch.equal(changed, changes) and bool((first == torch.inf).all())
+    assert ops.simulate_slow_all_down(first, fraction, changed, 0.99, 0.01).tolist() == [0]
+    assert torch.equal(fraction, made) and not bool(changed.any())
+    nobody = first[:0], fraction[:0], changed[:0]
+    assert ops.simulate_slow_all_down(*nobody, 0.99, 0.01).tolist() == [0]
+
+
+def test_first_toi_of_padded_contacts(device: torch.device) -> None:
+    first = torch.tensor([0.5, torch.inf, torch.inf, torch.inf], dtype=torch.float64, device=device)
+    robots = torch.tensor([0, 1, 0, 3, -1, -1], device=device)  # of which copies are
+    pairs = torch.tensor([[0, 1], [2, 3], [-1, -1]], device=device)
+    toi = torch.tensor([0.75, 0.25, torch.inf], dtype=torch.float64, device=device)
+    ops.simulate_first_toi(first, robots, pairs, toi)
+    assert first.tolist() == [0.25, 0.75, torch.inf, 0.25]
+    ops.simulate_first_toi(first, robots, pairs[:0], toi[:0])
+    assert first.tolist() == [0.25, 0.75, torch.inf, 0.25]
 
 
 class Watch(TorchDispatchMode):

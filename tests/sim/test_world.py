@@ -135,6 +135,13 @@ def test_operators_have_consistent_fake_kernels() -> None:
     torch.library.opcheck(torch.ops.pgccd.simulate_start, (state.id, *settings))
     torch.library.opcheck(torch.ops.pgccd.simulate_plan, (columns, 3, *settings))
     torch.library.opcheck(torch.ops.pgccd.simulate_respond, (columns, half))
+    pairs, changed = torch.tensor([[0, 1], [1, 4], [-1, -1]]), torch.ones(5, dtype=torch.uint8)
+    bodies = (columns[:5], [column[:0] for column in columns[:5]], half, pairs, world.meshes.radius)
+    torch.library.opcheck(torch.ops.pgccd.simulate_pair_motion, bodies)
+    torch.library.opcheck(torch.ops.pgccd.simulate_slow_down, (state.id, half, half, 0.99, 0.01))
+    torch.library.opcheck(torch.ops.pgccd.simulate_slow_all_down, (half.clone(), half.clone(), changed, 0.99, 0.01))
+    torch.library.opcheck(torch.ops.pgccd.simulate_first_toi, (half, state.id, pairs[:2], half[:2]))
+    torch.library.opcheck(torch.ops.pgccd.simulate_concerned_pairs, (pairs[:2], changed, 3))
     torch.library.opcheck(torch.ops.pgccd.random_uniforms, (state.id, 1, 2, 3))
 
 
