@@ -89,7 +89,8 @@ struct WithinOps {
     backend.contacts_within(bodies, traversal, of_pairs + kPairsWritten, room, narrow, {capacity[5], capacity[6]},
                             columns, next, next + kTraverseCounts);
     next += int64_t{kTraverseCounts} + int64_t{kContactCounts};
-    backend.copy_counts(rows<int64_t>(faults, "faults", {kAnySize}), faults.size(0), next);
+    const int64_t* found_faults = rows<int64_t>(faults, "faults", {kAnySize});
+    if (faults.size(0) > 0) backend.copy_counts(found_faults, faults.size(0), next);
     return std::tuple_cat(found, std::make_tuple(counts));
   }
 };
