@@ -52,7 +52,9 @@ class Search:
     def contacts(self, counts: Counts) -> Contacts:
         """The result, once the counts are known and there was room."""
         count = counts.contacts
-        rows: ContactRows = tuple(column[:count] for column in self.rows)  # type: ignore[assignment]
+        rows = self.rows
+        if rows[0].shape[0] != count:
+            rows = tuple(column[:count] for column in rows)  # type: ignore[assignment]
         if self.query.report == "earliest":
             rows = narrow.keep_earliest(rows)
         stats = Stats(
@@ -98,6 +100,23 @@ class Search:
         return self.counts[COUNT_ROWS[name]].reshape(1)
 
 
+def _counts_of_given(pairs: Tensor) -> Tensor:
+    """What the broad phase would have counted."""
+    count = pairs.shape[0]
+    if pairs.device.type == "cpu":
+        values = [0] * COUNTS_OF_PAIRS
+        values[COUNT_ROWS["pairs"]] = values[COUNT_ROWS["pairs_written"]] = count
+        return torch.tensor(values)
+    counts = torch.zeros(COUNTS_OF_PAIRS, dtype=torch.int64, device=pairs.device)
+    counts[COUNT_ROWS["pairs"]] = count
+    counts[COUNT_ROWS["pairs_written"]] = count
+    return counts
+
+
+# As for the stage alone, except that a search for the earliest contact of all may leave out later ones.
+_REPORTS = narrow.REPORTS | {"earliest": 3}
+
+
 def search_within(
     bodies: MovingBodies, query: Query, capacity: Capacity, broad_phase: broad.BroadPhase, pairs: Tensor | None
 ) -> Search:
@@ -116,12 +135,11 @@ def search_within(
         pairs, pair_counts = broad.find_pairs_within(bodies, query.min_separation, chosen, capacity, faults[-1:])
     else:
         chosen = None
-        pair_counts = torch.zeros(COUNTS_OF_PAIRS, dtype=torch.int64, device=pairs.device)
-        pair_counts[COUNT_ROWS["pairs"]] = len(pairs)
-        pair_counts[COUNT_ROWS["pairs_written"]] = len(pairs)
-        pair_counts *= 1 - faults[-1:]
+        pair_counts = _counts_of_given(pairs)
+        if not bodies.checked:
+            pair_counts = pair_counts * (1 - faults[-1:])
     settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
-    rest = (pairs, pair_counts, faults, *settings, narrow.REPORTS[query.report], capacity.of_contacts)
+    rest = (pairs, pair_counts, faults, *settings, _REPORTS[query.report], capacity.of_contacts)
     if bodies.deforming:
         *rows, counts = ops.contacts_within_deforming(bodies.mesh_set, bodies.tensors, *rest)
     else:
