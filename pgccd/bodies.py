@@ -39,6 +39,8 @@ class MovingBodies:
         self.linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
         #: True for explicit vertex streams.
         self.deforming = isinstance(motion, VertexMotion)
+        #: Whether the poses are known to be valid.
+        self.checked = wait
         if wait:
             motion.check()
         #: The operators' `bodies` argument; rows 1 to 3 are centres at t0 and t1 (N, 3) and radius (N,).

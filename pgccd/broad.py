@@ -126,7 +126,7 @@ def find_pairs_within(
         `pgccd.capacity.Counts`. If there was no room for all pairs, any may be missing.
     """
     number = list(_FINDERS).index(choose(bodies, broad_phase))
-    own = len(bodies.self_colliding)
+    own = 0 if bodies.scene.self_collision is None else len(bodies.self_colliding)
     room, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_within(
         *_columns(bodies),
@@ -160,6 +160,8 @@ def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
     """Sorted pairs (P, 2), perhaps with rows of -1 after them, and among them (i, i) for every body that collides with
     itself. How many they are is known, so that nothing waits for a device.
     """
+    if bodies.scene.self_collision is None:
+        return pairs
     own = bodies.self_colliding
     if not len(own):
         return pairs

@@ -106,6 +106,10 @@ class Capacity:
         return [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches, self.open, self.contacts]
 
 
+#: On a CPU: as many rows as there are contacts.
+EXACTLY = Capacity(pairs=0, contacts=-1)
+
+
 @dataclass(frozen=True)
 class Counts:
     """What the operators counted in one step, in their order; times in nanoseconds of the device's clock."""

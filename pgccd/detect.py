@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 import time
+from collections.abc import Callable
 from typing import overload
 
 from torch import Tensor
 
 from pgccd import broad, narrow, traverse
 from pgccd.bodies import MovingBodies
-from pgccd.capacity import Capacity
+from pgccd.capacity import EXACTLY, Capacity
 from pgccd.contacts import Contacts, PaddedContacts
 from pgccd.memory import memory_limit, recall_capacity, remember_needs
 from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.query import Query
 from pgccd.scene import Scene
-from pgccd.streaming import stream
+from pgccd.streaming import SolvePairs, stream
 from pgccd.within import search_within
 
 # A step that does not fit is repeated with more room, once for every stage that may have run out of it.
@@ -114,12 +116,42 @@ def detect(
         pairs = traverse.check_pairs(pairs, bodies)
     if capacity is not None:
         return search_within(bodies, query, capacity, broad_phase, pairs).padded()
-    # A CPU does better with less work: it looks for likely contacts first.
-    found = None if on_cpu else _detect_at_once(bodies, query, broad_phase, pairs, memory_budget)
-    if found is None:
-        found = stream(bodies, query, broad_phase, pairs, memory_budget)
+    found = None
+    if on_cpu:
+        found = stream(bodies, query, broad_phase, pairs, memory_budget, *_on_cpu(bodies, query))
+    else:
+        found = _detect_at_once(bodies, query, broad_phase, pairs, memory_budget)
+        if found is None:
+            found = stream(bodies, query, broad_phase, pairs, memory_budget, *_on_gpu(bodies, query, memory_budget))
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
     return found
+
+
+def _on_cpu(bodies: MovingBodies, query: Query) -> tuple[SolvePairs, Callable[[Tensor], Contacts]]:
+    """How chunks are solved where buffers have the sizes needed."""
+
+    def solve(pairs: Tensor) -> Contacts:
+        search = search_within(bodies, query, EXACTLY, "auto", pairs)
+        return search.contacts(search.read())
+
+    return solve, solve
+
+
+def _on_gpu(
+    bodies: MovingBodies, query: Query, memory_budget: int | None
+) -> tuple[SolvePairs, Callable[[Tensor], Contacts]]:
+    """How chunks are solved in a limited memory, and how in any."""
+
+    def solve(pairs: Tensor) -> Contacts | None:
+        return _detect_at_once(bodies, query, "auto", pairs, memory_budget)
+
+    def solve_at_any_price(pairs: Tensor) -> Contacts:
+        found = _detect_at_once(bodies, query, "auto", pairs, sys.maxsize)
+        if found is None:
+            raise RuntimeError("memory: a single pair of bodies needs more rows than can be numbered")
+        return found
+
+    return solve, solve_at_any_price
 
 
 def _detect_at_once(

@@ -182,11 +182,14 @@ def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> 
 
 def keep_earliest(rows: ContactRows) -> ContactRows:
     """Of rows in canonical order, the one with the least toi, the first of equal ones."""
-    toi = rows[4]
-    if len(toi) < 2:
-        return rows
-    first = int(torch.nonzero(toi == toi.min())[0])
-    return tuple(column[first : first + 1] for column in rows)  # type: ignore[return-value]
+    row = earliest_row(rows[4])
+    return tuple(column[row] for column in rows)  # type: ignore[return-value]
+
+
+def earliest_row(toi: Tensor) -> slice:
+    """The row with the least toi (K,), the first of equal ones; no row of none."""
+    first = int(torch.nonzero(toi == toi.min())[0]) if len(toi) > 1 else 0
+    return slice(first, first + 1)
 
 
 def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:

@@ -53,7 +53,9 @@ class Search:
     def contacts(self, counts: Counts) -> Contacts:
         """The result, once the counts are known and there was room."""
         count = counts.contacts
-        rows: ContactRows = tuple(column[:count] for column in self.rows)  # type: ignore[assignment]
+        rows = self.rows
+        if rows[0].shape[0] != count:
+            rows = tuple(column[:count] for column in rows)  # type: ignore[assignment]
         if self.query.report == "earliest":
             rows = narrow.keep_earliest(rows)
         stats = Stats(
@@ -99,6 +101,22 @@ class Search:
         return self.counts[COUNT_ROWS[name]].reshape(1)
 
 
+def _counts_of_given(pairs: Tensor) -> Tensor:
+    """What the broad phase would have counted."""
+    count = pairs.shape[0]
+    if pairs.device.type == "cpu":
+        values = [0] * COUNTS_OF_PAIRS
+        values[COUNT_ROWS["pairs"]] = values[COUNT_ROWS["pairs_written"]] = count
+        return torch.tensor(values)
+    written = torch.full((1,), count, dtype=torch.int64, device=pairs.device)
+    counts, nothing = {"pairs": written, "pairs_written": written}, torch.zeros_like(written)
+    return torch.cat([counts.get(name, nothing) for name in list(COUNT_ROWS)[:COUNTS_OF_PAIRS]])
+
+
+# As for the stage alone, except that a search for the earliest contact of all may leave out later ones.
+_REPORTS = narrow.REPORTS | {"earliest": 3}
+
+
 def search_within(
     bodies: MovingBodies, query: Query, capacity: Capacity, broad_phase: broad.BroadPhase, pairs: Tensor | None
 ) -> Search:
@@ -117,7 +135,9 @@ def search_within(
         pairs, pair_counts = broad.find_pairs_within(bodies, query.min_separation, chosen, capacity, faults[-1:])
     else:
         chosen = None
-        pair_counts = _counts_of_given(pairs, faults)
+        pair_counts = _counts_of_given(pairs)
+        if not bodies.checked:
+            pair_counts = pair_counts * (1 - faults[-1:])
     linear_path = None if bodies.deforming else bodies.linear_path
     rows, counts = contacts_within(
         bodies.mesh_set, bodies.tensors, linear_path, pairs, pair_counts, faults, query, capacity
@@ -150,20 +170,12 @@ def contacts_within(
         Contacts with padding, the first column being body pairs; and counts (21 + F,).
     """
     settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
-    rest = (pairs, pair_counts, faults, *settings, narrow.REPORTS[query.report], capacity.of_contacts)
+    rest = (pairs, pair_counts, faults, *settings, _REPORTS[query.report], capacity.of_contacts)
     if linear_path is None:
         *rows, counts = ops.contacts_within_deforming(mesh_set, tensors, *rest)
     else:
         *rows, counts = ops.contacts_within_rigid(mesh_set, tensors, linear_path, *rest)
     return tuple(rows), counts  # type: ignore[return-value]
-
-
-def _counts_of_given(pairs: Tensor, faults: Tensor) -> Tensor:
-    """(7,) int64: as though a broad phase had found the pairs; none if the input is invalid."""
-    written = len(pairs) * (1 - faults[-1:])
-    counts = {"pairs": written, "pairs_written": written}
-    nothing = torch.zeros_like(written)
-    return torch.cat([counts.get(name, nothing) for name in list(COUNT_ROWS)[:COUNTS_OF_PAIRS]])
 
 
 def _earliest_row(rows: ContactRows) -> ContactRows:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import fields, replace
 from typing import Any
 
@@ -13,6 +14,8 @@ from support.shapes import approaching
 
 import pgccd
 from pgccd.capacity import Capacity
+from pgccd.detect import _detect_at_once as detect_at_once
+from pgccd.query import Query
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 REPORTS = ("any", "first", "all", "earliest")
@@ -216,3 +219,25 @@ def test_one_wait_a_step() -> None:
         pgccd.detect(scene, motion, capacity=room)
     finally:
         torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.mark.parametrize("report", REPORTS)
+def test_room_grows_until_a_step_fits(device: torch.device, report: Any) -> None:
+    scene, motion = crowd(device)
+    expected = pgccd.detect(scene, motion, report, broad_phase="grid")
+    query = Query(report, 0.0, None, False)
+    for names in (("pairs", "contacts"), tuple(field.name for field in fields(Capacity) if field.type == "int")):
+        assert expected.stats.needed is not None
+        # As if the last step had needed hardly anything.
+        little = replace(expected.stats.needed, **dict.fromkeys(names, 0))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys.modules["pgccd.detect"], "recall_capacity", lambda *_, little=little: little)
+            found = detect_at_once(pgccd.MovingBodies(scene, motion, wait=False), query, "grid", None, None)
+        assert found is not None and found.stats.waits > 1
+        assert_same(found, expected)
+    # It is remembered; and a budget too small for it leaves the step to be streamed.
+    bodies = pgccd.MovingBodies(scene, motion, wait=False)
+    again = detect_at_once(bodies, query, "grid", None, None)
+    assert again is not None and again.stats.waits == 1
+    assert detect_at_once(bodies, query, "grid", None, 1000) is None
+    assert_same(pgccd.detect(scene, motion, report, broad_phase="grid", memory_budget=1000), expected)

@@ -75,32 +75,42 @@ class CpuBackend {
   // Takes the memory it needs: only rows can be too many.
   template <class Bodies>
   void contacts_within(const Bodies& bodies, TraverseInput traversal, const int64_t* pair_count,
-                       const TraverseCapacity&, NarrowInput narrow, const ContactCapacity& room,
-                       const ContactColumns& out, int64_t* traverse_counts, int64_t* contact_counts) const {
+                       const TraverseCapacity&, NarrowInput narrow, bool only_earliest, const ContactCapacity& room,
+                       const ContactOutput& make_output, int64_t* traverse_counts, int64_t* contact_counts) const {
     std::fill_n(traverse_counts, int64_t{kTraverseCounts}, int64_t{0});
     std::fill_n(contact_counts, int64_t{kContactCounts}, int64_t{0});
     traverse_counts[kTraverseBegan] = nanoseconds();
     traversal.pair_count = narrow.pair_count = std::min(traversal.pair_count, *pair_count);
-    const CandidateList list = traverse_cpu(executor_, bodies, traversal);
-    std::vector<Candidate> candidates;
-    candidates.reserve(list.size());
-    for (const auto& part : list.parts) candidates.insert(candidates.end(), part.begin(), part.end());
-    traverse_counts[kTraverseEnded] = nanoseconds();
-    narrow.candidates = {candidates.data(), list.size()};
-    const ContactRows found = narrow_phase_cpu(executor_, bodies, narrow);
-    const int64_t rows = static_cast<int64_t>(found.pair.size()), written = std::min(rows, room.contacts);
+    int64_t narrow_time = 0;
+    std::vector<double> horizon;
+    if (narrow.report == Report::kFirst) {
+      // A good guess at each pair's first contact bounds how far the search for an earlier one need look. A GPU has
+      // searched all of it sooner than it has found the guess.
+      traversal.leading = true;
+      const ContactRows guess = search(bodies, traversal, narrow, traverse_counts, narrow_time);
+      traversal.leading = false;
+      horizon.assign(traversal.pair_count, 1.0);
+      for (size_t row = 0; row < guess.pair.size(); ++row) horizon[guess.pair[row]] = guess.toi[row];
+      if (only_earliest && !horizon.empty()) {
+        std::fill(horizon.begin(), horizon.end(), *std::min_element(horizon.begin(), horizon.end()));
+      }
+      traversal.horizon = horizon.data();
+    }
+    const ContactRows found = search(bodies, traversal, narrow, traverse_counts, narrow_time);
+    const int64_t rows = static_cast<int64_t>(found.pair.size());
+    const int64_t capacity = room.contacts == kExactly ? rows : room.contacts, written = std::min(rows, capacity);
+    const ContactColumns out = make_output(capacity);
     copy_rows(found, out, written);
     for (int64_t row = 0; row < written; ++row) {
       std::copy_n(narrow.pairs + 2 * int64_t{found.pair[row]}, 2, out.bodies + 2 * row);
     }
-    pad_rows(out, written, room.contacts);
-    traverse_counts[kCandidatesNeeded] = list.size();
-    traverse_counts[kNodeTests] = list.node_tests;
+    pad_rows(out, written, capacity);
     contact_counts[kContactsNeeded] = rows;
-    contact_counts[kContactsOverflow] = rows > room.contacts;
+    contact_counts[kContactsOverflow] = rows > capacity;
     contact_counts[kUnresolvedWritten] =
         std::count(found.status.begin(), found.status.begin() + written, static_cast<int8_t>(Status::kUnresolved));
     contact_counts[kNarrowEnded] = nanoseconds();
+    traverse_counts[kTraverseEnded] = contact_counts[kNarrowEnded] - narrow_time;
   }
 
   template <bool kEdgeEdge, class T>
@@ -113,6 +123,21 @@ class CpuBackend {
   static int64_t nanoseconds() {
     return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
         .count();
+  }
+  template <class Bodies>
+  ContactRows search(const Bodies& bodies, const TraverseInput& traversal, NarrowInput narrow, int64_t* traverse_counts,
+                     int64_t& narrow_time) const {
+    const CandidateList list = traverse_cpu(executor_, bodies, traversal);
+    std::vector<Candidate> candidates;
+    candidates.reserve(list.size());
+    for (const auto& part : list.parts) candidates.insert(candidates.end(), part.begin(), part.end());
+    traverse_counts[kCandidatesNeeded] += list.size();
+    traverse_counts[kNodeTests] += list.node_tests;
+    const int64_t start = nanoseconds();
+    narrow.candidates = {candidates.data(), list.size()};
+    ContactRows found = narrow_phase_cpu(executor_, bodies, narrow);
+    narrow_time += nanoseconds() - start;
+    return found;
   }
   void find_pairs(const BroadBodies& bodies, BroadPhase phase, const PairOutput& make_output) const {
     switch (phase) {

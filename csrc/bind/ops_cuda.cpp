@@ -61,11 +61,12 @@ class CudaBackend {
   }
   template <class Bodies>
   void contacts_within(const Bodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
-                       const TraverseCapacity& room, NarrowInput narrow, const ContactCapacity& contact_room,
-                       const ContactColumns& out, int64_t* traverse_counts, int64_t* contact_counts) const {
+                       const TraverseCapacity& room, NarrowInput narrow, bool, const ContactCapacity& contact_room,
+                       const ContactOutput& make_output, int64_t* traverse_counts, int64_t* contact_counts) const {
+    STD_TORCH_CHECK(contact_room.contacts != kExactly, "capacity: nobody waits for the number of contacts on a GPU");
     const DeviceContext& context = session_.context();
     narrow.candidates = traverse_within(context, bodies, traversal, pair_count, room, traverse_counts);
-    narrow_phase_within(context, bodies, narrow, contact_room, out, contact_counts);
+    narrow_phase_within(context, bodies, narrow, contact_room, make_output(contact_room.contacts), contact_counts);
   }
   template <bool kEdgeEdge, class T>
   void elementary(const T* x0, const T* x1, int64_t count, const NarrowSettings& settings,

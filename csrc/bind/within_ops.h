@@ -55,7 +55,8 @@ struct WithinOps {
   static void check_capacity(const std::vector<int64_t>& capacity, size_t count) {
     STD_TORCH_CHECK(capacity.size() == count, "capacity: expected ", count, " numbers, got ", capacity.size());
     for (const int64_t room : capacity) {
-      STD_TORCH_CHECK(room >= 0 && room < (int64_t{1} << 31), "capacity: expected numbers in [0, 2^31), got ", room);
+      STD_TORCH_CHECK(room >= kExactly && room < (int64_t{1} << 31), "capacity: expected numbers in [0, 2^31), got ",
+                      room);
     }
   }
 
@@ -72,13 +73,18 @@ struct WithinOps {
     narrow.pairs = traversal.pairs;
     narrow.pair_count = traversal.pair_count;
     narrow.settings = settings;
-    narrow.report = report_of(report);
-    ContactTensors found = new_contact_tensors(pairs, capacity[6]);
-    ContactColumns columns = contact_columns(found);
-    Tensor body_pairs = new_tensor<int64_t>(pairs, {capacity[6], 2});
-    columns.pair = nullptr;
-    columns.bodies = data<int64_t>(body_pairs);
-    std::get<0>(found) = body_pairs;
+    constexpr int64_t kOnlyEarliest = 3;  // the first contacts, of which only the earliest of all is wanted
+    narrow.report = report_of(report == kOnlyEarliest ? static_cast<int64_t>(Report::kFirst) : report);
+    ContactTensors found{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};
+    const auto make_output = [&](int64_t row_count) {
+      found = new_contact_tensors(pairs, row_count);
+      ContactColumns columns = contact_columns(found);
+      Tensor body_pairs = new_tensor<int64_t>(pairs, {row_count, 2});
+      columns.pair = nullptr;
+      columns.bodies = data<int64_t>(body_pairs);
+      std::get<0>(found) = body_pairs;
+      return columns;
+    };
     Tensor counts =
         new_tensor<int64_t>(pairs, {kPairCounts + int64_t{kTraverseCounts} + int64_t{kContactCounts} + faults.size(0)});
     const int64_t* of_pairs = rows<int64_t>(pair_counts, "pair_counts", {kPairCounts});
@@ -86,8 +92,8 @@ struct WithinOps {
     int64_t* next = data<int64_t>(counts);
     backend.copy_counts(of_pairs, kPairCounts, next);
     next += kPairCounts;
-    backend.contacts_within(bodies, traversal, of_pairs + kPairsWritten, room, narrow, {capacity[5], capacity[6]},
-                            columns, next, next + kTraverseCounts);
+    backend.contacts_within(bodies, traversal, of_pairs + kPairsWritten, room, narrow, report == kOnlyEarliest,
+                            {capacity[5], capacity[6]}, make_output, next, next + kTraverseCounts);
     next += int64_t{kTraverseCounts} + int64_t{kContactCounts};
     const int64_t* found_faults = rows<int64_t>(faults, "faults", {kAnySize});
     if (faults.size(0) > 0) backend.copy_counts(found_faults, faults.size(0), next);

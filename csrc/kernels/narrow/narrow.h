@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "kernels/executor.h"
@@ -29,6 +30,8 @@ struct ContactCapacity {
   int64_t open;      // candidates that need more than a glance
   int64_t contacts;  // rows
 };
+
+constexpr int64_t kExactly = -1;  // as many rows as contacts: on the CPU, which always knows
 
 // Counts of it; the number of rows may be too small where the open candidates, or what came before, did not fit.
 enum ContactCount : int {
@@ -64,6 +67,9 @@ struct ContactColumns {
   double* point;
   double* normal;
 };
+
+// Called once with the number of rows.
+using ContactOutput = std::function<ContactColumns(int64_t count)>;
 
 // A row that is no contact, where there is more room than contacts.
 PGCCD_HD void pad_row(const ContactColumns& out, int64_t row) {

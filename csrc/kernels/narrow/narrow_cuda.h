@@ -1,15 +1,10 @@
 // Narrow phase on the device.
 #pragma once
 
-#include <functional>
-
 #include "kernels/device_context.h"
 #include "kernels/narrow/narrow.h"
 
 namespace pgccd {
-
-// Called once with the number of rows.
-using ContactOutput = std::function<ContactColumns(int64_t count)>;
 
 template <class Bodies>
 void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,

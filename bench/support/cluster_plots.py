@@ -1,0 +1,76 @@
+"""Figures of scaling over ranks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+Result = dict[str, Any]
+
+_PARTS = {
+    "detect": "#0072b2", "respond": "#d55e00", "halo": "#e69f00", "migrate": "#009e73", "balance": "#cc79a7",
+    "plan": "#56b4e9", "hash": "#b0b0b0", "waiting": "#606060", "rest": "#dddddd",
+}  # fmt: skip
+
+
+def scaling(result: Result) -> Figure:
+    """Where the time of a step goes, by number of ranks; and speed beside one process."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), width_ratios=(2, 1))
+    rows = [row for row in result["rows"] if row["pattern"] == "random"]
+    _stack(left, rows)
+    for kind, colour in (("strong", "#0072b2"), ("weak", "#009e73")):
+        speeds = _speeds(rows, kind)
+        if speeds:
+            right.plot(*zip(*speeds, strict=True), "o-", color=colour, label=f"{kind} scaling")
+    most = max(row["ranks"] for row in rows)
+    right.plot([1, most], [1, most], ":", color="#9a9a9a", label="ideal")
+    right.set(xlabel="ranks", title="Times the speed of one process")
+    right.legend(frameon=False)
+    return figure
+
+
+def _stack(axes: Axes, rows: list[dict[str, Any]]) -> None:
+    names = [f"{row['robots'] / 1e6:g} M\n{row['ranks']} ranks" for row in rows]
+    below = [0.0] * len(rows)
+    for part, colour in _PARTS.items():
+        heights = [row["mean_of_ranks_ms"].get(part, 0.0) for row in rows]
+        axes.bar(range(len(rows)), heights, bottom=below, color=colour, label=part, width=0.7)
+        below = [base + height for base, height in zip(below, heights, strict=True)]
+    axes.plot(range(len(rows)), [row["ms"]["median"] for row in rows], "k_", markersize=16, label="whole step")
+    axes.set_xticks(range(len(rows)), names, fontsize=7)
+    axes.set(ylabel="milliseconds a step (mean of ranks)", title="A simulation step, random world")
+    axes.legend(frameon=False, fontsize=6, ncols=2)
+
+
+def _speeds(rows: list[dict[str, Any]], kind: str) -> list[tuple[int, float]]:
+    chosen = sorted((row for row in rows if row["scaling"] == kind), key=lambda row: row["ranks"])
+    base = next((row for row in chosen if row["ranks"] == 1 and row["single_process_ms"]), None)
+    if base is None:
+        return []
+    comparable = [row for row in chosen if kind == "weak" or row["robots"] == base["robots"]]
+    single = base["single_process_ms"]["median"]
+    return [
+        (row["ranks"], single / row["ms"]["median"] * (row["ranks"] if kind == "weak" else 1)) for row in comparable
+    ]
+
+
+def frame_pairs(result: Result) -> Figure:
+    """Every colliding feature pair of public frame pairs, by stage."""
+    figure, axes = plt.subplots(figsize=(6, 3.6))
+    rows = [row for row in result["rows"] if row["report"] == "all"]
+    colours = {"bounds": "#cc79a7", "broad": "#e69f00", "traverse": "#0072b2", "narrow": "#009e73"}
+    below = [0.0] * len(rows)
+    for stage, colour in colours.items():
+        heights = [row["stage_ms"].get(stage, 0.0) for row in rows]
+        axes.bar(range(len(rows)), heights, bottom=below, color=colour, label=stage, width=0.6)
+        below = [base + height for base, height in zip(below, heights, strict=True)]
+    axes.plot(range(len(rows)), [row["ms"]["median"] for row in rows], "k_", markersize=24, label="whole call")
+    names = [f"{row['scene']}\n{row['faces']:,} faces\n{row['contacts']:,} contacts" for row in rows]
+    axes.set_xticks(range(len(rows)), names, fontsize=7)
+    axes.set(ylabel="milliseconds", title="All colliding feature pairs with their toi, self-collisions included")
+    axes.set_ylim(top=1.25 * max(row["ms"]["median"] for row in rows))
+    axes.legend(frameon=False, fontsize=7, ncols=5, loc="upper center")
+    return figure
