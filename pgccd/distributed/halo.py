@@ -115,13 +115,19 @@ class HeldExchange:
     """
 
     def __init__(self, held: Held) -> None:
-        route, device = held.route, held.own_id.device
-        self._route = route
+        self._route, self._device = held.route, held.own_id.device
         self._ghosts = slice(len(held.own_id), len(held))
-        ghosts = torch.arange(len(held.own_id), len(held), device=device)
-        self.shared = torch.cat([route.rows, ghosts])
-        self._sent, self._flags_sent = _with_flags(route.sent, device)
-        self._received, self._flags_received = _with_flags(route.received, device)
+
+    @functools.cached_property
+    def shared(self) -> Tensor:
+        """(S,) int64: rows of bodies that others hold too."""
+        ghosts = torch.arange(self._ghosts.start, self._ghosts.stop, device=self._device)
+        return torch.cat([self._route.rows, ghosts])
+
+    @functools.cached_property
+    def _places(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Of rows and flags in messages sent, and in those received."""
+        return *_with_flags(self._route.sent, self._device), *_with_flags(self._route.received, self._device)
 
     @property
     def rank(self) -> int:
@@ -148,13 +154,14 @@ class HeldExchange:
         comm = self._route.comm
         if comm.size == 1:
             return changed
-        message = first.new_empty(len(self._sent) + comm.size)
-        message[self._sent] = first[self._route.rows]
-        message[self._flags_sent] = changed.to(first.dtype)
+        rows_sent, flags_sent, rows_received, flags_received = self._places
+        message = first.new_empty(len(rows_sent) + comm.size)
+        message[rows_sent] = first[self._route.rows]
+        message[flags_sent] = changed.to(first.dtype)
         sent, received = ([count + 1 for count in counts] for counts in (self._route.sent, self._route.received))
         answer = self._send(message, sent, received)
-        first[self._ghosts] = answer[self._received]
-        return (answer[self._flags_received] > 0.0).any().reshape(1)
+        first[self._ghosts] = answer[rows_received]
+        return (answer[flags_received] > 0.0).any().reshape(1)
 
     def _send(self, values: Tensor, sent: list[int], received: list[int]) -> Tensor:
         """float64 values, so many to and from each rank."""

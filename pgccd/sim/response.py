@@ -43,11 +43,13 @@ class FindContacts(Protocol):
 class Exchange(Protocol):
     """What `settle` must know from others when robots are spread over ranks."""
 
-    #: (S,) int64 rows of the robots that others know too.
-    shared: Tensor
-
     @property
     def rank(self) -> int: ...
+
+    @property
+    def shared(self) -> Tensor:
+        """(S,) int64 rows of the robots that others know too."""
+        ...
 
     def collect(self, first: Tensor) -> None:
         """Lowers the first toi (N,) of the robots that this rank owns to the smallest over all ranks that hold them."""
@@ -68,11 +70,11 @@ class Exchange(Protocol):
         ...
 
 
-class Alone:
+class OneRank:
     """There is one rank.
 
     Args:
-        rows: any (., ) int64, where the robots are.
+        rows: (R,) int64 of any robots, where they are.
     """
 
     rank = 0
@@ -146,7 +148,7 @@ def settle(
         >>> settled = pgccd.sim.settle(hits.pairs, hits.toi, len(state), find_contacts)
     """
     rows = pairs.reshape(-1)
-    exchange = exchange or Alone(rows)
+    exchange = exchange or OneRank(rows)
     fraction = torch.ones(body_count, dtype=torch.float64, device=toi.device)
     first = torch.full_like(fraction, torch.inf)
     changed = torch.zeros(body_count, dtype=torch.bool, device=toi.device)

@@ -18,7 +18,7 @@ from pgccd.memory import memory_limit
 from pgccd.query import Query
 from pgccd.scene import Scene
 from pgccd.sim.hashing import contacts_hash_of, state_hash_of
-from pgccd.sim.response import Alone, Exchange, Settlement, respond, settle
+from pgccd.sim.response import Exchange, OneRank, Settlement, respond, settle
 from pgccd.sim.rounds import Pace, settle_ahead
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
@@ -164,7 +164,7 @@ def settle_step(
         exchange: how ranks agree; default: there is one.
     """
     pairs, toi = contacts.pairs, toi_of(contacts)
-    exchange = exchange or Alone(pairs.reshape(-1))
+    exchange = exchange or OneRank(pairs.reshape(-1))
     # The first step waits for each round, and tells what room rounds need; so does one that did not find enough.
     if pace is not None and pace.rounds is not None:
         settled = settle_ahead(pairs, toi, body_count, partners.start_round, exchange, pace)
@@ -187,7 +187,7 @@ class Partners:
 
     def __init__(self, world: World, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, pairs: Tensor) -> None:
         self._world, self._pairs = world, pairs
-        self._own = [own[name] for name in own]
+        self._own = list(own.values())
         self._ghosts = [column[:0] if ghosts is None else ghosts[name] for name, column in own.items()]
         #: Room that each round needed, where rounds were waited for.
         self.needed: list[Capacity] = []

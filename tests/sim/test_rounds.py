@@ -15,7 +15,7 @@ import pgccd
 from pgccd.capacity import Capacity
 from pgccd.sim import World, WorldConfig, make_step, robot_mesh
 from pgccd.sim import step as step_module
-from pgccd.sim.response import Alone, settle
+from pgccd.sim.response import OneRank, settle
 from pgccd.sim.rounds import Pace, settle_ahead
 from pgccd.sim.step import Partners, settle_step, toi_of
 
@@ -64,7 +64,7 @@ def many_rounds() -> tuple[pgccd.Contacts, int, Any]:
     raise AssertionError("no step takes three rounds")
 
 
-class Gathers(Alone):
+class Gathers(OneRank):
     """Counts what the host waits for."""
 
     def __init__(self, contacts: pgccd.Contacts) -> None:
@@ -103,7 +103,7 @@ def test_too_little_room_in_a_round(room: Capacity) -> None:
         pace, given_contacts = Tight(), (contacts.pairs, toi_of(contacts), count)
         pace.learn([Capacity(0, 0)] * expected.rounds)
         asked = partners()
-        short.append(settle_ahead(*given_contacts, asked.start_round, Alone(contacts.pairs), pace) is None)
+        short.append(settle_ahead(*given_contacts, asked.start_round, OneRank(contacts.pairs), pace) is None)
         found = settle_step(contacts, count, asked, pace)
         assert torch.equal(found.fraction, expected.fraction)
         assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
@@ -118,7 +118,7 @@ def test_more_memory_than_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(step_module, "memory_limit", lambda *_: 1000)
     pace = Pace()
     pace.learn([Capacity(0, 0)])
-    arguments = contacts.pairs, toi_of(contacts), count, partners().start_round, Alone(contacts.pairs), pace
+    arguments = contacts.pairs, toi_of(contacts), count, partners().start_round, OneRank(contacts.pairs), pace
     assert settle_ahead(*arguments) is None
 
 
@@ -154,7 +154,7 @@ def test_everybody_collides() -> None:
     pace = Pace()
     expected = settle_step(contacts, len(state), partners(), pace)
     found = settle_ahead(
-        contacts.pairs, toi_of(contacts), len(state), partners().start_round, Alone(contacts.pairs), pace
+        contacts.pairs, toi_of(contacts), len(state), partners().start_round, OneRank(contacts.pairs), pace
     )
     assert found is not None and torch.equal(found.fraction, expected.fraction)
     assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
@@ -182,7 +182,7 @@ def test_a_round_is_few_operators_and_no_wait() -> None:
         pace = Pace()
         pace.learn([Capacity(0, 0)] * rounds)
         with Calls() as watch:
-            settle_ahead(contacts.pairs, toi_of(contacts), count, partners().start_round, Alone(contacts.pairs), pace)
+            settle_ahead(contacts.pairs, toi_of(contacts), count, partners().start_round, OneRank(contacts.pairs), pace)
         calls.append(watch.calls)
         assert watch.waits == 0  # the one look is that of the numbers gathered
     assert calls[1] - calls[0] == 5
