@@ -63,6 +63,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
     parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
     parser.add_argument("--no-overlap", action="store_true", help="wait for the ghosts before any detection")
+    parser.add_argument("--ahead", action="store_true", help="make rounds of settling without waiting for each")
     parser.add_argument("--steps-before", type=int, default=20, help="steps made before the first is timed")
     parser.add_argument("--rounds", type=int, default=20, help="steps timed")
     parser.add_argument("--seed", type=int, default=0)
@@ -102,6 +103,7 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "cells": arguments.cells,
         "axes": arguments.axes,
         "overlap": not arguments.no_overlap,
+        "ahead": arguments.ahead,
         "ms": timing.summary(whole),
         "single_process_ms": timing.summary(single) if single else None,
         "mean_of_ranks_ms": {name: over_ranks(everybody, name, mean) for name in (*PARTS, REST)},
@@ -125,7 +127,7 @@ def start(
     )
     share = distributed.starting_share(comm, world, partition)
     balance = distributed.BalanceOptions(arguments.balance)
-    return distributed.Fleet(comm, world, partition, share, balance, not arguments.no_overlap)
+    return distributed.Fleet(comm, world, partition, share, balance, not arguments.no_overlap, ahead=arguments.ahead)
 
 
 def timed_step(
@@ -178,9 +180,9 @@ def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -
     """Adds the row to the file, and prints all of them."""
     path = arguments.out or results.FOLDER / f"cluster_scaling-{arguments.device.partition(':')[0]}.json"
     rows = json.loads(Path(path).read_text())["rows"] if Path(path).exists() else []
-    key = ("scaling", "ranks", "robots", "pattern", "balance", "cells", "axes", "overlap", "transport")
+    key = ("scaling", "ranks", "robots", "pattern", "balance", "cells", "axes", "overlap", "ahead", "transport")
     row["transport"] = transport
-    rows = [other for other in rows if [other[name] for name in key] != [row[name] for name in key]] + [row]
+    rows = [other for other in rows if [other.get(name) for name in key] != [row[name] for name in key]] + [row]
     rows.sort(key=lambda other: (other["scaling"], other["pattern"], other["ranks"], other["robots"]))
     results.table([flat(other, rows) for other in rows])
     print(f"\nmilliseconds of this run, {row['robots']:,} robots on {row['ranks']} ranks:")

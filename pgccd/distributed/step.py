@@ -81,14 +81,14 @@ class Fleet:
         balance: BalanceOptions | None = None,
         overlap: bool = True,
         broad_phase: BroadPhase = "auto",
-        ahead: bool | None = None,
+        ahead: bool = False,
     ) -> None:
         self.comm, self.world, self.partition = comm, world, partition
         self.balance = balance or BalanceOptions()
         # nonzero_toi: robots that part after a contact are free.
         self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
         # The fleet's own, so that all ranks know the same number of rounds.
-        self._pace = Pace() if (world.device.type == "cuda" if ahead is None else ahead) else None
+        self._pace = Pace() if ahead else None
         self._expected = Census.of_range(world.config.robots)
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()

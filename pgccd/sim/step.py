@@ -48,7 +48,7 @@ def make_step(
     state: RobotState,
     index: int,
     broad_phase: broad.BroadPhase = "auto",
-    ahead: bool | None = None,
+    ahead: bool = False,
 ) -> Step:
     """Moves the robots by one step.
 
@@ -58,8 +58,8 @@ def make_step(
         state: of all robots, after step `index` - 1.
         index: number of the step, from 0.
         broad_phase: as for `detect`.
-        ahead: whether the rounds of settling are made several at a time, without waiting for each; default: on a GPU.
-            The result does not depend on it.
+        ahead: whether the rounds of settling are made several at a time, without waiting for a GPU in each. The result
+            does not depend on it.
 
     Example:
         >>> step = pgccd.sim.make_step(world, scene, world.start(), 0)
@@ -77,7 +77,7 @@ def make_step(
     toi = toi_of(contacts)
     with clock.stage("respond"):
         partners = Partners(world, before.moving_columns, None, pairs)
-        pace = _pace_of(scene) if (scene.device.type == "cuda" if ahead is None else ahead) else None
+        pace = _pace_of(scene) if ahead else None
         settlement = settle_step(contacts, len(before), partners, pace)
         after = respond(before, settlement.fraction)
     with clock.stage("hash"):

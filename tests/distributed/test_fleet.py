@@ -42,9 +42,7 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if name not in TIMES}
 
 
-def make_fleet(
-    comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu", ahead: bool | None = None
-) -> Fleet:
+def make_fleet(comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu", ahead: bool = False) -> Fleet:
     world = sim.World(sim.WorldConfig(**WORLDS[name]), device=device)
     upper = world.half_extent
     partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=4, device=device)
@@ -72,7 +70,7 @@ def follow(
     random_owners: bool,
     overlap: bool,
     device: str = "cpu",
-    ahead: bool | None = None,
+    ahead: bool = False,
 ) -> dict[str, int]:
     """Compares every step's log and the last step's columns with one process."""
     records, last = single_run(name, steps)
