@@ -31,7 +31,7 @@ class Stats:
     broad_phase: str = ""  #: "sweep", "grid" or "lbvh"; "given" if the pairs were
     chunks: int = 0  #: pieces in which the PCS was streamed
     waits: int = 0  #: times the host waited for a GPU
-    scratch_bytes: int = 0  #: most memory of a GPU held at once on the way to the result
+    scratch_bytes: int = 0  #: most scratch memory that one operator on a GPU held
     needed: Capacity | None = None  #: room the step needed; on a GPU None if it was streamed
     seconds: dict[str, float] = field(default_factory=dict)
 

@@ -9,7 +9,7 @@ from typing import overload
 
 from torch import Tensor
 
-from pgccd import broad, narrow, traverse
+from pgccd import broad, narrow, ops, traverse
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import EXACTLY, Capacity
 from pgccd.contacts import Contacts, PaddedContacts
@@ -108,9 +108,9 @@ def detect(
     if memory_budget is not None and memory_budget <= 0:
         raise ValueError(f"memory_budget: expected a number of bytes > 0, got {memory_budget}")
     on_cpu = scene.device.type == "cpu"
-    start = 0.0 if capacity else time.perf_counter()  # which compiled graphs do not know
+    start = time.perf_counter() if capacity is None else 0.0  # which compiled graphs do not know
     bodies = MovingBodies(scene, motion, wait=on_cpu and capacity is None)
-    seconds = 0.0 if capacity else time.perf_counter() - start
+    seconds = time.perf_counter() - start if capacity is None else 0.0
     broad.choose(bodies, broad_phase)  # complains of a name it does not know
     if pairs is not None:
         pairs = traverse.check_pairs(pairs, bodies)
@@ -159,6 +159,7 @@ def _detect_at_once(
 ) -> Contacts | None:
     """All stages one after the other in the room that a step is expected to need; None if that is too much."""
     capacity = recall_capacity(bodies.scene, query, pairs)
+    ops.take_scratch_peak()  # of earlier steps
     for attempt in range(1, _ATTEMPTS + 1):
         if capacity.bytes > memory_limit(memory_budget, capacity.bytes, bodies.device):
             return None
@@ -169,6 +170,7 @@ def _detect_at_once(
         if not counts.overflow:
             contacts = search.contacts(counts)
             contacts.stats.waits = attempt
+            contacts.stats.scratch_bytes = ops.take_scratch_peak()
             return contacts
         capacity = capacity.grown(needed)
     return None

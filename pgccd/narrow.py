@@ -141,23 +141,10 @@ def contacts(
     require(
         _names_features(bodies, pairs, candidates), "candidates: a row names a pair, kind or feature that is not there"
     )
-    return solve(bodies, pairs, candidates.contiguous(), report, min_separation, tolerance, nonzero_toi)
-
-
-def solve(
-    bodies: MovingBodies,
-    pairs: Tensor,
-    candidates: Tensor,
-    report: Report,
-    min_separation: float,
-    tolerance: float | None,
-    nonzero_toi: bool,
-) -> ContactRows:
-    """`contacts` for candidates that come from the traversal and need no check."""
     if report not in REPORTS:
         raise ValueError(f"report: expected one of {list(REPORTS)}, got {report!r}")
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
-    rest = (pairs, candidates, *settings, nonzero_toi, REPORTS[report])
+    rest = (pairs, candidates.contiguous(), *settings, nonzero_toi, REPORTS[report])
     if bodies.deforming:
         rows = ops.narrow_deforming(bodies.mesh_set, bodies.tensors, *rest)
     else:

@@ -62,8 +62,6 @@ def stream(
         parts.append(solve_at_any_price(chunk) if found is None else found)
     contacts = parts[0] if len(parts) == 1 else _joined(parts, query)
     contacts.stats.broad_phase = chosen
-    if contacts.stats.scratch_bytes:
-        contacts.stats.scratch_bytes += pairs.nbytes
     contacts.stats.seconds = {"broad": seconds} | {
         stage: spent for stage, spent in contacts.stats.seconds.items() if stage != "broad"
     }

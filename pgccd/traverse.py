@@ -48,18 +48,6 @@ def bvtt(
         raise ValueError(f"horizon: expected ({len(pairs)},) float64, got {tuple(horizon.shape)} {horizon.dtype}")
     if horizon is not None:
         require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
-    return search(bodies, pairs, min_separation, tolerance, horizon, leading)
-
-
-def search(
-    bodies: MovingBodies,
-    pairs: Tensor,
-    min_separation: float,
-    tolerance: float | None,
-    horizon: Tensor | None,
-    leading: bool,
-) -> tuple[Tensor, Tensor]:
-    """`bvtt` for pairs that come from the broad phase and need no check."""
     rest = (pairs, horizon, min_separation, operator_tolerance(tolerance), leading)
     if bodies.deforming:
         return ops.traverse_deforming(bodies.mesh_set, bodies.tensors, *rest)

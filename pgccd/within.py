@@ -68,7 +68,6 @@ class Search:
             broad_phase=self.broad_phase,
             chunks=1,
             waits=int(self.counts.is_cuda),
-            scratch_bytes=self.capacity.bytes if self.counts.is_cuda else 0,
             needed=counts.needed(self.capacity),
             seconds=counts.seconds,
         )

@@ -234,6 +234,7 @@ def test_room_grows_until_a_step_fits(device: torch.device, report: Any) -> None
             patch.setattr(sys.modules["pgccd.detect"], "recall_capacity", lambda *_, little=little: little)
             found = detect_at_once(pgccd.MovingBodies(scene, motion, wait=False), query, "grid", None, None)
         assert found is not None and found.stats.waits > 1
+        assert (found.stats.scratch_bytes > 0) == (device.type == "cuda")
         assert_same(found, expected)
     # It is remembered; and a budget too small for it leaves the step to be streamed.
     bodies = pgccd.MovingBodies(scene, motion, wait=False)
