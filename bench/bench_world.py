@@ -7,6 +7,8 @@ memory. The floor is what any program would need at least: reading every pose on
 potentially colliding pair, writing every contact, at the copy bandwidth measured in the same run; and the operations
 of the node tests and candidates that were actually made, roughly counted, at the rate of matrix products measured in
 the same run.
+
+On a GPU further steps are also made as a CUDA graph in a room that suffices for them, and must find as much.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from typing import Any
 
 import torch
 from support import results, timing
+from support.graphed import GraphedDetection
 from support.memory import PeakMemory
 from support.scenes import MixedWorld
 
@@ -77,17 +80,22 @@ def parse_arguments() -> argparse.Namespace:
 def measure(robots: int, arguments: argparse.Namespace, rates: dict[str, float]) -> dict[str, Any]:
     """One size of world: medians over the steps timed, and means of the counts."""
     with PeakMemory(arguments.device) as memory:
-        row = run(robots, arguments, rates)
+        world = start(robots, arguments)
+        row = run(world, arguments, rates)
+    row["graph_ms"] = as_graph(world, arguments) if torch.device(arguments.device).type == "cuda" else None
     return row | {"peak_bytes_a_robot": timing.rounded(memory.bytes / robots)}
 
 
-def run(robots: int, arguments: argparse.Namespace, rates: dict[str, float]) -> dict[str, Any]:
-    """`measure` without the memory."""
-    device = arguments.device
+def start(robots: int, arguments: argparse.Namespace) -> MixedWorld:
+    """The world in full swing."""
     if arguments.checkpoint:
-        world = MixedWorld.from_checkpoint(sim.load_checkpoint(arguments.checkpoint), device)
-    else:
-        world = MixedWorld(robots, arguments.steps_before, device, arguments.seed, arguments.pattern)
+        return MixedWorld.from_checkpoint(sim.load_checkpoint(arguments.checkpoint), arguments.device)
+    return MixedWorld(robots, arguments.steps_before, arguments.device, arguments.seed, arguments.pattern)
+
+
+def run(world: MixedWorld, arguments: argparse.Namespace, rates: dict[str, float]) -> dict[str, Any]:
+    """`measure` without the memory and the graph."""
+    device, robots = arguments.device, len(world.state)
     spent: list[float] = []
     stages: dict[str, list[float]] = {}
     counts: dict[str, list[int]] = {}
@@ -125,6 +133,26 @@ def run(robots: int, arguments: argparse.Namespace, rates: dict[str, float]) -> 
     }
 
 
+def as_graph(world: MixedWorld, arguments: argparse.Namespace) -> dict[str, float]:
+    """Milliseconds that steps take as a graph."""
+    device, spent = arguments.device, []
+    graphed: GraphedDetection | None = None
+    for state in itertools.islice(world, 1 + arguments.rounds):
+        motion = world.world.motion(state)
+        hits = pgccd.detect(world.scene, motion, report="first")
+        if graphed is None:
+            if hits.stats.needed is None:
+                raise SystemExit("this world is streamed: a graph has no room for it")
+            graphed = GraphedDetection(world.scene, motion, hits.stats.needed)
+        graphed.load(motion)
+        spent.append(timing.seconds(graphed.replay, device)[0])
+        found = graphed.found.trim()  # raises if the room did not suffice
+        assert found.toi is not None and hits.toi is not None
+        if not (torch.equal(found.pairs, hits.pairs) and torch.equal(found.toi, hits.toi)):
+            raise SystemExit("the graph's contacts differ")
+    return timing.summary(spent[1:])
+
+
 def measure_rates(device: str) -> dict[str, float]:
     """Copy bandwidth (read and write both counted) and operations a second of a float32 matrix product."""
     source = torch.ones(1 << 26, dtype=torch.float32, device=device)
@@ -144,6 +172,7 @@ def flat(row: dict[str, Any]) -> dict[str, Any]:
     return {
         "robots": row["robots"],
         "ms": row["ms"]["median"],
+        "as graph ms": row["graph_ms"]["median"] if row["graph_ms"] else None,
         **{f"{stage} ms": part for stage, part in row["stage_ms"].items()},
         "pcs/body": row["pcs_a_body"],
         "contacts/body": row["contacts_a_body"],
