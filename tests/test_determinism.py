@@ -64,7 +64,7 @@ def test_threads_chunks_and_repetition(device: torch.device, kind: str, report: 
         for _ in range(2):
             assert_same(pgccd.detect(scene, motion, report), reference)
     chunks = set()
-    for budget in (1, 40_000, 300_000, 10**7):
+    for budget in (1, 40_000, 300_000, 10**8):
         hits = pgccd.detect(scene, motion, report, memory_budget=budget)
         assert_same(hits, reference)
         chunks.add(hits.stats.chunks)

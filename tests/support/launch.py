@@ -14,6 +14,14 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SUPPORT = Path(__file__).resolve().parent
 SECONDS = 120
+# Open MPI refuses, unless told otherwise, to be started by root (in a container, say), and to start more ranks than
+# there are cores.
+_OPEN_MPI = (
+    "OMPI_ALLOW_RUN_AS_ROOT=1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1",
+    "OMPI_MCA_rmaps_base_oversubscribe=1",
+    "PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe",
+)
 
 
 def environment(**more: str) -> dict[str, str]:
@@ -36,7 +44,7 @@ def mpirun(ranks: int, *arguments: str) -> list[str]:
     probe = subprocess.run([sys.executable, "-c", "from mpi4py import MPI"], capture_output=True)
     if program is None or probe.returncode:
         pytest.skip("no mpirun, or no mpi4py")
-    return [program, "-n", str(ranks), sys.executable, *arguments]
+    return ["env", *_OPEN_MPI, program, "-n", str(ranks), sys.executable, *arguments]
 
 
 def finish(command: list[str], **more: str) -> subprocess.CompletedProcess[str]:
