@@ -26,7 +26,7 @@ _OPEN_MPI = (
 
 def environment(**more: str) -> dict[str, str]:
     """Of a process that finds pgccd and the tests, and no launcher of the one that runs the tests."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PMI_", "OMPI_", "SLURM_"))}
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PMI_", "OMPI_COMM_", "SLURM_"))}
     path = os.pathsep.join([str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")])
     return kept | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"} | more
 
