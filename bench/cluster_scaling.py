@@ -23,6 +23,7 @@ from support import results, timing
 
 from pgccd import distributed, sim
 from pgccd.distributed.launch import TRANSPORTS
+from pgccd.sim.rounds import goes_ahead
 
 # What the stages of a step are summed up to.
 PARTS = {
@@ -63,7 +64,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
     parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
     parser.add_argument("--no-overlap", action="store_true", help="wait for the ghosts before any detection")
-    parser.add_argument("--ahead", action="store_true", help="make rounds of settling without waiting for each")
+    parser.add_argument("--no-ahead", action="store_true", help="wait for every round of settling")
     parser.add_argument("--steps-before", type=int, default=20, help="steps made before the first is timed")
     parser.add_argument("--rounds", type=int, default=20, help="steps timed")
     parser.add_argument("--seed", type=int, default=0)
@@ -89,7 +90,10 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         ranks.append(made.record["ranks"])
         if comm.size == 1:
             scene = fleet.world.scene(state.id)
-            seconds, alone = wall(lambda: sim.make_step(fleet.world, scene, state, index), device)  # noqa: B023
+            seconds, alone = wall(
+                lambda: sim.make_step(fleet.world, scene, state, index, ahead=ahead(arguments)),  # noqa: B023
+                device,
+            )
             single.append(seconds)
             if alone.record["state_hash"] != made.record["state_hash"]:
                 raise SystemExit(f"step {index}: one rank and one process differ")
@@ -103,7 +107,7 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "cells": arguments.cells,
         "axes": arguments.axes,
         "overlap": not arguments.no_overlap,
-        "ahead": arguments.ahead,
+        "ahead": ahead(arguments),
         "ms": timing.summary(whole),
         "single_process_ms": timing.summary(single) if single else None,
         "mean_of_ranks_ms": {name: over_ranks(everybody, name, mean) for name in (*PARTS, REST)},
@@ -127,7 +131,12 @@ def start(
     )
     share = distributed.starting_share(comm, world, partition)
     balance = distributed.BalanceOptions(arguments.balance)
-    return distributed.Fleet(comm, world, partition, share, balance, not arguments.no_overlap, ahead=arguments.ahead)
+    return distributed.Fleet(comm, world, partition, share, balance, not arguments.no_overlap, ahead=ahead(arguments))
+
+
+def ahead(arguments: argparse.Namespace) -> bool:
+    """Whether rounds of settling are made several at a time."""
+    return goes_ahead(False if arguments.no_ahead else None, torch.device(arguments.device))
 
 
 def timed_step(

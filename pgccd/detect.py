@@ -116,14 +116,30 @@ def detect(
         pairs = traverse.check_pairs(pairs, bodies)
     if capacity is not None:
         return search_within(bodies, query, capacity, broad_phase, pairs).padded()
-    found = None
-    if on_cpu:
-        found = stream(bodies, query, broad_phase, pairs, memory_budget, *_on_cpu(bodies, query))
-    else:
-        found = _detect_at_once(bodies, query, broad_phase, pairs, memory_budget)
-        if found is None:
-            found = stream(bodies, query, broad_phase, pairs, memory_budget, *_on_gpu(bodies, query, memory_budget))
+    found = find_contacts(bodies, query, broad_phase, pairs, memory_budget)
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
+    return found
+
+
+def find_contacts(
+    bodies: MovingBodies,
+    query: Query,
+    broad_phase: broad.BroadPhase = "auto",
+    pairs: Tensor | None = None,
+    memory_budget: int | None = None,
+) -> Contacts:
+    """What `detect` finds, for those who have made its checks and hold moving bodies.
+
+    Args:
+        bodies: on a CPU checked already.
+        query, broad_phase, memory_budget: as for `detect`.
+        pairs: (P, 2) int64, or None. Where bodies have ids that rows do not follow, the body named first is i.
+    """
+    if bodies.device.type == "cpu":
+        return stream(bodies, query, broad_phase, pairs, memory_budget, *_on_cpu(bodies, query))
+    found = _detect_at_once(bodies, query, broad_phase, pairs, memory_budget)
+    if found is None:
+        found = stream(bodies, query, broad_phase, pairs, memory_budget, *_on_gpu(bodies, query, memory_budget))
     return found
 
 

@@ -108,11 +108,11 @@ def reached_ranks(centres: Centres, min_separation: float, territory: Territory,
 
 
 def owned_pairs(
-    pairs: Tensor, centres: Centres, min_separation: float, reach: Tensor, only_ghosts: bool, territory: Territory
+    pairs: Tensor, own_count: int, centres: Centres, min_separation: float, reach: Tensor, territory: Territory
 ) -> tuple[Tensor, Tensor]:
     """Rows of pairs (P, 2) whose reference point lies in a cell of the rank, in the first `found` (1,) places of (P,).
-    reach (N,) uint8: bit 0 as above; bit 1 of ghosts, of which a pair must have one if `only_ghosts`."""
-    return _ops.owned_pairs(pairs, list(centres), min_separation, reach, only_ghosts, *territory)
+    reach (N,) uint8: bit 0 as above; bit 1 of ghosts, of which every pair after the first `own_count` must have one."""
+    return _ops.owned_pairs(pairs, own_count, list(centres), min_separation, reach, *territory)
 
 
 def near_ghosts(

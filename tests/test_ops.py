@@ -39,7 +39,7 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     reach, border, _ = ops.border_bodies(centres, 0.01, territory)
     ops.reached_ranks(centres, 0.01, territory, torch.arange(len(border), device=moving.device), 2)
     pairs = torch.combinations(torch.arange(len(border), device=moving.device))
-    ops.owned_pairs(pairs, centres, 0.01, reach, False, territory)
+    ops.owned_pairs(pairs, 3, centres, 0.01, reach, territory)
     ops.near_ghosts(centres, [column[:1] for column in centres], 0.01, territory)
     ops.leaving_bodies(moving.position_t0, territory, 2)
 

@@ -46,7 +46,10 @@ class CpuBackend {
     copy_rows(found, make_output(rows), rows);
   }
 
-  void copy_counts(const int64_t* from, int64_t count, int64_t* to) const { std::copy_n(from, count, to); }
+  void begin_counts(const CountSpan& first, const CountSpan& second, int64_t* time) const {
+    *time = nanoseconds();
+    for (const CountSpan& span : {first, second}) std::copy_n(span.from, span.count, span.to);
+  }
   void first_faults(const std::vector<RowColumn>& columns, int64_t* first) const {
     first_faults_cpu(executor_, columns, first);
   }
@@ -77,9 +80,10 @@ class CpuBackend {
   void contacts_within(const Bodies& bodies, TraverseInput traversal, const int64_t* pair_count,
                        const TraverseCapacity&, NarrowInput narrow, bool only_earliest, const ContactCapacity& room,
                        const ContactOutput& make_output, int64_t* traverse_counts, int64_t* contact_counts) const {
+    const int64_t began = traverse_counts[kTraverseBegan];
     std::fill_n(traverse_counts, int64_t{kTraverseCounts}, int64_t{0});
     std::fill_n(contact_counts, int64_t{kContactCounts}, int64_t{0});
-    traverse_counts[kTraverseBegan] = nanoseconds();
+    traverse_counts[kTraverseBegan] = began;
     traversal.pair_count = narrow.pair_count = std::min(traversal.pair_count, *pair_count);
     int64_t narrow_time = 0;
     std::vector<double> horizon;

@@ -8,7 +8,6 @@
 #include "kernels/bounds/bounds_cuda.h"
 #include "kernels/bounds/faults_cuda.h"
 #include "kernels/broad/broad_cuda.h"
-#include "kernels/copy_cuda.h"
 #include "kernels/narrow/narrow_cuda.h"
 #include "kernels/traverse/traverse_cuda.h"
 
@@ -53,8 +52,8 @@ class CudaBackend {
         return lbvh_cuda(session_.context(), bodies, out);
     }
   }
-  void copy_counts(const int64_t* from, int64_t count, int64_t* to) const {
-    copy_counts_cuda(session_.context(), from, count, to);
+  void begin_counts(const CountSpan& first, const CountSpan& second, int64_t* time) const {
+    begin_counts_cuda(session_.context(), first, second, time);
   }
   void first_faults(const std::vector<RowColumn>& columns, int64_t* first) const {
     first_faults_cuda(session_.context(), columns, first);

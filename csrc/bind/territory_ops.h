@@ -49,15 +49,15 @@ struct TerritoryOps {
     return reached;
   }
 
-  static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const TensorList& centres, double min_separation,
-                                                const Tensor& reach, bool only_ghosts, FrameList frame,
+  static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, int64_t own_count, const TensorList& centres,
+                                                double min_separation, const Tensor& reach, FrameList frame,
                                                 const Tensor& owner, int64_t rank) {
     OwnedPairs input;
     input.bodies = centres_view(centres, "centres", min_separation);
     input.territory = territory_view(frame, owner, rank);
     input.reach = rows<uint8_t>(reach, "reach", {input.bodies.count});
     input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
-    input.only_ghosts = only_ghosts;
+    input.own_count = own_count;
     Tensor owned = new_tensor<int64_t>(owner, {pairs.size(0)}), found = new_tensor<int64_t>(owner, {1});
     Backend(owner).owned_pairs(input, pairs.size(0), {data<int64_t>(owned), data<int64_t>(found)});
     return {owned, found};

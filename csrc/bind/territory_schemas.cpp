@@ -12,7 +12,7 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "reached_ranks(Tensor[] centres, float min_separation, float[] frame, Tensor owner, Tensor bodies, int ranks) -> "
       "Tensor");
   library.def(
-      "owned_pairs(Tensor pairs, Tensor[] centres, float min_separation, Tensor reach, bool only_ghosts, "
+      "owned_pairs(Tensor pairs, int own_count, Tensor[] centres, float min_separation, Tensor reach, "
       "float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
   library.def(
       "near_ghosts(Tensor[] centres, Tensor[] ghosts, float min_separation, float[] frame, Tensor owner, int rank) -> "

@@ -5,6 +5,7 @@
 #include <tuple>
 
 #include "bind/contact_tensors.h"
+#include "kernels/begin_counts.h"
 #include "kernels/padded_pairs.h"
 #include "kernels/traverse/traverse.h"
 
@@ -88,15 +89,15 @@ struct WithinOps {
     Tensor counts =
         new_tensor<int64_t>(pairs, {kPairCounts + int64_t{kTraverseCounts} + int64_t{kContactCounts} + faults.size(0)});
     const int64_t* of_pairs = rows<int64_t>(pair_counts, "pair_counts", {kPairCounts});
+    const int64_t* of_faults = rows<int64_t>(faults, "faults", {kAnySize});
+    int64_t* const traverse_counts = data<int64_t>(counts) + kPairCounts;
+    int64_t* const contact_counts = traverse_counts + kTraverseCounts;
     const Backend backend(pairs);
-    int64_t* next = data<int64_t>(counts);
-    backend.copy_counts(of_pairs, kPairCounts, next);
-    next += kPairCounts;
+    backend.begin_counts({of_pairs, kPairCounts, data<int64_t>(counts)},
+                         {of_faults, faults.size(0), contact_counts + kContactCounts},
+                         traverse_counts + kTraverseBegan);
     backend.contacts_within(bodies, traversal, of_pairs + kPairsWritten, room, narrow, report == kOnlyEarliest,
-                            {capacity[5], capacity[6]}, make_output, next, next + kTraverseCounts);
-    next += int64_t{kTraverseCounts} + int64_t{kContactCounts};
-    const int64_t* found_faults = rows<int64_t>(faults, "faults", {kAnySize});
-    if (faults.size(0) > 0) backend.copy_counts(found_faults, faults.size(0), next);
+                            {capacity[5], capacity[6]}, make_output, traverse_counts, contact_counts);
     return std::tuple_cat(found, std::make_tuple(counts));
   }
 };

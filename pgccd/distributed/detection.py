@@ -16,12 +16,13 @@ from torch import Tensor
 from pgccd import broad, narrow, ops
 from pgccd.bodies import MovingBodies
 from pgccd.contacts import Contacts
-from pgccd.detect import detect
+from pgccd.detect import find_contacts
 from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Columns
-from pgccd.distributed.halo import IS_GHOST, REACHES_OTHERS, Centres, Halo, Held, centres_of
+from pgccd.distributed.exchange import Columns, take_rows
+from pgccd.distributed.halo import IS_GHOST, REACHES_OTHERS, Centres, Halo, Held, HeldExchange, centres_of
 from pgccd.distributed.partition import Partition
 from pgccd.motion import RigidMotion
+from pgccd.query import Query
 from pgccd.scene import FILTERS, Scene
 from pgccd.stages import StageClock
 
@@ -40,6 +41,8 @@ class Options:
     broad_phase: broad.BroadPhase = "auto"
     #: Whether pairs of own bodies are looked for while ghosts are under way. The result does not depend on it.
     overlap: bool = True
+    #: Whether ranks are going to agree on first toi: `Detection.exchange`.
+    agree: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,12 +52,13 @@ class Detection:
     held: Held
     pairs: Tensor  #: (P, 2) int64: the potentially colliding pairs this rank tests
     contacts: Contacts  #: of these pairs
-    centres: tuple[Centres, Centres]  #: of own bodies and of ghosts
+    centres: Centres  #: of bodies held
     min_separation: float
+    exchange: HeldExchange | None  #: if asked for
 
     def reference_cells(self, partition: Partition, pairs: Tensor) -> Tensor:
         """(K,) int64: the cell of the lower corner of the intersection of the boxes of each pair (K, 2)."""
-        lower = torch.cat([ops.swept_boxes(*centres, self.min_separation)[0] for centres in self.centres])
+        lower = ops.swept_boxes(*self.centres, self.min_separation)[0]
         return partition.cell_of(torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]]))
 
 
@@ -76,94 +80,75 @@ def detect_distributed(
         options: what to find.
         clock: stages are timed here.
     """
-    separation = broad.check_separation(options.min_separation)
+    # Rows are not in the order of ids, which decides among equal ones.
+    report: narrow.Report = "first" if options.report == "earliest" else options.report
+    query = Query(report, broad.check_separation(options.min_separation), options.tolerance, options.nonzero_toi)
+    share = _Share(comm.rank, partition, options)
     with clock.stage("plan"):
         bodies = MovingBodies(*build(own), wait=False)
     with clock.stage("halo"):
-        halo = Halo(comm, partition, own, bodies, separation)
-    share = _Share(comm.rank, partition, options, clock)
+        halo = Halo(comm, partition, own, bodies, query.min_separation)
     held = None if options.overlap else _wait(halo, clock)
-    pairs = share.pairs(bodies, halo.reach, only_ghosts=False)
+    with clock.stage("broad"):
+        pairs = broad.find_pairs(bodies, query.min_separation, options.broad_phase)
     held = held or _wait(halo, clock)
-    own_count, ghosts = len(held.own_id), held.ghosts
-    ghost_bodies = _told(*build(ghosts)) if len(ghosts["id"]) else None
-    rows = None
-    if ghost_bodies is not None:
-        with clock.stage("halo"):
-            columns, reach, rows = share.border(held, bodies, halo.reach, ghost_bodies)
-            border = _bodies(bodies, columns)
-        crossing = share.pairs(border, reach, only_ghosts=True)
-        with clock.stage("halo"):
-            # Every pair's smaller id comes first: among own bodies, and among those at the border.
-            own_columns = _columns(bodies)
-            merged = {name: torch.cat([column, columns[name]]) for name, column in own_columns.items()}
-            tested = _bodies(bodies, merged)
-            pairs_tested = torch.cat([pairs, crossing + own_count])
-            pairs = torch.cat([pairs, rows[crossing]])
-    else:
-        tested, pairs_tested = bodies, pairs
-    found = detect(
-        tested.scene,
-        cast(RigidMotion, tested.motion),
-        # Rows are not in the order of ids, which decides among equal ones.
-        "first" if options.report == "earliest" else options.report,
-        separation,
-        tolerance=options.tolerance,
-        nonzero_toi=options.nonzero_toi,
-        pairs=pairs_tested,
-    )
+    tested, exchange = bodies, None
+    with clock.stage("halo"):
+        if held.ghost_count:
+            tested = _joined(bodies, _told(*build(held.ghosts)))
+            border, rows = share.border(tested, held)
+        if options.agree:
+            ghosts = cast(Centres, tuple(column[held.own_count :] for column in centres_of(tested)))
+            exchange = HeldExchange(held, ghosts, query.min_separation, partition)
+    if halo.reach is not None:
+        with clock.stage("broad"):
+            own_pairs, reach = pairs, halo.reach
+            if held.ghost_count:
+                crossing = broad.find_pairs(border, query.min_separation, options.broad_phase)
+                pairs = torch.cat([pairs, rows[crossing]])
+                reach = torch.cat([reach, reach.new_full((held.ghost_count,), REACHES_OTHERS | IS_GHOST)])
+            pairs = share.of(pairs, len(own_pairs), tested, reach)
+    found = find_contacts(tested, query, pairs=pairs)
     clock.add(found.stats.seconds)
-    found.stats.bodies = len(held)
-    if rows is not None:
-        at_border = rows[(found.pairs - own_count).clamp_(min=0)]
-        found = replace(found, pairs=torch.where(found.pairs < own_count, found.pairs, at_border))
     if options.report == "earliest":
         found = _earliest(found, held.id)
-    ghost_centres = (column[:0] for column in centres_of(bodies)) if ghost_bodies is None else centres_of(ghost_bodies)
-    return Detection(held, pairs, found, (centres_of(bodies), cast(Centres, tuple(ghost_centres))), separation)
+    return Detection(held, pairs, found, centres_of(tested), query.min_separation, exchange)
 
 
 class _Share:
     """What one rank tests."""
 
-    def __init__(self, rank: int, partition: Partition, options: Options, clock: StageClock) -> None:
+    def __init__(self, rank: int, partition: Partition, options: Options) -> None:
         self._territory = partition.territory(rank)
-        self._options, self._clock = options, clock
+        self._separation = options.min_separation
 
-    def pairs(self, bodies: MovingBodies, reach: Tensor | None, only_ghosts: bool) -> Tensor:
-        """Potentially colliding pairs whose reference point lies in a cell of this rank: all, if nobody reaches
-        others' (None)."""
-        separation = self._options.min_separation
-        with self._clock.stage("broad"):
-            pairs = broad.find_pairs(bodies, separation, self._options.broad_phase)
-            if reach is None:
-                return pairs
-            owned, found = ops.owned_pairs(pairs, centres_of(bodies), separation, reach, only_ghosts, self._territory)
-            count = int(found)
-            return pairs if count == len(pairs) else pairs[owned[:count]]
+    def of(self, pairs: Tensor, own_count: int, bodies: MovingBodies, reach: Tensor) -> Tensor:
+        """Those of the pairs whose reference point lies in a cell of this rank; the first `own_count` are of own bodies
+        alone, from those after them such pairs are left out.
+        """
+        owned, found = ops.owned_pairs(pairs, own_count, centres_of(bodies), self._separation, reach, self._territory)
+        count = int(found)
+        return pairs if count == len(pairs) else pairs[owned[:count]]
 
-    def border(
-        self, held: Held, bodies: MovingBodies, reach: Tensor | None, ghosts: MovingBodies
-    ) -> tuple[Columns, Tensor, Tensor]:
-        """Ghosts and all own bodies near them, by ascending id: columns, reach and rows of bodies held.
+    def border(self, bodies: MovingBodies, held: Held) -> tuple[MovingBodies, Tensor]:
+        """Ghosts and all own bodies near them, by ascending id; and their rows among the bodies held.
 
         A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the
         box around all ghosts.
         """
-        assert reach is not None  # else there were no ghosts
-        separation = self._options.min_separation
-        near, found = ops.near_ghosts(centres_of(bodies), centres_of(ghosts), separation, self._territory)
-        near = near[: int(found)]
-        order = torch.argsort(torch.cat([held.own_id[near], held.ghosts["id"]]))
-        ghost_columns = _columns(ghosts)
-        columns = {
-            name: torch.cat([column[near], ghost_columns[name]])[order] for name, column in _columns(bodies).items()
-        }
-        count = len(held.ghosts["id"])
-        reach = torch.cat([reach[near], reach.new_full((count,), REACHES_OTHERS | IS_GHOST)])[order]
-        own_count = len(held.own_id)
-        rows = torch.cat([near, torch.arange(own_count, own_count + count, device=near.device)])[order]
-        return columns, reach, rows
+        own, ghosts = zip(
+            *(column.split([held.own_count, held.ghost_count]) for column in centres_of(bodies)), strict=True
+        )
+        near, found = ops.near_ghosts(own, ghosts, self._separation, self._territory)
+        rows = torch.cat([near[: int(found)], torch.arange(held.own_count, len(held), device=near.device)])
+        rows = rows[torch.argsort(held.id[rows])]
+        return _bodies(bodies, take_rows(_columns(bodies), rows)), rows
+
+
+def _joined(bodies: MovingBodies, ghosts: MovingBodies) -> MovingBodies:
+    """Both, own bodies first."""
+    more = _columns(ghosts)
+    return _bodies(bodies, {name: torch.cat([column, more[name]]) for name, column in _columns(bodies).items()})
 
 
 def _earliest(contacts: Contacts, id: Tensor) -> Contacts:

@@ -39,11 +39,21 @@ class Held:
     """The bodies a rank holds for one step: rows 0 to N - 1 are its own, rows N to N + G - 1 ghosts."""
 
     own_id: Tensor  #: (N,) int64, ascending
-    ghosts: Columns  #: of G bodies, "id" among them, in the order in which they came
+    ghosts: Columns  #: of G bodies, "id" among them, in the order in which they came: by owner, then by id
     route: Route  #: that brought them: its rows count own bodies
+    border: Tensor  #: (B,) int64, ascending: rows of own bodies that others hold too
+    holders: Tensor  #: (B, ranks) uint8: 1 for each of these others
 
     def __len__(self) -> int:
-        return len(self.own_id) + len(self.ghosts["id"])
+        return self.own_count + self.ghost_count
+
+    @property
+    def own_count(self) -> int:
+        return len(self.own_id)
+
+    @property
+    def ghost_count(self) -> int:
+        return len(self.ghosts["id"])
 
     @functools.cached_property
     def id(self) -> Tensor:
@@ -82,96 +92,94 @@ class Halo:
             nobody = own["id"][:0]
             self._ghosts = {name: column[:0] for name, column in own.items()}
             self._route = Route(comm, nobody, [0], [0])
+            self._border, self._holders = nobody, nobody.new_empty((0, 1), dtype=torch.uint8)
             return
         centres, territory = centres_of(bodies), partition.territory(comm.rank)
         self.reach, border, found = ops.border_bodies(centres, min_separation, territory)
         count, *faults = torch.cat([found, bodies.first_faults()]).tolist()
         bodies.raise_faults(faults)
         border = border[:count]
-        reached = ops.reached_ranks(centres, min_separation, territory, border, comm.size)
-        reached[:, comm.rank] = 0
-        counts = reached.sum(dim=0)
+        holders = ops.reached_ranks(centres, min_separation, territory, border, comm.size)
+        holders[:, comm.rank] = 0
+        counts = holders.sum(dim=0)
         sent, received = torch.stack([counts, comm.exchange_counts(counts)]).tolist()
-        if any(sent):  # by rank, then by body; how many is known
-            border = border[torch.nonzero_static(reached.t().contiguous(), size=sum(sent))[:, 1]]
-        self._route = Route(comm, border, sent, received)
+        self._border, self._holders = border, holders
+        self._route = Route(comm, border[_by_rank(holders, sum(sent))], sent, received)
         self._arrival = self._route.forward(own)
 
     def wait(self) -> Held:
         """The bodies held, once all ghosts are here."""
         if self._arrival is not None:
             self._ghosts = self._arrival.wait()
-        return Held(self._own_id, self._ghosts, self._route)
+        return Held(self._own_id, self._ghosts, self._route, self._border, self._holders)
 
 
 class HeldExchange:
     """How ranks agree on the first toi of the bodies they hold (`pgccd.sim.Exchange`).
 
-    Owners hear from all that hold a body, and tell them what came of it. Whether anybody changes travels with it: one
-    more number to every rank.
+    All that hold a body tell one another directly. Its owner knows who they are, the others see where it reaches; each
+    two ranks list the bodies both hold by owner, then by id.
 
     Args:
         held: the bodies.
+        ghosts: their centres.
+        min_separation: length.
+        partition: that the halo was made with.
     """
 
-    def __init__(self, held: Held) -> None:
-        self._route, self._device = held.route, held.own_id.device
-        self._ghosts = slice(len(held.own_id), len(held))
+    def __init__(self, held: Held, ghosts: Centres, min_separation: float, partition: Partition) -> None:
+        self._comm = comm = held.route.comm
+        self._told: torch.cuda.Event | None = None
+        if comm.size == 1:
+            self._shared = held.own_id[:0], [0]
+            return
+        everyone = torch.arange(held.ghost_count, device=held.own_id.device)
+        row = everyone + held.own_count
+        holders = ops.reached_ranks(ghosts, min_separation, partition.territory(comm.rank), everyone, comm.size)
+        holders[:, comm.rank] = 0
+        holders.scatter_(1, held.route.source[:, None], 1)
+        before = sum(held.route.received[: comm.rank])
+        self._holders = torch.cat([holders[:before], held.holders, holders[before:]])
+        self._rows = torch.cat([row[:before], held.border, row[before:]])
+        # On its way while bodies are tested; read when that is over, so that nothing waits for it.
+        self._counts = self._holders.sum(dim=0).to("cpu", non_blocking=True)
+        if row.is_cuda:
+            self._told = torch.cuda.Event()
+            self._told.record()
 
     @functools.cached_property
+    def _shared(self) -> tuple[Tensor, list[int]]:
+        """Rows of bodies that others hold too, by rank; and how many for each rank."""
+        if self._told is not None:
+            self._told.synchronize()
+        counts = self._counts.tolist()
+        return self._rows[_by_rank(self._holders, sum(counts))], counts
+
+    @property
     def shared(self) -> Tensor:
-        """(S,) int64: rows of bodies that others hold too."""
-        ghosts = torch.arange(self._ghosts.start, self._ghosts.stop, device=self._device)
-        return torch.cat([self._route.rows, ghosts])
-
-    @functools.cached_property
-    def _places(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Of rows and flags in messages sent, and in those received."""
-        return *_with_flags(self._route.sent, self._device), *_with_flags(self._route.received, self._device)
+        """(S,) int64: rows of bodies that others hold too; more than once if several do."""
+        return self._shared[0]
 
     @property
     def rank(self) -> int:
-        return self._route.comm.rank
-
-    def collect(self, first: Tensor) -> None:
-        """Lowers the first toi (N + G,) of own bodies to the smallest over all ranks that hold them."""
-        if self._route.comm.size > 1:
-            found = self._send(first[self._ghosts], self._route.received, self._route.sent)
-            first.scatter_reduce_(0, self._route.rows, found, "amin")
+        return self._comm.rank
 
     def share(self, first: Tensor) -> None:
-        """Sets that of all bodies to the smallest."""
-        if self._route.comm.size > 1:
-            self.collect(first)
-            first[self._ghosts] = self._send(first[self._route.rows], self._route.sent, self._route.received)
+        """Sets that of all bodies (N + G,) float64 to the smallest."""
+        if self._comm.size == 1:
+            return
+        rows, counts = self._shared
+        message = first.index_select(0, rows).view(torch.uint8).view(-1, first.element_size())
+        answer = self._comm.exchange(message, counts, counts).wait()
+        first.scatter_reduce_(0, rows, answer.view(first.dtype)[:, 0], "amin")
 
     def gather(self, values: Tensor) -> Tensor:
         """values (k,) -> (ranks, k): those of every rank."""
-        return self._route.comm.all_gather(values)
-
-    def spread(self, first: Tensor, changed: Tensor) -> Tensor:
-        """Sets that of ghosts to their owners'; and says whether a body changes on any rank, (1,) bool."""
-        comm = self._route.comm
-        if comm.size == 1:
-            return changed
-        rows_sent, flags_sent, rows_received, flags_received = self._places
-        message = first.new_empty(len(rows_sent) + comm.size)
-        message[rows_sent] = first[self._route.rows]
-        message[flags_sent] = changed.to(first.dtype)
-        sent, received = ([count + 1 for count in counts] for counts in (self._route.sent, self._route.received))
-        answer = self._send(message, sent, received)
-        first[self._ghosts] = answer[rows_received]
-        return (answer[flags_received] > 0.0).any().reshape(1)
-
-    def _send(self, values: Tensor, sent: list[int], received: list[int]) -> Tensor:
-        """float64 values, so many to and from each rank."""
-        rows = values.view(torch.uint8).view(-1, values.element_size())
-        return self._route.comm.exchange(rows, sent, received).wait().view(values.dtype)[:, 0]
+        return self._comm.all_gather(values)
 
 
-def _with_flags(counts: list[int], device: torch.device) -> tuple[Tensor, Tensor]:
-    """Where rows and flags are in a message that has one flag after the rows of each rank."""
-    each = torch.tensor(counts).to(device, non_blocking=True)
-    ranks, total = torch.arange(len(counts), device=device), sum(counts)
-    rows = torch.arange(total, device=device) + torch.repeat_interleave(ranks, each, output_size=total)
-    return rows, each.cumsum(0) + ranks
+def _by_rank(holders: Tensor, count: int) -> Tensor:
+    """(count,) int64: the rows of (B, ranks) uint8 with a 1 for rank 0, then for rank 1, ...; `count` is how many."""
+    if count == 0:
+        return torch.empty(0, dtype=torch.int64, device=holders.device)
+    return torch.nonzero_static(holders.t().contiguous(), size=count)[:, 1]

@@ -13,14 +13,13 @@ from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, imba
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.detection import Detection, Options, detect_distributed
 from pgccd.distributed.exchange import Columns, take_rows
-from pgccd.distributed.halo import HeldExchange
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
 from pgccd.motion import RigidMotion
 from pgccd.scene import Scene
 from pgccd.sim.hashing import id_hash_of
 from pgccd.sim.response import Settlement, respond
-from pgccd.sim.rounds import Pace
+from pgccd.sim.rounds import Pace, goes_ahead
 from pgccd.sim.step import Partners, Tally, count_step, settle_step, toi_of
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
@@ -81,14 +80,14 @@ class Fleet:
         balance: BalanceOptions | None = None,
         overlap: bool = True,
         broad_phase: BroadPhase = "auto",
-        ahead: bool = False,
+        ahead: bool | None = None,
     ) -> None:
         self.comm, self.world, self.partition = comm, world, partition
         self.balance = balance or BalanceOptions()
         # nonzero_toi: robots that part after a contact are free.
-        self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
+        self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap, agree=True)
         # The fleet's own, so that all ranks know the same number of rounds.
-        self._pace = Pace() if ahead else None
+        self._pace = Pace() if goes_ahead(ahead, world.device) else None
         self._expected = Census.of_range(world.config.robots)
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()
@@ -114,7 +113,7 @@ class Fleet:
         held, toi = found.held, toi_of(found.contacts)
         with clock.stage("respond"):
             partners = Partners(self.world, own, held.ghosts, found.pairs)
-            settlement = settle_step(found.contacts, len(held), partners, self._pace, HeldExchange(held))
+            settlement = settle_step(found.contacts, len(held), partners, self._pace, found.exchange)
             fraction = settlement.fraction[: len(planned)]
             after = respond(planned, fraction)
         with clock.stage("hash"):

@@ -31,8 +31,8 @@ class FindContacts(Protocol):
         Args:
             changed: (N,) bool.
             fraction: (N,) float64.
-            anybody: (1,) bool: whether a robot has changed on any rank. It stays on the device, so that it can be read
-                together with other numbers.
+            anybody: (1,) int64: 1 if a robot has changed on any rank, else 0. It stays on the device, so that it can be
+                read together with other numbers.
 
         Returns:
             pairs (K, 2) and toi (K,); None if nobody has changed anywhere.
@@ -48,17 +48,7 @@ class Exchange(Protocol):
 
     @property
     def shared(self) -> Tensor:
-        """(S,) int64 rows of the robots that others know too."""
-        ...
-
-    def collect(self, first: Tensor) -> None:
-        """Lowers the first toi (N,) of the robots that this rank owns to the smallest over all ranks that hold them."""
-        ...
-
-    def spread(self, first: Tensor, changed: Tensor) -> Tensor:
-        """Sets the first toi (N,) of all others to that of their owners. `changed` and what is returned: (1,) bool,
-        whether a robot changes on this rank, and on any.
-        """
+        """(S,) int64 rows of the robots that others know too, perhaps several times."""
         ...
 
     def share(self, first: Tensor) -> None:
@@ -81,12 +71,6 @@ class OneRank:
 
     def __init__(self, rows: Tensor) -> None:
         self.shared = rows[:0]
-
-    def collect(self, first: Tensor) -> None:
-        pass
-
-    def spread(self, first: Tensor, changed: Tensor) -> Tensor:
-        return changed
 
     def share(self, first: Tensor) -> None:
         pass
@@ -155,15 +139,12 @@ def settle(
     rounds = secondary_contacts = 0
     while True:
         first.scatter_reduce_(0, rows, _of_both(toi), "amin")
-        exchange.collect(first)
+        exchange.share(first)
         # A row may be named several times: what is written for it is the same each time.
         rows = torch.cat([rows, exchange.shared])
-        limits = limits_of(rounds)
-        made, changes = ops.simulate_slow_down(rows, first, fraction, *limits)
-        anybody = exchange.spread(first, changes.any().reshape(1))
-        if len(exchange.shared):
-            made, changes = ops.simulate_slow_down(rows, first, fraction, *limits)
+        made, changes = ops.simulate_slow_down(rows, first, fraction, *limits_of(rounds))
         fraction[rows], changed[rows] = made, changes.view(torch.bool)
+        anybody = exchange.gather(changes.any().long().reshape(1)).amax(dim=0)
         found = find_contacts(changed, fraction, anybody)
         if found is None:
             return Settlement(fraction, rounds, secondary_contacts)

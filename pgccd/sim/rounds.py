@@ -18,6 +18,11 @@ _MORE_ROUNDS = 2
 _SLACK = 1.5
 
 
+def goes_ahead(ahead: bool | None, device: torch.device) -> bool:
+    """Whether rounds are made several at a time; None: where it saves something, which is on a GPU."""
+    return device.type != "cpu" if ahead is None else ahead
+
+
 class Pace:
     """How many rounds the last step took, which is the same on all ranks, and what room they need on this one."""
 

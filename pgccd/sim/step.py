@@ -13,20 +13,20 @@ from pgccd import broad, ops
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import Capacity
 from pgccd.contacts import Contacts
-from pgccd.detect import detect
+from pgccd.detect import detect, find_contacts
 from pgccd.memory import memory_limit
 from pgccd.query import Query
 from pgccd.scene import Scene
 from pgccd.sim.hashing import contacts_hash_of, state_hash_of
 from pgccd.sim.response import Exchange, OneRank, Settlement, respond, settle
-from pgccd.sim.rounds import Pace, settle_ahead
+from pgccd.sim.rounds import Pace, goes_ahead, settle_ahead
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
 from pgccd.within import contacts_within
 
-# What a round of settling asks, as does the detection of the whole step. nonzero_toi: robots that part after a contact
-# are free.
-_ROUND = Query("first", 0.0, None, True)
+# What is asked of the whole step, and in every round of settling. nonzero_toi: robots that part after a contact are
+# free.
+_FIRST_CONTACTS = Query("first", 0.0, None, True)
 
 
 @dataclass
@@ -48,7 +48,7 @@ def make_step(
     state: RobotState,
     index: int,
     broad_phase: broad.BroadPhase = "auto",
-    ahead: bool = False,
+    ahead: bool | None = None,
 ) -> Step:
     """Moves the robots by one step.
 
@@ -58,8 +58,8 @@ def make_step(
         state: of all robots, after step `index` - 1.
         index: number of the step, from 0.
         broad_phase: as for `detect`.
-        ahead: whether the rounds of settling are made several at a time, without waiting for a GPU in each. The result
-            does not depend on it.
+        ahead: whether the rounds of settling are made several at a time, without waiting for a GPU in each (default: if
+            there is one). The result does not depend on it.
 
     Example:
         >>> step = pgccd.sim.make_step(world, scene, world.start(), 0)
@@ -70,14 +70,14 @@ def make_step(
         before = world.plan(state, index)
         motion = world.motion(before)
     with clock.stage("broad"):
-        pairs = broad.find_pairs(MovingBodies(scene, motion), broad_phase=broad_phase)
-    # nonzero_toi: robots that part after a contact are free.
-    contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=pairs)
+        bodies = MovingBodies(scene, motion)
+        pairs = broad.find_pairs(bodies, broad_phase=broad_phase)
+    contacts = find_contacts(bodies, _FIRST_CONTACTS, pairs=pairs)
     clock.add(contacts.stats.seconds)
     toi = toi_of(contacts)
     with clock.stage("respond"):
         partners = Partners(world, before.moving_columns, None, pairs)
-        pace = _pace_of(scene) if ahead else None
+        pace = _pace_of(scene) if goes_ahead(ahead, scene.device) else None
         settlement = settle_step(contacts, len(before), partners, pace)
         after = respond(before, settlement.fraction)
     with clock.stage("hash"):
@@ -221,7 +221,9 @@ class Partners:
         pairs, pair_counts = ops.simulate_concerned_pairs(self._pairs, changed, room.pairs)
         bodies = self._world.pair_bodies(self._own, self._ghosts, fraction, pairs)
         copies, meshes = self._copies[: room.pairs], self._world.meshes.tensors
-        rows, counts = contacts_within(meshes, bodies, False, copies, pair_counts, self._no_faults, _ROUND, room)
+        rows, counts = contacts_within(
+            meshes, bodies, False, copies, pair_counts, self._no_faults, _FIRST_CONTACTS, room
+        )
         ops.simulate_first_toi(first, pairs.view(-1), rows[0], rows[4])
         return counts
 

@@ -69,6 +69,7 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     overlap = (torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]]) <= torch.minimum(*upper[pairs].unbind(1))).all(1)
     pairs, reference = pairs[overlap], reference[overlap]
     is_ghost = torch.rand(len(cells), generator=generator) < 0.3
+    own_count = len(pairs) // 3
     centre_owner = partition.owner_of(centres[0])
 
     for device in DEVICES:
@@ -82,11 +83,12 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
         expected = [{owner[cell] for cell in each} for each in cells]
         assert [set(torch.nonzero(row)[:, 0].tolist()) for row in reached] == expected
         assert kept(*ops.near_ghosts(here, there, SEPARATION, territory)) == near
-        owned = ops.owned_pairs(pairs.to(device), here, SEPARATION, reach, False, territory)
+        owned = ops.owned_pairs(pairs.to(device), len(pairs), here, SEPARATION, reach, territory)
         assert kept(*owned) == torch.nonzero(reference == rank)[:, 0].tolist()
         marked = reach | IS_GHOST * is_ghost.to(device, torch.uint8)
-        owned = ops.owned_pairs(pairs.to(device), here, SEPARATION, marked, True, territory)
-        wanted = (reference == rank) & is_ghost[pairs].any(dim=1)
+        owned = ops.owned_pairs(pairs.to(device), own_count, here, SEPARATION, marked, territory)
+        is_own = torch.arange(len(pairs)) < own_count
+        wanted = (reference == rank) & (is_own | is_ghost[pairs].any(dim=1))
         assert kept(*owned) == torch.nonzero(wanted)[:, 0].tolist()
         leaving, counts = ops.leaving_bodies(here[0], territory, ranks)
         gone = centre_owner != rank

@@ -64,7 +64,7 @@ struct OwnedPairs {
   Territory territory;
   const uint8_t* reach;  // (bodies,) bits
   const int64_t* pairs;  // (pairs, 2)
-  bool only_ghosts;      // pairs without a ghost are left out
+  int64_t own_count;     // so many pairs come first; of those after them, pairs without a ghost are left out
 };
 
 // The reference point of two boxes that overlap is the lower corner of their intersection. It lies in both, so it is in
@@ -72,7 +72,7 @@ struct OwnedPairs {
 PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t pair) {
   const int64_t i = input.pairs[2 * pair], j = input.pairs[2 * pair + 1];
   const uint8_t reach_i = input.reach[i], reach_j = input.reach[j];
-  if (input.only_ghosts && ((reach_i | reach_j) & kIsGhost) == 0) return false;
+  if (pair >= input.own_count && ((reach_i | reach_j) & kIsGhost) == 0) return false;
   if ((reach_i & reach_j & kReachesOthers) == 0) return true;
   const Vec3<double> a = swept_box(input.bodies, i).lower, b = swept_box(input.bodies, j).lower;
   const Vec3<double> reference{larger(a.x, b.x), larger(a.y, b.y), larger(a.z, b.z)};

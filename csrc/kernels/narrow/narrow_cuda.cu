@@ -29,7 +29,9 @@ struct Search {
   int32_t* open;  // rows of the candidates
   uint32_t capacity;
   FoundContact* contacts;
-  unsigned long long* best;  // bits of the toi, or null
+  unsigned long long* best;  // bits of the toi, or null; as the next two, which choose among equal ones
+  unsigned long long* best_key;
+  int32_t* winner;  // the contact
   Counters* counters;
 
   __device__ bool has_contact(int64_t contact) const { return contact < static_cast<int64_t>(counters->contacts); }
@@ -98,25 +100,21 @@ __global__ void __launch_bounds__(kSolveThreads, 6) solve_candidates(Bodies bodi
 // The contacts to report, in canonical order: one a pair.
 int32_t* select_first(const DeviceContext& context, const Search& search) {
   const int64_t pair_count = search.input.pair_count;
-  auto* best_key = context.allocate<unsigned long long>(pair_count);
-  int32_t* winner = context.allocate<int32_t>(pair_count);
-  fill_bytes(context, best_key, 0xff, pair_count);
-  fill_bytes(context, winner, 0xff, pair_count);
   for_each_counted(context, &search.counters->contacts, search.capacity, [=] __device__(int64_t k) {
     const Candidate& c = search.candidate(k);
-    if (toi_bits(search.contacts[k].toi) == search.best[c.pair]) atomicMin(best_key + c.pair, feature_key(c));
+    if (toi_bits(search.contacts[k].toi) == search.best[c.pair]) atomicMin(search.best_key + c.pair, feature_key(c));
   });
   for_each_counted(context, &search.counters->contacts, search.capacity, [=] __device__(int64_t k) {
     const Candidate& c = search.candidate(k);
-    if (toi_bits(search.contacts[k].toi) == search.best[c.pair] && feature_key(c) == best_key[c.pair]) {
-      winner[c.pair] = static_cast<int32_t>(k);
+    if (toi_bits(search.contacts[k].toi) == search.best[c.pair] && feature_key(c) == search.best_key[c.pair]) {
+      search.winner[c.pair] = static_cast<int32_t>(k);
     }
   });
   int32_t* selected = context.allocate<int32_t>(pair_count);
   const auto has_winner = [] __device__(int32_t k) { return k >= 0; };
   run_cub(context, [&](void* scratch, size_t& bytes) {
-    return cub::DeviceSelect::If(scratch, bytes, winner, selected, &search.counters->rows, pair_count, has_winner,
-                                 context.stream);
+    return cub::DeviceSelect::If(scratch, bytes, search.winner, selected, &search.counters->rows, pair_count,
+                                 has_winner, context.stream);
   });
   return selected;
 }
@@ -180,7 +178,12 @@ Search make_search(const DeviceContext& context, const NarrowInput& input, int64
   Search search{};
   search.input = input;
   search.counters = context.allocate<Counters>(1);
-  search.best = input.report != Report::kAll ? context.allocate<unsigned long long>(input.pair_count) : nullptr;
+  if (input.report != Report::kAll) {
+    // In one piece, so that one launch fills all three.
+    search.best = context.allocate<unsigned long long>(2 * input.pair_count + (input.pair_count + 1) / 2);
+    search.best_key = search.best + input.pair_count;
+    search.winner = reinterpret_cast<int32_t*>(search.best_key + input.pair_count);
+  }
   search.capacity = static_cast<uint32_t>(smaller<int64_t>(most_open, 0x7ffffff0));
   search.open = context.allocate<int32_t>(search.capacity);
   search.contacts = context.allocate<FoundContact>(search.capacity);
@@ -190,7 +193,10 @@ Search make_search(const DeviceContext& context, const NarrowInput& input, int64
 template <class Bodies>
 void run_search(const DeviceContext& context, const Bodies& bodies, const Search& search) {
   fill_bytes(context, search.counters, 0, 1);
-  if (search.best != nullptr) fill_bytes(context, search.best, 0xff, search.input.pair_count);
+  if (search.best != nullptr) {
+    // No toi, no key and no winner yet.
+    fill_bytes(context, reinterpret_cast<char*>(search.best), 0xff, 20 * search.input.pair_count);
+  }
   glance_at_candidates<Bodies>
       <<<resident_blocks_of(glance_at_candidates<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
   check_cuda(cudaGetLastError(), "glance_at_candidates");

@@ -140,10 +140,11 @@ __global__ void __launch_bounds__(kBlockThreads)
 
 // What earlier launches left.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads)
-    descend_further(Pairs<Bodies> pairs, int launch, TaskList from, TaskList leaves, TaskList rest,
-                    unsigned long long* node_tests) {
-  descend(pairs, launch, from.size(), [&](uint32_t item) { return from.items[item]; }, leaves, rest, node_tests);
+__global__ void __launch_bounds__(kBlockThreads) descend_further(Pairs<Bodies> pairs, int launch, TaskHandover rest,
+                                                                 TaskList leaves, unsigned long long* node_tests) {
+  rest.prepare_next();
+  const TaskList from = rest.from;
+  descend(pairs, launch, from.size(), [&](uint32_t item) { return from.items[item]; }, leaves, rest.to, node_tests);
 }
 
 // Follows the deepest overlap of each body pair down to one pair of leaves.

@@ -32,6 +32,20 @@ struct DeviceList {
 
 using TaskList = DeviceList<Task>;
 
+// Tasks from one launch to the next. Three counts take turns, so that none needs a launch of its own to be set to zero:
+// one is read, one is written, and one is made ready for the launch to come.
+struct TaskHandover {
+  TaskList from, to;
+  uint32_t* next_count;
+  uint32_t* most;  // tasks ever handed over at once
+
+  __device__ void prepare_next() const {
+    if (blockIdx.x != 0 || threadIdx.x != 0) return;
+    *next_count = 0;
+    *most = larger(*most, *from.count);
+  }
+};
+
 // Candidates of one kind side by side, so that a warp of the narrow phase finds one kind of work: edge pairs fill the
 // list from its start, vertex-face pairs from its end.
 struct CandidateSink {

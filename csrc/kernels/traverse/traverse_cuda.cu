@@ -14,7 +14,7 @@ namespace {
 constexpr int kLaunchesPerBatch = 4;
 
 struct Counters {
-  uint32_t rest[2];  // tasks handed back, by parity of the launch
+  uint32_t rest[3];  // tasks handed back: launches take turns, see TaskHandover
   uint32_t most_rest;
   uint32_t leaves;
   uint32_t edge_edge, vertex_face;  // candidates
@@ -89,7 +89,7 @@ struct Traversal {
     Capacity capacity = Capacity::guess(input_, deforming_vertices(bodies_));
     for (;;) {
       const TaskList leaves = start(capacity, out);
-      Counters seen = input_.leading ? lead(leaves, out) : descend_all(capacity.tasks, leaves, out);
+      Counters seen = input_.leading ? lead(leaves, out) : descend_all(leaves, out);
       if (capacity.holds(seen)) return seen;
       capacity.grow(seen);
     }
@@ -100,22 +100,20 @@ struct Traversal {
     const Capacity capacity{bounded(larger<int64_t>(given.poses, kMaxSegments + 1)), bounded(given.tasks),
                             bounded(given.leaf_pairs), bounded(given.candidates)};
     CandidateSink out;
-    note_time(context_, counts + kTraverseBegan);
     const TaskList leaves = start(capacity, out);
-    const TaskList rest[2] = {rest_list(capacity.tasks, 0), rest_list(capacity.tasks, 1)};
-    descend_roots(leaves, rest[0]);
-    int from = 0;
-    for (int launch = 1; launch <= given.launches; ++launch, from = 1 - from) {
-      descend_rest(launch == given.launches ? kLastLaunch : launch, rest[from], leaves, rest[1 - from]);
+    descend_roots(leaves);
+    for (int launch = 1; launch <= given.launches; ++launch) {
+      descend_rest(launch, launch == given.launches ? kLastLaunch : launch, leaves);
     }
     visit(leaves, 0, out);
     const Counters* seen = counters_;
+    const int last = static_cast<int>(given.launches % 3);
     for_each_item(context_, 1, [=] __device__(int64_t) {
       counts[kPosesNeeded] = seen->poses;
-      counts[kTasksNeeded] = larger(seen->most_rest, seen->rest[from]);
+      counts[kTasksNeeded] = larger(seen->most_rest, seen->rest[last]);
       counts[kLeafPairsNeeded] = seen->leaves;
       counts[kCandidatesNeeded] = candidates_of(*seen);
-      counts[kTasksLeft] = seen->rest[from];
+      counts[kTasksLeft] = seen->rest[last];
       counts[kNodeTests] = static_cast<int64_t>(seen->node_tests);
       counts[kTraverseOverflow] =
           counts[kTasksLeft] != 0 || counts[kTasksNeeded] > capacity.tasks || !capacity.holds(*seen);
@@ -129,6 +127,8 @@ struct Traversal {
     out = {context_.allocate<Candidate>(capacity.candidates), &counters_->edge_edge, &counters_->vertex_face,
            capacity.candidates};
     place_pairs(capacity.poses);
+    task_capacity_ = capacity.tasks;
+    for (Task*& tasks : tasks_) tasks = context_.allocate<Task>(capacity.tasks);
     return {context_.allocate<Task>(capacity.leaves), &counters_->leaves, capacity.leaves};
   }
 
@@ -164,27 +164,28 @@ struct Traversal {
     return read(context_, counters_);
   }
 
-  Counters descend_all(uint32_t task_capacity, TaskList leaves, CandidateSink out) {
-    const TaskList rest[2] = {rest_list(task_capacity, 0), rest_list(task_capacity, 1)};
-    descend_roots(leaves, rest[0]);
+  Counters descend_all(TaskList leaves, CandidateSink out) {
+    descend_roots(leaves);
     uint32_t visited = 0;
-    for (int from = 0, launch = 1;;) {
-      for (int k = 0; k < kLaunchesPerBatch; ++k, ++launch, from = 1 - from) {
-        descend_rest(launch, rest[from], leaves, rest[1 - from]);
+    for (int launch = 0;;) {
+      for (int k = 0; k < kLaunchesPerBatch; ++k) {
+        ++launch;
+        descend_rest(launch, launch, leaves);
       }
       // Leaves are visited at once in the hope that none are to come.
       visit(leaves, visited, out);
       const Counters seen = read(context_, counters_);
-      if (seen.rest[from] == 0 || larger(seen.most_rest, seen.rest[from]) > task_capacity) return seen;
+      const uint32_t left = seen.rest[launch % 3];
+      if (left == 0 || larger(seen.most_rest, left) > task_capacity_) return seen;
       visited = smaller(seen.leaves, leaves.capacity);
     }
   }
 
-  TaskList rest_list(uint32_t capacity, int parity) {
-    return {context_.allocate<Task>(capacity), &counters_->rest[parity], capacity};
-  }
+  // What the launch leaves.
+  TaskList rest_of(int launch) { return {tasks_[launch % 2], &counters_->rest[launch % 3], task_capacity_}; }
 
-  void descend_roots(TaskList leaves, TaskList rest) {
+  void descend_roots(TaskList leaves) {
+    const TaskList rest = rest_of(0);
     descend_from_roots<Bodies><<<resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
         pairs_, leaves, rest, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_from_roots");
@@ -195,14 +196,12 @@ struct Traversal {
     }
   }
 
-  void descend_rest(int launch, TaskList from, TaskList leaves, TaskList rest) {
-    Counters* counters = counters_;
-    for_each_item(context_, 1, [=] __device__(int64_t) {
-      counters->most_rest = larger(counters->most_rest, *from.count);
-      *rest.count = 0;
-    });
+  // `kind`: the launch, or kLastLaunch.
+  void descend_rest(int launch, int kind, TaskList leaves) {
+    const TaskHandover rest{rest_of(launch - 1), rest_of(launch), &counters_->rest[(launch + 1) % 3],
+                            &counters_->most_rest};
     descend_further<Bodies><<<resident_blocks_of(descend_further<Bodies>), kBlockThreads, 0, context_.stream>>>(
-        pairs_, launch, from, leaves, rest, &counters_->node_tests);
+        pairs_, kind, rest, leaves, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_further");
   }
 
@@ -218,6 +217,8 @@ struct Traversal {
   Counters* counters_;
   Pairs<Bodies> pairs_;
   PairsWithin within_;
+  Task* tasks_[2] = {};
+  uint32_t task_capacity_ = 0;
 };
 
 }  // namespace
@@ -243,7 +244,9 @@ template <class Bodies>
 CandidateSpan traverse_within(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
                               const int64_t* pair_count, const TraverseCapacity& capacity, int64_t* counts) {
   if (input.pair_count == 0) {
-    fill_bytes(context, counts, 0, kTraverseCounts);
+    for_each_item(context, kTraverseCounts, [=] __device__(int64_t k) {
+      if (k != kTraverseBegan) counts[k] = k == kTraverseEnded ? nanoseconds() : 0;
+    });
     return {};
   }
   return Traversal<Bodies>(context, bodies, input, pair_count).run_within(capacity, counts);
