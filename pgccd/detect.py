@@ -11,14 +11,14 @@ from torch import Tensor
 
 from pgccd import broad, narrow, ops, traverse
 from pgccd.bodies import MovingBodies
-from pgccd.capacity import EXACTLY, Capacity
+from pgccd.capacity import EXACTLY, Capacity, Counts
 from pgccd.contacts import Contacts, PaddedContacts
 from pgccd.memory import memory_limit, recall_capacity, remember_needs
 from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.query import Query
 from pgccd.scene import Scene
 from pgccd.streaming import SolvePairs, stream
-from pgccd.within import search_within
+from pgccd.within import Search, search_within
 
 # A step that does not fit is repeated with more room, once for every stage that may have run out of it.
 _ATTEMPTS = 6
@@ -141,6 +141,39 @@ def find_contacts(
     if found is None:
         found = stream(bodies, query, broad_phase, pairs, memory_budget, *_on_gpu(bodies, query, memory_budget))
     return found
+
+
+def start_search(bodies: MovingBodies, query: Query, pairs: Tensor) -> Search:
+    """Starts `find_contacts` without waiting for a GPU; `finish_search` completes it.
+
+    There is room for a step like the last one of these meshes. Where that would take too much memory there is none, and
+    all of the step overflows.
+
+    Args:
+        bodies, query, pairs: as for `find_contacts`.
+    """
+    capacity = EXACTLY
+    if bodies.device.type != "cpu":
+        ops.take_scratch_peak()  # of earlier steps
+        capacity = recall_capacity(bodies.scene, query, pairs)
+        if capacity.bytes > memory_limit(None, capacity.bytes, bodies.device):
+            capacity = Capacity(0, 0)
+    return search_within(bodies, query, capacity, "auto", pairs)
+
+
+def finish_search(search: Search, pairs: Tensor, counts: Counts) -> Contacts:
+    """What `start_search` found, if it did not overflow.
+
+    Args:
+        search: as it was started.
+        pairs: with which it was.
+        counts: its own, which the host has read.
+    """
+    contacts = search.contacts(counts)
+    remember_needs(search.bodies.scene, search.query, pairs, counts.needed(search.capacity))
+    if pairs.is_cuda:
+        contacts.stats.scratch_bytes = ops.take_scratch_peak()
+    return contacts
 
 
 def _on_cpu(bodies: MovingBodies, query: Query) -> tuple[SolvePairs, Callable[[Tensor], Contacts]]:

@@ -201,13 +201,18 @@ def _(first: Tensor, *_rest: object) -> Tensor:
 
 
 @torch.library.register_fake("pgccd::simulate_first_toi")
-def _(first: Tensor, robots: Tensor, pairs: Tensor, toi: Tensor) -> None:
+def _(first: Tensor, robots: Tensor | None, pairs: Tensor, toi: Tensor) -> None:
     return None
 
 
 @torch.library.register_fake("pgccd::simulate_concerned_pairs")
 def _(pairs: Tensor, changed: Tensor, room: int) -> tuple[Tensor, Tensor]:
     return pairs.new_empty((room, 2)), pairs.new_empty((7,))
+
+
+@torch.library.register_fake("pgccd::simulate_tally")
+def _(state: list[Tensor], fraction: Tensor, id: Tensor, pairs: Tensor, toi: Tensor) -> Tensor:
+    return fraction.new_empty((6,), dtype=torch.int64)
 
 
 @torch.library.register_fake("pgccd::simulate_hash")

@@ -266,9 +266,9 @@ def simulate_slow_all_down(
     return _ops.simulate_slow_all_down(first, fraction, changed, approach, smallest)
 
 
-def simulate_first_toi(first: Tensor, robots: Tensor, pairs: Tensor, toi: Tensor) -> None:
-    """Lowers first (N,), in place, to the toi (K,) of contacts of pairs (K, 2) of copies, which may be padded with -1;
-    robots (C,) says of which robot each is a copy."""
+def simulate_first_toi(first: Tensor, robots: Tensor | None, pairs: Tensor, toi: Tensor) -> None:
+    """Lowers first (N,), in place, to the toi (K,) of contacts of pairs (K, 2) of robots, which may be padded with -1;
+    or of copies of robots: robots (C,) says of which each is one."""
     _ops.simulate_first_toi(first, robots, pairs, toi)
 
 
@@ -276,6 +276,13 @@ def simulate_concerned_pairs(pairs: Tensor, changed: Tensor, room: int) -> tuple
     """Those of the pairs (P, 2) with a robot of which changed (N,) uint8 is 1: (room, 2), padded with -1; and counts
     (7,) as of `pairs_within`. Waits for nothing on a GPU."""
     return _ops.simulate_concerned_pairs(pairs, changed, room)
+
+
+def simulate_tally(state: Sequence[Tensor], fraction: Tensor, id: Tensor, pairs: Tensor, toi: Tensor) -> Tensor:
+    """(6,) int64 of a step: robots, hash of contacts, hash of states, robots that stopped, contacts at its start, hash
+    of ids. state: columns after it (N, ...), ids first; fraction (N,) of it that each made; contacts are of pairs
+    (K, 2), which may be padded with -1, of robots with these id (H,)."""
+    return _ops.simulate_tally([column.contiguous() for column in state], fraction, id, pairs, toi)
 
 
 def simulate_hash(columns: Sequence[Tensor]) -> Tensor:

@@ -110,11 +110,12 @@ struct SimulateOps {
     return changes;
   }
 
-  static void simulate_first_toi(Tensor first, const Tensor& robots, const Tensor& pairs, const Tensor& toi) {
+  static void simulate_first_toi(Tensor first, const std::optional<Tensor>& robots, const Tensor& pairs,
+                                 const Tensor& toi) {
     rows<double>(first, "first", {kAnySize});
     const int64_t count = toi.size(0);
-    Backend(first).first_toi({rows<int64_t>(robots, "robots", {kAnySize}), rows<int64_t>(pairs, "pairs", {count, 2}),
-                              rows<double>(toi, "toi", {count}), count},
+    Backend(first).first_toi({robots ? rows<int64_t>(*robots, "robots", {kAnySize}) : nullptr,
+                              rows<int64_t>(pairs, "pairs", {count, 2}), rows<double>(toi, "toi", {count}), count},
                              data<double>(first));
   }
 
@@ -124,6 +125,20 @@ struct SimulateOps {
     Backend(pairs).concerned_pairs(concerned_view(pairs, changed), pairs.size(0),
                                    {{room, 0, false}, data<int64_t>(concerned), data<int64_t>(counts)});
     return {concerned, counts};
+  }
+
+  static Tensor simulate_tally(const TensorList& state, const Tensor& fraction, const Tensor& id, const Tensor& pairs,
+                               const Tensor& toi) {
+    StepOutcome outcome;
+    outcome.state = hash_columns(state);
+    outcome.fraction = rows<double>(fraction, "fraction", {outcome.state.count});
+    outcome.contact_count = toi.size(0);
+    outcome.id = rows<int64_t>(id, "id", {kAnySize});
+    outcome.pairs = rows<int64_t>(pairs, "pairs", {outcome.contact_count, 2});
+    outcome.toi = rows<double>(toi, "toi", {outcome.contact_count});
+    Tensor tally = new_integers(fraction, kTallyCounts);
+    Backend(fraction).tally_step(outcome, reinterpret_cast<StepTally*>(data<int64_t>(tally)));
+    return tally;
   }
 
   static Tensor simulate_hash(const TensorList& columns) {
@@ -152,6 +167,7 @@ struct SimulateOps {
   library.impl("simulate_slow_all_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_all_down));     \
   library.impl("simulate_first_toi", TORCH_BOX(&SimulateOps<Backend>::simulate_first_toi));             \
   library.impl("simulate_concerned_pairs", TORCH_BOX(&SimulateOps<Backend>::simulate_concerned_pairs)); \
+  library.impl("simulate_tally", TORCH_BOX(&SimulateOps<Backend>::simulate_tally));                     \
   library.impl("simulate_hash", TORCH_BOX(&SimulateOps<Backend>::simulate_hash));                       \
   library.impl("random_uniforms", TORCH_BOX(&SimulateOps<Backend>::random_uniforms))
 

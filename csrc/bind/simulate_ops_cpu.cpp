@@ -36,6 +36,7 @@ class SimulateOnCpu {
   void concerned_pairs(const ConcernedPairs& concerned, int64_t pair_count, const PaddedPairs& out) const {
     concerned_pairs_cpu(executor_, concerned, pair_count, out);
   }
+  void tally_step(const StepOutcome& outcome, StepTally* tally) const { tally_step_cpu(executor_, outcome, tally); }
   void hash_rows(const HashColumns& columns, uint64_t* sum) const { hash_rows_cpu(executor_, columns, sum); }
 
  private:

@@ -40,6 +40,9 @@ class SimulateOnCuda {
   void concerned_pairs(const ConcernedPairs& concerned, int64_t pair_count, const PaddedPairs& out) const {
     concerned_pairs_cuda(session_.context(), concerned, pair_count, out);
   }
+  void tally_step(const StepOutcome& outcome, StepTally* tally) const {
+    tally_step_cuda(session_.context(), outcome, tally);
+  }
   void hash_rows(const HashColumns& columns, uint64_t* sum) const { hash_rows_cuda(session_.context(), columns, sum); }
 
  private:

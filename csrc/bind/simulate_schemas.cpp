@@ -25,9 +25,11 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
   library.def(
       "simulate_slow_all_down(Tensor(a!) first, Tensor(b!) fraction, Tensor(c!) changed, float approach, "
       "float smallest) -> Tensor changes");
-  library.def("simulate_first_toi(Tensor(a!) first, Tensor robots, Tensor pairs, Tensor toi) -> ()");
+  library.def("simulate_first_toi(Tensor(a!) first, Tensor? robots, Tensor pairs, Tensor toi) -> ()");
   // counts: see kernels/padded_pairs.h
   library.def("simulate_concerned_pairs(Tensor pairs, Tensor changed, int room) -> (Tensor concerned, Tensor counts)");
+  // Robots, hash of contacts, hash of states, robots that stopped, contacts at the start, hash of ids.
+  library.def("simulate_tally(Tensor[] state, Tensor fraction, Tensor id, Tensor pairs, Tensor toi) -> Tensor");
   library.def("simulate_hash(Tensor[] columns) -> Tensor");
   library.def("random_uniforms(Tensor id, int seed, int step, int stream) -> Tensor");
 }

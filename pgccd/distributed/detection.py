@@ -41,20 +41,37 @@ class Options:
     broad_phase: broad.BroadPhase = "auto"
     #: Whether pairs of own bodies are looked for while ghosts are under way. The result does not depend on it.
     overlap: bool = True
-    #: Whether ranks are going to agree on first toi: `Detection.exchange`.
-    agree: bool = False
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one rank tests in one step. Pairs are rows of bodies held, that of the smaller id first."""
+
+    held: Held
+    bodies: MovingBodies  #: those held
+    pairs: Tensor  #: (P, 2) int64: the potentially colliding pairs
+    min_separation: float
+
+    def exchange(self, partition: Partition) -> HeldExchange:
+        """How ranks that hold a body agree about it."""
+        ghosts = cast(Centres, tuple(column[self.held.own_count :] for column in centres_of(self.bodies)))
+        return HeldExchange(self.held, ghosts, self.min_separation, partition)
 
 
 @dataclass(frozen=True)
 class Detection:
-    """What one rank found in one step. Pairs are rows of bodies held, that of the smaller id first."""
+    """What one rank found in one step."""
 
     held: Held
-    pairs: Tensor  #: (P, 2) int64: the potentially colliding pairs this rank tests
+    pairs: Tensor  #: as of `Share`
     contacts: Contacts  #: of these pairs
     centres: Centres  #: of bodies held
     min_separation: float
-    exchange: HeldExchange | None  #: if asked for
+
+    @classmethod
+    def of(cls, share: Share, contacts: Contacts) -> Detection:
+        """The contacts of a rank's share."""
+        return cls(share.held, share.pairs, contacts, centres_of(share.bodies), share.min_separation)
 
     def reference_cells(self, partition: Partition, pairs: Tensor) -> Tensor:
         """(K,) int64: the cell of the lower corner of the intersection of the boxes of each pair (K, 2)."""
@@ -82,67 +99,67 @@ def detect_distributed(
     """
     # Rows are not in the order of ids, which decides among equal ones.
     report: narrow.Report = "first" if options.report == "earliest" else options.report
-    query = Query(report, broad.check_separation(options.min_separation), options.tolerance, options.nonzero_toi)
-    share = _Share(comm.rank, partition, options)
+    query = Query(report, options.min_separation, options.tolerance, options.nonzero_toi)
+    share = find_share(comm, partition, own, build, options, clock)
+    found = find_contacts(share.bodies, query, pairs=share.pairs)
+    clock.add(found.stats.seconds)
+    if options.report == "earliest":
+        found = _earliest(found, share.held.id)
+    return Detection.of(share, found)
+
+
+def find_share(
+    comm: Comm,
+    partition: Partition,
+    own: Columns,
+    build: Build,
+    options: Options,
+    clock: StageClock,
+) -> Share:
+    """The pairs that this rank is to test, and all that it must know of their bodies; arguments as above."""
+    separation = broad.check_separation(options.min_separation)
+    territory = partition.territory(comm.rank)
     with clock.stage("plan"):
         bodies = MovingBodies(*build(own), wait=False)
     with clock.stage("halo"):
-        halo = Halo(comm, partition, own, bodies, query.min_separation)
+        halo = Halo(comm, partition, own, bodies, separation)
     held = None if options.overlap else _wait(halo, clock)
     with clock.stage("broad"):
-        pairs = broad.find_pairs(bodies, query.min_separation, options.broad_phase)
+        pairs = broad.find_pairs(bodies, separation, options.broad_phase)
     held = held or _wait(halo, clock)
-    tested, exchange = bodies, None
-    with clock.stage("halo"):
-        if held.ghost_count:
-            tested = _joined(bodies, _told(*build(held.ghosts)))
-            border, rows = share.border(tested, held)
-        if options.agree:
-            ghosts = cast(Centres, tuple(column[held.own_count :] for column in centres_of(tested)))
-            exchange = HeldExchange(held, ghosts, query.min_separation, partition)
-    if halo.reach is not None:
+    if halo.reach is None:  # there are no others
+        return Share(held, bodies, pairs, separation)
+    own_pairs, reach = len(pairs), halo.reach
+    if held.ghost_count:
+        with clock.stage("halo"):
+            bodies = _joined(bodies, _told(*build(held.ghosts)))
+            border, rows = _border(bodies, held, separation, territory)
         with clock.stage("broad"):
-            own_pairs, reach = pairs, halo.reach
-            if held.ghost_count:
-                crossing = broad.find_pairs(border, query.min_separation, options.broad_phase)
-                pairs = torch.cat([pairs, rows[crossing]])
-                reach = torch.cat([reach, reach.new_full((held.ghost_count,), REACHES_OTHERS | IS_GHOST)])
-            pairs = share.of(pairs, len(own_pairs), tested, reach)
-    found = find_contacts(tested, query, pairs=pairs)
-    clock.add(found.stats.seconds)
-    if options.report == "earliest":
-        found = _earliest(found, held.id)
-    return Detection(held, pairs, found, centres_of(tested), query.min_separation, exchange)
-
-
-class _Share:
-    """What one rank tests."""
-
-    def __init__(self, rank: int, partition: Partition, options: Options) -> None:
-        self._territory = partition.territory(rank)
-        self._separation = options.min_separation
-
-    def of(self, pairs: Tensor, own_count: int, bodies: MovingBodies, reach: Tensor) -> Tensor:
-        """Those of the pairs whose reference point lies in a cell of this rank; the first `own_count` are of own bodies
-        alone, from those after them such pairs are left out.
-        """
-        owned, found = ops.owned_pairs(pairs, own_count, centres_of(bodies), self._separation, reach, self._territory)
+            crossing = broad.find_pairs(border, separation, options.broad_phase)
+            pairs = torch.cat([pairs, rows[crossing]])
+            reach = torch.cat([reach, reach.new_full((held.ghost_count,), REACHES_OTHERS | IS_GHOST)])
+    with clock.stage("broad"):
+        # Whose reference point lies in a cell of this rank; of those that cross, only pairs with a ghost.
+        owned, found = ops.owned_pairs(pairs, own_pairs, centres_of(bodies), separation, reach, territory)
         count = int(found)
-        return pairs if count == len(pairs) else pairs[owned[:count]]
+        pairs = pairs if count == len(pairs) else pairs[owned[:count]]
+    return Share(held, bodies, pairs, separation)
 
-    def border(self, bodies: MovingBodies, held: Held) -> tuple[MovingBodies, Tensor]:
-        """Ghosts and all own bodies near them, by ascending id; and their rows among the bodies held.
 
-        A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the
-        box around all ghosts.
-        """
-        own, ghosts = zip(
-            *(column.split([held.own_count, held.ghost_count]) for column in centres_of(bodies)), strict=True
-        )
-        near, found = ops.near_ghosts(own, ghosts, self._separation, self._territory)
-        rows = torch.cat([near[: int(found)], torch.arange(held.own_count, len(held), device=near.device)])
-        rows = rows[torch.argsort(held.id[rows])]
-        return _bodies(bodies, take_rows(_columns(bodies), rows)), rows
+def _border(
+    bodies: MovingBodies, held: Held, separation: float, territory: ops.Territory
+) -> tuple[MovingBodies, Tensor]:
+    """Ghosts and all own bodies near them, by ascending id; and their rows among the bodies held.
+
+    A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the box
+    around all ghosts.
+    """
+    sizes = [held.own_count, held.ghost_count]
+    own, ghosts = zip(*(column.split(sizes) for column in centres_of(bodies)), strict=True)
+    near, found = ops.near_ghosts(own, ghosts, separation, territory)
+    rows = torch.cat([near[: int(found)], torch.arange(held.own_count, len(held), device=near.device)])
+    rows = rows[torch.argsort(held.id[rows])]
+    return _bodies(bodies, take_rows(_columns(bodies), rows)), rows
 
 
 def _joined(bodies: MovingBodies, ghosts: MovingBodies) -> MovingBodies:

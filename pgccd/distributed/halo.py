@@ -89,6 +89,7 @@ class Halo:
         self._arrival: Arrival | None = None
         if comm.size == 1:
             bodies.motion.check()
+            bodies.checked = True
             nobody = own["id"][:0]
             self._ghosts = {name: column[:0] for name, column in own.items()}
             self._route = Route(comm, nobody, [0], [0])
@@ -98,6 +99,7 @@ class Halo:
         self.reach, border, found = ops.border_bodies(centres, min_separation, territory)
         count, *faults = torch.cat([found, bodies.first_faults()]).tolist()
         bodies.raise_faults(faults)
+        bodies.checked = True
         border = border[:count]
         holders = ops.reached_ranks(centres, min_separation, territory, border, comm.size)
         holders[:, comm.rank] = 0
@@ -163,6 +165,10 @@ class HeldExchange:
     @property
     def rank(self) -> int:
         return self._comm.rank
+
+    @property
+    def ranks(self) -> int:
+        return self._comm.size
 
     def share(self, first: Tensor) -> None:
         """Sets that of all bodies (N + G,) float64 to the smallest."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import torch
@@ -11,16 +11,17 @@ from torch import Tensor
 from pgccd.broad import BroadPhase
 from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, imbalance, rebalance
 from pgccd.distributed.comm import Comm
-from pgccd.distributed.detection import Detection, Options, detect_distributed
+from pgccd.distributed.detection import Detection, Options, Share, find_share
 from pgccd.distributed.exchange import Columns, take_rows
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
 from pgccd.motion import RigidMotion
 from pgccd.scene import Scene
-from pgccd.sim.hashing import id_hash_of
+from pgccd.sim.partners import Partners
 from pgccd.sim.response import Settlement, respond
 from pgccd.sim.rounds import Pace, goes_ahead
-from pgccd.sim.step import Partners, Tally, count_step, settle_step, toi_of
+from pgccd.sim.step import settle_step
+from pgccd.sim.tally import COUNTED, Tally, Work, count_step
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
 
@@ -49,9 +50,14 @@ class _Report:
     tally: Tally
     held: int
     arrived: int
-    busy: int  #: nanoseconds at work, not waiting for others
-    census: Census  #: of its robots before the step
+    busy: int  #: nanoseconds of traversing and solving
     moves: list[int]  #: how many robots leave it for each rank; empty if that is told later
+
+    @classmethod
+    def of(cls, work: Work, told: list[int]) -> _Report:
+        """`told`: what a rank concluded."""
+        counted, (held, arrived, *moves) = told[:COUNTED], told[COUNTED:]
+        return cls(Tally.of(work, counted), held, arrived, work.nanoseconds, moves)
 
 
 class Fleet:
@@ -85,7 +91,7 @@ class Fleet:
         self.comm, self.world, self.partition = comm, world, partition
         self.balance = balance or BalanceOptions()
         # nonzero_toi: robots that part after a contact are free.
-        self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap, agree=True)
+        self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
         # The fleet's own, so that all ranks know the same number of rounds.
         self._pace = Pace() if goes_ahead(ahead, world.device) else None
         self._expected = Census.of_range(world.config.robots)
@@ -106,31 +112,39 @@ class Fleet:
         comm, clock = self.comm, StageClock()
         comm.guard.activity = f"step {index}"
         with clock.stage("plan"):
-            ids = id_hash_of(self.state.id)
             planned = self.world.plan(self.state, index)
         own = planned.moving_columns
-        found = detect_distributed(comm, self.partition, own, self._build, self.options, clock)
-        held, toi = found.held, toi_of(found.contacts)
-        with clock.stage("respond"):
-            partners = Partners(self.world, own, held.ghosts, found.pairs)
-            settlement = settle_step(found.contacts, len(held), partners, self._pace, found.exchange)
-            fraction = settlement.fraction[: len(planned)]
-            after = respond(planned, fraction)
-        with clock.stage("hash"):
-            counted = count_step(after, fraction, held.id[found.contacts.pairs], toi)
-            leaving = Leaving(comm, self.partition, after.position)
-        with clock.stage("gather"):
-            reports = self._tell(found, settlement, clock, torch.cat([counted, ids]), leaving)
+        share = find_share(comm, self.partition, own, self._build, self.options, clock)
+        with clock.stage("halo"):
+            exchange = share.exchange(self.partition)
+            partners = Partners(self.world, own, share.held.ghosts, share.pairs)
+        after: RobotState = planned
+        leaving: Leaving | None = None
+
+        def conclude(pairs: Tensor, toi: Tensor, fraction: Tensor) -> Tensor:
+            nonlocal after, leaving
+            fraction = fraction[: len(planned)]
+            with clock.stage("respond"):
+                after = respond(planned, fraction)
+            with clock.stage("hash"):
+                counted = count_step(after, fraction, share.held.id, pairs, toi)
+                leaving = Leaving(comm, self.partition, after.position)
+                moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
+                return torch.cat([counted, self._told_by_host(share), *moves])
+
+        settled = settle_step(share.bodies, share.pairs, partners, self._pace, conclude, clock, exchange)
+        reports = [_Report.of(*told) for told in zip(settled.work, settled.told, strict=True)]
         tallies = [report.tally for report in reports]
-        Census.total([report.census for report in reports]).require(self._expected)
+        Census.total([Census(tally.robots, tally.id_hash) for tally in tallies]).require(self._expected)
+        found = Detection.of(share, settled.contacts)
         moved_cells = self._balance(index, found, planned, reports, clock)
         with clock.stage("migrate"):
             moves = [report.moves for report in reports]
             known = None
-            if moved_cells == 0 and all(moves):
+            if leaving is not None and moved_cells == 0 and all(moves):
                 known = leaving, moves[comm.rank], [row[comm.rank] for row in moves]
             self._migrate(after, known)
-        record = Tally.total(tallies).record(index, settlement.rounds, clock)
+        record = Tally.total(tallies).record(index, settled.settlement.rounds, clock)
         record["ranks"] = {
             "bodies": [part.robots for part in tallies],
             "ghosts": [report.held - report.tally.robots for report in reports],
@@ -141,28 +155,14 @@ class Fleet:
             "moved_cells": moved_cells,
             "imbalance": round(imbalance(torch.tensor([float(part.pcs) for part in tallies])), 4),
         }
-        return RankStep(index, found, planned, settlement, record)
+        return RankStep(index, found, planned, settled.settlement, record)
+
+    def _told_by_host(self, share: Share) -> Tensor:
+        return torch.tensor([len(share.held), self._arrived]).to(share.pairs.device, non_blocking=True)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
         pose = (columns["position"], columns["orientation"], columns["velocity"], columns["angular_velocity"])
         return self.world.scene(columns["id"]), RigidMotion.from_velocity(*pose, dt=1.0)
-
-    def _tell(
-        self, found: Detection, settlement: Settlement, clock: StageClock, counted: Tensor, leaving: Leaving
-    ) -> list[_Report]:
-        """What all ranks have to report, in one all-gather; numbers that the device counted are read only then."""
-        contacts, comm = found.contacts, self.comm
-        stats, tally_size = contacts.stats, len(fields(Tally))
-        tally = [len(found.pairs), len(contacts), settlement.secondary_contacts, stats.candidates, stats.unresolved]
-        rest = [len(found.held), self._arrived, int(1e9 * clock.work)]
-        host = torch.tensor([*rest, *tally]).to(counted.device, non_blocking=True)
-        moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
-        reports = []
-        for row in comm.all_gather(torch.cat([host, counted, *moves])).tolist():
-            held, arrived, busy = row[:3]
-            told, (ids, *moved) = Tally.of(row[3 : 3 + tally_size]), row[3 + tally_size :]
-            reports.append(_Report(told, held, arrived, busy, Census(told.robots, ids % 2**64), moved))
-        return reports
 
     def _balance(
         self, index: int, found: Detection, planned: RobotState, reports: list[_Report], clock: StageClock

@@ -13,19 +13,9 @@ from pgccd import ops
 from pgccd.sim.world import RobotState
 
 
-def contacts_hash_of(pairs: Tensor, toi: Tensor) -> Tensor:
-    """`contacts_hash` as (1,) int64 that stays on the device."""
-    return ops.simulate_hash([pairs.amin(dim=1), pairs.amax(dim=1), toi])
-
-
-def state_hash_of(state: RobotState) -> Tensor:
-    """`state_hash` as (1,) int64 that stays on the device."""
-    return ops.simulate_hash([state.id, state.position, state.orientation, state.velocity, state.angular_velocity])
-
-
-def id_hash_of(id: Tensor) -> Tensor:
-    """`id_hash` as (1,) int64 that stays on the device."""
-    return ops.simulate_hash([id])
+def hashed_columns(state: RobotState) -> list[Tensor]:
+    """What the hash of a state is made of."""
+    return [state.id, state.position, state.orientation, state.velocity, state.angular_velocity]
 
 
 def contacts_hash(pairs: Tensor, toi: Tensor) -> int:
@@ -41,7 +31,7 @@ def contacts_hash(pairs: Tensor, toi: Tensor) -> int:
     Example:
         >>> f"{pgccd.sim.contacts_hash(hits.pairs, hits.toi):016x}"
     """
-    return int(contacts_hash_of(pairs, toi)) % 2**64
+    return int(ops.simulate_hash([pairs.amin(dim=1), pairs.amax(dim=1), toi])) % 2**64
 
 
 def state_hash(state: RobotState) -> int:
@@ -50,7 +40,7 @@ def state_hash(state: RobotState) -> int:
     Example:
         >>> f"{pgccd.sim.state_hash(state):016x}"
     """
-    return int(state_hash_of(state)) % 2**64
+    return int(ops.simulate_hash(hashed_columns(state))) % 2**64
 
 
 def id_hash(id: Tensor) -> int:
@@ -59,4 +49,4 @@ def id_hash(id: Tensor) -> int:
     Example:
         >>> f"{pgccd.sim.hashing.id_hash(state.id):016x}"
     """
-    return int(id_hash_of(id)) % 2**64
+    return int(ops.simulate_hash([id])) % 2**64

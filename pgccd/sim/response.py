@@ -47,6 +47,9 @@ class Exchange(Protocol):
     def rank(self) -> int: ...
 
     @property
+    def ranks(self) -> int: ...
+
+    @property
     def shared(self) -> Tensor:
         """(S,) int64 rows of the robots that others know too, perhaps several times."""
         ...
@@ -67,7 +70,7 @@ class OneRank:
         rows: (R,) int64 of any robots, where they are.
     """
 
-    rank = 0
+    rank, ranks = 0, 1
 
     def __init__(self, rows: Tensor) -> None:
         self.shared = rows[:0]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import torch
@@ -10,7 +11,9 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.capacity import COUNT_ROWS, Capacity, Counts
-from pgccd.sim.response import Exchange, Settlement, first_collisions, limits_of
+from pgccd.sim.response import Exchange, Settlement, limits_of
+from pgccd.stages import StageClock
+from pgccd.within import Search
 
 # Rounds made at a time, after those that the last step took.
 _MORE_ROUNDS = 2
@@ -59,55 +62,89 @@ class StartRound(Protocol):
         ...
 
 
+#: What follows once everybody knows how much of the step it makes, given (N,) float64 fractions: (k,) int64 numbers for
+#: all ranks. Perhaps called again with others, when what it did before does not count.
+Conclude = Callable[[Tensor], Tensor]
+
+
+@dataclass
+class Ahead:
+    """What came of a step of which only the end was waited for."""
+
+    settlement: Settlement
+    told: list[list[int]]  #: what each rank concluded
+    counts: list[Counts]  #: of each rank's search for the contacts of the whole step
+    secondary_contacts: list[int]  #: of each rank
+
+
 def settle_ahead(
-    pairs: Tensor, toi: Tensor, body_count: int, start_round: StartRound, exchange: Exchange, pace: Pace
-) -> Settlement | None:
+    search: Search,
+    body_count: int,
+    start_round: StartRound,
+    exchange: Exchange,
+    pace: Pace,
+    conclude: Conclude,
+    clock: StageClock,
+) -> Ahead | None:
     """What `settle` decides, to the bit. Rounds are made without knowing whether they are needed: after the last one
     nobody has changed, and nothing comes of more.
 
-    The host waits once, unless there are more rounds than in the last step. What decides how many are made is known to
-    all ranks.
+    The host waits once, for the contacts of the whole step too, unless there are more rounds than in the last step.
+    What decides how many are made is known to all ranks.
 
     Args:
-        pairs, toi: the contacts (K, 2) and (K,) of the whole step.
+        search: for the contacts of the whole step, started.
         body_count: number of robots N.
         start_round: starts a round.
         exchange: how ranks agree.
         pace: of a step before this one.
+        conclude: what follows.
+        clock: stages are timed here.
 
     Returns:
-        None, on all ranks, if there was not room for a round on one of them.
+        None, on all ranks, if there was not room for something on one of them.
     """
-    fraction = torch.ones(body_count, dtype=torch.float64, device=toi.device)
-    changed = torch.empty(body_count, dtype=torch.uint8, device=toi.device)
-    first = first_collisions(pairs, toi, body_count)
+    with clock.stage("respond"):
+        pairs, toi = search.rows[0], search.rows[4]
+        fraction = torch.ones(body_count, dtype=torch.float64, device=toi.device)
+        changed = torch.empty(body_count, dtype=torch.uint8, device=toi.device)
+        first = torch.full_like(fraction, torch.inf)
+        ops.simulate_first_toi(first, None, pairs, toi)
 
     def slow_down(rounds: int) -> Tensor:
         exchange.share(first)
         return ops.simulate_slow_all_down(first, fraction, changed, *limits_of(rounds))
 
-    changes, more = [slow_down(0)], pace.rounds or 0
+    with clock.stage("respond"):
+        changes = [slow_down(0)]
+    more = pace.rounds or 0
     goes_on: list[bool] = []  # before each round: whether a robot has changed on any rank
     needed: list[Capacity] = []
-    secondary_contacts = 0
+    secondary_contacts = [0] * exchange.ranks
     while True:
-        counts, rooms = [], []
-        for round in range(len(needed), len(needed) + more):
-            rooms.append(pace.room(round))
-            counts.append(start_round(changed, fraction, rooms[-1], first))
-            changes.append(slow_down(round + 1))
-        told = exchange.gather(torch.cat([*changes, *counts])).tolist()
-        made = [_counts_of(numbers[len(changes) :]) for numbers in told]
+        counts, rooms = [search.counts[: len(COUNT_ROWS)]], []
+        with clock.stage("respond"):
+            for round in range(len(needed), len(needed) + more):
+                rooms.append(pace.room(round))
+                counts.append(start_round(changed, fraction, rooms[-1], first))
+                changes.append(slow_down(round + 1))
+        mine = [*changes, *counts, conclude(fraction)]
+        with clock.stage("gather"):
+            told = exchange.gather(torch.cat(mine)).tolist()
+        end = len(changes) + len(counts) * len(COUNT_ROWS)
+        made = [_counts_of(numbers[len(changes) : end]) for numbers in told]
         if any(count.overflow for of_rank in made for count in of_rank):
             return None
         goes_on += [any(flags) for flags in zip(*(numbers[: len(changes)] for numbers in told), strict=True)]
-        own = made[exchange.rank]
-        needed += [count.needed(room) for count, room in zip(own, rooms, strict=True)]
-        secondary_contacts += sum(count.contacts for count in own)
+        needed += [count.needed(room) for count, room in zip(made[exchange.rank][1:], rooms, strict=True)]
+        for rank, (_, *of_rounds) in enumerate(made):
+            secondary_contacts[rank] += sum(count.contacts for count in of_rounds)
         if not all(goes_on):
             rounds = goes_on.index(False)
             pace.learn(needed[:rounds])
-            return Settlement(fraction, rounds, secondary_contacts)
+            settlement = Settlement(fraction, rounds, secondary_contacts[exchange.rank])
+            of_step = [of_rank[0] for of_rank in made]
+            return Ahead(settlement, [numbers[end:] for numbers in told], of_step, secondary_contacts)
         changes, more = [], _MORE_ROUNDS
 
 

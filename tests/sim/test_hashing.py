@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 
 from pgccd.sim import World, WorldConfig, contacts_hash, state_hash
+from pgccd.sim.hashing import id_hash
+from pgccd.sim.tally import count_step
 from pgccd.sim.world import RobotState
 
 PAIRS = torch.tensor([[0, 5], [1, 2**40], [3, 4]])
@@ -55,3 +57,23 @@ def test_state_hash_sees_pose_and_velocity_but_not_order() -> None:
         changed = state.columns[name].clone()
         changed[7] = changed[7] + 1
         assert state_hash(RobotState(**(state.columns | {name: changed}))) != whole
+
+
+def test_tally_of_a_step_is_the_sum_of_its_parts(device: torch.device) -> None:
+    world = World(WorldConfig(robots=1000, seed=5))
+    state = world.start()
+    generator = torch.Generator().manual_seed(2)
+    fraction = torch.rand(1000, dtype=torch.float64, generator=generator).mul_(3.0).clamp_(max=1.0)
+    id = torch.randperm(5000, generator=generator) + 2**40
+    pairs = torch.randint(5000, (300, 2), generator=generator)
+    toi = torch.rand(300, dtype=torch.float64, generator=generator)
+    toi[::7] = 0.0
+    padded = torch.cat([pairs, torch.full((50, 2), -1)]), torch.cat([toi, torch.full((50,), torch.inf).double()])
+    hashes = contacts_hash(id[pairs], toi), state_hash(state), id_hash(state.id)
+    stopped, touching = int((fraction < 1.0).sum()), int((toi == 0.0).sum())
+    assert 0 < stopped < 1000 and touching > 0
+    for rows, times in ((pairs, toi), padded):
+        columns = RobotState(**{name: column.to(device) for name, column in state.columns.items()})
+        tally = count_step(columns, fraction.to(device), id.to(device), rows.to(device), times.to(device)).tolist()
+        assert tally[0] == 1000 and tally[3:5] == [stopped, touching]
+        assert tuple(number % 2**64 for number in (tally[1], tally[2], tally[5])) == hashes

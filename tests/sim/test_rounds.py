@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import pytest
@@ -13,12 +14,16 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
 from pgccd.capacity import Capacity
-from pgccd.sim import World, WorldConfig, make_step, robot_mesh
-from pgccd.sim import step as step_module
-from pgccd.sim.response import OneRank, settle
-from pgccd.sim.rounds import Pace, settle_ahead
-from pgccd.sim.step import Partners, settle_step, toi_of
+from pgccd.detect import find_contacts, start_search
+from pgccd.sim import RobotState, World, WorldConfig, make_step, robot_mesh
+from pgccd.sim import partners as partners_module
+from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
+from pgccd.sim.response import OneRank, Settlement, settle
+from pgccd.sim.rounds import Ahead, Pace, settle_ahead
+from pgccd.sim.step import Settled, settle_step
+from pgccd.stages import StageClock
 
+detect_module = sys.modules["pgccd.detect"]
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5}
 
 
@@ -43,23 +48,61 @@ def test_same_bits(seed: int, pattern: str, kinds: int) -> None:
     assert follow(config, 12, True, meshes) == follow(config, 12, False, meshes)
 
 
-def a_step(seed: int, speed: float = 0.3, robots: int = 150) -> tuple[pgccd.Contacts, int, Any]:
-    """Contacts of a step, number of robots, and how to make the partners anew."""
+class AStep:
+    """A step about to be made.
+
+    Args:
+        world, state: the world and its robots as planned.
+    """
+
+    def __init__(self, world: World, state: RobotState) -> None:
+        self.world, self.state, self.count = world, state, len(state)
+        self.bodies = pgccd.MovingBodies(world.scene(state.id), world.motion(state))
+        self.pairs = pgccd.broad.find_pairs(self.bodies)
+        self.contacts = find_contacts(self.bodies, FIRST_CONTACTS, pairs=self.pairs)
+
+    def partners(self) -> Partners:
+        return Partners(self.world, self.state.moving_columns, None, self.pairs)
+
+    def expected(self) -> Settlement:
+        return settle(self.contacts.pairs, toi_of(self.contacts), self.count, self.partners())
+
+    def ahead(self, pace: Pace, exchange: OneRank | None = None, partners: Partners | None = None) -> Ahead | None:
+        search = start_search(self.bodies, FIRST_CONTACTS, self.pairs)
+        start_round, exchange = (partners or self.partners()).start_round, exchange or OneRank(self.pairs[:, 0])
+        return settle_ahead(search, self.count, start_round, exchange, pace, self.conclude, StageClock())
+
+    def settled(self, pace: Pace, partners: Partners | None = None, exchange: OneRank | None = None) -> Settled:
+        partners = partners or self.partners()
+
+        def conclude(pairs: Tensor, toi: Tensor, fraction: Tensor) -> Tensor:
+            return self.conclude(fraction)
+
+        return settle_step(self.bodies, self.pairs, partners, pace, conclude, StageClock(), exchange)
+
+    @staticmethod
+    def conclude(fraction: Tensor) -> Tensor:
+        return (fraction < 1.0).sum().reshape(1)
+
+
+def same(found: Settlement, expected: Settlement) -> bool:
+    assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
+    return torch.equal(found.fraction, expected.fraction)
+
+
+def a_step(seed: int, speed: float = 0.3, robots: int = 150) -> AStep:
     world = World(WorldConfig(robots=robots, speed=speed, seed=seed))
     state, scene = world.start(), world.scene(world.start().id)
     for index in range(8):  # until they have left the lattice
         state = make_step(world, scene, state, index).after
-    state = world.plan(state, 8)
-    pairs = pgccd.broad.find_pairs(pgccd.MovingBodies(scene, world.motion(state)))
-    contacts = pgccd.detect(scene, world.motion(state), nonzero_toi=True, pairs=pairs)
-    return contacts, len(state), lambda: Partners(world, state.moving_columns, None, pairs)
+    return AStep(world, world.plan(state, 8))
 
 
-def many_rounds() -> tuple[pgccd.Contacts, int, Any]:
+def many_rounds() -> AStep:
     """A step that takes several."""
     for seed in range(40):
         made = a_step(seed)
-        if settle(made[0].pairs, toi_of(made[0]), made[1], made[2]()).rounds >= 3:
+        if made.expected().rounds >= 3:
             return made
     raise AssertionError("no step takes three rounds")
 
@@ -67,8 +110,8 @@ def many_rounds() -> tuple[pgccd.Contacts, int, Any]:
 class Gathers(OneRank):
     """Counts what the host waits for."""
 
-    def __init__(self, contacts: pgccd.Contacts) -> None:
-        super().__init__(contacts.pairs.reshape(-1))
+    def __init__(self, pairs: Tensor) -> None:
+        super().__init__(pairs.reshape(-1))
         self.count = 0
 
     def gather(self, values: Tensor) -> Tensor:
@@ -77,22 +120,23 @@ class Gathers(OneRank):
 
 
 def test_wherever_a_batch_ends() -> None:
-    contacts, count, partners = many_rounds()
-    expected = settle(contacts.pairs, toi_of(contacts), count, partners())
+    step = many_rounds()
+    expected = step.expected()
     for rounds in range(expected.rounds + 3):
-        pace, exchange = Pace(), Gathers(contacts)
+        pace, exchange = Pace(), Gathers(step.pairs)
         pace.learn([Capacity.guess(400, 200)] * rounds)
-        found = settle_ahead(contacts.pairs, toi_of(contacts), count, partners().start_round, exchange, pace)
-        assert found is not None and torch.equal(found.fraction, expected.fraction)
-        assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
+        found = step.ahead(pace, exchange)
+        assert found is not None and same(found.settlement, expected)
+        assert found.told == [step.conclude(expected.fraction).tolist()]
+        assert [count.contacts for count in found.counts] == [len(step.contacts)]
         assert pace.rounds == expected.rounds
         assert exchange.count == 1 + max(0, -(-(expected.rounds - rounds) // 2))
 
 
 @pytest.mark.parametrize("room", [Capacity(0, 0), Capacity(1000, 0)], ids=["pairs", "contacts"])
 def test_too_little_room_in_a_round(room: Capacity) -> None:
-    contacts, count, partners = many_rounds()
-    expected = settle(contacts.pairs, toi_of(contacts), count, partners())
+    step = many_rounds()
+    expected = step.expected()
     short = []
     for lacking in range(expected.rounds):
 
@@ -100,36 +144,46 @@ def test_too_little_room_in_a_round(room: Capacity) -> None:
             def room(self, round: int, lacking: int = lacking) -> Capacity:
                 return room if round == lacking else super().room(round)
 
-        pace, given_contacts = Tight(), (contacts.pairs, toi_of(contacts), count)
+        pace = Tight()
         pace.learn([Capacity(0, 0)] * expected.rounds)
-        asked = partners()
-        short.append(settle_ahead(*given_contacts, asked.start_round, OneRank(contacts.pairs), pace) is None)
-        found = settle_step(contacts, count, asked, pace)
-        assert torch.equal(found.fraction, expected.fraction)
-        assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
+        asked = step.partners()
+        short.append(step.ahead(pace, partners=asked) is None)
+        found = step.settled(pace, asked)
+        assert same(found.settlement, expected)
         # What each round needed has been learnt.
         assert pace.rounds == expected.rounds and len(asked.needed) == (expected.rounds if short[-1] else 0)
     # A round may find no contact, and the last one does not.
     assert any(short) and (room.pairs > 0 or all(short))
 
 
+def test_too_little_room_for_the_whole_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    step = many_rounds()
+    expected = step.expected()
+    monkeypatch.setattr(detect_module, "EXACTLY", Capacity(0, len(step.contacts) - 1))
+    pace = Pace()
+    pace.learn([Capacity(0, 0)] * expected.rounds)
+    assert step.ahead(pace) is None
+    monkeypatch.setattr(detect_module, "EXACTLY", Capacity(0, len(step.contacts)))
+    found = step.ahead(pace)
+    assert found is not None and same(found.settlement, expected)
+
+
 def test_more_memory_than_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    contacts, count, partners = many_rounds()
-    monkeypatch.setattr(step_module, "memory_limit", lambda *_: 1000)
+    step = many_rounds()
+    monkeypatch.setattr(partners_module, "memory_limit", lambda *_: 1000)
     pace = Pace()
     pace.learn([Capacity(0, 0)])
-    arguments = contacts.pairs, toi_of(contacts), count, partners().start_round, OneRank(contacts.pairs), pace
-    assert settle_ahead(*arguments) is None
+    assert step.ahead(pace) is None
 
 
 def test_nobody_collides() -> None:
-    contacts, count, partners = a_step(0, speed=0.0)
-    assert len(contacts) == 0
+    step = a_step(0, speed=0.0)
+    assert len(step.contacts) == 0
     pace = Pace()
-    for _ in range(2):  # the first step waits for each round, the second for all together
-        exchange = Gathers(contacts)
-        found = settle_step(contacts, count, partners(), pace, exchange)
-        assert (found.rounds, found.secondary_contacts, exchange.count) == (0, 0, 1)
+    for waits in (2, 1):  # the first step waits for each round and at its end, the second for all together
+        exchange = Gathers(step.pairs)
+        found = step.settled(pace, exchange=exchange).settlement
+        assert (found.rounds, found.secondary_contacts, exchange.count) == (0, 0, waits)
         assert bool((found.fraction == 1.0).all()) and pace.rounds == 0
 
 
@@ -143,22 +197,13 @@ def test_everybody_collides() -> None:
     state.velocity = 10.0 * state.velocity - state.position * (
         1.5 + 0.5 * torch.rand(64, 1, dtype=torch.float64, generator=random)
     )
-    scene, motion = world.scene(state.id), world.motion(state)
-    pairs = pgccd.broad.find_pairs(pgccd.MovingBodies(scene, motion))
-    contacts = pgccd.detect(scene, motion, nonzero_toi=True, pairs=pairs)
-    assert len(contacts.pairs.unique()) == len(state)
-
-    def partners() -> Partners:
-        return Partners(world, state.moving_columns, None, pairs)
-
+    step = AStep(world, state)
+    assert len(step.contacts.pairs.unique()) == len(state)
     pace = Pace()
-    expected = settle_step(contacts, len(state), partners(), pace)
-    found = settle_ahead(
-        contacts.pairs, toi_of(contacts), len(state), partners().start_round, OneRank(contacts.pairs), pace
-    )
-    assert found is not None and torch.equal(found.fraction, expected.fraction)
-    assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
-    assert expected.rounds >= 2 and expected.secondary_contacts > 0
+    first, second = (step.settled(pace) for _ in range(2))
+    assert same(second.settlement, first.settlement) and second.told == first.told
+    assert second.work[0].contacts == first.work[0].contacts == len(step.contacts)
+    assert first.settlement.rounds >= 2 and first.settlement.secondary_contacts > 0
 
 
 class Calls(TorchDispatchMode):
@@ -176,13 +221,13 @@ class Calls(TorchDispatchMode):
 
 
 def test_a_round_is_few_operators_and_no_wait() -> None:
-    contacts, count, partners = many_rounds()
+    step = many_rounds()
     calls = []
     for rounds in (8, 9):
         pace = Pace()
         pace.learn([Capacity(0, 0)] * rounds)
         with Calls() as watch:
-            settle_ahead(contacts.pairs, toi_of(contacts), count, partners().start_round, OneRank(contacts.pairs), pace)
+            step.ahead(pace)
         calls.append(watch.calls)
         assert watch.waits == 0  # the one look is that of the numbers gathered
     assert calls[1] - calls[0] == 5

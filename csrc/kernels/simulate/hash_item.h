@@ -1,4 +1,5 @@
 // The hash of one row of columns; rows are summed modulo 2^64, so that neither their order nor who holds them matters.
+// And all else that is summed up of a step.
 #pragma once
 
 #include <cstdint>
@@ -32,5 +33,45 @@ PGCCD_HD uint64_t row_hash(const HashColumns& columns, int64_t row) {
   }
   return hash;
 }
+
+// Numbers in the order of `simulate_tally`; hashes modulo 2^64.
+struct StepTally {
+  int64_t robots;
+  uint64_t contacts_hash;
+  uint64_t state_hash;
+  int64_t stopped;
+  int64_t touching;  // at the start of the step
+  uint64_t id_hash;
+};
+constexpr int kTallyCounts = sizeof(StepTally) / sizeof(int64_t);
+
+// What came of a step: robots afterwards, what part of it each made, and contacts, which may be padded with rows of
+// negative pairs.
+struct StepOutcome {
+  HashColumns state;       // the first column: ids
+  const double* fraction;  // (state.count,)
+  const int64_t* id;       // of the robots that pairs name
+  const int64_t* pairs;    // (contact_count, 2)
+  const double* toi;       // (contact_count,)
+  int64_t contact_count;
+
+  PGCCD_HD void add_robot(int64_t row, StepTally& tally) const {
+    ++tally.robots;
+    tally.state_hash += row_hash(state, row);
+    tally.stopped += fraction[row] < 1.0 ? 1 : 0;
+    tally.id_hash += mix(state.column[0][row]);
+  }
+  PGCCD_HD void add_contact(int64_t row, StepTally& tally) const {
+    if (pairs[2 * row] < 0) return;
+    const int64_t i = id[pairs[2 * row]], j = id[pairs[2 * row + 1]];
+    union {
+      double number;
+      uint64_t bits;
+    } time{toi[row]};
+    const uint64_t lower = static_cast<uint64_t>(i < j ? i : j), upper = static_cast<uint64_t>(i < j ? j : i);
+    tally.contacts_hash += mix(mix(mix(lower) ^ upper) ^ time.bits);
+    tally.touching += time.number == 0.0 ? 1 : 0;
+  }
+};
 
 }  // namespace pgccd

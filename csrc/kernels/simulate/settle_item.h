@@ -61,10 +61,12 @@ struct SlowAllDown {
 
 // Contacts (count,) of pairs of copies of robots; rows of padding have negative pairs.
 struct FirstToiInput {
-  const int64_t* robots;  // of each copy
+  const int64_t* robots;  // of each copy; null: each is its own
   const int64_t* pairs;   // (count, 2) copies
   const double* toi;      // (count,) >= 0
   int64_t count;
+
+  PGCCD_HD int64_t robot(int64_t copy) const { return robots != nullptr ? robots[copy] : copy; }
 };
 
 // Pairs of which at least one robot has changed.

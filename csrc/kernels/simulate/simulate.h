@@ -44,6 +44,7 @@ void concerned_pairs_cpu(const Executor& executor, const ConcernedPairs& concern
                          const PaddedPairs& out);
 
 // The sum of the rows' hashes modulo 2^64.
+void tally_step_cpu(const Executor& executor, const StepOutcome& outcome, StepTally* tally);
 void hash_rows_cpu(const Executor& executor, const HashColumns& columns, uint64_t* sum);
 
 }  // namespace pgccd

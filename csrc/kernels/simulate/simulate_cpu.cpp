@@ -69,7 +69,7 @@ void first_toi_cpu(const Executor&, const FirstToiInput& contacts, double* first
   for (int64_t side = 0; side < 2 * contacts.count; ++side) {
     const int64_t copy = contacts.pairs[side];
     if (copy < 0) continue;
-    double& target = first[contacts.robots[copy]];
+    double& target = first[contacts.robot(copy)];
     target = smaller(target, contacts.toi[side / 2]);
   }
 }
@@ -81,6 +81,24 @@ void concerned_pairs_cpu(const Executor& executor, const ConcernedPairs& concern
   find_rows(executor, pair_count, rows.data(), &found, concerned);
   for_each_row(executor, larger<int64_t>(1, out.capacity.pairs),
                [&](int64_t k) { store_concerned_pair(concerned.pairs, rows.data(), found, k, out); });
+}
+
+void tally_step_cpu(const Executor& executor, const StepOutcome& outcome, StepTally* tally) {
+  *tally = {};
+  const auto add = [&](int64_t count, const auto& add_row) {
+    parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
+      StepTally part{};
+      for (int64_t row = begin; row < end; ++row) add_row(row, part);
+      add_shared(tally->robots, part.robots, false);
+      add_shared(tally->contacts_hash, part.contacts_hash, false);
+      add_shared(tally->state_hash, part.state_hash, false);
+      add_shared(tally->stopped, part.stopped, false);
+      add_shared(tally->touching, part.touching, false);
+      add_shared(tally->id_hash, part.id_hash, false);
+    });
+  };
+  add(outcome.state.count, [&](int64_t row, StepTally& part) { outcome.add_robot(row, part); });
+  add(outcome.contact_count, [&](int64_t row, StepTally& part) { outcome.add_contact(row, part); });
 }
 
 void hash_rows_cpu(const Executor& executor, const HashColumns& columns, uint64_t* sum) {

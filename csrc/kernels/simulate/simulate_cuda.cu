@@ -17,6 +17,29 @@ __global__ void __launch_bounds__(kBlockThreads) hash_rows(HashColumns columns, 
   if (threadIdx.x == 0) atomicAdd(sum, part);
 }
 
+__global__ void __launch_bounds__(kBlockThreads) tally_step(StepOutcome outcome, StepTally* tally) {
+  using Reduce = cub::BlockReduce<uint64_t, kBlockThreads>;
+  __shared__ typename Reduce::TempStorage storage;
+  const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
+  const int64_t first = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+  StepTally part{};
+  for (int64_t row = first; row < outcome.state.count; row += stride) outcome.add_robot(row, part);
+  for (int64_t row = first; row < outcome.contact_count; row += stride) outcome.add_contact(row, part);
+  const uint64_t* own = reinterpret_cast<const uint64_t*>(&part);
+  for (int k = 0; k < kTallyCounts; ++k) {
+    __syncthreads();  // the storage is free again
+    const uint64_t sum = Reduce(storage).Sum(own[k]);
+    if (threadIdx.x == 0 && sum != 0) {
+      atomicAdd(reinterpret_cast<unsigned long long*>(tally) + k, static_cast<unsigned long long>(sum));
+    }
+  }
+}
+
+unsigned blocks_for(int64_t count) {
+  const int64_t blocks = (count + kBlockThreads - 1) / kBlockThreads;
+  return static_cast<unsigned>(smaller<int64_t>(larger<int64_t>(blocks, 1), resident_blocks(16)));
+}
+
 }  // namespace
 
 void start_cuda(const DeviceContext& context, const World& world, const int64_t* id, int64_t count,
@@ -72,8 +95,7 @@ void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts,
   for_each_item(context, 2 * contacts.count, [=] __device__(int64_t side) {
     const int64_t copy = contacts.pairs[side];
     if (copy < 0) return;
-    atomicMin(reinterpret_cast<long long*>(first + contacts.robots[copy]),
-              __double_as_longlong(contacts.toi[side / 2]));
+    atomicMin(reinterpret_cast<long long*>(first + contacts.robot(copy)), __double_as_longlong(contacts.toi[side / 2]));
   });
 }
 
@@ -90,10 +112,16 @@ void concerned_pairs_cuda(const DeviceContext& context, const ConcernedPairs& co
 void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {
   fill_bytes(context, sum, 0, 1);
   if (columns.count == 0) return;
-  const int64_t blocks = (columns.count + kBlockThreads - 1) / kBlockThreads;
-  hash_rows<<<static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks(16))), kBlockThreads, 0, context.stream>>>(
+  hash_rows<<<blocks_for(columns.count), kBlockThreads, 0, context.stream>>>(
       columns, reinterpret_cast<unsigned long long*>(sum));
-  check_cuda(cudaGetLastError(), "kernel launch");
+  check_cuda(cudaGetLastError(), "hash_rows");
+}
+
+void tally_step_cuda(const DeviceContext& context, const StepOutcome& outcome, StepTally* tally) {
+  fill_bytes(context, tally, 0, 1);
+  const int64_t count = larger(outcome.state.count, outcome.contact_count);
+  tally_step<<<blocks_for(count), kBlockThreads, 0, context.stream>>>(outcome, tally);
+  check_cuda(cudaGetLastError(), "tally_step");
 }
 
 }  // namespace pgccd

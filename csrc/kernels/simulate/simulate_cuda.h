@@ -44,6 +44,7 @@ void concerned_pairs_cuda(const DeviceContext& context, const ConcernedPairs& co
                           const PaddedPairs& out);
 
 // The sum of the rows' hashes modulo 2^64.
+void tally_step_cuda(const DeviceContext& context, const StepOutcome& outcome, StepTally* tally);
 void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum);
 
 }  // namespace pgccd

@@ -1,0 +1,82 @@
+"""Whom robots may meet that have been slowed down."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pgccd import ops
+from pgccd.capacity import Capacity
+from pgccd.contacts import Contacts
+from pgccd.detect import detect
+from pgccd.memory import memory_limit
+from pgccd.query import Query
+from pgccd.sim.world import World
+from pgccd.within import contacts_within
+
+#: What is asked of the whole step, and in every round of settling. nonzero_toi: robots that part after a contact are
+#: free.
+FIRST_CONTACTS = Query("first", 0.0, None, True)
+
+
+class Partners:
+    """What settling asks, answered for potentially colliding pairs.
+
+    Args:
+        world: the rules.
+        own, ghosts: `moving_columns` of planned states; rows of ghosts follow own ones.
+        pairs: (P, 2) int64 rows, the robot of smaller id first.
+    """
+
+    def __init__(self, world: World, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, pairs: Tensor) -> None:
+        self._world, self._pairs = world, pairs
+        self._own = list(own.values())
+        self._ghosts = [column[:0] if ghosts is None else ghosts[name] for name, column in own.items()]
+        #: Room that each round needed, where rounds were waited for.
+        self.needed: list[Capacity] = []
+        self._copies = self._copies_of(0)
+        self._no_faults = pairs.new_empty(0)
+
+    def __call__(self, changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+        """See `FindContacts`."""
+        # A slowed robot stays within the volume it was to sweep: it meets nobody but its partners in the PCS.
+        pairs, counts = ops.simulate_concerned_pairs(self._pairs, changed.view(torch.uint8), len(self._pairs))
+        # Read together: on a GPU every look at a number waits for it.
+        goes_on, count, *_ = torch.cat([anybody, counts]).tolist()
+        if not goes_on:
+            return None
+        if not count:
+            self.needed.append(Capacity(0, 0))
+            return pairs[:0], fraction[:0]
+        pairs = pairs[:count]
+        scene, motion = self._world.pair_motion(self._own, self._ghosts, fraction, pairs)
+        # nonzero_toi: as for the whole step.
+        contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=self._copies_of(count))
+        self.needed.append(contacts.stats.needed or Capacity.guess(2 * count, count))
+        return pairs[contacts.pairs[:, 0] // 2], toi_of(contacts)
+
+    def start_round(self, changed: Tensor, fraction: Tensor, room: Capacity, first: Tensor) -> Tensor:
+        """See `StartRound`."""
+        if room.bytes > memory_limit(None, room.bytes, fraction.device):
+            room = Capacity(0, 0)  # which does not suffice: the rounds are waited for, then, and searched in pieces
+        if room.pairs > len(self._copies):
+            self._copies = self._copies_of(room.pairs)
+        pairs, pair_counts = ops.simulate_concerned_pairs(self._pairs, changed, room.pairs)
+        bodies = self._world.pair_bodies(self._own, self._ghosts, fraction, pairs)
+        copies, meshes = self._copies[: room.pairs], self._world.meshes.tensors
+        rows, counts = contacts_within(
+            meshes, bodies, False, copies, pair_counts, self._no_faults, FIRST_CONTACTS, room
+        )
+        ops.simulate_first_toi(first, pairs.view(-1), rows[0], rows[4])
+        return counts
+
+    def _copies_of(self, count: int) -> Tensor:
+        """The two robots of each pair among their copies."""
+        return torch.arange(2 * count, device=self._pairs.device).view(count, 2)
+
+
+def toi_of(contacts: Contacts) -> Tensor:
+    """(K,) float64: the column, which `detect(report="first")` always gives."""
+    if contacts.toi is None:
+        raise AssertionError("detect(report='first') gives a toi")
+    return contacts.toi
