@@ -56,10 +56,10 @@ def stages_alone(bodies: pgccd.MovingBodies) -> None:
 
 def recorded(device: torch.device) -> list[Call]:
     """Calls of the operators as the package itself makes them, with all that is optional there and not there."""
-    recorder = Recorder(ops._ops)
+    recorder = Recorder(ops.library.operators)
     rng = np.random.default_rng(0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ops, "_ops", recorder)
+        patch.setattr(ops.library, "operators", recorder)
         for closeness in (0.7, 20.0):  # the latter: no pairs, no contacts
             bodies = approaching(rng, (0, 1, 0), (1.0, 1.0, 1.0), closeness=closeness)
             filters = {"group": [1, 1, 3], "mask": [1, 3, 1], "world": [0, 0, 0], "static": [False, False, True]}
