@@ -23,6 +23,7 @@ from pgccd.ops.detection import (
     vertex_face,
 )
 from pgccd.ops.library import take_scratch_peak
+from pgccd.ops.rows import merge_rows, pack_rows, take_rows, unpack_rows
 from pgccd.ops.simulate import (
     random_uniforms,
     simulate_concerned_pairs,
@@ -56,10 +57,12 @@ __all__ = [
     "grid",
     "lbvh",
     "leaving_bodies",
+    "merge_rows",
     "narrow_deforming",
     "narrow_rigid",
     "near_ghosts",
     "owned_pairs",
+    "pack_rows",
     "pairs_within",
     "random_uniforms",
     "reached_ranks",
@@ -76,8 +79,10 @@ __all__ = [
     "simulate_start",
     "sweep",
     "swept_boxes",
+    "take_rows",
     "take_scratch_peak",
     "traverse_deforming",
     "traverse_rigid",
+    "unpack_rows",
     "vertex_face",
 ]
