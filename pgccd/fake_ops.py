@@ -78,8 +78,9 @@ def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, Tensor]:
 
 
 @torch.library.register_fake("pgccd::leaving_bodies")
-def _(position: Tensor, frame: list[float], owner: Tensor, rank: int, ranks: int) -> tuple[Tensor, Tensor]:
-    return owner.new_empty((position.shape[0],)), owner.new_empty((ranks,))
+def _(position: Tensor, frame: list[float], owner: Tensor, rank: int, ranks: int) -> tuple[Tensor, ...]:
+    leaving, by_destination = (owner.new_empty((position.shape[0],)) for _ in range(2))
+    return leaving, by_destination, owner.new_empty((ranks,))
 
 
 def _row_bytes(columns: list[Tensor]) -> int | torch.SymInt:

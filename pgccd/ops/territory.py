@@ -37,6 +37,7 @@ def near_ghosts(
     return library.operators.near_ghosts(list(centres), list(ghosts), min_separation, *territory)
 
 
-def leaving_bodies(position: Tensor, territory: Territory, ranks: int) -> tuple[Tensor, Tensor]:
-    """Rows of bodies whose centre (N, 3) is in a cell of another rank; and how many are in those of each, (ranks,)."""
+def leaving_bodies(position: Tensor, territory: Territory, ranks: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Rows of bodies whose centre (N, 3) is in a cell of another rank, in the first places of (N,): ascending; and by
+    rank, then ascending; and how many are in the cells of each, (ranks,)."""
     return library.operators.leaving_bodies(position, *territory, ranks)
