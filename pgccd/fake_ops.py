@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import Any
 
 import torch
@@ -77,8 +78,37 @@ def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, Tensor]:
 
 
 @torch.library.register_fake("pgccd::leaving_bodies")
-def _(position: Tensor, frame: list[float], owner: Tensor, rank: int, ranks: int) -> tuple[Tensor, Tensor]:
-    return owner.new_empty((position.shape[0],)), owner.new_empty((ranks,))
+def _(position: Tensor, frame: list[float], owner: Tensor, rank: int, ranks: int) -> tuple[Tensor, ...]:
+    leaving, by_destination = (owner.new_empty((position.shape[0],)) for _ in range(2))
+    return leaving, by_destination, owner.new_empty((ranks,))
+
+
+def _row_bytes(columns: list[Tensor]) -> int | torch.SymInt:
+    return sum(prod(column.shape[1:]) * column.element_size() for column in columns)
+
+
+def _fake_columns(columns: list[Tensor], count: int | torch.SymInt) -> list[Tensor]:
+    return [column.new_empty((count, *column.shape[1:])) for column in columns]
+
+
+@torch.library.register_fake("pgccd::pack_rows")
+def _(columns: list[Tensor], rows: Tensor) -> Tensor:
+    return rows.new_empty((rows.shape[0], _row_bytes(columns)), dtype=torch.uint8)
+
+
+@torch.library.register_fake("pgccd::unpack_rows")
+def _(packed: Tensor, like: list[Tensor]) -> list[Tensor]:
+    return _fake_columns(like, packed.shape[0])
+
+
+@torch.library.register_fake("pgccd::take_rows")
+def _(columns: list[Tensor], more: list[Tensor], rows: Tensor) -> list[Tensor]:
+    return _fake_columns(columns, rows.shape[0])
+
+
+@torch.library.register_fake("pgccd::merge_rows")
+def _(columns: list[Tensor], removed: Tensor, packed: Tensor) -> list[Tensor]:
+    return _fake_columns(columns, columns[0].shape[0] - removed.shape[0] + packed.shape[0])
 
 
 for _name in ("sweep", "grid", "lbvh"):

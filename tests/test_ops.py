@@ -44,6 +44,26 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     ops.leaving_bodies(moving.position_t0, territory, 2)
 
 
+def move_rows(device: torch.device) -> None:
+    """Calls the operators that move rows of columns."""
+    for count in (0, 5):
+        columns = [
+            torch.arange(count),
+            torch.ones((count, 3)).double(),
+            torch.ones(count).bool(),
+            torch.ones((count, 0)),
+        ]
+        columns = [column.to(device) for column in columns]
+        rows = torch.arange(0, count, 2, device=device)
+        packed = ops.pack_rows(columns, rows)
+        ops.unpack_rows(packed, columns)
+        ops.take_rows(columns, [], rows)
+        ops.take_rows(columns, [column[1:] for column in columns], 2 * rows)
+        ops.merge_rows(columns, rows, packed)
+    ops.pack_rows([], rows)
+    ops.unpack_rows(packed[:, :0], [])
+
+
 def stages_alone(bodies: pgccd.MovingBodies) -> None:
     """What `detect` asks on one device in other ways than on another."""
     for find in (pgccd.broad.sweep, pgccd.broad.grid, pgccd.broad.lbvh):
@@ -56,10 +76,11 @@ def stages_alone(bodies: pgccd.MovingBodies) -> None:
 
 def recorded(device: torch.device) -> list[Call]:
     """Calls of the operators as the package itself makes them, with all that is optional there and not there."""
-    recorder = Recorder(ops._ops)
+    recorder = Recorder(ops.library.operators)
     rng = np.random.default_rng(0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ops, "_ops", recorder)
+        patch.setattr(ops.library, "operators", recorder)
+        move_rows(device)
         for closeness in (0.7, 20.0):  # the latter: no pairs, no contacts
             bodies = approaching(rng, (0, 1, 0), (1.0, 1.0, 1.0), closeness=closeness)
             filters = {"group": [1, 1, 3], "mask": [1, 3, 1], "world": [0, 0, 0], "static": [False, False, True]}

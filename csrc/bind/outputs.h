@@ -1,6 +1,9 @@
 // Making tensors for results.
 #pragma once
 
+#include <torch/csrc/inductor/aoti_torch/c/shim.h>
+
+#include <algorithm>
 #include <stdexcept>
 #include <string>
 
@@ -8,15 +11,25 @@
 
 namespace pgccd::bind {
 
-// What torch's allocator says of too little memory does not reach us; what was asked for, and what helps, is ours to
-// say.
+// Contiguous, on the device of `like`. Straight from the allocator: torch::stable::new_empty goes through the
+// dispatcher, which takes as long again.
 inline Tensor new_empty(const Tensor& like, const std::vector<int64_t>& sizes, ScalarType type, int64_t bytes) {
-  try {
-    return torch::stable::new_empty(like, sizes, type);
-  } catch (const std::exception&) {
+  int32_t device_type = 0, device_index = 0;
+  TORCH_ERROR_CODE_CHECK(aoti_torch_get_device_type(like.get(), &device_type));
+  TORCH_ERROR_CODE_CHECK(aoti_torch_get_device_index(like.get(), &device_index));
+  std::vector<int64_t> strides(sizes.size(), 1);
+  for (size_t axis = sizes.size(); axis-- > 1;) strides[axis - 1] = strides[axis] * std::max<int64_t>(sizes[axis], 1);
+  const auto dtype = torch::stable::detail::to<int32_t>(torch::stable::detail::from(type));
+  AtenTensorHandle made = nullptr;
+  const AOTITorchError result = aoti_torch_empty_strided(static_cast<int64_t>(sizes.size()), sizes.data(),
+                                                         strides.data(), dtype, device_type, device_index, &made);
+  // What torch's allocator says of too little memory does not reach us; what was asked for, and what helps, is ours to
+  // say.
+  if (result != AOTI_TORCH_SUCCESS) {
     throw std::runtime_error("out of memory: no room for " + std::to_string(bytes) +
                              " more bytes; a smaller memory_budget or capacity, or fewer bodies at a time, take less");
   }
+  return Tensor(made);
 }
 
 template <class T>

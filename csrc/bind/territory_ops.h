@@ -73,13 +73,15 @@ struct TerritoryOps {
     return {near, found};
   }
 
-  static std::tuple<Tensor, Tensor> leaving_bodies(const Tensor& position, FrameList frame, const Tensor& owner,
-                                                   int64_t rank, int64_t ranks) {
+  static std::tuple<Tensor, Tensor, Tensor> leaving_bodies(const Tensor& position, FrameList frame, const Tensor& owner,
+                                                           int64_t rank, int64_t ranks) {
     const double* centres = rows<double>(position, "position", {kAnySize, 3});
-    Tensor leaving = new_tensor<int64_t>(owner, {position.size(0)}), counts = new_tensor<int64_t>(owner, {ranks});
-    Backend(owner).leaving_bodies(centres, position.size(0), territory_view(frame, owner, rank), ranks,
-                                  data<int64_t>(leaving), data<int64_t>(counts));
-    return {leaving, counts};
+    const int64_t count = position.size(0);
+    Tensor leaving = new_tensor<int64_t>(owner, {count}), by_destination = new_tensor<int64_t>(owner, {count});
+    Tensor counts = new_tensor<int64_t>(owner, {ranks});
+    Backend(owner).leaving_bodies(centres, count, territory_view(frame, owner, rank), ranks,
+                                  {data<int64_t>(leaving), data<int64_t>(by_destination), data<int64_t>(counts)});
+    return {leaving, by_destination, counts};
   }
 };
 

@@ -24,9 +24,9 @@ class TerritoryOnCpu {
                    const FoundRows& near) const {
     near_ghosts_cpu(executor_, bodies, ghosts, territory, near);
   }
-  void leaving_bodies(const double* position, int64_t count, const Territory& territory, int64_t ranks, int64_t* rows,
-                      int64_t* destinations) const {
-    leaving_bodies_cpu(executor_, position, count, territory, ranks, rows, destinations);
+  void leaving_bodies(const double* position, int64_t count, const Territory& territory, int64_t ranks,
+                      const LeavingRows& leaving) const {
+    leaving_bodies_cpu(executor_, position, count, territory, ranks, leaving);
   }
 
  private:

@@ -27,9 +27,9 @@ class TerritoryOnCuda {
                    const FoundRows& near) const {
     near_ghosts_cuda(session_.context(), bodies, ghosts, territory, near);
   }
-  void leaving_bodies(const double* position, int64_t count, const Territory& territory, int64_t ranks, int64_t* rows,
-                      int64_t* destinations) const {
-    leaving_bodies_cuda(session_.context(), position, count, territory, ranks, rows, destinations);
+  void leaving_bodies(const double* position, int64_t count, const Territory& territory, int64_t ranks,
+                      const LeavingRows& leaving) const {
+    leaving_bodies_cuda(session_.context(), position, count, territory, ranks, leaving);
   }
 
  private:

@@ -19,5 +19,5 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "(Tensor near, Tensor found)");
   library.def(
       "leaving_bodies(Tensor position, float[] frame, Tensor owner, int rank, int ranks) -> (Tensor leaving, "
-      "Tensor counts)");
+      "Tensor by_destination, Tensor counts)");
 }

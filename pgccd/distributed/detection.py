@@ -164,8 +164,10 @@ def _border(
 
 def _joined(bodies: MovingBodies, ghosts: MovingBodies) -> MovingBodies:
     """Both, own bodies first."""
-    more = _columns(ghosts)
-    return _bodies(bodies, {name: torch.cat([column, more[name]]) for name, column in _columns(bodies).items()})
+    own, more = _columns(bodies), _columns(ghosts)
+    everybody = torch.arange(bodies.scene.body_count + ghosts.scene.body_count, device=bodies.device)
+    joined = ops.take_rows(list(own.values()), [more[name] for name in own], everybody)
+    return _bodies(bodies, dict(zip(own, joined, strict=True)))
 
 
 def _earliest(contacts: Contacts, id: Tensor) -> Contacts:

@@ -4,35 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import prod
 
 import torch
 from torch import Tensor
 
+from pgccd import ops
 from pgccd.distributed.comm import Comm, Pending
 
 Columns = dict[str, Tensor]
 
 
 def pack(columns: Mapping[str, Tensor], rows: Tensor) -> Tensor:
-    """(K, bytes) uint8: the rows (K,) of all columns side by side."""
-    parts = []
-    for column in columns.values():
-        chosen = column[rows].contiguous()
-        parts.append(chosen.view(len(rows), prod(column.shape[1:])).view(torch.uint8))
-    return torch.cat(parts, dim=1)
+    """(K, bytes) uint8: the rows (K,) of all columns side by side, each in the order of the columns."""
+    return ops.pack_rows(list(columns.values()), rows)
 
 
 def unpack(packed: Tensor, like: Mapping[str, Tensor]) -> Columns:
     """The reverse of `pack`, for columns of the same names, dtypes and widths as `like`."""
-    columns, begin = {}, 0
-    for name, column in like.items():
-        width = prod(column.shape[1:]) * column.element_size()
-        shape = (len(packed), *column.shape[1:])
-        part = packed[:, begin : begin + width].clone(memory_format=torch.contiguous_format)
-        columns[name] = part.view(column.dtype).view(shape) if width else column.new_empty(shape)
-        begin += width
-    return columns
+    return dict(zip(like, ops.unpack_rows(packed, list(like.values())), strict=True))
 
 
 class Arrival:
@@ -44,7 +33,11 @@ class Arrival:
 
     def wait(self) -> Columns:
         """The rows received: by source, in the order in which each source sent them."""
-        return unpack(self._pending.wait(), self._like)
+        return unpack(self.wait_packed(), self._like)
+
+    def wait_packed(self) -> Tensor:
+        """The same, as `pack` made them: (R, bytes) uint8."""
+        return self._pending.wait()
 
 
 @dataclass(frozen=True)
@@ -83,34 +76,19 @@ def make_route(comm: Comm, rows: Tensor, destination: Tensor) -> Route:
     return Route(comm, rows[order], sent, received)
 
 
-def replace_rows(columns: Columns, removed: Tensor, added: Columns) -> Columns:
+def replace_rows(columns: Mapping[str, Tensor], removed: Tensor, added: Tensor) -> Columns:
     """Columns without some of their rows and with others, by ascending id. Each is copied once; nothing waits.
 
     Args:
-        columns: "id" (N,) int64 among them, ascending.
+        columns: the first: ids (N,) int64, ascending.
         removed: (L,) int64 rows, ascending.
-        added: the same columns of A rows in any order.
+        added: rows of the same columns in any order, packed.
     """
-    id, count = columns["id"], len(columns["id"])
-    if not len(removed) and not len(added["id"]):
-        return columns
-    added = take_rows(added, torch.argsort(added["id"]))
-    removed_id, more = id[removed], torch.arange(len(added["id"]), device=id.device)
-    # Where added rows come to be, and where the row after a removed one does.
-    at = torch.searchsorted(id, added["id"]) - torch.searchsorted(removed_id, added["id"]) + more
-    after = removed - torch.arange(len(removed), device=id.device) + torch.searchsorted(added["id"], removed_id)
-    kept = count - len(removed)
-    shift = torch.zeros(kept + len(more) + 1, dtype=torch.int64, device=id.device)
-    shift.index_add_(0, after, torch.ones_like(after)).index_add_(0, at + 1, -torch.ones_like(at))
-    source = torch.arange(kept + len(more), device=id.device) + shift.cumsum(0)[:-1]
-    source = source.clamp_(max=max(0, count - 1))  # places of added rows may point past the end
-    changed = {}
-    for name, column in columns.items():
-        changed[name] = column.index_select(0, source) if count else column.new_empty((len(more), *column.shape[1:]))
-        changed[name][at] = added[name]
-    return changed
+    if not len(removed) and not len(added):
+        return dict(columns)
+    return dict(zip(columns, ops.merge_rows(list(columns.values()), removed, added), strict=True))
 
 
 def take_rows(columns: Mapping[str, Tensor], rows: Tensor) -> Columns:
-    """The rows of all columns."""
-    return {name: column[rows] for name, column in columns.items()}
+    """The rows (K,) int64 of all columns."""
+    return dict(zip(columns, ops.take_rows(list(columns.values()), [], rows), strict=True))

@@ -27,10 +27,11 @@ class Leaving:
     """
 
     def __init__(self, comm: Comm, partition: Partition, position: Tensor) -> None:
-        self._comm, self.partition, self._position = comm, partition, position
-        self._rows, counts = ops.leaving_bodies(position, partition.territory(comm.rank), comm.size)
-        #: (ranks,) int64: how many to each.
-        self.counts = counts
+        self._comm = comm
+        #: counts (ranks,) int64: how many to each.
+        self._rows, self._by_destination, self.counts = ops.leaving_bodies(
+            position, partition.territory(comm.rank), comm.size
+        )
 
     def route(self, sent: list[int], received: list[int]) -> tuple[Route, Tensor]:
         """The way they go, and their rows, ascending.
@@ -39,9 +40,8 @@ class Leaving:
             sent: `counts`.
             received: what the other ranks' `counts` say of this one.
         """
-        rows = self._rows[: sum(sent)]
-        destination = self.partition.owner_of(self._position[rows])
-        return Route(self._comm, rows[torch.argsort(destination, stable=True)], sent, received), rows
+        count = sum(sent)
+        return Route(self._comm, self._by_destination[:count], sent, received), self._rows[:count]
 
 
 def migrate(
@@ -75,8 +75,9 @@ def migrate(
     else:
         leaving, sent, received = known
     route, rows = leaving.route(sent, received)
-    arrived = route.forward(columns).wait()
-    return replace_rows(columns, rows, arrived), len(arrived["id"])
+    id_first = {"id": columns["id"], **columns}  # by which rows are merged
+    changed = replace_rows(id_first, rows, route.forward(id_first).wait_packed())
+    return {name: changed[name] for name in columns}, sum(received)
 
 
 @dataclass(frozen=True)

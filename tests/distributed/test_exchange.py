@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from distributed.conftest import World
-from pgccd.distributed import Comm
+from pgccd.distributed import Comm, Partition
 from pgccd.distributed.exchange import Columns, make_route, pack, replace_rows, unpack
-from pgccd.distributed.migrate import Census
+from pgccd.distributed.migrate import Census, migrate
 
 
 def columns_of(rank: int, count: int) -> Columns:
@@ -42,7 +42,8 @@ def test_replacing_rows_is_sorting(ids: set[int], random: Random) -> None:
     added = random.sample(sorted(ids - set(former)), random.randint(0, len(ids) - len(former)))
     removed = sorted(random.sample(range(len(former)), random.randint(0, len(former))))
     parts = [{"id": torch.tensor(rows, dtype=torch.int64), "x": 0.5 * torch.tensor(rows)} for rows in (former, added)]
-    changed = replace_rows(parts[0], torch.tensor(removed, dtype=torch.int64), parts[1])
+    packed = pack(parts[1], torch.arange(len(added)))
+    changed = replace_rows(parts[0], torch.tensor(removed, dtype=torch.int64), packed)
     assert changed["id"].tolist() == sorted(set(former) - {former[row] for row in removed} | set(added))
     assert torch.equal(changed["x"], 0.5 * changed["id"])
 
@@ -79,6 +80,39 @@ def send_about(comm: Comm, neighbours_above: int) -> None:
 @pytest.mark.parametrize("neighbours_above", [32, 0], ids=["all to all", "neighbours"])
 def test_rows_arrive(world: World, neighbours_above: int) -> None:
     world(send_about, neighbours_above)
+
+
+def hand_over(comm: Comm) -> int:
+    """Every rank can work out who has what."""
+    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, comm.size, cells=3)
+    generator = torch.Generator().manual_seed(8)
+    count, total = 300, 0
+    position = torch.rand((count, 3), dtype=torch.float64, generator=generator)
+    holder = torch.randint(comm.size, (count,), generator=generator)
+    for _ in range(3):
+        mine = torch.nonzero(holder == comm.rank)[:, 0]
+        columns = {
+            "mood": mine % 3 == 0,
+            "id": 7 * mine - 500,
+            "x": position[mine],
+            "nothing": torch.empty(len(mine), 0),
+        }
+        found, arrived = migrate(comm, partition, columns, columns["x"])
+        owner = partition.owner_of(position)
+        kept = torch.nonzero(owner == comm.rank)[:, 0]
+        assert list(found) == list(columns)
+        assert torch.equal(found["id"], 7 * kept - 500) and torch.equal(found["mood"], kept % 3 == 0)
+        assert torch.equal(found["x"], position[kept]) and found["nothing"].shape == (len(kept), 0)
+        assert arrived == int(((owner == comm.rank) & (holder != comm.rank)).sum())
+        total += arrived
+        holder = owner
+        position = torch.rand((count, 3), dtype=torch.float64, generator=generator) ** 2
+    return total
+
+
+def test_bodies_change_hands_with_all_they_have(world: World) -> None:
+    arrived = world(hand_over)
+    assert (sum(arrived) > 0) == (len(arrived) > 1)
 
 
 def reduce_values(comm: Comm) -> None:

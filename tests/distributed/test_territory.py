@@ -90,16 +90,33 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
         is_own = torch.arange(len(pairs)) < own_count
         wanted = (reference == rank) & (is_own | is_ghost[pairs].any(dim=1))
         assert kept(*owned) == torch.nonzero(wanted)[:, 0].tolist()
-        leaving, counts = ops.leaving_bodies(here[0], territory, ranks)
+        leaving, by_destination, counts = ops.leaving_bodies(here[0], territory, ranks)
         gone = centre_owner != rank
         assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()
-        assert leaving[: int(counts.sum())].tolist() == torch.nonzero(gone)[:, 0].tolist()
+        rows = torch.nonzero(gone)[:, 0]
+        assert leaving[: len(rows)].tolist() == rows.tolist()
+        ordered = rows[torch.argsort(centre_owner[rows], stable=True)]
+        assert by_destination[: len(rows)].tolist() == ordered.tolist()
+
+
+def test_many_leave_for_many(device: torch.device) -> None:
+    """More than there are threads to put them in order."""
+    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 12, cells=3)
+    position = torch.rand((30_000, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(4))
+    owner, rank = partition.owner_of(position), 7
+    leaving, by_destination, counts = ops.leaving_bodies(
+        position.to(device), (partition.frame, partition.owner.to(device), rank), partition.ranks
+    )
+    rows = torch.nonzero(owner != rank)[:, 0]
+    assert counts.tolist() == torch.bincount(owner[rows], minlength=partition.ranks).tolist()
+    assert torch.equal(leaving[: len(rows)].cpu(), rows)
+    assert torch.equal(by_destination[: len(rows)].cpu(), rows[torch.argsort(owner[rows], stable=True)])
 
 
 def test_positions_that_are_no_numbers_have_a_cell() -> None:
     partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     wrong = torch.tensor([[torch.nan] * 3, [torch.inf] * 3, [-torch.inf] * 3], dtype=torch.float64)
-    _, counts = ops.leaving_bodies(wrong, partition.territory(5), 2)
+    *_, counts = ops.leaving_bodies(wrong, partition.territory(5), 2)
     assert int(counts.sum()) == 3
 
 

@@ -27,8 +27,14 @@ void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t 
 void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const BroadBodies& ghosts,
                      const Territory& territory, const FoundRows& near);
 
-// Bodies whose centre (count, 3) lies in a cell of another rank; how many in those of each, destinations (ranks,).
+struct LeavingRows {
+  int64_t* rows;            // room for all; ascending
+  int64_t* by_destination;  // the same rows, those to each rank together
+  int64_t* counts;          // (ranks,) how many to each
+};
+
+// Bodies whose centre (count, 3) lies in a cell of another rank.
 void leaving_bodies_cpu(const Executor& executor, const double* position, int64_t count, const Territory& territory,
-                        int64_t ranks, int64_t* rows, int64_t* destinations);
+                        int64_t ranks, const LeavingRows& leaving);
 
 }  // namespace pgccd

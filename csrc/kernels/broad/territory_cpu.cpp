@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <numeric>
 #include <vector>
 
 #include "kernels/broad/territory.h"
@@ -54,12 +55,18 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
 }
 
 void leaving_bodies_cpu(const Executor& executor, const double* position, int64_t count, const Territory& territory,
-                        int64_t ranks, int64_t* rows, int64_t* destinations) {
+                        int64_t ranks, const LeavingRows& leaving) {
   int64_t found = 0;
-  find_rows(executor, count, rows, &found,
+  find_rows(executor, count, leaving.rows, &found,
             [&](int64_t body) { return owner_of(territory, position, body) != territory.rank; });
-  std::fill_n(destinations, ranks, int64_t{0});
-  for (int64_t k = 0; k < found; ++k) ++destinations[owner_of(territory, position, rows[k])];
+  const auto destination = [&](int64_t k) { return owner_of(territory, position, leaving.rows[k]); };
+  std::fill_n(leaving.counts, ranks, int64_t{0});
+  for (int64_t k = 0; k < found; ++k) ++leaving.counts[destination(k)];
+  std::vector<int64_t> next(static_cast<size_t>(ranks));
+  std::exclusive_scan(leaving.counts, leaving.counts + ranks, next.begin(), int64_t{0});
+  for (int64_t k = 0; k < found; ++k) {
+    leaving.by_destination[next[static_cast<size_t>(destination(k))]++] = leaving.rows[k];
+  }
 }
 
 }  // namespace pgccd

@@ -7,6 +7,9 @@ namespace {
 // Cells of a body are dealt out to so many threads: a large one reaches very many.
 constexpr int kBodyThreads = 32;
 
+// Into which bodies that leave are divided, each for one thread.
+constexpr int64_t kMostShares = 4096;
+
 __device__ void lower_to(int64_t* target, int64_t value) {
   if (*target > value) atomicMin(reinterpret_cast<long long*>(target), static_cast<long long>(value));
 }
@@ -72,13 +75,36 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
 }
 
 void leaving_bodies_cuda(const DeviceContext& context, const double* position, int64_t count,
-                         const Territory& territory, int64_t ranks, int64_t* rows, int64_t* destinations) {
+                         const Territory& territory, int64_t ranks, const LeavingRows& leaving) {
+  const int64_t shares = smaller(count, kMostShares), slots = ranks * shares;
+  if (slots == 0) return fill_bytes(context, leaving.counts, 0, ranks);
   int64_t* found = context.allocate<int64_t>(1);
-  find_rows(context, count, rows, found,
+  find_rows(context, count, leaving.rows, found,
             [=] __device__(int64_t body) { return owner_of(territory, position, body) != territory.rank; });
-  fill_bytes(context, destinations, 0, ranks);
-  for_each_counted(context, found, count, [=] __device__(int64_t k) {
-    atomicAdd(reinterpret_cast<unsigned long long*>(destinations) + owner_of(territory, position, rows[k]), 1ULL);
+  // A counting sort, since the device alone knows how many there are. Each share goes through its rows in order, so
+  // that those to one rank stay in order. next (ranks, shares): where a share's next row to a rank comes.
+  int64_t* next = context.allocate<int64_t>(slots);
+  const int64_t* rows = leaving.rows;
+  for_each_item(context, shares, [=] __device__(int64_t share) {
+    for (int64_t rank = 0; rank < ranks; ++rank) next[rank * shares + share] = 0;
+    const int64_t begin = *found * share / shares, end = *found * (share + 1) / shares;
+    for (int64_t k = begin; k < end; ++k) {
+      ++next[owner_of(territory, position, rows[k]) * shares + share];
+    }
+  });
+  run_cub(context, [&](void* scratch, size_t& bytes) {
+    return cub::DeviceScan::ExclusiveSum(scratch, bytes, next, next, slots, context.stream);
+  });
+  int64_t* counts = leaving.counts;
+  for_each_item(context, ranks, [=] __device__(int64_t rank) {
+    counts[rank] = (rank + 1 < ranks ? next[(rank + 1) * shares] : *found) - next[rank * shares];
+  });
+  int64_t* by_destination = leaving.by_destination;
+  for_each_item(context, shares, [=] __device__(int64_t share) {
+    const int64_t begin = *found * share / shares, end = *found * (share + 1) / shares;
+    for (int64_t k = begin; k < end; ++k) {
+      by_destination[next[owner_of(territory, position, rows[k]) * shares + share]++] = rows[k];
+    }
   });
 }
 

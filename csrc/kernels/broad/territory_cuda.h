@@ -19,6 +19,6 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
                       const Territory& territory, const FoundRows& near);
 
 void leaving_bodies_cuda(const DeviceContext& context, const double* position, int64_t count,
-                         const Territory& territory, int64_t ranks, int64_t* rows, int64_t* destinations);
+                         const Territory& territory, int64_t ranks, const LeavingRows& leaving);
 
 }  // namespace pgccd

@@ -1,0 +1,180 @@
+"""Detection on one device: checks, bounds, the stages one by one, the stages in a fixed room, elementary tests."""
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from pgccd.contacts import ContactRows
+from pgccd.ops import library
+
+
+def first_faults(columns: Sequence[Tensor], checks: Sequence[int], limits: Sequence[float]) -> Tensor:
+    """First faulty row of each column (rows, width), or its number of rows; then 1 if there is any, else 0: (n + 1,).
+
+    Checks: 0, no number's magnitude exceeds the limit; 1, a row's length is 1 within the limit; 2, nor exceeds it.
+    """
+    return library.operators.first_faults(list(columns), list(checks), list(limits))
+
+
+def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
+    """Rotation vectors (N, 3) of the turns between two orientations (N, 4)."""
+    return library.operators.rotations_between(orientation_t0.contiguous(), orientation_t1.contiguous())
+
+
+def refit(
+    mesh_set: Sequence[Tensor],
+    mesh_index: Tensor,
+    vertices_t0: Tensor,
+    vertices_t1: Tensor,
+    vertex_begin: Tensor,
+    block_begin: Tensor,
+    block_count: int,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Centres at t0 and t1 (N, 3), radius (N,), and node blocks (Y, 9, 8) at t0 and t1 of deforming bodies."""
+    return library.operators.refit(
+        list(mesh_set), mesh_index, vertices_t0, vertices_t1, vertex_begin, block_begin, block_count
+    )
+
+
+def sweep(
+    position_t0: Tensor,
+    position_t1: Tensor,
+    radius: Tensor,
+    group: Tensor | None,
+    mask: Tensor | None,
+    world: Tensor | None,
+    is_static: Tensor | None,
+    min_separation: float,
+    axis: int,
+) -> Tensor:
+    """Sorted pairs (P, 2) int64 of swept spheres that meet."""
+    return library.operators.sweep(
+        position_t0, position_t1, radius, group, mask, world, is_static, min_separation, axis
+    )
+
+
+def grid(
+    position_t0: Tensor,
+    position_t1: Tensor,
+    radius: Tensor,
+    group: Tensor | None,
+    mask: Tensor | None,
+    world: Tensor | None,
+    is_static: Tensor | None,
+    min_separation: float,
+) -> Tensor:
+    """As `sweep`, by a hashed grid."""
+    return library.operators.grid(position_t0, position_t1, radius, group, mask, world, is_static, min_separation)
+
+
+def lbvh(
+    position_t0: Tensor,
+    position_t1: Tensor,
+    radius: Tensor,
+    group: Tensor | None,
+    mask: Tensor | None,
+    world: Tensor | None,
+    is_static: Tensor | None,
+    min_separation: float,
+) -> Tensor:
+    """As `sweep`, by a linear bounding volume hierarchy."""
+    return library.operators.lbvh(position_t0, position_t1, radius, group, mask, world, is_static, min_separation)
+
+
+def swept_boxes(
+    position_t0: Tensor, position_t1: Tensor, radius: Tensor, min_separation: float
+) -> tuple[Tensor, Tensor]:
+    """Lower and upper corners (N, 3) of the boxes of swept spheres with half the separation, rounded outward."""
+    return library.operators.swept_boxes(position_t0, position_t1, radius, min_separation)
+
+
+def traverse_rigid(
+    mesh_set: Sequence[Tensor],
+    bodies: Sequence[Tensor],
+    linear_path: bool,
+    pairs: Tensor,
+    horizon: Tensor | None,
+    min_separation: float,
+    tolerance: float,
+    leading: bool,
+) -> tuple[Tensor, Tensor]:
+    """Candidates (C, 4) int32 of rigid body pairs, and the number of node tests (1,)."""
+    return library.operators.traverse_rigid(
+        list(mesh_set), list(bodies), linear_path, pairs, horizon, min_separation, tolerance, leading
+    )
+
+
+def traverse_deforming(mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest: object) -> tuple[Tensor, Tensor]:
+    """As `traverse_rigid`, for deforming bodies, whose paths are linear."""
+    return library.operators.traverse_deforming(list(mesh_set), list(bodies), *rest)
+
+
+def narrow_rigid(
+    mesh_set: Sequence[Tensor],
+    bodies: Sequence[Tensor],
+    linear_path: bool,
+    pairs: Tensor,
+    candidates: Tensor,
+    min_separation: float,
+    tolerance: float,
+    nonzero_toi: bool,
+    report: int,
+) -> ContactRows:
+    """Contact rows of the candidates of rigid body pairs."""
+    return library.operators.narrow_rigid(
+        list(mesh_set), list(bodies), linear_path, pairs, candidates, min_separation, tolerance, nonzero_toi, report
+    )
+
+
+def narrow_deforming(mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest: object) -> ContactRows:
+    """As `narrow_rigid`, for deforming bodies, whose paths are linear."""
+    return library.operators.narrow_deforming(list(mesh_set), list(bodies), *rest)
+
+
+def pairs_within(
+    position_t0: Tensor,
+    position_t1: Tensor,
+    radius: Tensor,
+    group: Tensor | None,
+    mask: Tensor | None,
+    world: Tensor | None,
+    is_static: Tensor | None,
+    is_invalid: Tensor | None,
+    min_separation: float,
+    broad_phase: int,
+    capacity: Sequence[int],
+) -> tuple[Tensor, Tensor]:
+    """Pairs padded with -1, and counts (7,): see `pgccd.capacity`. Waits for nothing on a GPU."""
+    columns = position_t0, position_t1, radius, group, mask, world, is_static, is_invalid
+    return library.operators.pairs_within(*columns, min_separation, broad_phase, list(capacity))
+
+
+def contacts_within_rigid(
+    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool, *rest: object
+) -> tuple[Tensor, ...]:
+    """As `contacts_within_deforming`, for rigid bodies."""
+    return library.operators.contacts_within_rigid(list(mesh_set), list(bodies), linear_path, *rest)
+
+
+def contacts_within_deforming(
+    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest: object
+) -> tuple[Tensor, ...]:
+    """Contact rows padded, with body pairs first; all counts (21,) and then the faults. Waits for nothing on a GPU.
+
+    `rest`: pairs, pair_counts, faults, min_separation, tolerance, nonzero_toi, report, capacity.
+    """
+    return library.operators.contacts_within_deforming(list(mesh_set), list(bodies), *rest)
+
+
+def vertex_face(
+    points_t0: Tensor, points_t1: Tensor, min_separation: float, tolerance: float, nonzero_toi: bool
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Status (n,), toi (n,), coordinates (n, 2), significant bits (n,) of vertex-face queries (n, 4, 3), f32 or f64."""
+    return library.operators.vertex_face(points_t0, points_t1, min_separation, tolerance, nonzero_toi)
+
+
+def edge_edge(
+    points_t0: Tensor, points_t1: Tensor, min_separation: float, tolerance: float, nonzero_toi: bool
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Status (n,), toi (n,), coordinates (n, 2), significant bits (n,) of edge-edge queries (n, 4, 3), f32 or f64."""
+    return library.operators.edge_edge(points_t0, points_t1, min_separation, tolerance, nonzero_toi)

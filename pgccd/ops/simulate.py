@@ -1,0 +1,85 @@
+"""The nanorobot world: its start, its steps, its response to contacts."""
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from pgccd.ops import library
+
+
+def simulate_start(id: Tensor, integers: Sequence[int], scales: Sequence[float]) -> tuple[Tensor, ...]:
+    """Position, orientation, velocity, angular velocity, target and stay of the robots `id` (N,) at the start."""
+    return library.operators.simulate_start(id, list(integers), list(scales))
+
+
+def simulate_plan(
+    state: Sequence[Tensor], step: int, integers: Sequence[int], scales: Sequence[float]
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Velocity, angular velocity, target and stay of robots for the step to come."""
+    _check_counter_words(step=step)
+    return library.operators.simulate_plan(list(state), step, list(integers), list(scales))
+
+
+def simulate_respond(state: Sequence[Tensor], fraction: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Position, orientation, velocity and angular velocity of robots that made `fraction` (N,) of a step."""
+    return library.operators.simulate_respond(list(state), fraction)
+
+
+def simulate_pair_motion(
+    own: Sequence[Tensor], ghosts: Sequence[Tensor], fraction: Tensor, pairs: Tensor, mesh_radius: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Mesh, position at t0 and t1, radius, orientation and rotation of the robots of pairs (P, 2), two rows a pair, of
+    which each makes `fraction` (N + G,) of its step; pairs may be padded with -1. own, ghosts: the first five columns
+    of a state; rows of ghosts follow own ones. mesh_radius (M,): the robot with id k has mesh k modulo M."""
+    return library.operators.simulate_pair_motion(list(own), list(ghosts), fraction, pairs, mesh_radius)
+
+
+def simulate_slow_down(
+    robots: Tensor, first: Tensor, fraction: Tensor, approach: float, smallest: float
+) -> tuple[Tensor, Tensor]:
+    """What the rows `robots` (R,) make of a step, given first toi and fraction so far (N,), and who changes (uint8)."""
+    return library.operators.simulate_slow_down(robots, first, fraction, approach, smallest)
+
+
+def simulate_slow_all_down(
+    first: Tensor, fraction: Tensor, changed: Tensor, approach: float, smallest: float
+) -> Tensor:
+    """The same for all robots, in place: fraction (N,), and changed (N,) uint8, 1 for those that change; first (N,)
+    becomes infinite. Returns (1,) int64: 1 if any changes, else 0."""
+    return library.operators.simulate_slow_all_down(first, fraction, changed, approach, smallest)
+
+
+def simulate_first_toi(first: Tensor, robots: Tensor | None, pairs: Tensor, toi: Tensor) -> None:
+    """Lowers first (N,), in place, to the toi (K,) of contacts of pairs (K, 2) of robots, which may be padded with -1;
+    or of copies of robots: robots (C,) says of which each is one."""
+    library.operators.simulate_first_toi(first, robots, pairs, toi)
+
+
+def simulate_concerned_pairs(pairs: Tensor, changed: Tensor, room: int) -> tuple[Tensor, Tensor]:
+    """Those of the pairs (P, 2) with a robot of which changed (N,) uint8 is 1: (room, 2), padded with -1; and counts
+    (7,) as of `pairs_within`. Waits for nothing on a GPU."""
+    return library.operators.simulate_concerned_pairs(pairs, changed, room)
+
+
+def simulate_tally(state: Sequence[Tensor], fraction: Tensor, id: Tensor, pairs: Tensor, toi: Tensor) -> Tensor:
+    """(6,) int64 of a step: robots, hash of contacts, hash of states, robots that stopped, contacts at its start, hash
+    of ids. state: columns after it (N, ...), ids first; fraction (N,) of it that each made; contacts are of pairs
+    (K, 2), which may be padded with -1, of robots with these id (H,)."""
+    return library.operators.simulate_tally([column.contiguous() for column in state], fraction, id, pairs, toi)
+
+
+def simulate_hash(columns: Sequence[Tensor]) -> Tensor:
+    """(1,) int64: the sum modulo 2^64 of the rows' hashes; columns (N,) or (N, k), int64 or float64."""
+    return library.operators.simulate_hash([column.contiguous() for column in columns])
+
+
+def random_uniforms(id: Tensor, seed: int, step: int, stream: int) -> Tensor:
+    """Numbers (N, 4) in (0, 1) of the counters (id, step, stream): Philox4x32-10, key `seed` (any int64)."""
+    _check_counter_words(step=step, stream=stream)
+    return library.operators.random_uniforms(id.contiguous(), seed, step, stream)
+
+
+def _check_counter_words(**words: int) -> None:
+    for name, word in words.items():
+        if not 0 <= word < 2**32:
+            raise ValueError(f"{name}: expected a value in [0, 2^32), got {word}")
