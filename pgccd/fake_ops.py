@@ -60,16 +60,28 @@ def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, ...]:
     return centres[2].new_empty((count,), dtype=torch.uint8), *_fake_rows(count, centres[2])
 
 
-@torch.library.register_fake("pgccd::reached_ranks")
+@torch.library.register_fake("pgccd::holders_of")
 def _(
-    centres: list[Tensor], min_separation: float, frame: list[float], owner: Tensor, bodies: Tensor, ranks: int
-) -> Tensor:
-    return owner.new_empty((bodies.shape[0], ranks), dtype=torch.uint8)
+    centres: list[Tensor],
+    min_separation: float,
+    frame: list[float],
+    owner: Tensor,
+    rank: int,
+    bodies: Tensor,
+    received: list[int],
+    ranks: int,
+) -> tuple[Tensor, Tensor]:
+    return owner.new_empty((bodies.shape[0], ranks), dtype=torch.uint8), owner.new_empty((ranks,))
+
+
+@torch.library.register_fake("pgccd::rows_by_rank")
+def _(holders: Tensor, rows: Tensor, count: int) -> Tensor:
+    return rows.new_empty((count,))
 
 
 @torch.library.register_fake("pgccd::owned_pairs")
-def _(pairs: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
-    return _fake_rows(pairs.shape[0], pairs)
+def _(pairs: Tensor, crossing: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
+    return pairs.new_empty((pairs.shape[0] + crossing.shape[0], 2)), pairs.new_empty((1,))
 
 
 @torch.library.register_fake("pgccd::near_ghosts")

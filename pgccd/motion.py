@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Literal
 
@@ -89,8 +90,9 @@ class RigidMotion:
         spin = _rows(angular_velocity, "angular_velocity", count, 3, position.device)
         motion = cls.__new__(cls)
         start = _rows(position, "position", count, 3, position.device)
-        motion._set(start, orientation, start + dt * velocity, path)
-        motion.rotation = (dt * spin).contiguous()
+        travel, turn = (velocity, spin) if dt == 1.0 else (dt * velocity, dt * spin)
+        motion._set(start, orientation, start + travel, path)
+        motion.rotation = turn.contiguous()
         # Named before the positions that follow from them.
         motion._check({"linear_velocity": (velocity, *_FINITE), "angular_velocity": (motion.rotation, *_TURN)})
         return motion
@@ -240,15 +242,19 @@ class _Faults:
         device: torch.device | None = None,
     ) -> None:
         self._names, self._row, self._count, self._are_none = list(columns), row, 0, not columns
+        self._device = device
         if not columns:
-            self.first = torch.zeros(1, dtype=torch.int64, device=device)
             return
         values, checks, limits = zip(*columns.values(), strict=True)
         self._count = values[0].shape[0]
-        #: (F + 1,) int64: the first faulty row of each column, or the number of rows; and whether there is any.
         self.first = ops.first_faults(values, checks, limits)
         if self.first.device.type == "cpu" and not torch.compiler.is_compiling():
             self.check()
+
+    @functools.cached_property
+    def first(self) -> Tensor:
+        """(F + 1,) int64: the first faulty row of each column, or the number of rows; and whether there is any."""
+        return torch.zeros(1, dtype=torch.int64, device=self._device)
 
     def check(self) -> None:
         if not self._are_none:

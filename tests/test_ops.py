@@ -37,9 +37,11 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     centres = [moving.position_t0, moving.position_t1, moving.radius]
     territory = partition.territory(1)
     reach, border, _ = ops.border_bodies(centres, 0.01, territory)
-    ops.reached_ranks(centres, 0.01, territory, torch.arange(len(border), device=moving.device), 2)
-    pairs = torch.combinations(torch.arange(len(border), device=moving.device))
-    ops.owned_pairs(pairs, 3, centres, 0.01, reach, territory)
+    rows = torch.arange(len(border), device=moving.device)
+    holders, counts = ops.holders_of(centres, 0.01, territory, rows, 2, [2, len(border) - 2])
+    ops.rows_by_rank(holders, rows, int(counts.sum()))
+    pairs = torch.combinations(rows)
+    ops.owned_pairs(pairs[:3], pairs, rows, rows, centres, 0.01, reach, territory)
     ops.near_ghosts(centres, [column[:1] for column in centres], 0.01, territory)
     ops.leaving_bodies(moving.position_t0, territory, 2)
 

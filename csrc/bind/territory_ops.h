@@ -1,6 +1,8 @@
 // The operators by which ranks share bodies out, written once for both backends.
 #pragma once
 
+#include <numeric>
+
 #include "bind/detect_ops.h"
 #include "kernels/broad/territory.h"
 
@@ -40,26 +42,47 @@ struct TerritoryOps {
     return {reach, border, found};
   }
 
-  static Tensor reached_ranks(const TensorList& centres, double min_separation, FrameList frame, const Tensor& owner,
-                              const Tensor& bodies, int64_t ranks) {
-    const int64_t* wanted = rows<int64_t>(bodies, "bodies", {kAnySize});
-    Tensor reached = new_tensor<uint8_t>(owner, {bodies.size(0), ranks});
-    Backend(owner).reached_ranks(centres_view(centres, "centres", min_separation), territory_view(frame, owner, 0),
-                                 wanted, bodies.size(0), ranks, data<uint8_t>(reached));
-    return reached;
+  static std::tuple<Tensor, Tensor> holders_of(const TensorList& centres, double min_separation, FrameList frame,
+                                               const Tensor& owner, int64_t rank, const Tensor& bodies,
+                                               std::vector<int64_t> received, int64_t ranks) {
+    const HoldersInput input{centres_view(centres, "centres", min_separation), territory_view(frame, owner, rank),
+                             rows<int64_t>(bodies, "bodies", {kAnySize}), bodies.size(0), received};
+    const bool sums_up = std::accumulate(received.begin(), received.end(), int64_t{0}) == bodies.size(0);
+    STD_TORCH_CHECK(received.empty() || (static_cast<int64_t>(received.size()) == ranks && sums_up),
+                    "received: expected numbers of ", ranks, " ranks, ", bodies.size(0), " in all");
+    Tensor holders = new_tensor<uint8_t>(owner, {bodies.size(0), ranks}), counts = new_tensor<int64_t>(owner, {ranks});
+    Backend(owner).holders_of(input, {ranks, data<uint8_t>(holders), data<int64_t>(counts)});
+    return {holders, counts};
   }
 
-  static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, int64_t own_count, const TensorList& centres,
-                                                double min_separation, const Tensor& reach, FrameList frame,
-                                                const Tensor& owner, int64_t rank) {
+  static Tensor rows_by_rank(const Tensor& holders, const Tensor& bodies, int64_t count) {
+    const int64_t row_count = bodies.size(0), ranks = holders.size(1);
+    STD_TORCH_CHECK(count >= 0 && count <= row_count * ranks, "count: expected at most ", row_count * ranks, ", got ",
+                    count);
+    Tensor by_rank = new_tensor<int64_t>(bodies, {count});
+    Backend(bodies).rows_by_rank(rows<uint8_t>(holders, "holders", {row_count, ranks}),
+                                 rows<int64_t>(bodies, "rows", {kAnySize}), row_count, ranks, count,
+                                 data<int64_t>(by_rank));
+    return by_rank;
+  }
+
+  static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const Tensor& crossing, const Tensor& border,
+                                                const Tensor& id, const TensorList& centres, double min_separation,
+                                                const Tensor& reach, FrameList frame, const Tensor& owner,
+                                                int64_t rank) {
     OwnedPairs input;
     input.bodies = centres_view(centres, "centres", min_separation);
     input.territory = territory_view(frame, owner, rank);
-    input.reach = rows<uint8_t>(reach, "reach", {input.bodies.count});
+    input.reach = rows<uint8_t>(reach, "reach", {kAnySize});
+    input.own_count = reach.size(0);
+    input.id = rows<int64_t>(id, "id", {input.bodies.count});
     input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
-    input.own_count = own_count;
-    Tensor owned = new_tensor<int64_t>(owner, {pairs.size(0)}), found = new_tensor<int64_t>(owner, {1});
-    Backend(owner).owned_pairs(input, pairs.size(0), {data<int64_t>(owned), data<int64_t>(found)});
+    input.own_pairs = pairs.size(0);
+    input.crossing = rows<int64_t>(crossing, "crossing", {kAnySize, 2});
+    input.crossing_pairs = crossing.size(0);
+    input.border = rows<int64_t>(border, "border", {kAnySize});
+    Tensor owned = new_tensor<int64_t>(owner, {input.count(), 2}), found = new_tensor<int64_t>(owner, {1});
+    Backend(owner).owned_pairs(input, data<int64_t>(owned), data<int64_t>(found));
     return {owned, found};
   }
 
@@ -88,7 +111,8 @@ struct TerritoryOps {
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
 #define PGCCD_REGISTER_TERRITORY_OPS(library, Backend)                             \
   library.impl("border_bodies", TORCH_BOX(&TerritoryOps<Backend>::border_bodies)); \
-  library.impl("reached_ranks", TORCH_BOX(&TerritoryOps<Backend>::reached_ranks)); \
+  library.impl("holders_of", TORCH_BOX(&TerritoryOps<Backend>::holders_of));       \
+  library.impl("rows_by_rank", TORCH_BOX(&TerritoryOps<Backend>::rows_by_rank));   \
   library.impl("owned_pairs", TORCH_BOX(&TerritoryOps<Backend>::owned_pairs));     \
   library.impl("near_ghosts", TORCH_BOX(&TerritoryOps<Backend>::near_ghosts));     \
   library.impl("leaving_bodies", TORCH_BOX(&TerritoryOps<Backend>::leaving_bodies))

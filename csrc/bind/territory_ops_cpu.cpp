@@ -13,12 +13,13 @@ class TerritoryOnCpu {
                      const FoundRows& border) const {
     border_bodies_cpu(executor_, bodies, territory, reach, border);
   }
-  void reached_ranks(const BroadBodies& bodies, const Territory& territory, const int64_t* rows, int64_t row_count,
-                     int64_t ranks, uint8_t* reached) const {
-    reached_ranks_cpu(executor_, bodies, territory, rows, row_count, ranks, reached);
+  void holders_of(const HoldersInput& input, const Holders& out) const { holders_of_cpu(executor_, input, out); }
+  void rows_by_rank(const uint8_t* holders, const int64_t* rows, int64_t row_count, int64_t ranks, int64_t count,
+                    int64_t* by_rank) const {
+    rows_by_rank_cpu(holders, rows, row_count, ranks, count, by_rank);
   }
-  void owned_pairs(const OwnedPairs& input, int64_t pair_count, const FoundRows& owned) const {
-    owned_pairs_cpu(executor_, input, pair_count, owned);
+  void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
+    owned_pairs_cpu(executor_, input, owned, found);
   }
   void near_ghosts(const BroadBodies& bodies, const BroadBodies& ghosts, const Territory& territory,
                    const FoundRows& near) const {

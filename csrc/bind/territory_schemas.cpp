@@ -9,11 +9,12 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "border_bodies(Tensor[] centres, float min_separation, float[] frame, Tensor owner, int rank) -> (Tensor reach, "
       "Tensor border, Tensor found)");
   library.def(
-      "reached_ranks(Tensor[] centres, float min_separation, float[] frame, Tensor owner, Tensor bodies, int ranks) -> "
-      "Tensor");
+      "holders_of(Tensor[] centres, float min_separation, float[] frame, Tensor owner, int rank, Tensor bodies, "
+      "int[] received, int ranks) -> (Tensor holders, Tensor counts)");
+  library.def("rows_by_rank(Tensor holders, Tensor rows, int count) -> Tensor");
   library.def(
-      "owned_pairs(Tensor pairs, int own_count, Tensor[] centres, float min_separation, Tensor reach, "
-      "float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
+      "owned_pairs(Tensor pairs, Tensor crossing, Tensor border, Tensor id, Tensor[] centres, float min_separation, "
+      "Tensor reach, float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
   library.def(
       "near_ghosts(Tensor[] centres, Tensor[] ghosts, float min_separation, float[] frame, Tensor owner, int rank) -> "
       "(Tensor near, Tensor found)");

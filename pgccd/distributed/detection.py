@@ -19,7 +19,7 @@ from pgccd.contacts import Contacts
 from pgccd.detect import find_contacts
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns, take_rows
-from pgccd.distributed.halo import IS_GHOST, REACHES_OTHERS, Centres, Halo, Held, HeldExchange, centres_of
+from pgccd.distributed.halo import Centres, Halo, Held, HeldExchange, centres_of
 from pgccd.distributed.partition import Partition
 from pgccd.motion import RigidMotion
 from pgccd.query import Query
@@ -54,8 +54,7 @@ class Share:
 
     def exchange(self, partition: Partition) -> HeldExchange:
         """How ranks that hold a body agree about it."""
-        ghosts = cast(Centres, tuple(column[self.held.own_count :] for column in centres_of(self.bodies)))
-        return HeldExchange(self.held, ghosts, self.min_separation, partition)
+        return HeldExchange(self.held, centres_of(self.bodies), self.min_separation, partition)
 
 
 @dataclass(frozen=True)
@@ -129,27 +128,23 @@ def find_share(
     held = held or _wait(halo, clock)
     if halo.reach is None:  # there are no others
         return Share(held, bodies, pairs, separation)
-    own_pairs, reach = len(pairs), halo.reach
+    crossing, border = pairs[:0], held.border
     if held.ghost_count:
         with clock.stage("halo"):
             bodies = _joined(bodies, _told(*build(held.ghosts)))
-            border, rows = _border(bodies, held, separation, territory)
+            border = _border(bodies, held, separation, territory)
+            at_border = _bodies(bodies, take_rows(_columns(bodies), border))
         with clock.stage("broad"):
-            crossing = broad.find_pairs(border, separation, options.broad_phase)
-            pairs = torch.cat([pairs, rows[crossing]])
-            reach = torch.cat([reach, reach.new_full((held.ghost_count,), REACHES_OTHERS | IS_GHOST)])
+            crossing = broad.find_pairs(at_border, separation, options.broad_phase)
     with clock.stage("broad"):
         # Whose reference point lies in a cell of this rank; of those that cross, only pairs with a ghost.
-        owned, found = ops.owned_pairs(pairs, own_pairs, centres_of(bodies), separation, reach, territory)
-        count = int(found)
-        pairs = pairs if count == len(pairs) else pairs[owned[:count]]
-    return Share(held, bodies, pairs, separation)
+        where = (centres_of(bodies), separation, halo.reach, territory)
+        owned, found = ops.owned_pairs(pairs, crossing, border, held.id, *where)
+    return Share(held, bodies, owned[: int(found)], separation)
 
 
-def _border(
-    bodies: MovingBodies, held: Held, separation: float, territory: ops.Territory
-) -> tuple[MovingBodies, Tensor]:
-    """Ghosts and all own bodies near them, by ascending id; and their rows among the bodies held.
+def _border(bodies: MovingBodies, held: Held, separation: float, territory: ops.Territory) -> Tensor:
+    """(B,) int64: the rows of all own bodies near ghosts, and of ghosts.
 
     A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the box
     around all ghosts.
@@ -157,9 +152,7 @@ def _border(
     sizes = [held.own_count, held.ghost_count]
     own, ghosts = zip(*(column.split(sizes) for column in centres_of(bodies)), strict=True)
     near, found = ops.near_ghosts(own, ghosts, separation, territory)
-    rows = torch.cat([near[: int(found)], torch.arange(held.own_count, len(held), device=near.device)])
-    rows = rows[torch.argsort(held.id[rows])]
-    return _bodies(bodies, take_rows(_columns(bodies), rows)), rows
+    return torch.cat([near[: int(found)], torch.arange(held.own_count, len(held), device=near.device)])
 
 
 def _joined(bodies: MovingBodies, ghosts: MovingBodies) -> MovingBodies:
@@ -200,7 +193,7 @@ _MOTION = ("position_t0", "orientation_t0", "position_t1", "rotation")
 def _columns(bodies: MovingBodies) -> Columns:
     """All that a scene and a motion say of each body."""
     columns = {name: getattr(bodies.motion, name) for name in _MOTION}
-    columns |= {name: getattr(bodies.scene, name) for name in ("mesh_index", *FILTERS)}
+    columns |= {name: getattr(bodies.scene, name) for name in ("mesh_index", "radius", *FILTERS)}
     return {name: column for name, column in columns.items() if column is not None}
 
 
@@ -208,6 +201,7 @@ def _bodies(like: MovingBodies, columns: Columns) -> MovingBodies:
     """The reverse: bodies of the same meshes on paths of the same kind."""
     filters = {name: columns[name] for name in FILTERS if name in columns}
     scene = Scene.of_checked(like.scene.meshes, columns["mesh_index"], **filters)
+    scene.radius = columns["radius"]
     position_t0, orientation, position_t1, rotation = (columns[name] for name in _MOTION)
     path = cast(RigidMotion, like.motion).path
     return MovingBodies(scene, RigidMotion.of_checked(position_t0, orientation, position_t1, rotation, path))

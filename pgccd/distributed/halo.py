@@ -22,9 +22,6 @@ from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Arrival, Columns, Route
 from pgccd.distributed.partition import Partition
 
-#: Bits of `reach`: the body reaches cells of other ranks; it is a ghost.
-REACHES_OTHERS, IS_GHOST = 1, 2
-
 #: Centres at t0 and t1 (N, 3) and SBV radius (N,) of bodies.
 Centres = tuple[Tensor, Tensor, Tensor]
 
@@ -43,6 +40,7 @@ class Held:
     route: Route  #: that brought them: its rows count own bodies
     border: Tensor  #: (B,) int64, ascending: rows of own bodies that others hold too
     holders: Tensor  #: (B, ranks) uint8: 1 for each of these others
+    border_counts: Tensor  #: (ranks,) int64: how many of these bodies each of them holds
 
     def __len__(self) -> int:
         return self.own_count + self.ghost_count
@@ -84,7 +82,7 @@ class Halo:
         self, comm: Comm, partition: Partition, own: Mapping[str, Tensor], bodies: MovingBodies, min_separation: float
     ) -> None:
         self._own_id = own["id"]
-        #: (N,) uint8: REACHES_OTHERS for own bodies that do; None if there are no others.
+        #: (N,) uint8: 1 for own bodies that reach cells of others; None if there are no others.
         self.reach: Tensor | None = None
         self._arrival: Arrival | None = None
         if comm.size == 1:
@@ -94,6 +92,7 @@ class Halo:
             self._ghosts = {name: column[:0] for name, column in own.items()}
             self._route = Route(comm, nobody, [0], [0])
             self._border, self._holders = nobody, nobody.new_empty((0, 1), dtype=torch.uint8)
+            self._counts = nobody.new_zeros(1)
             return
         centres, territory = centres_of(bodies), partition.territory(comm.rank)
         self.reach, border, found = ops.border_bodies(centres, min_separation, territory)
@@ -101,19 +100,17 @@ class Halo:
         bodies.raise_faults(faults)
         bodies.checked = True
         border = border[:count]
-        holders = ops.reached_ranks(centres, min_separation, territory, border, comm.size)
-        holders[:, comm.rank] = 0
-        counts = holders.sum(dim=0)
+        holders, counts = ops.holders_of(centres, min_separation, territory, border, comm.size)
         sent, received = torch.stack([counts, comm.exchange_counts(counts)]).tolist()
-        self._border, self._holders = border, holders
-        self._route = Route(comm, border[_by_rank(holders, sum(sent))], sent, received)
+        self._border, self._holders, self._counts = border, holders, counts
+        self._route = Route(comm, ops.rows_by_rank(holders, border, sum(sent)), sent, received)
         self._arrival = self._route.forward(own)
 
     def wait(self) -> Held:
         """The bodies held, once all ghosts are here."""
         if self._arrival is not None:
             self._ghosts = self._arrival.wait()
-        return Held(self._own_id, self._ghosts, self._route, self._border, self._holders)
+        return Held(self._own_id, self._ghosts, self._route, self._border, self._holders, self._counts)
 
 
 class HeldExchange:
@@ -124,27 +121,25 @@ class HeldExchange:
 
     Args:
         held: the bodies.
-        ghosts: their centres.
+        centres: of all of them.
         min_separation: length.
         partition: that the halo was made with.
     """
 
-    def __init__(self, held: Held, ghosts: Centres, min_separation: float, partition: Partition) -> None:
+    def __init__(self, held: Held, centres: Centres, min_separation: float, partition: Partition) -> None:
         self._comm = comm = held.route.comm
         self._told: torch.cuda.Event | None = None
         if comm.size == 1:
             self._shared = held.own_id[:0], [0]
             return
-        everyone = torch.arange(held.ghost_count, device=held.own_id.device)
-        row = everyone + held.own_count
-        holders = ops.reached_ranks(ghosts, min_separation, partition.territory(comm.rank), everyone, comm.size)
-        holders[:, comm.rank] = 0
-        holders.scatter_(1, held.route.source[:, None], 1)
-        before = sum(held.route.received[: comm.rank])
+        received, row = held.route.received, torch.arange(held.own_count, len(held), device=held.own_id.device)
+        territory = partition.territory(comm.rank)
+        holders, counts = ops.holders_of(centres, min_separation, territory, row, comm.size, received)
+        before = sum(received[: comm.rank])
         self._holders = torch.cat([holders[:before], held.holders, holders[before:]])
         self._rows = torch.cat([row[:before], held.border, row[before:]])
         # On its way while bodies are tested; read when that is over, so that nothing waits for it.
-        self._counts = self._holders.sum(dim=0).to("cpu", non_blocking=True)
+        self._counts = (counts + held.border_counts).to("cpu", non_blocking=True)
         if row.is_cuda:
             self._told = torch.cuda.Event()
             self._told.record()
@@ -155,7 +150,7 @@ class HeldExchange:
         if self._told is not None:
             self._told.synchronize()
         counts = self._counts.tolist()
-        return self._rows[_by_rank(self._holders, sum(counts))], counts
+        return ops.rows_by_rank(self._holders, self._rows, sum(counts)), counts
 
     @property
     def shared(self) -> Tensor:
@@ -182,10 +177,3 @@ class HeldExchange:
     def gather(self, values: Tensor) -> Tensor:
         """values (k,) -> (ranks, k): those of every rank."""
         return self._comm.all_gather(values)
-
-
-def _by_rank(holders: Tensor, count: int) -> Tensor:
-    """(count,) int64: the rows of (B, ranks) uint8 with a 1 for rank 0, then for rank 1, ...; `count` is how many."""
-    if count == 0:
-        return torch.empty(0, dtype=torch.int64, device=holders.device)
-    return torch.nonzero_static(holders.t().contiguous(), size=count)[:, 1]

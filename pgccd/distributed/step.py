@@ -20,7 +20,7 @@ from pgccd.scene import Scene
 from pgccd.sim.partners import Partners
 from pgccd.sim.response import Settlement, respond
 from pgccd.sim.rounds import Pace, goes_ahead
-from pgccd.sim.step import settle_step
+from pgccd.sim.step import Settled, settle_step
 from pgccd.sim.tally import COUNTED, Tally, Work, count_step
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
@@ -136,14 +136,14 @@ class Fleet:
         reports = [_Report.of(*told) for told in zip(settled.work, settled.told, strict=True)]
         tallies = [report.tally for report in reports]
         Census.total([Census(tally.robots, tally.id_hash) for tally in tallies]).require(self._expected)
-        found = Detection.of(share, settled.contacts)
-        moved_cells = self._balance(index, found, planned, reports, clock)
+        moved_cells = self._balance(index, share, settled, planned, reports, clock)
         with clock.stage("migrate"):
             moves = [report.moves for report in reports]
             known = None
             if leaving is not None and moved_cells == 0 and all(moves):
                 known = leaving, moves[comm.rank], [row[comm.rank] for row in moves]
             self._migrate(after, known)
+        found = Detection.of(share, settled.contacts)
         record = Tally.total(tallies).record(index, settled.settlement.rounds, clock)
         record["ranks"] = {
             "bodies": [part.robots for part in tallies],
@@ -165,7 +165,13 @@ class Fleet:
         return self.world.scene(columns["id"]), RigidMotion.from_velocity(*pose, dt=1.0)
 
     def _balance(
-        self, index: int, found: Detection, planned: RobotState, reports: list[_Report], clock: StageClock
+        self,
+        index: int,
+        share: Share,
+        settled: Settled,
+        planned: RobotState,
+        reports: list[_Report],
+        clock: StageClock,
     ) -> int:
         """Shares the cells out anew; returns how many moved."""
         if not self.balance.applies(index + 1, self.comm.size):
@@ -176,7 +182,7 @@ class Fleet:
             seconds = torch.tensor([1e-9 * report.busy for report in reports], dtype=torch.float64)
             if RankLoads(counts[:, 0], counts[:, 1], counts[:, 2], seconds).are_level(self.balance):
                 return 0
-            loads = cell_loads(self.partition, planned.position, found)
+            loads = cell_loads(self.partition, planned.position, Detection.of(share, settled.contacts))
             total = CellLoads.unstacked(self.comm.sum(loads.stacked()))
             former = self.partition
             self.partition = rebalance(former, total, self.balance, seconds)

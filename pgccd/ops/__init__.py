@@ -41,10 +41,11 @@ from pgccd.ops.territory import (
     Centres,
     Territory,
     border_bodies,
+    holders_of,
     leaving_bodies,
     near_ghosts,
     owned_pairs,
-    reached_ranks,
+    rows_by_rank,
 )
 
 __all__ = [
@@ -56,6 +57,7 @@ __all__ = [
     "edge_edge",
     "first_faults",
     "grid",
+    "holders_of",
     "lbvh",
     "leaving_bodies",
     "merge_rows",
@@ -66,9 +68,9 @@ __all__ = [
     "pack_rows",
     "pairs_within",
     "random_uniforms",
-    "reached_ranks",
     "refit",
     "rotations_between",
+    "rows_by_rank",
     "simulate_concerned_pairs",
     "simulate_first_toi",
     "simulate_hash",

@@ -17,17 +17,42 @@ def border_bodies(centres: Centres, min_separation: float, territory: Territory)
     return library.operators.border_bodies(list(centres), min_separation, *territory)
 
 
-def reached_ranks(centres: Centres, min_separation: float, territory: Territory, bodies: Tensor, ranks: int) -> Tensor:
-    """(B, ranks) uint8: 1 where a body of the rows `bodies` (B,) reaches a cell of a rank, this one or another."""
-    return library.operators.reached_ranks(list(centres), min_separation, *territory[:2], bodies, ranks)
+def holders_of(
+    centres: Centres,
+    min_separation: float,
+    territory: Territory,
+    bodies: Tensor,
+    ranks: int,
+    received: Sequence[int] = (),
+) -> tuple[Tensor, Tensor]:
+    """(B, ranks) uint8: 1 for other ranks of which one of the rows `bodies` (B,) reaches a cell; and for the rank that
+    it came from, if these are ghosts, of which so many were `received` from each. And how many bodies of each, (ranks,)
+    int64."""
+    arguments = (list(centres), min_separation, *territory, bodies, list(received), ranks)
+    return library.operators.holders_of(*arguments)
+
+
+def rows_by_rank(holders: Tensor, rows: Tensor, count: int) -> Tensor:
+    """(count,) int64: the rows (B,) that rank 0 holds, then those that rank 1 does, ...; holders (B, ranks), with so
+    many ones."""
+    return library.operators.rows_by_rank(holders, rows, count)
 
 
 def owned_pairs(
-    pairs: Tensor, own_count: int, centres: Centres, min_separation: float, reach: Tensor, territory: Territory
+    pairs: Tensor,
+    crossing: Tensor,
+    border: Tensor,
+    id: Tensor,
+    centres: Centres,
+    min_separation: float,
+    reach: Tensor,
+    territory: Territory,
 ) -> tuple[Tensor, Tensor]:
-    """Rows of pairs (P, 2) whose reference point lies in a cell of the rank, in the first `found` (1,) places of (P,).
-    reach (N,) uint8: bit 0 as above; bit 1 of ghosts, of which every pair after the first `own_count` must have one."""
-    return library.operators.owned_pairs(pairs, own_count, list(centres), min_separation, reach, *territory)
+    """Pairs of rows whose reference point lies in a cell of the rank, that of the smaller id (N + G,) first, in the
+    first `found` (1,) places of (P + C, 2): of the pairs (P, 2) of own bodies, which come first and for which reach
+    (N,) is as above; and of those crossing (C, 2), of bodies `border` (B,), if they are with a ghost."""
+    bodies = (border, id, list(centres), min_separation, reach, *territory)
+    return library.operators.owned_pairs(pairs, crossing, *bodies)
 
 
 def near_ghosts(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import torch
@@ -83,14 +83,26 @@ def make_step(
     return Step(index, before, settled.contacts, toi_of(settled.contacts), settled.settlement, after, record)
 
 
-@dataclass
 class Settled:
-    """How a step ended."""
+    """How a step ended.
 
-    contacts: Contacts  #: of the whole step
-    settlement: Settlement
-    work: list[Work]  #: of each rank
-    told: list[list[int]]  #: what each rank concluded
+    Args:
+        finish: gives the contacts of the whole step, once they are wanted: a GPU may have more urgent work to be given.
+        settlement: what robots make of the step.
+        work: of each rank.
+        told: what each rank concluded.
+    """
+
+    def __init__(
+        self, finish: Callable[[], Contacts], settlement: Settlement, work: list[Work], told: list[list[int]]
+    ) -> None:
+        self._finish = finish
+        self.settlement, self.work, self.told = settlement, work, told
+
+    @cached_property
+    def contacts(self) -> Contacts:
+        """Of the whole step."""
+        return self._finish()
 
 
 def settle_step(
@@ -124,10 +136,10 @@ def settle_step(
         given_fraction = partial(conclude, rows, toi)
         ahead = settle_ahead(search, body_count, partners.start_round, exchange, pace, given_fraction, clock)
         if ahead is not None:
-            contacts = finish_search(search, pairs, ahead.counts[exchange.rank])
-            clock.add(contacts.stats.seconds)
+            counts = ahead.counts[exchange.rank]
+            clock.add(counts.seconds)
             work = [Work.of(*rank) for rank in zip(ahead.counts, ahead.secondary_contacts, strict=True)]
-            return Settled(contacts, ahead.settlement, work, ahead.told)
+            return Settled(partial(finish_search, search, pairs, counts), ahead.settlement, work, ahead.told)
     contacts = find_contacts(bodies, FIRST_CONTACTS, pairs=pairs)
     clock.add(contacts.stats.seconds)
     with clock.stage("respond"):
@@ -140,7 +152,7 @@ def settle_step(
     with clock.stage("gather"):
         numbers = exchange.gather(torch.cat([mine, concluded])).tolist()
     work, told = [Work(*row[: len(mine)]) for row in numbers], [row[len(mine) :] for row in numbers]
-    return Settled(contacts, settlement, work, told)
+    return Settled(lambda: contacts, settlement, work, told)
 
 
 def _pace_of(scene: Scene) -> Pace:

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from distributed.test_partition import partitions
 from pgccd import ops
 from pgccd.distributed import Partition
-from pgccd.distributed.halo import IS_GHOST, REACHES_OTHERS
 
 SEPARATION = 0.25
 DEVICES = ["cpu"] + (["cuda"] if torch.cuda.is_available() else [])
@@ -63,33 +62,44 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
             if inside and bool(((lower[body] <= high.amax(0)) & (upper[body] >= low.amin(0))).all()):
                 near.append(body)
                 break
+    # The first are own bodies, the others ghosts; pairs that may collide: their boxes overlap.
+    own_count = data.draw(st.integers(0, len(cells)))
     pairs = torch.combinations(torch.arange(len(cells)))
-    reference = partition.owner_of(torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]]))
-    # Those that may collide: their boxes overlap.
-    overlap = (torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]]) <= torch.minimum(*upper[pairs].unbind(1))).all(1)
-    pairs, reference = pairs[overlap], reference[overlap]
-    is_ghost = torch.rand(len(cells), generator=generator) < 0.3
-    own_count = len(pairs) // 3
+    corner, other = torch.maximum(*lower[pairs].unbind(1)), torch.minimum(*upper[pairs].unbind(1))
+    overlap = (corner <= other).all(1)
+    pairs, is_here = pairs[overlap], partition.owner_of(corner)[overlap] == rank
+    is_own = (pairs < own_count).all(dim=1)
+    id = torch.randperm(len(cells), generator=generator)
+    border = torch.randperm(len(cells), generator=generator)
+    at_border = torch.argsort(border)[pairs]
+    turned = torch.where((id[pairs[:, 0]] < id[pairs[:, 1]])[:, None], pairs, pairs.flip(1))
+    owned = torch.cat([pairs[is_own & is_here], turned[~is_own & is_here]])
     centre_owner = partition.owner_of(centres[0])
+    sources = torch.randint(ranks, (len(cells),), generator=generator).sort().values
+    received = torch.bincount(sources, minlength=ranks).tolist()
 
     for device in DEVICES:
         territory = (partition.frame, partition.owner.to(device), rank)
         here, there = ([column.to(device) for column in columns] for columns in (centres, ghosts))
-        reach, border, found = ops.border_bodies(here, SEPARATION, territory)
-        assert reach.tolist() == [REACHES_OTHERS * crosses for crosses in crossing]
-        assert kept(border, found) == [body for body, crosses in enumerate(crossing) if crosses]
+        reach, at_edge, found = ops.border_bodies(here, SEPARATION, territory)
+        assert reach.tolist() == [int(crosses) for crosses in crossing]
+        assert kept(at_edge, found) == [body for body, crosses in enumerate(crossing) if crosses]
         rows = torch.arange(len(cells), device=device).flip(0)
-        reached = ops.reached_ranks(here, SEPARATION, territory, rows, ranks).flip(0)
-        expected = [{owner[cell] for cell in each} for each in cells]
-        assert [set(torch.nonzero(row)[:, 0].tolist()) for row in reached] == expected
+        for came_from in ([], received):
+            holders, counts = ops.holders_of(here, SEPARATION, territory, rows, ranks, came_from)
+            expected = [{owner[cell] for cell in each} - {rank} for each in reversed(cells)]
+            if came_from:
+                expected = [each | {source} for each, source in zip(expected, sources.tolist(), strict=True)]
+            assert [set(torch.nonzero(row)[:, 0].tolist()) for row in holders] == expected
+            by_rank = [
+                [row for row, each in zip(rows.tolist(), expected, strict=True) if r in each] for r in range(ranks)
+            ]
+            assert counts.tolist() == [len(each) for each in by_rank]
+            assert ops.rows_by_rank(holders, rows, int(counts.sum())).tolist() == sum(by_rank, [])
         assert kept(*ops.near_ghosts(here, there, SEPARATION, territory)) == near
-        owned = ops.owned_pairs(pairs.to(device), len(pairs), here, SEPARATION, reach, territory)
-        assert kept(*owned) == torch.nonzero(reference == rank)[:, 0].tolist()
-        marked = reach | IS_GHOST * is_ghost.to(device, torch.uint8)
-        owned = ops.owned_pairs(pairs.to(device), own_count, here, SEPARATION, marked, territory)
-        is_own = torch.arange(len(pairs)) < own_count
-        wanted = (reference == rank) & (is_own | is_ghost[pairs].any(dim=1))
-        assert kept(*owned) == torch.nonzero(wanted)[:, 0].tolist()
+        columns = (pairs[is_own], at_border, border, id)
+        where = (here, SEPARATION, reach[:own_count], territory)
+        assert kept(*ops.owned_pairs(*(column.to(device) for column in columns), *where)) == owned.tolist()
         leaving, by_destination, counts = ops.leaving_bodies(here[0], territory, ranks)
         gone = centre_owner != rank
         assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()

@@ -1,6 +1,8 @@
 // Whose cells bodies reach, for those who share bodies out among ranks by where they may go.
 #pragma once
 
+#include <vector>
+
 #include "kernels/broad/territory_item.h"
 #include "kernels/executor.h"
 
@@ -12,16 +14,35 @@ struct FoundRows {
   int64_t* found;
 };
 
-// Bodies that reach cells of other ranks. reach (count,): kReachesOthers or 0.
+// Bodies that reach cells of other ranks. reach (count,): 1 for them, or 0.
 void border_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Territory& territory, uint8_t* reach,
                        const FoundRows& border);
 
-// Which ranks' cells each of the bodies `rows` (row_count,) reaches; reached (row_count, ranks) 0 or 1.
-void reached_ranks_cpu(const Executor& executor, const BroadBodies& bodies, const Territory& territory,
-                       const int64_t* rows, int64_t row_count, int64_t ranks, uint8_t* reached);
+// Bodies of which other ranks are to be found, `rows` (row_count,) of all. Where `received` is not empty they are
+// ghosts: so many came from each rank, in that order, and those ranks hold them too.
+struct HoldersInput {
+  BroadBodies bodies;
+  Territory territory;
+  const int64_t* rows;
+  int64_t row_count;
+  const std::vector<int64_t>& received;
+};
 
-// Pairs whose reference point lies in a cell of the territory's rank; if asked for, only those with a ghost.
-void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t pair_count, const FoundRows& owned);
+// holders (row_count, ranks): 1 for other ranks that hold the body, or 0; counts (ranks,) how many bodies each does.
+struct Holders {
+  int64_t ranks;
+  uint8_t* holders;
+  int64_t* counts;
+};
+
+void holders_of_cpu(const Executor& executor, const HoldersInput& input, const Holders& out);
+
+// The `rows` (row_count,) that rank 0 holds, then those that rank 1 does, and so on: `count` in all.
+void rows_by_rank_cpu(const uint8_t* holders, const int64_t* rows, int64_t row_count, int64_t ranks, int64_t count,
+                      int64_t* by_rank);
+
+// Pairs whose reference point lies in a cell of the territory's rank: owned (count, 2) has room for all.
+void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found);
 
 // Bodies that overlap the box around all ghosts in a cell of the territory's rank which they reach.
 void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const BroadBodies& ghosts,

@@ -9,26 +9,48 @@ namespace pgccd {
 void border_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Territory& territory, uint8_t* reach,
                        const FoundRows& border) {
   find_rows(executor, bodies.count, border.rows, border.found, [&](int64_t body) {
-    reach[body] = reaches_others(bodies, territory, body) ? kReachesOthers : 0;
+    reach[body] = reaches_others(bodies, territory, body) ? 1 : 0;
     return reach[body] != 0;
   });
 }
 
-void reached_ranks_cpu(const Executor& executor, const BroadBodies& bodies, const Territory& territory,
-                       const int64_t* rows, int64_t row_count, int64_t ranks, uint8_t* reached) {
-  std::fill_n(reached, row_count * ranks, uint8_t{0});
-  parallel_chunks(executor, row_count, 256, [&](int, int64_t begin, int64_t end) {
-    for (int64_t row = begin; row < end; ++row) {
-      const CellRange range(territory.frame, swept_box(bodies, rows[row]));
-      for (int64_t k = 0; k < range.count(); ++k) {
-        reached[row * ranks + territory.owner[territory.frame.index(range[k])]] = 1;
+void holders_of_cpu(const Executor& executor, const HoldersInput& input, const Holders& out) {
+  const Territory& territory = input.territory;
+  std::fill_n(out.holders, input.row_count * out.ranks, uint8_t{0});
+  parallel_chunks(executor, input.row_count, 256, [&](int, int64_t begin, int64_t end) {
+    for (int64_t k = begin; k < end; ++k) {
+      const CellRange range(territory.frame, swept_box(input.bodies, input.rows[k]));
+      uint8_t* holders = out.holders + k * out.ranks;
+      for (int64_t cell = 0; cell < range.count(); ++cell) {
+        holders[territory.owner[territory.frame.index(range[cell])]] = 1;
       }
+      holders[territory.rank] = 0;
     }
   });
+  int64_t ghost = 0;
+  for (size_t source = 0; source < input.received.size(); ++source) {
+    for (int64_t k = 0; k < input.received[source]; ++k) out.holders[ghost++ * out.ranks + int64_t(source)] = 1;
+  }
+  std::fill_n(out.counts, out.ranks, int64_t{0});
+  for (int64_t k = 0; k < input.row_count; ++k) {
+    for (int64_t rank = 0; rank < out.ranks; ++rank) out.counts[rank] += out.holders[k * out.ranks + rank];
+  }
 }
 
-void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t pair_count, const FoundRows& owned) {
-  find_rows(executor, pair_count, owned.rows, owned.found, [&](int64_t pair) { return is_owned(input, pair); });
+void rows_by_rank_cpu(const uint8_t* holders, const int64_t* rows, int64_t row_count, int64_t ranks, int64_t count,
+                      int64_t* by_rank) {
+  int64_t at = 0;
+  for (int64_t rank = 0; rank < ranks; ++rank) {
+    for (int64_t k = 0; k < row_count && at < count; ++k) {
+      if (holders[k * ranks + rank] != 0) by_rank[at++] = rows[k];
+    }
+  }
+}
+
+void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found) {
+  std::vector<int64_t> rows(static_cast<size_t>(input.count()));
+  find_rows(executor, input.count(), rows.data(), found, [&](int64_t k) { return is_owned(input, k); });
+  for (int64_t k = 0; k < *found; ++k) store_held_pair(input, rows[static_cast<size_t>(k)], owned + 2 * k);
 }
 
 void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const BroadBodies& ghosts,

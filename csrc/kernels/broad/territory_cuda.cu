@@ -1,3 +1,6 @@
+#include <numeric>
+#include <vector>
+
 #include "kernels/broad/territory_cuda.h"
 #include "kernels/find_rows.cuh"
 
@@ -18,34 +21,88 @@ __device__ void raise_to(int64_t* target, int64_t value) {
   if (*target < value) atomicMax(reinterpret_cast<long long*>(target), static_cast<long long>(value));
 }
 
+// How many rows of each column are set: a row of blocks a column.
+__global__ void __launch_bounds__(kBlockThreads) count_columns(const uint8_t* table, int64_t rows, int64_t* counts) {
+  using Reduce = cub::BlockReduce<int64_t, kBlockThreads>;
+  __shared__ typename Reduce::TempStorage storage;
+  const int64_t columns = gridDim.y, column = blockIdx.y, stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
+  int64_t part = 0;
+  for (int64_t row = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; row < rows; row += stride) {
+    part += table[row * columns + column];
+  }
+  part = Reduce(storage).Sum(part);
+  if (threadIdx.x == 0 && part != 0) {
+    atomicAdd(reinterpret_cast<unsigned long long*>(counts + column), static_cast<unsigned long long>(part));
+  }
+}
+
+struct IsHolder {
+  const uint8_t* holders;
+  int64_t row_count, ranks;
+  // Of (rank, row) in the order in which they are wanted.
+  __device__ bool operator()(int64_t item) const { return holders[(item % row_count) * ranks + item / row_count] != 0; }
+};
+
 }  // namespace
 
 void border_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies, const Territory& territory,
                         uint8_t* reach, const FoundRows& border) {
-  for_each_item(context, bodies.count, [=] __device__(int64_t body) {
-    reach[body] = reaches_others(bodies, territory, body) ? kReachesOthers : 0;
-  });
+  for_each_item(context, bodies.count,
+                [=] __device__(int64_t body) { reach[body] = reaches_others(bodies, territory, body) ? 1 : 0; });
   find_rows(context, bodies.count, border.rows, border.found,
             [=] __device__(int64_t body) { return reach[body] != 0; });
 }
 
-void reached_ranks_cuda(const DeviceContext& context, const BroadBodies& bodies, const Territory& territory,
-                        const int64_t* rows, int64_t row_count, int64_t ranks, uint8_t* reached) {
-  fill_bytes(context, reached, 0, row_count * ranks);
-  for_each_item(context, kBodyThreads * row_count, [=] __device__(int64_t item) {
-    const int64_t row = item / kBodyThreads;
-    const CellRange range(territory.frame, swept_box(bodies, rows[row]));
+void holders_of_cuda(const DeviceContext& context, const HoldersInput& input, const Holders& out) {
+  const BroadBodies bodies = input.bodies;
+  const Territory territory = input.territory;
+  const int64_t* rows = input.rows;
+  const int64_t ranks = out.ranks;
+  uint8_t* holders = out.holders;
+  fill_bytes(context, holders, 0, input.row_count * ranks);
+  fill_bytes(context, out.counts, 0, ranks);
+  if (input.row_count == 0) return;
+  // Where the ghosts of each rank end.
+  const auto sources = static_cast<int64_t>(input.received.size());
+  std::vector<int64_t> ends(input.received);
+  std::partial_sum(ends.begin(), ends.end(), ends.begin());
+  int64_t* end = context.allocate<int64_t>(sources);
+  if (sources > 0) {
+    check_cuda(cudaMemcpyAsync(end, ends.data(), sizeof(int64_t) * ends.size(), cudaMemcpyHostToDevice, context.stream),
+               "cudaMemcpyAsync");
+  }
+  for_each_item(context, kBodyThreads * input.row_count, [=] __device__(int64_t item) {
+    const int64_t k = item / kBodyThreads, thread = item % kBodyThreads;
+    const CellRange range(territory.frame, swept_box(bodies, rows[k]));
     const int64_t count = range.count();
-    for (int64_t k = item % kBodyThreads; k < count; k += kBodyThreads) {
-      reached[row * ranks + territory.owner[territory.frame.index(range[k])]] = 1;
+    for (int64_t cell = thread; cell < count; cell += kBodyThreads) {
+      const int64_t rank = territory.owner[territory.frame.index(range[cell])];
+      if (rank != territory.rank) holders[k * ranks + rank] = 1;
     }
+    if (thread != 0 || sources == 0) return;
+    int64_t source = 0;
+    while (end[source] <= k) ++source;
+    holders[k * ranks + source] = 1;
   });
+  const int64_t blocks = smaller<int64_t>((input.row_count + kBlockThreads - 1) / kBlockThreads, 256);
+  count_columns<<<dim3(static_cast<unsigned>(blocks), static_cast<unsigned>(ranks)), kBlockThreads, 0,
+                  context.stream>>>(holders, input.row_count, out.counts);
+  check_cuda(cudaGetLastError(), "count_columns");
 }
 
-void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t pair_count,
-                      const FoundRows& owned) {
-  find_rows(context, pair_count, owned.rows, owned.found,
-            [=] __device__(int64_t pair) { return is_owned(input, pair); });
+void rows_by_rank_cuda(const DeviceContext& context, const uint8_t* holders, const int64_t* rows, int64_t row_count,
+                       int64_t ranks, int64_t count, int64_t* by_rank) {
+  if (count == 0) return;
+  int64_t* items = context.allocate<int64_t>(row_count * ranks);
+  find_rows(context, row_count * ranks, items, context.allocate<int64_t>(1), IsHolder{holders, row_count, ranks});
+  for_each_item(context, count, [=] __device__(int64_t k) { by_rank[k] = rows[items[k] % row_count]; });
+}
+
+void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found) {
+  int64_t* rows = context.allocate<int64_t>(input.count());
+  find_rows(context, input.count(), rows, found, [=] __device__(int64_t k) { return is_owned(input, k); });
+  for_each_counted(context, found, input.count(),
+                   [=] __device__(int64_t k) { store_held_pair(input, rows[k], owned + 2 * k); });
 }
 
 void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadBodies& ghosts,

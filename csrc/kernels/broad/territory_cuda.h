@@ -9,11 +9,12 @@ namespace pgccd {
 void border_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies, const Territory& territory,
                         uint8_t* reach, const FoundRows& border);
 
-void reached_ranks_cuda(const DeviceContext& context, const BroadBodies& bodies, const Territory& territory,
-                        const int64_t* rows, int64_t row_count, int64_t ranks, uint8_t* reached);
+void holders_of_cuda(const DeviceContext& context, const HoldersInput& input, const Holders& out);
 
-void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t pair_count,
-                      const FoundRows& owned);
+void rows_by_rank_cuda(const DeviceContext& context, const uint8_t* holders, const int64_t* rows, int64_t row_count,
+                       int64_t ranks, int64_t count, int64_t* by_rank);
+
+void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found);
 
 void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadBodies& ghosts,
                       const Territory& territory, const FoundRows& near);

@@ -48,8 +48,6 @@ struct CellRange {
   }
 };
 
-constexpr uint8_t kReachesOthers = 1, kIsGhost = 2;
-
 PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Territory& territory, int64_t body) {
   const CellRange range(territory.frame, swept_box(bodies, body));
   const int64_t count = range.count();
@@ -59,25 +57,51 @@ PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Territory& territo
   return false;
 }
 
+// Pairs of bodies held: own ones come first, then ghosts.
 struct OwnedPairs {
   BroadBodies bodies;
   Territory territory;
-  const uint8_t* reach;  // (bodies,) bits
-  const int64_t* pairs;  // (pairs, 2)
-  int64_t own_count;     // so many pairs come first; of those after them, pairs without a ghost are left out
+  const uint8_t* reach;  // (own_count,) bits
+  int64_t own_count;     // of bodies
+  const int64_t* id;     // of the bodies
+  const int64_t* pairs;  // (own_pairs, 2) of own bodies
+  int64_t own_pairs;
+  const int64_t* crossing;  // (crossing_pairs, 2), of rows of `border`; only those with a ghost count
+  int64_t crossing_pairs;
+  const int64_t* border;  // rows of the bodies
+
+  PGCCD_HD int64_t count() const { return own_pairs + crossing_pairs; }
 };
+
+struct RowPair {
+  int64_t i, j;
+};
+
+// The smaller id first.
+PGCCD_HD RowPair held_pair(const OwnedPairs& input, int64_t k) {
+  if (k < input.own_pairs) return {input.pairs[2 * k], input.pairs[2 * k + 1]};
+  const int64_t* crossing = input.crossing + 2 * (k - input.own_pairs);
+  const int64_t i = input.border[crossing[0]], j = input.border[crossing[1]];
+  return input.id[i] < input.id[j] ? RowPair{i, j} : RowPair{j, i};
+}
 
 // The reference point of two boxes that overlap is the lower corner of their intersection. It lies in both, so it is in
 // a cell of this rank for certain if one of them reaches no other.
-PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t pair) {
-  const int64_t i = input.pairs[2 * pair], j = input.pairs[2 * pair + 1];
-  const uint8_t reach_i = input.reach[i], reach_j = input.reach[j];
-  if (pair >= input.own_count && ((reach_i | reach_j) & kIsGhost) == 0) return false;
-  if ((reach_i & reach_j & kReachesOthers) == 0) return true;
-  const Vec3<double> a = swept_box(input.bodies, i).lower, b = swept_box(input.bodies, j).lower;
+PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t k) {
+  const RowPair pair = held_pair(input, k);
+  const bool own_i = pair.i < input.own_count, own_j = pair.j < input.own_count;
+  if (k >= input.own_pairs && own_i && own_j) return false;
+  if ((own_i && input.reach[pair.i] == 0) || (own_j && input.reach[pair.j] == 0)) return true;
+  const Vec3<double> a = swept_box(input.bodies, pair.i).lower, b = swept_box(input.bodies, pair.j).lower;
   const Vec3<double> reference{larger(a.x, b.x), larger(a.y, b.y), larger(a.z, b.z)};
   const CellFrame& frame = input.territory.frame;
   return input.territory.owner[frame.index(frame.cell(reference))] == input.territory.rank;
+}
+
+PGCCD_HD void store_held_pair(const OwnedPairs& input, int64_t k, int64_t* out) {
+  const RowPair pair = held_pair(input, k);
+  out[0] = pair.i;
+  out[1] = pair.j;
 }
 
 // Integers in the order of the numbers they stand for, so that devices have atomics for them.
