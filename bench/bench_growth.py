@@ -215,6 +215,8 @@ def measure(case: Case, arguments: argparse.Namespace) -> dict[str, Any]:
         "stage_ms": {stage: timing.summary(parts)["median"] for stage, parts in stages.items()},
         **{f"{name}_a_body": timing.rounded(mean[name] / case.bodies) for name in _COUNTS},
         "unresolved": sum(stats.unresolved for stats in done),
+        "waits": timing.rounded(sum(stats.waits for stats in done) / len(done)),
+        "chunks": timing.rounded(sum(stats.chunks for stats in done) / len(done)),
         "peak_bytes": peak_bytes,
         "peak_bytes_a_body": timing.rounded(peak_bytes / case.bodies),
         "scratch_bytes": memory.bytes,
@@ -233,6 +235,8 @@ def flat(row: dict[str, Any]) -> dict[str, Any]:
         "contacts/body": row["contacts_a_body"],
         "peak bytes": row["peak_bytes"],
         "bytes/body": row["peak_bytes_a_body"],
+        "waits": row["waits"],
+        "chunks": row["chunks"],
         "broad phase": row["broad_phase"],
     }
 

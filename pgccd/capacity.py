@@ -70,9 +70,9 @@ class Capacity:
         ).times(1.0)
 
     def times(self, factor: float) -> Capacity:
-        """This room, each part `factor` times as large and not tiny."""
+        """This room, each part at least `factor` times as large and not tiny."""
         scaled = {
-            name: min(_MOST, math.ceil(factor * getattr(self, name)) + _SMALLEST)
+            name: min(_MOST, _round_up(math.ceil(factor * getattr(self, name)) + _SMALLEST))
             for name in _BYTES
             if name != "overlaps" or self.overlaps
         }
@@ -104,6 +104,13 @@ class Capacity:
     def of_contacts(self) -> list[int]:
         """As `ops.contacts_within_*` take it."""
         return [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches, self.open, self.contacts]
+
+
+def _round_up(number: int) -> int:
+    """To a number of four significant binary digits: steps that need about as much as one another then ask a GPU's
+    allocator for pieces of the same sizes, which it has at hand."""
+    unit = 1 << max(0, number.bit_length() - 4)
+    return -(-number // unit) * unit
 
 
 #: On a CPU: as many rows as there are contacts.
