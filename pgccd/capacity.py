@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 # Bytes of each unit of room on a GPU, all that the operators keep of it together.
 _BYTES = {
@@ -71,7 +72,7 @@ class Capacity:
 
     def times(self, factor: float) -> Capacity:
         """This room, each part at least `factor` times as large and not tiny."""
-        scaled = {
+        scaled: dict[str, Any] = {
             name: min(_MOST, _round_up(math.ceil(factor * getattr(self, name)) + _SMALLEST))
             for name in _BYTES
             if name != "overlaps" or self.overlaps

@@ -47,6 +47,7 @@ struct TerritoryOps {
                                                std::vector<int64_t> received, int64_t ranks) {
     const HoldersInput input{centres_view(centres, "centres", min_separation), territory_view(frame, owner, rank),
                              rows<int64_t>(bodies, "bodies", {kAnySize}), bodies.size(0), received};
+    STD_TORCH_CHECK(rank >= 0 && rank < ranks, "rank: expected a number below ", ranks, ", got ", rank);
     const bool sums_up = std::accumulate(received.begin(), received.end(), int64_t{0}) == bodies.size(0);
     STD_TORCH_CHECK(received.empty() || (static_cast<int64_t>(received.size()) == ranks && sums_up),
                     "received: expected numbers of ", ranks, " ranks, ", bodies.size(0), " in all");
