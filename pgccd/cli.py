@@ -20,6 +20,7 @@ from pgccd.about import describe_installation
 from pgccd.broad import BROAD_PHASES
 from pgccd.distributed import command
 from pgccd.files import load_motion, load_scene
+from pgccd.memory import is_out_of_memory
 from pgccd.narrow import REPORTS, Kind, Status
 from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.summary import summary_lines, totals, write_pictures
@@ -124,7 +125,9 @@ def _simulate(options: argparse.Namespace) -> int:
             finished, folder = _run_or_resume(options, device, comm)
         except NotImplementedError as error:
             raise ArgumentError("--device", f"this build of pgccd has no kernels for {options.device}") from error
-        except torch.OutOfMemoryError as error:
+        except RuntimeError as error:
+            if not is_out_of_memory(error):
+                raise
             raise ArgumentError("--robots", f"too many for the memory of {options.device}: {error}") from error
         except ValueError as error:  # what another rank was told, or what ranks do not agree on
             raise ArgumentError("", error) from error
@@ -253,6 +256,10 @@ def _detect(options: argparse.Namespace) -> int:
         raise ArgumentError(own.get(name, source), problem if name in own else error) from error
     except NotImplementedError as error:
         raise ArgumentError("--device", f"this build of pgccd has no kernels for {device.type}") from error
+    except RuntimeError as error:
+        if not is_out_of_memory(error):
+            raise
+        raise ArgumentError(source, f"too much for the memory of {device}: {error}") from error
     rows = _contact_rows(hits)
     if options.json:
         print(json.dumps({"contacts": rows, "stats": asdict(hits.stats)}))

@@ -35,6 +35,11 @@ def memory_limit(budget: int | None, wanted: int, device: torch.device) -> int:
     return max(_DEFAULT_BUDGET, free // 4)
 
 
+def is_out_of_memory(error: Exception) -> bool:
+    """Whether a device had too little memory, as torch says it or as our operators do."""
+    return isinstance(error, torch.OutOfMemoryError) or "out of memory: no room for" in str(error)
+
+
 @dataclass(frozen=True)
 class _Experience:
     size: int  #: of the step: bodies, or pairs where they were given

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from pgccd.cli import main
 from pgccd.sim import robot_mesh
@@ -176,3 +177,44 @@ def test_mistakes_get_one_line_and_code_2(
     assert code == 2
     error = capsys.readouterr().err.strip()
     assert message in error and "\n" not in error and "Traceback" not in error
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 8 GiB"),
+        RuntimeError("out of memory: no room for 4096 more bytes; fewer bodies at a time take less"),
+    ],
+)
+def test_too_little_memory_is_a_mistake_too(
+    meshes: list[str],
+    poses: str,
+    error: Exception,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(*_arguments: object, **_options: object) -> None:
+        raise error
+
+    monkeypatch.setattr("pgccd.detect", fail)
+    monkeypatch.setattr("pgccd.sim.runner.make_step", fail)
+    for arguments, option in (
+        (["detect", *meshes, "--motion", poses], "--motion"),
+        (["simulate", "--robots", "20", "--steps", "1", "--out", str(tmp_path)], "--robots"),
+    ):
+        assert main(arguments) == 2
+        assert re.search(
+            rf"error: argument {option}: too .* for the memory of cpu: .*out of memory", capsys.readouterr().err
+        )
+
+
+def test_other_errors_are_not_taken_for_too_little_memory(
+    meshes: list[str], poses: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_arguments: object, **_options: object) -> None:
+        raise RuntimeError("out of luck")
+
+    monkeypatch.setattr("pgccd.detect", fail)
+    with pytest.raises(RuntimeError, match="out of luck"):
+        main(["detect", *meshes, "--motion", poses])

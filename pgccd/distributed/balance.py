@@ -7,6 +7,7 @@ simulation never depend on it.
 from __future__ import annotations
 
 import bisect
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -103,12 +104,13 @@ def imbalance(load: Tensor) -> float:
 
 @dataclass(frozen=True)
 class RankLoads:
-    """What each rank did in the last step, (ranks,) each: enough to see whether anything is to be done."""
+    """What each rank did in the last step: enough to see whether anything is to be done. Plain numbers, since that is
+    asked in every step."""
 
-    bodies: Tensor  #: int64
-    pairs: Tensor  #: int64, potentially colliding ones that it tested
-    contacts: Tensor  #: int64
-    seconds: Tensor  #: float64 at work
+    bodies: Sequence[int]
+    pairs: Sequence[int]  #: potentially colliding ones that it tested
+    contacts: Sequence[int]
+    seconds: Sequence[float]  #: at work
 
     def are_level(self, options: BalanceOptions) -> bool:
         """True if no cell would move, whatever the loads of single cells.
@@ -117,9 +119,11 @@ class RankLoads:
         """
         if options.policy == "one-cell":
             return _differ_little(self.contacts, options.threshold)
-        cost = self.bodies + PAIR_COST * self.pairs
-        speed = relative_speeds(cost, self.seconds) if options.policy == "measured" else torch.ones_like(self.seconds)
-        return _are_even(cost.double() / speed, float(cost.sum()) / float(speed.sum()), options)
+        cost = [bodies + PAIR_COST * pairs for bodies, pairs in zip(self.bodies, self.pairs, strict=True)]
+        if options.policy != "measured":
+            return _are_even(max(cost), sum(cost) / len(cost), options)
+        speed = relative_speeds(torch.tensor(cost), torch.tensor(self.seconds, dtype=torch.float64))
+        return _are_even(float((torch.tensor(cost).double() / speed).max()), sum(cost) / float(speed.sum()), options)
 
 
 def rebalance(
@@ -164,7 +168,7 @@ def one_cell(owner: Tensor, load: Tensor, ranks: int, threshold: float) -> Tenso
         (cells,) int64 owners.
     """
     loads = rank_loads(load, owner, ranks)
-    if _differ_little(loads, threshold):
+    if _differ_little(loads.tolist(), threshold):
         return owner
     most, least = int(torch.argmax(loads)), int(torch.argmin(loads))
     difference = int(loads[most] - loads[least])
@@ -178,13 +182,13 @@ def one_cell(owner: Tensor, load: Tensor, ranks: int, threshold: float) -> Tenso
     return moved
 
 
-def _differ_little(loads: Tensor, threshold: float) -> bool:
-    most, least = int(loads.max()), int(loads.min())
+def _differ_little(loads: Sequence[int], threshold: float) -> bool:
+    most, least = max(loads), min(loads)
     return most - least <= threshold * most
 
 
-def _are_even(load: Tensor, even: float, options: BalanceOptions) -> bool:
-    return even <= 0.0 or float(load.max()) <= (1.0 + options.start) * even
+def _are_even(most: float, even: float, options: BalanceOptions) -> bool:
+    return even <= 0.0 or most <= (1.0 + options.start) * even
 
 
 def relative_speeds(cost: Tensor, seconds: Tensor) -> Tensor:
@@ -226,7 +230,7 @@ def several_cells(
     costs, rates, weights = cost.numpy().astype(np.float64), speed.numpy(), bodies.numpy()
     load = np.bincount(table, costs, minlength=ranks) / rates
     even = costs.sum() / rates.sum()
-    if _are_even(torch.from_numpy(load), even, options):
+    if _are_even(float(load.max()), even, options):
         return owner
     grid = table.reshape(partition.grid)
     held: list[list[int]] = [np.flatnonzero(table == rank).tolist() for rank in range(ranks)]

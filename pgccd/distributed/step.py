@@ -178,14 +178,16 @@ class Fleet:
             return 0
         with clock.stage("balance"):
             tallies = [report.tally for report in reports]
-            counts = torch.tensor([[tally.robots, tally.pcs, tally.contacts] for tally in tallies])
-            seconds = torch.tensor([1e-9 * report.busy for report in reports], dtype=torch.float64)
-            if RankLoads(counts[:, 0], counts[:, 1], counts[:, 2], seconds).are_level(self.balance):
+            robots, pcs, contacts = (
+                [getattr(tally, name) for tally in tallies] for name in ("robots", "pcs", "contacts")
+            )
+            seconds = [1e-9 * report.busy for report in reports]
+            if RankLoads(robots, pcs, contacts, seconds).are_level(self.balance):
                 return 0
             loads = cell_loads(self.partition, planned.position, Detection.of(share, settled.contacts))
             total = CellLoads.unstacked(self.comm.sum(loads.stacked()))
             former = self.partition
-            self.partition = rebalance(former, total, self.balance, seconds)
+            self.partition = rebalance(former, total, self.balance, torch.tensor(seconds, dtype=torch.float64))
             return int((self.partition.owner != former.owner).sum())
 
     def _migrate(self, state: RobotState, known: tuple[Leaving, list[int], list[int]] | None = None) -> None:

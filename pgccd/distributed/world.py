@@ -244,8 +244,8 @@ class World:
             assert self._found is not None
             mine = [len(self._found.held.own_id), len(self._found.pairs), len(self._found.contacts)]
             told = self.comm.all_gather(torch.tensor([*mine, self._seconds], dtype=torch.float64))
-            bodies, pairs, contacts = told[:, :3].long().unbind(dim=1)
-            if not RankLoads(bodies, pairs, contacts, told[:, 3]).are_level(self.balance):
+            bodies, pairs, contacts = told[:, :3].long().t().tolist()
+            if not RankLoads(bodies, pairs, contacts, told[:, 3].tolist()).are_level(self.balance):
                 self.partition = rebalance(self.partition, self._cell_loads(), self.balance, told[:, 3])
         self._columns, _ = migrate(self.comm, self.partition, self._columns, self._columns["position"])
         self._count(self._columns).require(self._census)

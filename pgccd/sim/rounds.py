@@ -135,7 +135,7 @@ def settle_ahead(
         made = [_counts_of(numbers[len(changes) : end]) for numbers in told]
         if any(count.overflow for of_rank in made for count in of_rank):
             return None
-        goes_on += [any(flags) for flags in zip(*(numbers[: len(changes)] for numbers in told), strict=True)]
+        goes_on += [any(numbers[round] for numbers in told) for round in range(len(changes))]
         needed += [count.needed(room) for count, room in zip(made[exchange.rank][1:], rooms, strict=True)]
         for rank, (_, *of_rounds) in enumerate(made):
             secondary_contacts[rank] += sum(count.contacts for count in of_rounds)

@@ -75,7 +75,7 @@ def test_ranks_loads_tell_when_cells_need_not_be_looked_at(
     options = BalanceOptions(policy, start=start, goal=0.0, threshold=start, moving=0.0)
     seconds = 0.5 + torch.rand(partition.ranks, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
     columns = [rank_loads(load, partition.owner, partition.ranks) for load in vars(loads).values()]
-    if RankLoads(*columns, seconds).are_level(options):
+    if RankLoads(*(column.tolist() for column in columns), seconds.tolist()).are_level(options):
         assert rebalance(partition, loads, options, seconds) is partition
     else:
         load = columns[2].double() if policy == "one-cell" else (columns[0] + 8 * columns[1]).double()
