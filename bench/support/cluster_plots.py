@@ -19,7 +19,7 @@ _PARTS = {
 def scaling(result: Result) -> Figure:
     """Where the time of a step goes, by number of ranks; and speed beside one process."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), width_ratios=(2, 1))
-    rows = [row for row in result["rows"] if row["pattern"] == "random"]
+    rows = [row for row in result["rows"] if row["pattern"] == "random" and row["overlap"]]
     _stack(left, rows)
     for kind, colour in (("strong", "#0072b2"), ("weak", "#009e73")):
         speeds = _speeds(rows, kind)
