@@ -289,4 +289,6 @@ def _rows(values: Tensor, name: str, count: int, width: int, device: torch.devic
         raise ValueError(f"{name}: expected shape ({count}, {width}), got {tuple(values.shape)}")
     if values.device != device:
         raise ValueError(f"{name}: expected device {device}, got {values.device}")
+    if values.dtype == torch.float64 and not values.requires_grad and values.is_contiguous():
+        return values  # as it mostly is: converting it all the same takes a tenth of a call for two bodies
     return values.detach().to(torch.float64).contiguous()

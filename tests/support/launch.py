@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SUPPORT = Path(__file__).resolve().parent
-SECONDS = 120
+SECONDS = 240
 # Open MPI refuses, unless told otherwise, to be started by root (in a container, say), and to start more ranks than
 # there are cores.
 _OPEN_MPI = (

@@ -1,0 +1,61 @@
+"""Two hundred steps of the simulator on ranks of its own, over MPI and on GPUs: the log of one process on a CPU."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from support.launch import finish, mpirun, torchrun
+
+from pgccd import sim
+
+pytestmark = [pytest.mark.slow, pytest.mark.ranks, pytest.mark.xdist_group("two hundred steps")]
+
+STEPS = 200
+SIMULATE = ["-m", "pgccd", "simulate", "--seed", "5", "--steps", str(STEPS), "--no-pictures"]
+# Enough that every rank has something to do, on a GPU too.
+ROBOTS = 300
+
+Log = list[dict[str, Any]]
+
+
+def log(folder: Path) -> Log:
+    """What does not depend on times and ranks."""
+    left_out = ("seconds", "stage_seconds", "ranks")
+    return [{name: value for name, value in line.items() if name not in left_out} for line in sim.read_log(folder)]
+
+
+@pytest.fixture(scope="module", params=sim.PATTERNS)
+def single(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Log]:
+    """Arguments, and the log of one process."""
+    folder = tmp_path_factory.mktemp("single")
+    sim.run(sim.WorldConfig(robots=ROBOTS, pattern=request.param, seed=5), STEPS, folder)
+    steps = log(folder)
+    assert sum(step["contacts"] for step in steps) > 5 * STEPS
+    return [*SIMULATE, "--robots", str(ROBOTS), "--world", request.param], steps
+
+
+@pytest.mark.parametrize("policy", ["cost", "one-cell"])
+@pytest.mark.parametrize("ranks", [2, 3, 4])
+def test_over_mpi(ranks: int, policy: str, single: tuple[list[str], Log], tmp_path: Path) -> None:
+    arguments, expected = single
+    done = finish(mpirun(ranks, *arguments, "--transport", "mpi4py", "--balance", policy, "--out", str(tmp_path)))
+    assert done.returncode == 0, done.stdout
+    assert log(tmp_path) == expected
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("policy", ["cost", "one-cell"])
+@pytest.mark.parametrize("ranks", [1, 2, 4])
+def test_on_gpus(ranks: int, policy: str, single: tuple[list[str], Log], tmp_path: Path) -> None:
+    if torch.cuda.device_count() < ranks:
+        pytest.skip(f"fewer than {ranks} CUDA devices")
+    arguments, expected = single
+    command = torchrun(ranks, *arguments, "--device", "cuda", "--transport", "nccl", "--balance", policy)
+    done = finish([*command, "--out", str(tmp_path)])
+    assert done.returncode == 0, done.stdout
+    # Which candidates are looked at before the first contact is known depends on the device.
+    found, wanted = ([line | {"candidates": None} for line in lines] for lines in (log(tmp_path), expected))
+    assert found == wanted
