@@ -107,7 +107,7 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "cells": arguments.cells,
         "axes": arguments.axes,
         "overlap": not arguments.no_overlap,
-        "ahead": ahead(arguments),
+        "ahead": ahead(arguments, comm.size),
         "ms": timing.summary(whole),
         "single_process_ms": timing.summary(single) if single else None,
         "mean_of_ranks_ms": {name: over_ranks(everybody, name, mean) for name in (*PARTS, REST)},
@@ -131,12 +131,14 @@ def start(
     )
     share = distributed.starting_share(comm, world, partition)
     balance = distributed.BalanceOptions(arguments.balance)
-    return distributed.Fleet(comm, world, partition, share, balance, not arguments.no_overlap, ahead=ahead(arguments))
+    return distributed.Fleet(
+        comm, world, partition, share, balance, not arguments.no_overlap, ahead=ahead(arguments, comm.size)
+    )
 
 
-def ahead(arguments: argparse.Namespace) -> bool:
+def ahead(arguments: argparse.Namespace, ranks: int = 1) -> bool:
     """Whether rounds of settling are made several at a time."""
-    return goes_ahead(False if arguments.no_ahead else None, torch.device(arguments.device))
+    return goes_ahead(False if arguments.no_ahead else None, torch.device(arguments.device), ranks)
 
 
 def timed_step(

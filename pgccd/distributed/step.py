@@ -70,7 +70,7 @@ class Fleet:
         state: of any share of the robots; all ranks together have each robot once.
         balance: how cells change hands.
         broad_phase, overlap: see `Options`.
-        ahead: see `pgccd.sim.make_step`; the same on all ranks.
+        ahead: see `pgccd.sim.make_step`; the same on all ranks. Default: on a GPU, and with other ranks.
 
     Example:
         >>> fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
@@ -93,7 +93,7 @@ class Fleet:
         # nonzero_toi: robots that part after a contact are free.
         self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
         # The fleet's own, so that all ranks know the same number of rounds.
-        self._pace = Pace() if goes_ahead(ahead, world.device) else None
+        self._pace = Pace() if goes_ahead(ahead, world.device, comm.size) else None
         self._expected = Census.of_range(world.config.robots)
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()

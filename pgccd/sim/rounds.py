@@ -1,4 +1,6 @@
-"""Settling with several rounds at a time: a GPU makes most of them in less time than the host would wait for each."""
+"""Settling with several rounds at a time: a GPU makes most of them in less time than the host would wait for each, and
+ranks agree once on whether there are more.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,9 @@ _MORE_ROUNDS = 2
 _SLACK = 1.5
 
 
-def goes_ahead(ahead: bool | None, device: torch.device) -> bool:
-    """Whether rounds are made several at a time; None: where it saves something, which is on a GPU."""
-    return device.type != "cpu" if ahead is None else ahead
+def goes_ahead(ahead: bool | None, device: torch.device, ranks: int = 1) -> bool:
+    """Whether rounds are made several at a time; None: where there is a GPU or another rank to wait for."""
+    return device.type != "cpu" or ranks > 1 if ahead is None else ahead
 
 
 class Pace:
