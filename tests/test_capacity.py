@@ -242,3 +242,12 @@ def test_room_grows_until_a_step_fits(device: torch.device, report: Any) -> None
     assert again is not None and again.stats.waits == 1
     assert detect_at_once(bodies, query, "grid", None, 1000) is None
     assert_same(pgccd.detect(scene, motion, report, broad_phase="grid", memory_budget=1000), expected)
+
+
+def test_rooms_for_like_needs_are_mostly_of_one_size() -> None:
+    rooms = set()
+    for pairs in range(100_000, 103_000, 100):
+        room = Capacity(pairs=pairs, contacts=pairs // 20).times(1.25)
+        assert 1.25 * pairs + 4096 <= room.pairs <= 1.125 * (1.25 * pairs + 4097)
+        rooms.add(room.pairs)
+    assert len(rooms) <= 2
