@@ -11,13 +11,24 @@ CPP_FILES = find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cuh' -o -name '*.
 # xdist may be missing where there is no network.
 PARALLEL = $$($(VENV_PYTHON) -c "import xdist" 2>/dev/null && echo "-n 2")
 
-.PHONY: demo test lint bench build clean
+# The kernels on small scenes. Left out: graphs and compilation, which need torch's memory pool; with it the tools would
+# not see the ends of tensors.
+SANITIZED = tests/test_rows.py tests/test_traverse.py tests/test_capacity.py tests/test_self_collision_in_room.py \
+	tests/sim tests/distributed/test_territory.py -m "cuda and not slow" -k "not graph and not compile and not one_wait"
+
+.PHONY: demo test sanitize lint bench build clean
 
 demo: $(EXTENSION)
 	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 20 --world random --out out/demo
 
 test: $(EXTENSION)
 	$(VENV_PYTHON) -m pytest -q $(PARALLEL)
+
+sanitize: $(EXTENSION)
+	for tool in memcheck racecheck initcheck; do \
+		PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool $$tool --error-exitcode 1 \
+			$(VENV_PYTHON) -m pytest -q $(SANITIZED) || exit; \
+	done
 
 lint: $(ENVIRONMENT)
 	$(VENV_PYTHON) -m ruff check .
