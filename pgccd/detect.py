@@ -143,7 +143,7 @@ def find_contacts(
     return found
 
 
-def start_search(bodies: MovingBodies, query: Query, pairs: Tensor) -> Search:
+def start_search(bodies: MovingBodies, query: Query, pairs: Tensor, count: Tensor | None = None) -> Search:
     """Starts `find_contacts` without waiting for a GPU; `finish_search` completes it.
 
     There is room for a step like the last one of these meshes. Where that would take too much memory there is none, and
@@ -151,6 +151,7 @@ def start_search(bodies: MovingBodies, query: Query, pairs: Tensor) -> Search:
 
     Args:
         bodies, query, pairs: as for `find_contacts`.
+        count: (1,) int64, left on the device: how many of the pairs there are, if the rest is padding.
     """
     capacity = EXACTLY
     if bodies.device.type != "cpu":
@@ -158,7 +159,7 @@ def start_search(bodies: MovingBodies, query: Query, pairs: Tensor) -> Search:
         capacity = recall_capacity(bodies.scene, query, pairs)
         if capacity.bytes > memory_limit(None, capacity.bytes, bodies.device):
             capacity = Capacity(0, 0)
-    return search_within(bodies, query, capacity, "auto", pairs)
+    return search_within(bodies, query, capacity, "auto", pairs, count)
 
 
 def finish_search(search: Search, pairs: Tensor, counts: Counts) -> Contacts:

@@ -80,8 +80,8 @@ def _(holders: Tensor, rows: Tensor, count: int) -> Tensor:
 
 
 @torch.library.register_fake("pgccd::owned_pairs")
-def _(pairs: Tensor, crossing: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
-    return pairs.new_empty((pairs.shape[0] + crossing.shape[0], 2)), pairs.new_empty((1,))
+def _(pairs: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
+    return pairs.new_empty((pairs.shape[0], 2)), pairs.new_empty((1,))
 
 
 @torch.library.register_fake("pgccd::near_ghosts")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -60,7 +61,9 @@ def stream(
             chunks += [chunk[half:], chunk[:half]]
             continue
         parts.append(solve_at_any_price(chunk) if found is None else found)
-    contacts = parts[0] if len(parts) == 1 else _joined(parts, query)
+    contacts = parts[0] if len(parts) == 1 else join_contacts(parts, [part.pairs for part in parts])
+    if len(parts) > 1 and query.report == "earliest":
+        contacts = _earliest(contacts)
     contacts.stats.broad_phase = chosen
     contacts.stats.seconds = {"broad": seconds} | {
         stage: spent for stage, spent in contacts.stats.seconds.items() if stage != "broad"
@@ -68,12 +71,16 @@ def stream(
     return contacts
 
 
-def _joined(parts: list[Contacts], query: Query) -> Contacts:
-    columns = [torch.cat(values) for values in zip(*map(_columns, parts), strict=True)]
-    if query.report == "earliest":
-        pairs, toi, *rest = columns
-        columns = _earliest(pairs, toi, *rest)
-    stats = Stats(bodies=parts[0].stats.bodies)
+def join_contacts(parts: Sequence[Contacts], pairs: Sequence[Tensor]) -> Contacts:
+    """The contacts of all parts, one part after the other.
+
+    Args:
+        parts: of the same report.
+        pairs: (K, 2), to take the place of each part's own.
+    """
+    given = [replace(part, pairs=column) for part, column in zip(parts, pairs, strict=True)]
+    columns = [torch.cat(values) for values in zip(*map(_columns, given), strict=True)]
+    stats = Stats(bodies=parts[0].stats.bodies, broad_phase=parts[0].stats.broad_phase)
     for part in parts:
         for name in _SUMS:
             setattr(stats, name, getattr(stats, name) + getattr(part.stats, name))
@@ -92,6 +99,8 @@ def _columns(part: Contacts) -> list[Tensor]:
     return [column for column in (getattr(part, name) for name in _COLUMNS) if column is not None]
 
 
-def _earliest(pairs: Tensor, toi: Tensor, *rest: Tensor) -> list[Tensor]:
-    first = narrow.earliest_row(toi)
-    return [column[first] for column in (pairs, toi, *rest)]
+def _earliest(contacts: Contacts) -> Contacts:
+    assert contacts.toi is not None
+    first = narrow.earliest_row(contacts.toi)
+    columns: dict[str, Any] = {name: column[first] for name, column in vars(contacts).items() if name in _COLUMNS}
+    return replace(contacts, **columns, stats=replace(contacts.stats, contacts=len(columns["pairs"])))

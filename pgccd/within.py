@@ -100,14 +100,15 @@ class Search:
         return self.counts[COUNT_ROWS[name]].reshape(1)
 
 
-def _counts_of_given(pairs: Tensor) -> Tensor:
+def _counts_of_given(pairs: Tensor, count: Tensor | None) -> Tensor:
     """What the broad phase would have counted."""
-    count = pairs.shape[0]
-    if pairs.device.type == "cpu":
+    if count is None and pairs.device.type == "cpu":
         values = [0] * COUNTS_OF_PAIRS
-        values[COUNT_ROWS["pairs"]] = values[COUNT_ROWS["pairs_written"]] = count
+        values[COUNT_ROWS["pairs"]] = values[COUNT_ROWS["pairs_written"]] = pairs.shape[0]
         return torch.tensor(values)
-    written = torch.full((1,), count, dtype=torch.int64, device=pairs.device)
+    written = count
+    if written is None:
+        written = torch.full((1,), pairs.shape[0], dtype=torch.int64, device=pairs.device)
     counts, nothing = {"pairs": written, "pairs_written": written}, torch.zeros_like(written)
     return torch.cat([counts.get(name, nothing) for name in list(COUNT_ROWS)[:COUNTS_OF_PAIRS]])
 
@@ -117,7 +118,12 @@ _REPORTS = narrow.REPORTS | {"earliest": 3}
 
 
 def search_within(
-    bodies: MovingBodies, query: Query, capacity: Capacity, broad_phase: broad.BroadPhase, pairs: Tensor | None
+    bodies: MovingBodies,
+    query: Query,
+    capacity: Capacity,
+    broad_phase: broad.BroadPhase,
+    pairs: Tensor | None,
+    count: Tensor | None = None,
 ) -> Search:
     """Starts a step.
 
@@ -127,6 +133,7 @@ def search_within(
         capacity: room for the answer and for what is needed on the way.
         broad_phase: how the PCS is found.
         pairs: (P, 2) int64, instead of that.
+        count: (1,) int64, left on the device: how many these are, if not all.
     """
     faults = bodies.first_faults()
     if pairs is None:
@@ -134,7 +141,7 @@ def search_within(
         pairs, pair_counts = broad.find_pairs_within(bodies, query.min_separation, chosen, capacity, faults[-1:])
     else:
         chosen = None
-        pair_counts = _counts_of_given(pairs)
+        pair_counts = _counts_of_given(pairs, count)
         if not bodies.checked:
             pair_counts = pair_counts * (1 - faults[-1:])
     linear_path = None if bodies.deforming else bodies.linear_path

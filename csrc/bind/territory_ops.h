@@ -67,7 +67,7 @@ struct TerritoryOps {
     return by_rank;
   }
 
-  static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const Tensor& crossing, const Tensor& border,
+  static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const std::optional<Tensor>& held,
                                                 const Tensor& id, const TensorList& centres, double min_separation,
                                                 const Tensor& reach, FrameList frame, const Tensor& owner,
                                                 int64_t rank) {
@@ -76,13 +76,13 @@ struct TerritoryOps {
     input.territory = territory_view(frame, owner, rank);
     input.reach = rows<uint8_t>(reach, "reach", {kAnySize});
     input.own_count = reach.size(0);
-    input.id = rows<int64_t>(id, "id", {input.bodies.count});
+    input.rows = optional_column<int64_t>(held, "rows", input.bodies.count);
+    input.id = rows<int64_t>(id, "id", {kAnySize});
+    STD_TORCH_CHECK(held || input.own_count == input.bodies.count, "reach: expected ", input.bodies.count, " rows");
+    STD_TORCH_CHECK(id.size(0) >= input.own_count, "id: expected at least ", input.own_count, " rows");
     input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
-    input.own_pairs = pairs.size(0);
-    input.crossing = rows<int64_t>(crossing, "crossing", {kAnySize, 2});
-    input.crossing_pairs = crossing.size(0);
-    input.border = rows<int64_t>(border, "border", {kAnySize});
-    Tensor owned = new_tensor<int64_t>(owner, {input.count(), 2}), found = new_tensor<int64_t>(owner, {1});
+    input.pair_count = pairs.size(0);
+    Tensor owned = new_tensor<int64_t>(owner, {input.pair_count, 2}), found = new_tensor<int64_t>(owner, {1});
     Backend(owner).owned_pairs(input, data<int64_t>(owned), data<int64_t>(found));
     return {owned, found};
   }

@@ -13,8 +13,8 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "int[] received, int ranks) -> (Tensor holders, Tensor counts)");
   library.def("rows_by_rank(Tensor holders, Tensor rows, int count) -> Tensor");
   library.def(
-      "owned_pairs(Tensor pairs, Tensor crossing, Tensor border, Tensor id, Tensor[] centres, float min_separation, "
-      "Tensor reach, float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
+      "owned_pairs(Tensor pairs, Tensor? rows, Tensor id, Tensor[] centres, float min_separation, Tensor reach, "
+      "float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
   library.def(
       "near_ghosts(Tensor[] centres, Tensor[] ghosts, float min_separation, float[] frame, Tensor owner, int rank) -> "
       "(Tensor near, Tensor found)");

@@ -1,13 +1,13 @@
 """Detection by many ranks: every pair of bodies is tested by exactly one of them.
 
-Own bodies look for own partners while the ghosts are still under way; then ghosts for those near them. One detection
-tests all pairs found.
+Pairs of own bodies are searched while the ghosts are under way, then those with ghosts among the bodies near them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import cast
 
 import torch
@@ -16,12 +16,13 @@ from torch import Tensor
 from pgccd import broad, narrow, ops
 from pgccd.bodies import MovingBodies
 from pgccd.contacts import Contacts
-from pgccd.detect import find_contacts
 from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Columns, take_rows
-from pgccd.distributed.halo import Centres, Halo, Held, HeldExchange, centres_of
+from pgccd.distributed.exchange import Columns
+from pgccd.distributed.halo import Halo, Held, HeldExchange, centres_of
 from pgccd.distributed.partition import Partition
+from pgccd.distributed.side_stream import SideStream
 from pgccd.motion import RigidMotion
+from pgccd.parts import Part, contacts_of_step, pairs_of_step
 from pgccd.query import Query
 from pgccd.scene import FILTERS, Scene
 from pgccd.stages import StageClock
@@ -39,43 +40,72 @@ class Options:
     tolerance: float | None = None
     nonzero_toi: bool = False
     broad_phase: broad.BroadPhase = "auto"
-    #: Whether pairs of own bodies are looked for while ghosts are under way. The result does not depend on it.
+    #: Whether pairs of own bodies are searched while ghosts are under way. The result does not depend on it.
     overlap: bool = True
+
+    @property
+    def query(self) -> Query:
+        """What each part is asked."""
+        # Rows are not in the order of ids, which decides among equal ones.
+        report: narrow.Report = "first" if self.report == "earliest" else self.report
+        return Query(report, self.min_separation, self.tolerance, self.nonzero_toi)
 
 
 @dataclass(frozen=True)
 class Share:
-    """What one rank tests in one step. Pairs are rows of bodies held, that of the smaller id first."""
+    """What one rank tests in one step: pairs of own bodies, and if there are other ranks those with ghosts."""
 
     held: Held
-    bodies: MovingBodies  #: those held
-    pairs: Tensor  #: (P, 2) int64: the potentially colliding pairs
+    parts: list[Part]
+    ghosts: MovingBodies | None  #: if there are other ranks
+    side: SideStream  #: on which ghosts came
     min_separation: float
+
+    @property
+    def pairs(self) -> Tensor:
+        """(P, 2) int64: the PCS as rows of bodies held, that of the smaller id first; rows of -1 among them."""
+        return pairs_of_step(self.parts)
 
     def exchange(self, partition: Partition) -> HeldExchange:
         """How ranks that hold a body agree about it."""
-        return HeldExchange(self.held, centres_of(self.bodies), self.min_separation, partition)
+        with self.side:
+            nobody = centres_of(self.parts[0].bodies)
+            centres = nobody if self.ghosts is None else centres_of(self.ghosts)
+            return HeldExchange(self.held, centres, self.min_separation, partition)
 
 
 @dataclass(frozen=True)
 class Detection:
     """What one rank found in one step."""
 
-    held: Held
-    pairs: Tensor  #: as of `Share`
-    contacts: Contacts  #: of these pairs
-    centres: Centres  #: of bodies held
-    min_separation: float
+    share: Share  #: whose parts have been searched
+    contacts: Contacts  #: as rows of bodies held
 
-    @classmethod
-    def of(cls, share: Share, contacts: Contacts) -> Detection:
-        """The contacts of a rank's share."""
-        return cls(share.held, share.pairs, contacts, centres_of(share.bodies), share.min_separation)
+    @property
+    def held(self) -> Held:
+        return self.share.held
 
-    def reference_cells(self, partition: Partition, pairs: Tensor) -> Tensor:
-        """(K,) int64: the cell of the lower corner of the intersection of the boxes of each pair (K, 2)."""
-        lower = ops.swept_boxes(*self.centres, self.min_separation)[0]
-        return partition.cell_of(torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]]))
+    @cached_property
+    def pairs(self) -> Tensor:
+        """(P, 2) int64: the PCS as rows of bodies held, that of the smaller id first."""
+        return torch.cat([part.in_step(_pairs_of(part)) for part in self.share.parts])
+
+    def cells(self, partition: Partition) -> tuple[Tensor, Tensor]:
+        """(P,) and (K,) int64: the cells of the lower corners of the intersections of the boxes of pairs, and of those
+        that collide."""
+        parts = self.share.parts
+        lower = [ops.swept_boxes(*centres_of(part.bodies), self.share.min_separation)[0] for part in parts]
+        of_pairs = [_cells(partition, corner, _pairs_of(part)) for part, corner in zip(parts, lower, strict=True)]
+        of_contacts = [_cells(partition, at, part.find().pairs) for part, at in zip(parts, lower, strict=True)]
+        return torch.cat(of_pairs), torch.cat(of_contacts)
+
+
+def _pairs_of(part: Part) -> Tensor:
+    return part.pairs[: part.find().stats.pcs]
+
+
+def _cells(partition: Partition, lower: Tensor, pairs: Tensor) -> Tensor:
+    return partition.cell_of(torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]]))
 
 
 def detect_distributed(
@@ -96,15 +126,12 @@ def detect_distributed(
         options: what to find.
         clock: stages are timed here.
     """
-    # Rows are not in the order of ids, which decides among equal ones.
-    report: narrow.Report = "first" if options.report == "earliest" else options.report
-    query = Query(report, options.min_separation, options.tolerance, options.nonzero_toi)
-    share = find_share(comm, partition, own, build, options, clock)
-    found = find_contacts(share.bodies, query, pairs=share.pairs)
+    share = find_share(comm, partition, own, build, options, clock, Part.begin)
+    found = contacts_of_step(share.parts)
     clock.add(found.stats.seconds)
     if options.report == "earliest":
         found = _earliest(found, share.held.id)
-    return Detection.of(share, found)
+    return Detection(share, replace(found, stats=replace(found.stats, bodies=len(share.held))))
 
 
 def find_share(
@@ -114,53 +141,65 @@ def find_share(
     build: Build,
     options: Options,
     clock: StageClock,
+    begin: Callable[[Part], object],
 ) -> Share:
-    """The pairs that this rank is to test, and all that it must know of their bodies; arguments as above."""
+    """The pairs that this rank is to test, and all that it must know of their bodies; arguments as above.
+
+    Args:
+        begin: called with each part as soon as it is known.
+    """
     separation = broad.check_separation(options.min_separation)
-    territory = partition.territory(comm.rank)
     with clock.stage("plan"):
         bodies = MovingBodies(*build(own), wait=False)
     with clock.stage("halo"):
         halo = Halo(comm, partition, own, bodies, separation)
+    side = SideStream(bodies.device, options.overlap and comm.size > 1)
+    if comm.size == 1:
+        with clock.stage("broad"):
+            part = Part(options.query, bodies, broad.find_pairs(bodies, separation, options.broad_phase))
+        begin(part)
+        return Share(halo.wait(), [part], None, side, separation)
+    with side, clock.stage("halo"):
+        halo.announce()
+        # A GPU is first given something to do, as the others' answers take their time.
+        if not side.is_apart:
+            halo.send()
     held = None if options.overlap else _wait(halo, clock)
+    where = separation, halo.reach, partition.territory(comm.rank)
     with clock.stage("broad"):
         pairs = broad.find_pairs(bodies, separation, options.broad_phase)
-    held = held or _wait(halo, clock)
-    if halo.reach is None:  # there are no others
-        return Share(held, bodies, pairs, separation)
-    crossing, border = pairs[:0], held.border
-    if held.ghost_count:
+        of_own = Part(options.query, bodies, *ops.owned_pairs(pairs, None, own["id"], centres_of(bodies), *where))
+    begin(of_own)
+    with side:
+        held = held or _wait(halo, clock)
         with clock.stage("halo"):
-            bodies = _joined(bodies, _told(*build(held.ghosts)))
-            border = _border(bodies, held, separation, territory)
-            at_border = _bodies(bodies, take_rows(_columns(bodies), border))
+            ghosts = _told(*build(held.ghosts))
+            rows = _near_ghosts(bodies, ghosts, separation, partition.territory(comm.rank))
+            at_border = _bodies(bodies, _taken(bodies, ghosts, rows))
         with clock.stage("broad"):
             crossing = broad.find_pairs(at_border, separation, options.broad_phase)
-    with clock.stage("broad"):
-        # Whose reference point lies in a cell of this rank; of those that cross, only pairs with a ghost.
-        where = (centres_of(bodies), separation, halo.reach, territory)
-        owned, found = ops.owned_pairs(pairs, crossing, border, held.id, *where)
-    return Share(held, bodies, owned[: int(found)], separation)
+            found = ops.owned_pairs(crossing, rows, held.id, centres_of(at_border), *where)
+            with_ghosts = Part(options.query, at_border, *found, rows)
+    side.join()
+    begin(with_ghosts)
+    return Share(held, [of_own, with_ghosts], ghosts, side, separation)
 
 
-def _border(bodies: MovingBodies, held: Held, separation: float, territory: ops.Territory) -> Tensor:
+def _near_ghosts(bodies: MovingBodies, ghosts: MovingBodies, separation: float, territory: ops.Territory) -> Tensor:
     """(B,) int64: the rows of all own bodies near ghosts, and of ghosts.
 
     A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the box
     around all ghosts.
     """
-    sizes = [held.own_count, held.ghost_count]
-    own, ghosts = zip(*(column.split(sizes) for column in centres_of(bodies)), strict=True)
-    near, found = ops.near_ghosts(own, ghosts, separation, territory)
-    return torch.cat([near[: int(found)], torch.arange(held.own_count, len(held), device=near.device)])
+    near, found = ops.near_ghosts(centres_of(bodies), centres_of(ghosts), separation, territory)
+    own_count, ghost_count = bodies.scene.body_count, ghosts.scene.body_count
+    return torch.cat([near[: int(found)], torch.arange(own_count, own_count + ghost_count, device=near.device)])
 
 
-def _joined(bodies: MovingBodies, ghosts: MovingBodies) -> MovingBodies:
-    """Both, own bodies first."""
+def _taken(bodies: MovingBodies, ghosts: MovingBodies, rows: Tensor) -> Columns:
+    """Columns of both: own bodies first."""
     own, more = _columns(bodies), _columns(ghosts)
-    everybody = torch.arange(bodies.scene.body_count + ghosts.scene.body_count, device=bodies.device)
-    joined = ops.take_rows(list(own.values()), [more[name] for name in own], everybody)
-    return _bodies(bodies, dict(zip(own, joined, strict=True)))
+    return dict(zip(own, ops.take_rows(list(own.values()), [more[name] for name in own], rows), strict=True))
 
 
 def _earliest(contacts: Contacts, id: Tensor) -> Contacts:

@@ -65,7 +65,7 @@ class Held:
 
 
 class Halo:
-    """The ghosts of one step, under way from construction on.
+    """The ghosts of one step, on their way.
 
     Args:
         comm: between the ranks.
@@ -81,36 +81,45 @@ class Halo:
     def __init__(
         self, comm: Comm, partition: Partition, own: Mapping[str, Tensor], bodies: MovingBodies, min_separation: float
     ) -> None:
-        self._own_id = own["id"]
-        #: (N,) uint8: 1 for own bodies that reach cells of others; None if there are no others.
-        self.reach: Tensor | None = None
+        self._comm, self._own = comm, own
+        self._where = centres_of(bodies), min_separation, partition.territory(comm.rank)
+        nobody = own["id"][:0]
+        #: (N,) uint8: 1 for own bodies that reach cells of others.
+        self.reach = nobody.to(torch.uint8)
+        #: (B,) int64: rows of these.
+        self._border = nobody
         self._arrival: Arrival | None = None
         if comm.size == 1:
             bodies.motion.check()
-            bodies.checked = True
-            nobody = own["id"][:0]
-            self._ghosts = {name: column[:0] for name, column in own.items()}
-            self._route = Route(comm, nobody, [0], [0])
-            self._border, self._holders = nobody, nobody.new_empty((0, 1), dtype=torch.uint8)
-            self._counts = nobody.new_zeros(1)
-            return
-        centres, territory = centres_of(bodies), partition.territory(comm.rank)
-        self.reach, border, found = ops.border_bodies(centres, min_separation, territory)
-        count, *faults = torch.cat([found, bodies.first_faults()]).tolist()
-        bodies.raise_faults(faults)
+        else:
+            self.reach, border, found = ops.border_bodies(*self._where)
+            count, *faults = torch.cat([found, bodies.first_faults()]).tolist()
+            bodies.raise_faults(faults)
+            self._border = border[:count]
         bodies.checked = True
-        border = border[:count]
-        holders, counts = ops.holders_of(centres, min_separation, territory, border, comm.size)
-        sent, received = torch.stack([counts, comm.exchange_counts(counts)]).tolist()
-        self._border, self._holders, self._counts = border, holders, counts
-        self._route = Route(comm, ops.rows_by_rank(holders, border, sum(sent)), sent, received)
-        self._arrival = self._route.forward(own)
+
+    def announce(self) -> None:
+        """Tells the other ranks how many ghosts they get. Leaves the answer on the device."""
+        self._holders, self._counts = ops.holders_of(*self._where, self._border, self._comm.size)
+        self._answer = self._comm.exchange_counts(self._counts)
+
+    def send(self) -> None:
+        """Sends them, once the other ranks have told how many are to come."""
+        sent, received = torch.stack([self._counts, self._answer]).tolist()
+        self._route = Route(self._comm, ops.rows_by_rank(self._holders, self._border, sum(sent)), sent, received)
+        self._arrival = self._route.forward(self._own)
 
     def wait(self) -> Held:
-        """The bodies held, once all ghosts are here."""
-        if self._arrival is not None:
-            self._ghosts = self._arrival.wait()
-        return Held(self._own_id, self._ghosts, self._route, self._border, self._holders, self._counts)
+        """The bodies held, once all ghosts are here. Sends them, if that has not been done."""
+        id = self._own["id"]
+        if self._comm.size == 1:
+            ghosts = {name: column[:0] for name, column in self._own.items()}
+            holders = id.new_empty((0, 1), dtype=torch.uint8)
+            return Held(id, ghosts, Route(self._comm, id[:0], [0], [0]), id[:0], holders, id.new_zeros(1))
+        if self._arrival is None:
+            self.send()
+        assert self._arrival is not None
+        return Held(id, self._arrival.wait(), self._route, self._border, self._holders, self._counts)
 
 
 class HeldExchange:
@@ -121,20 +130,20 @@ class HeldExchange:
 
     Args:
         held: the bodies.
-        centres: of all of them.
+        ghosts: centres of those among them that others own.
         min_separation: length.
         partition: that the halo was made with.
     """
 
-    def __init__(self, held: Held, centres: Centres, min_separation: float, partition: Partition) -> None:
+    def __init__(self, held: Held, ghosts: Centres, min_separation: float, partition: Partition) -> None:
         self._comm = comm = held.route.comm
         self._told: torch.cuda.Event | None = None
         if comm.size == 1:
             self._shared = held.own_id[:0], [0]
             return
-        received, row = held.route.received, torch.arange(held.own_count, len(held), device=held.own_id.device)
-        territory = partition.territory(comm.rank)
-        holders, counts = ops.holders_of(centres, min_separation, territory, row, comm.size, received)
+        received, ghost = held.route.received, torch.arange(held.ghost_count, device=held.own_id.device)
+        territory, row = partition.territory(comm.rank), ghost + held.own_count
+        holders, counts = ops.holders_of(ghosts, min_separation, territory, ghost, comm.size, received)
         before = sum(received[: comm.rank])
         self._holders = torch.cat([holders[:before], held.holders, holders[before:]])
         self._rows = torch.cat([row[:before], held.border, row[before:]])

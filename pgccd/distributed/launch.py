@@ -111,8 +111,17 @@ def connect(
     backend = _backend(transport, device, placement, store)
     # NCCL's own watchdog names nobody: the guard gets the time to.
     patience = timeout + _NCCL_MARGIN if backend == "nccl" else timeout
+    options = None
+    if backend == "nccl":
+        # Messages go before what a GPU is doing meanwhile.
+        options = dist.ProcessGroupNCCL.Options(is_high_priority_stream=True)
     dist.init_process_group(
-        backend, store=store, rank=placement.rank, world_size=placement.size, timeout=_delta(patience)
+        backend,
+        store=store,
+        rank=placement.rank,
+        world_size=placement.size,
+        timeout=_delta(patience),
+        pg_options=options,
     )
     control = dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=_delta(timeout))
     if transport == "mpi4py":

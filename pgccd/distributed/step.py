@@ -16,10 +16,11 @@ from pgccd.distributed.exchange import Columns, take_rows
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
 from pgccd.motion import RigidMotion
+from pgccd.parts import Part
 from pgccd.scene import Scene
 from pgccd.sim.partners import Partners
 from pgccd.sim.response import Settlement, respond
-from pgccd.sim.rounds import Pace, goes_ahead
+from pgccd.sim.rounds import Pace, goes_ahead, knows_rounds
 from pgccd.sim.step import Settled, settle_step
 from pgccd.sim.tally import COUNTED, Tally, Work, count_step
 from pgccd.sim.world import RobotState, World
@@ -114,7 +115,8 @@ class Fleet:
         with clock.stage("plan"):
             planned = self.world.plan(self.state, index)
         own = planned.moving_columns
-        share = find_share(comm, self.partition, own, self._build, self.options, clock)
+        begin = Part.start if knows_rounds(self._pace) else Part.begin
+        share = find_share(comm, self.partition, own, self._build, self.options, clock, begin)
         with clock.stage("halo"):
             exchange = share.exchange(self.partition)
             partners = Partners(self.world, own, share.held.ghosts, share.pairs)
@@ -132,7 +134,7 @@ class Fleet:
                 moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
                 return torch.cat([counted, self._told_by_host(share), *moves])
 
-        settled = settle_step(share.bodies, share.pairs, partners, self._pace, conclude, clock, exchange)
+        settled = settle_step(share.parts, len(share.held), partners, self._pace, conclude, clock, exchange)
         reports = [_Report.of(*told) for told in zip(settled.work, settled.told, strict=True)]
         tallies = [report.tally for report in reports]
         Census.total([Census(tally.robots, tally.id_hash) for tally in tallies]).require(self._expected)
@@ -143,7 +145,7 @@ class Fleet:
             if leaving is not None and moved_cells == 0 and all(moves):
                 known = leaving, moves[comm.rank], [row[comm.rank] for row in moves]
             self._migrate(after, known)
-        found = Detection.of(share, settled.contacts)
+        found = Detection(share, settled.contacts)
         record = Tally.total(tallies).record(index, settled.settlement.rounds, clock)
         record["ranks"] = {
             "bodies": [part.robots for part in tallies],
@@ -158,7 +160,7 @@ class Fleet:
         return RankStep(index, found, planned, settled.settlement, record)
 
     def _told_by_host(self, share: Share) -> Tensor:
-        return torch.tensor([len(share.held), self._arrived]).to(share.pairs.device, non_blocking=True)
+        return torch.tensor([len(share.held), self._arrived]).to(self.world.device, non_blocking=True)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
         pose = (columns["position"], columns["orientation"], columns["velocity"], columns["angular_velocity"])
@@ -184,7 +186,7 @@ class Fleet:
             seconds = [1e-9 * report.busy for report in reports]
             if RankLoads(robots, pcs, contacts, seconds).are_level(self.balance):
                 return 0
-            loads = cell_loads(self.partition, planned.position, Detection.of(share, settled.contacts))
+            loads = cell_loads(self.partition, planned.position, Detection(share, settled.contacts))
             total = CellLoads.unstacked(self.comm.sum(loads.stacked()))
             former = self.partition
             self.partition = rebalance(former, total, self.balance, torch.tensor(seconds, dtype=torch.float64))
@@ -198,8 +200,7 @@ class Fleet:
 
 def cell_loads(partition: Partition, position: Tensor, found: Detection) -> CellLoads:
     """What one rank saw in each cell."""
-    cells = [partition.cell_of(position)]
-    cells += [found.reference_cells(partition, pairs) for pairs in (found.pairs, found.contacts.pairs)]
+    cells = [partition.cell_of(position), *found.cells(partition)]
     return CellLoads(*(torch.bincount(cell, minlength=partition.cell_count) for cell in cells))
 
 

@@ -236,7 +236,7 @@ class World:
     def _cell_loads(self) -> CellLoads:
         if self._found is None:
             raise RuntimeError("no step has been made yet")
-        own = cell_loads(self.partition, self._found.centres[0][: len(self._found.held.own_id)], self._found)
+        own = cell_loads(self.partition, self._found.share.parts[0].bodies.position_t0, self._found)
         return CellLoads.unstacked(self.comm.sum(own.stacked()))
 
     def _change_hands(self) -> None:

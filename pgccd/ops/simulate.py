@@ -56,8 +56,8 @@ def simulate_first_toi(first: Tensor, robots: Tensor | None, pairs: Tensor, toi:
 
 
 def simulate_concerned_pairs(pairs: Tensor, changed: Tensor, room: int) -> tuple[Tensor, Tensor]:
-    """Those of the pairs (P, 2) with a robot of which changed (N,) uint8 is 1: (room, 2), padded with -1; and counts
-    (7,) as of `pairs_within`. Waits for nothing on a GPU."""
+    """Those of the pairs (P, 2), themselves perhaps padded with -1, with a robot of which changed (N,) uint8 is 1:
+    (room, 2), padded with -1; and counts (7,) as of `pairs_within`. Waits for nothing on a GPU."""
     return library.operators.simulate_concerned_pairs(pairs, changed, room)
 
 

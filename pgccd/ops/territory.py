@@ -40,19 +40,18 @@ def rows_by_rank(holders: Tensor, rows: Tensor, count: int) -> Tensor:
 
 def owned_pairs(
     pairs: Tensor,
-    crossing: Tensor,
-    border: Tensor,
+    rows: Tensor | None,
     id: Tensor,
     centres: Centres,
     min_separation: float,
     reach: Tensor,
     territory: Territory,
 ) -> tuple[Tensor, Tensor]:
-    """Pairs of rows whose reference point lies in a cell of the rank, that of the smaller id (N + G,) first, in the
-    first `found` (1,) places of (P + C, 2): of the pairs (P, 2) of own bodies, which come first and for which reach
-    (N,) is as above; and of those crossing (C, 2), of bodies `border` (B,), if they are with a ghost."""
-    bodies = (border, id, list(centres), min_separation, reach, *territory)
-    return library.operators.owned_pairs(pairs, crossing, *bodies)
+    """Of the pairs (P, 2) of bodies B those whose reference point lies in a cell of the rank, that of the smaller id
+    first, in the first `found` (1,) places of (P, 2), then rows of -1. Of the bodies that the rank holds, own ones come
+    first, then ghosts: reach (N,) of own ones is as above, id (N + G,) is of all. rows (B,): which of them each of the
+    bodies is, and only pairs with a ghost count; None: they are the own ones."""
+    return library.operators.owned_pairs(pairs, rows, id, list(centres), min_separation, reach, *territory)
 
 
 def near_ghosts(

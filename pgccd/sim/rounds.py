@@ -6,16 +6,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeGuard
 
 import torch
 from torch import Tensor
 
 from pgccd import ops
 from pgccd.capacity import COUNT_ROWS, Capacity, Counts
+from pgccd.parts import Part
 from pgccd.sim.response import Exchange, Settlement, limits_of
 from pgccd.stages import StageClock
-from pgccd.within import Search
 
 # Rounds made at a time, after those that the last step took.
 _MORE_ROUNDS = 2
@@ -44,6 +44,11 @@ class Pace:
         """What each round of a step needed."""
         self.rounds = len(needed)
         self._rooms[: len(needed)] = [capacity.times(_SLACK) for capacity in needed]
+
+
+def knows_rounds(pace: Pace | None) -> TypeGuard[Pace]:
+    """Whether rounds can be made ahead: how many there may be is known from the last step."""
+    return pace is not None and pace.rounds is not None
 
 
 class StartRound(Protocol):
@@ -75,12 +80,12 @@ class Ahead:
 
     settlement: Settlement
     told: list[list[int]]  #: what each rank concluded
-    counts: list[Counts]  #: of each rank's search for the contacts of the whole step
+    counts: list[list[Counts]]  #: of each rank's search for the contacts of the whole step, part by part
     secondary_contacts: list[int]  #: of each rank
 
 
 def settle_ahead(
-    search: Search,
+    parts: Sequence[Part],
     body_count: int,
     start_round: StartRound,
     exchange: Exchange,
@@ -95,7 +100,7 @@ def settle_ahead(
     What decides how many are made is known to all ranks.
 
     Args:
-        search: for the contacts of the whole step, started.
+        parts: of the whole step's pairs, as many on all ranks.
         body_count: number of robots N.
         start_round: starts a round.
         exchange: how ranks agree.
@@ -107,11 +112,13 @@ def settle_ahead(
         None, on all ranks, if there was not room for something on one of them.
     """
     with clock.stage("respond"):
-        pairs, toi = search.rows[0], search.rows[4]
-        fraction = torch.ones(body_count, dtype=torch.float64, device=toi.device)
-        changed = torch.empty(body_count, dtype=torch.uint8, device=toi.device)
+        device = parts[0].bodies.device
+        fraction = torch.ones(body_count, dtype=torch.float64, device=device)
+        changed = torch.empty(body_count, dtype=torch.uint8, device=device)
         first = torch.full_like(fraction, torch.inf)
-        ops.simulate_first_toi(first, None, pairs, toi)
+        searches = [part.start() for part in parts]
+        for part, search in zip(parts, searches, strict=True):
+            ops.simulate_first_toi(first, part.rows, search.rows[0], search.rows[4])
 
     def slow_down(rounds: int) -> Tensor:
         exchange.share(first)
@@ -124,7 +131,7 @@ def settle_ahead(
     needed: list[Capacity] = []
     secondary_contacts = [0] * exchange.ranks
     while True:
-        counts, rooms = [search.counts[: len(COUNT_ROWS)]], []
+        counts, rooms = [search.counts[: len(COUNT_ROWS)] for search in searches], []
         with clock.stage("respond"):
             for round in range(len(needed), len(needed) + more):
                 rooms.append(pace.room(round))
@@ -138,14 +145,15 @@ def settle_ahead(
         if any(count.overflow for of_rank in made for count in of_rank):
             return None
         goes_on += [any(numbers[round] for numbers in told) for round in range(len(changes))]
-        needed += [count.needed(room) for count, room in zip(made[exchange.rank][1:], rooms, strict=True)]
-        for rank, (_, *of_rounds) in enumerate(made):
-            secondary_contacts[rank] += sum(count.contacts for count in of_rounds)
+        of_rounds = [of_rank[len(parts) :] for of_rank in made]
+        needed += [count.needed(room) for count, room in zip(of_rounds[exchange.rank], rooms, strict=True)]
+        for rank, of_rank in enumerate(of_rounds):
+            secondary_contacts[rank] += sum(count.contacts for count in of_rank)
         if not all(goes_on):
             rounds = goes_on.index(False)
             pace.learn(needed[:rounds])
             settlement = Settlement(fraction, rounds, secondary_contacts[exchange.rank])
-            of_step = [of_rank[0] for of_rank in made]
+            of_step = [of_rank[: len(parts)] for of_rank in made]
             return Ahead(settlement, [numbers[end:] for numbers in told], of_step, secondary_contacts)
         changes, more = [], _MORE_ROUNDS
 

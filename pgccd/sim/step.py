@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -13,11 +13,11 @@ from torch import Tensor
 from pgccd import broad
 from pgccd.bodies import MovingBodies
 from pgccd.contacts import Contacts
-from pgccd.detect import find_contacts, finish_search, start_search
+from pgccd.parts import Part, contacts_of_step
 from pgccd.scene import Scene
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
 from pgccd.sim.response import Exchange, OneRank, Settlement, respond, settle
-from pgccd.sim.rounds import Pace, goes_ahead, settle_ahead
+from pgccd.sim.rounds import Pace, goes_ahead, knows_rounds, settle_ahead
 from pgccd.sim.tally import Tally, Work, count_step
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
@@ -66,6 +66,7 @@ def make_step(
     with clock.stage("broad"):
         bodies = MovingBodies(scene, motion)
         pairs = broad.find_pairs(bodies, broad_phase=broad_phase)
+        parts = [Part(FIRST_CONTACTS, bodies, pairs)]
         partners = Partners(world, before.moving_columns, None, pairs)
     after = before
 
@@ -77,7 +78,7 @@ def make_step(
             return count_step(after, fraction, before.id, pairs, toi)
 
     pace = _pace_of(scene) if goes_ahead(ahead, scene.device) else None
-    settled = settle_step(bodies, pairs, partners, pace, conclude, clock)
+    settled = settle_step(parts, scene.body_count, partners, pace, conclude, clock)
     tally = Tally.of(settled.work[0], settled.told[0])
     record = tally.record(index, settled.settlement.rounds, clock)
     return Step(index, before, settled.contacts, toi_of(settled.contacts), settled.settlement, after, record)
@@ -106,8 +107,8 @@ class Settled:
 
 
 def settle_step(
-    bodies: MovingBodies,
-    pairs: Tensor,
+    parts: Sequence[Part],
+    body_count: int,
     partners: Partners,
     pace: Pace | None,
     conclude: Callable[[Tensor, Tensor, Tensor], Tensor],
@@ -117,8 +118,8 @@ def settle_step(
     """Finds the contacts of a step, and decides how much of it each robot makes.
 
     Args:
-        bodies: the robots held, for the whole step; checked.
-        pairs: (P, 2) int64, the PCS, the robot of smaller id first.
+        parts: of the PCS, `FIRST_CONTACTS` being what is asked; as many on all ranks.
+        body_count: number of robots held N.
         partners: who may meet whom.
         pace: of the last step; None: the host looks at the outcome of every round.
         conclude: what follows, given the pairs (K, 2) and toi (K,) of contacts, perhaps padded with pairs of -1 and toi
@@ -126,33 +127,44 @@ def settle_step(
         clock: stages are timed here.
         exchange: how ranks agree; default: there is one.
     """
-    exchange = exchange or OneRank(pairs.reshape(-1))
-    body_count = bodies.scene.body_count
+    device = parts[0].bodies.device
+    exchange = exchange or OneRank(parts[0].pairs.reshape(-1))
     # The first step waits for each round, and tells what room rounds need; so does one that did not find enough.
-    if pace is not None and pace.rounds is not None:
+    if knows_rounds(pace):
         clock.add({"traverse": 0.0, "narrow": 0.0})  # stages are listed in the order of work
-        search = start_search(bodies, FIRST_CONTACTS, pairs)
-        rows, toi = search.rows[0], search.rows[4]
-        given_fraction = partial(conclude, rows, toi)
-        ahead = settle_ahead(search, body_count, partners.start_round, exchange, pace, given_fraction, clock)
+        rows = [part.start().rows for part in parts]
+        given = _joined([part.in_step(pairs) for part, (pairs, *_) in zip(parts, rows, strict=True)])
+        given_fraction = partial(conclude, given, _joined([columns[4] for columns in rows]))
+        ahead = settle_ahead(parts, body_count, partners.start_round, exchange, pace, given_fraction, clock)
         if ahead is not None:
-            counts = ahead.counts[exchange.rank]
-            clock.add(counts.seconds)
+            mine = ahead.counts[exchange.rank]
+            for counts in mine:
+                clock.add(counts.seconds)
             work = [Work.of(*rank) for rank in zip(ahead.counts, ahead.secondary_contacts, strict=True)]
-            return Settled(partial(finish_search, search, pairs, counts), ahead.settlement, work, ahead.told)
-    contacts = find_contacts(bodies, FIRST_CONTACTS, pairs=pairs)
+
+            def finish() -> Contacts:
+                for part, counts in zip(parts, mine, strict=True):
+                    part.finish(counts)
+                return contacts_of_step(parts)
+
+            return Settled(finish, ahead.settlement, work, ahead.told)
+    contacts = contacts_of_step(parts)
     clock.add(contacts.stats.seconds)
     with clock.stage("respond"):
         settlement = settle(contacts.pairs, toi_of(contacts), body_count, partners, exchange)
     if pace is not None:
         pace.learn(partners.needed)
-    mine = torch.tensor(astuple(Work.of(contacts.stats, settlement.secondary_contacts)))
-    mine = mine.to(pairs.device, non_blocking=True)
+    told = torch.tensor(astuple(Work.of([contacts.stats], settlement.secondary_contacts)))
+    told = told.to(device, non_blocking=True)
     concluded = conclude(contacts.pairs, toi_of(contacts), settlement.fraction)
     with clock.stage("gather"):
-        numbers = exchange.gather(torch.cat([mine, concluded])).tolist()
-    work, told = [Work(*row[: len(mine)]) for row in numbers], [row[len(mine) :] for row in numbers]
-    return Settled(lambda: contacts, settlement, work, told)
+        numbers = exchange.gather(torch.cat([told, concluded])).tolist()
+    work = [Work(*row[: len(told)]) for row in numbers]
+    return Settled(lambda: contacts, settlement, work, [row[len(told) :] for row in numbers])
+
+
+def _joined(columns: list[Tensor]) -> Tensor:
+    return columns[0] if len(columns) == 1 else torch.cat(columns)
 
 
 def _pace_of(scene: Scene) -> Pace:

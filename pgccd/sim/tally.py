@@ -31,11 +31,14 @@ class Work:
     nanoseconds: int  #: traversing and solving all pairs of the whole step
 
     @classmethod
-    def of(cls, step: Stats | Counts, secondary_contacts: int) -> Work:
-        """Of the search for the contacts of the whole step."""
-        pcs = step.pairs if isinstance(step, Counts) else step.pcs
-        nanoseconds = round(1e9 * (step.seconds["traverse"] + step.seconds["narrow"]))
-        return cls(pcs, step.contacts, secondary_contacts, step.candidates, step.unresolved, nanoseconds)
+    def of(cls, parts: Sequence[Stats | Counts], secondary_contacts: int) -> Work:
+        """Of the search for the contacts of the whole step, part by part."""
+        pcs = sum(part.pairs if isinstance(part, Counts) else part.pcs for part in parts)
+        contacts, candidates, unresolved = (
+            sum(getattr(part, name) for part in parts) for name in ("contacts", "candidates", "unresolved")
+        )
+        seconds = sum(part.seconds["traverse"] + part.seconds["narrow"] for part in parts)
+        return cls(pcs, contacts, secondary_contacts, candidates, unresolved, round(1e9 * seconds))
 
 
 @dataclass

@@ -73,7 +73,6 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     border = torch.randperm(len(cells), generator=generator)
     at_border = torch.argsort(border)[pairs]
     turned = torch.where((id[pairs[:, 0]] < id[pairs[:, 1]])[:, None], pairs, pairs.flip(1))
-    owned = torch.cat([pairs[is_own & is_here], turned[~is_own & is_here]])
     centre_owner = partition.owner_of(centres[0])
     sources = torch.randint(ranks, (len(cells),), generator=generator).sort().values
     received = torch.bincount(sources, minlength=ranks).tolist()
@@ -97,9 +96,16 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
             assert counts.tolist() == [len(each) for each in by_rank]
             assert ops.rows_by_rank(holders, rows, int(counts.sum())).tolist() == sum(by_rank, [])
         assert kept(*ops.near_ghosts(here, there, SEPARATION, territory)) == near
-        columns = (pairs[is_own], at_border, border, id)
-        where = (here, SEPARATION, reach[:own_count], territory)
-        assert kept(*ops.owned_pairs(*(column.to(device) for column in columns), *where)) == owned.tolist()
+        mine = [column[:own_count] for column in here]
+        at_edge = [column[border.to(device)] for column in here]
+        for candidates, rows, those, expected in (
+            (pairs[is_own], None, mine, turned[is_own & is_here]),
+            (at_border, border.to(device), at_edge, torch.argsort(border)[turned[~is_own & is_here]]),
+        ):
+            where = (those, SEPARATION, reach[:own_count], territory)
+            owned, found = ops.owned_pairs(candidates.to(device), rows, id.to(device), *where)
+            assert kept(owned, found) == expected.tolist()
+            assert bool((owned[int(found) :] == -1).all()) and len(owned) == len(candidates)
         leaving, by_destination, counts = ops.leaving_bodies(here[0], territory, ranks)
         gone = centre_owner != rank
         assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()

@@ -14,7 +14,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
 from pgccd.capacity import Capacity
-from pgccd.detect import find_contacts, start_search
+from pgccd.detect import find_contacts
+from pgccd.parts import Part
 from pgccd.sim import RobotState, World, WorldConfig, make_step, robot_mesh
 from pgccd.sim import partners as partners_module
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
@@ -61,6 +62,9 @@ class AStep:
         self.pairs = pgccd.broad.find_pairs(self.bodies)
         self.contacts = find_contacts(self.bodies, FIRST_CONTACTS, pairs=self.pairs)
 
+    def parts(self) -> list[Part]:
+        return [Part(FIRST_CONTACTS, self.bodies, self.pairs)]
+
     def partners(self) -> Partners:
         return Partners(self.world, self.state.moving_columns, None, self.pairs)
 
@@ -68,9 +72,8 @@ class AStep:
         return settle(self.contacts.pairs, toi_of(self.contacts), self.count, self.partners())
 
     def ahead(self, pace: Pace, exchange: OneRank | None = None, partners: Partners | None = None) -> Ahead | None:
-        search = start_search(self.bodies, FIRST_CONTACTS, self.pairs)
         start_round, exchange = (partners or self.partners()).start_round, exchange or OneRank(self.pairs[:, 0])
-        return settle_ahead(search, self.count, start_round, exchange, pace, self.conclude, StageClock())
+        return settle_ahead(self.parts(), self.count, start_round, exchange, pace, self.conclude, StageClock())
 
     def settled(self, pace: Pace, partners: Partners | None = None, exchange: OneRank | None = None) -> Settled:
         partners = partners or self.partners()
@@ -78,7 +81,7 @@ class AStep:
         def conclude(pairs: Tensor, toi: Tensor, fraction: Tensor) -> Tensor:
             return self.conclude(fraction)
 
-        return settle_step(self.bodies, self.pairs, partners, pace, conclude, StageClock(), exchange)
+        return settle_step(self.parts(), self.count, partners, pace, conclude, StageClock(), exchange)
 
     @staticmethod
     def conclude(fraction: Tensor) -> Tensor:
@@ -128,7 +131,7 @@ def test_wherever_a_batch_ends() -> None:
         found = step.ahead(pace, exchange)
         assert found is not None and same(found.settlement, expected)
         assert found.told == [step.conclude(expected.fraction).tolist()]
-        assert [count.contacts for count in found.counts] == [len(step.contacts)]
+        assert [[part.contacts for part in rank] for rank in found.counts] == [[len(step.contacts)]]
         assert pace.rounds == expected.rounds
         assert exchange.count == 1 + max(0, -(-(expected.rounds - rounds) // 2))
 

@@ -41,7 +41,8 @@ void holders_of_cpu(const Executor& executor, const HoldersInput& input, const H
 void rows_by_rank_cpu(const uint8_t* holders, const int64_t* rows, int64_t row_count, int64_t ranks, int64_t count,
                       int64_t* by_rank);
 
-// Pairs whose reference point lies in a cell of the territory's rank: owned (count, 2) has room for all.
+// Pairs whose reference point lies in a cell of the territory's rank, in the first places of owned (pair_count, 2),
+// then pairs of -1; `found` is how many there are.
 void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found);
 
 // Bodies that overlap the box around all ghosts in a cell of the territory's rank which they reach.

@@ -48,9 +48,9 @@ void rows_by_rank_cpu(const uint8_t* holders, const int64_t* rows, int64_t row_c
 }
 
 void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found) {
-  std::vector<int64_t> rows(static_cast<size_t>(input.count()));
-  find_rows(executor, input.count(), rows.data(), found, [&](int64_t k) { return is_owned(input, k); });
-  for (int64_t k = 0; k < *found; ++k) store_held_pair(input, rows[static_cast<size_t>(k)], owned + 2 * k);
+  std::vector<int64_t> kept(static_cast<size_t>(input.pair_count));
+  find_rows(executor, input.pair_count, kept.data(), found, [&](int64_t k) { return is_owned(input, k); });
+  for (int64_t k = 0; k < input.pair_count; ++k) store_owned_pair(input, kept.data(), *found, k, owned);
 }
 
 void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const BroadBodies& ghosts,

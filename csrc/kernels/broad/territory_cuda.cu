@@ -99,10 +99,10 @@ void rows_by_rank_cuda(const DeviceContext& context, const uint8_t* holders, con
 }
 
 void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found) {
-  int64_t* rows = context.allocate<int64_t>(input.count());
-  find_rows(context, input.count(), rows, found, [=] __device__(int64_t k) { return is_owned(input, k); });
-  for_each_counted(context, found, input.count(),
-                   [=] __device__(int64_t k) { store_held_pair(input, rows[k], owned + 2 * k); });
+  int64_t* kept = context.allocate<int64_t>(input.pair_count);
+  find_rows(context, input.pair_count, kept, found, [=] __device__(int64_t k) { return is_owned(input, k); });
+  for_each_item(context, input.pair_count,
+                [=] __device__(int64_t k) { store_owned_pair(input, kept, *found, k, owned); });
 }
 
 void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadBodies& ghosts,

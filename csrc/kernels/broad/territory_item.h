@@ -57,51 +57,45 @@ PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Territory& territo
   return false;
 }
 
-// Pairs of bodies held: own ones come first, then ghosts.
+// Pairs of some of the bodies held, of which own ones come first, then ghosts.
 struct OwnedPairs {
   BroadBodies bodies;
   Territory territory;
+  const int64_t* rows;   // which of the bodies held each is; null: these are the own ones, all of them
   const uint8_t* reach;  // (own_count,) bits
-  int64_t own_count;     // of bodies
-  const int64_t* id;     // of the bodies
-  const int64_t* pairs;  // (own_pairs, 2) of own bodies
-  int64_t own_pairs;
-  const int64_t* crossing;  // (crossing_pairs, 2), of rows of `border`; only those with a ghost count
-  int64_t crossing_pairs;
-  const int64_t* border;  // rows of the bodies
+  int64_t own_count;     // of bodies held
+  const int64_t* id;     // of bodies held
+  const int64_t* pairs;  // (pair_count, 2) of `bodies`
+  int64_t pair_count;
 
-  PGCCD_HD int64_t count() const { return own_pairs + crossing_pairs; }
+  PGCCD_HD int64_t held(int64_t body) const { return rows != nullptr ? rows[body] : body; }
 };
-
-struct RowPair {
-  int64_t i, j;
-};
-
-// The smaller id first.
-PGCCD_HD RowPair held_pair(const OwnedPairs& input, int64_t k) {
-  if (k < input.own_pairs) return {input.pairs[2 * k], input.pairs[2 * k + 1]};
-  const int64_t* crossing = input.crossing + 2 * (k - input.own_pairs);
-  const int64_t i = input.border[crossing[0]], j = input.border[crossing[1]];
-  return input.id[i] < input.id[j] ? RowPair{i, j} : RowPair{j, i};
-}
 
 // The reference point of two boxes that overlap is the lower corner of their intersection. It lies in both, so it is in
-// a cell of this rank for certain if one of them reaches no other.
+// a cell of this rank for certain if one of them reaches no other. Where bodies are named by rows, pairs of own bodies
+// are somebody else's business.
 PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t k) {
-  const RowPair pair = held_pair(input, k);
-  const bool own_i = pair.i < input.own_count, own_j = pair.j < input.own_count;
-  if (k >= input.own_pairs && own_i && own_j) return false;
-  if ((own_i && input.reach[pair.i] == 0) || (own_j && input.reach[pair.j] == 0)) return true;
-  const Vec3<double> a = swept_box(input.bodies, pair.i).lower, b = swept_box(input.bodies, pair.j).lower;
+  const int64_t i = input.pairs[2 * k], j = input.pairs[2 * k + 1], held_i = input.held(i), held_j = input.held(j);
+  const bool own_i = held_i < input.own_count, own_j = held_j < input.own_count;
+  if (input.rows != nullptr && own_i && own_j) return false;
+  if ((own_i && input.reach[held_i] == 0) || (own_j && input.reach[held_j] == 0)) return true;
+  const Vec3<double> a = swept_box(input.bodies, i).lower, b = swept_box(input.bodies, j).lower;
   const Vec3<double> reference{larger(a.x, b.x), larger(a.y, b.y), larger(a.z, b.z)};
   const CellFrame& frame = input.territory.frame;
   return input.territory.owner[frame.index(frame.cell(reference))] == input.territory.rank;
 }
 
-PGCCD_HD void store_held_pair(const OwnedPairs& input, int64_t k, int64_t* out) {
-  const RowPair pair = held_pair(input, k);
-  out[0] = pair.i;
-  out[1] = pair.j;
+// The k-th pair that is owned, the smaller id first; `found` (found_count,) of all.
+PGCCD_HD void store_owned_pair(const OwnedPairs& input, const int64_t* found, int64_t found_count, int64_t k,
+                               int64_t* out) {
+  if (k >= found_count) {
+    out[2 * k] = out[2 * k + 1] = -1;
+    return;
+  }
+  const int64_t i = input.pairs[2 * found[k]], j = input.pairs[2 * found[k] + 1];
+  const bool in_order = input.id[input.held(i)] < input.id[input.held(j)];
+  out[2 * k] = in_order ? i : j;
+  out[2 * k + 1] = in_order ? j : i;
 }
 
 // Integers in the order of the numbers they stand for, so that devices have atomics for them.

@@ -71,11 +71,12 @@ struct FirstToiInput {
 
 // Pairs of which at least one robot has changed.
 struct ConcernedPairs {
-  const int64_t* pairs;    // (pair_count, 2)
+  const int64_t* pairs;    // (pair_count, 2), padding negative
   const uint8_t* changed;  // (robots,)
 
   PGCCD_HD bool operator()(int64_t pair) const {
-    return (changed[pairs[2 * pair]] | changed[pairs[2 * pair + 1]]) != 0;
+    const int64_t i = pairs[2 * pair];
+    return i >= 0 && (changed[i] | changed[pairs[2 * pair + 1]]) != 0;
   }
 };
 
