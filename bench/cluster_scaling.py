@@ -7,7 +7,8 @@ Run it once for each number of ranks; every run adds its row to the same file an
     torchrun --nproc-per-node 4 bench/cluster_scaling.py --robots-a-rank 1000000 --device cuda
 
 With one rank the single-device program is timed beside, step by step from the same states. A step is timed from barrier
-to barrier. `waiting` is what a rank spends in the all-gather at the end of the step, until the slowest has come.
+to barrier, and after that as many in a row, as a simulation makes them. `waiting` is what a rank spends in the
+all-gather at the end of the step, until the slowest has come.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +100,16 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
             if alone.record["state_hash"] != made.record["state_hash"]:
                 raise SystemExit(f"step {index}: one rank and one process differ")
     everybody = comm.gather_objects(parts)
+    state, begin = fleet.state, arguments.steps_before + arguments.rounds
+    in_a_row = a_step_in_a_row(comm, device, arguments.rounds, lambda index: fleet.step(begin + index))
+    single_in_a_row = None
+    if comm.size == 1:
+
+        def advance(index: int) -> None:
+            nonlocal state
+            state = sim.make_step(fleet.world, scene, state, begin + index, ahead=ahead(arguments)).after
+
+        single_in_a_row = a_step_in_a_row(comm, device, arguments.rounds, advance)
     return {
         "scaling": "weak" if weak else "strong",
         "ranks": comm.size,
@@ -110,6 +122,8 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "ahead": ahead(arguments, comm.size),
         "ms": timing.summary(whole),
         "single_process_ms": timing.summary(single) if single else None,
+        "in_a_row_ms": in_a_row,
+        "single_process_in_a_row_ms": single_in_a_row,
         "mean_of_ranks_ms": {name: over_ranks(everybody, name, mean) for name in (*PARTS, REST)},
         "slowest_rank_ms": {name: over_ranks(everybody, name, max) for name in (*PARTS, REST)},
         "imbalance_by_step": [step["imbalance"] for step in ranks],
@@ -153,6 +167,19 @@ def timed_step(
         return made
 
     return wall(step, device)
+
+
+def a_step_in_a_row(comm: distributed.Comm, device: torch.device, steps: int, step: Callable[[int], object]) -> float:
+    """Milliseconds of one of so many steps, with nothing in between."""
+    comm.barrier()
+
+    def run() -> None:
+        for index in range(steps):
+            step(index)
+        comm.barrier()
+
+    seconds, _ = wall(run, device)
+    return timing.rounded(1e3 * seconds / steps)
 
 
 def wall(work: Any, device: torch.device) -> tuple[float, Any]:
@@ -217,10 +244,11 @@ def flat(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
         for other in rows
         if other["ranks"] == 1 and other["robots"] == wanted and other["pattern"] == row["pattern"]
     ]
-    efficiency = None
+    efficiency = in_a_row = None
     if base:
-        speedup = base[0]["single_process_ms"]["median"] / row["ms"]["median"]
-        efficiency = speedup / row["ranks"] if row["scaling"] == "strong" else speedup
+        share = row["ranks"] if row["scaling"] == "strong" else 1
+        efficiency = base[0]["single_process_ms"]["median"] / row["ms"]["median"] / share
+        in_a_row = base[0]["single_process_in_a_row_ms"] / row["in_a_row_ms"] / share
     return {
         "scaling": row["scaling"],
         "world": row["pattern"],
@@ -228,6 +256,8 @@ def flat(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
         "robots": row["robots"],
         "ms": row["ms"]["median"],
         "efficiency": efficiency,
+        "in a row ms": row["in_a_row_ms"],
+        "in a row efficiency": in_a_row,
         **{f"{name} ms": value for name, value in row["mean_of_ranks_ms"].items()},
         "ghosts/body": row["ghosts_a_body"],
         "imbalance": row["imbalance_by_step"][-1],

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pgccd import broad, narrow, ops, traverse
 from pgccd.bodies import MovingBodies
-from pgccd.capacity import EXACTLY, Capacity, Counts
+from pgccd.capacity import EXACTLY, Capacity
 from pgccd.contacts import Contacts, PaddedContacts
 from pgccd.memory import memory_limit, recall_capacity, remember_needs
 from pgccd.motion import RigidMotion, VertexMotion
@@ -143,38 +143,26 @@ def find_contacts(
     return found
 
 
-def start_search(bodies: MovingBodies, query: Query, pairs: Tensor, count: Tensor | None = None) -> Search:
-    """Starts `find_contacts` without waiting for a GPU; `finish_search` completes it.
+def start_search(
+    bodies: MovingBodies, query: Query, pairs: Tensor, count: Tensor | None = None, part: str | None = None
+) -> Search:
+    """Starts `find_contacts` without waiting for a GPU; `Search.contacts` completes it.
 
-    There is room for a step like the last one of these meshes. Where that would take too much memory there is none, and
-    all of the step overflows.
+    There is room for a step, or such a part of it, like the last one of these meshes. Where that would take too much
+    memory there is none, and all of it overflows.
 
     Args:
         bodies, query, pairs: as for `find_contacts`.
         count: (1,) int64, left on the device: how many of the pairs there are, if the rest is padding.
+        part: of every step, which the pairs are.
     """
     capacity = EXACTLY
     if bodies.device.type != "cpu":
         ops.take_scratch_peak()  # of earlier steps
-        capacity = recall_capacity(bodies.scene, query, pairs)
+        capacity = recall_capacity(bodies.scene, query, pairs, part)
         if capacity.bytes > memory_limit(None, capacity.bytes, bodies.device):
             capacity = Capacity(0, 0)
     return search_within(bodies, query, capacity, "auto", pairs, count)
-
-
-def finish_search(search: Search, pairs: Tensor, counts: Counts) -> Contacts:
-    """What `start_search` found, if it did not overflow.
-
-    Args:
-        search: as it was started.
-        pairs: with which it was.
-        counts: its own, which the host has read.
-    """
-    contacts = search.contacts(counts)
-    remember_needs(search.bodies.scene, search.query, pairs, counts.needed(search.capacity))
-    if pairs.is_cuda:
-        contacts.stats.scratch_bytes = ops.take_scratch_peak()
-    return contacts
 
 
 def _on_cpu(bodies: MovingBodies, query: Query) -> tuple[SolvePairs, Callable[[Tensor], Contacts]]:

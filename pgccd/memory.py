@@ -46,14 +46,19 @@ class _Experience:
     needed: Capacity
 
 
-def recall_capacity(scene: Scene, query: Query, pairs: Tensor | None) -> Capacity:
+def recall_capacity(scene: Scene, query: Query, pairs: Tensor | None, part: str | None = None) -> Capacity:
     """Room for a step like the last one of these meshes, or of the standard scene if there was none.
 
     The meshes remember, since scenes come and go with the bodies of a rank. What they remember changes how often a step
     is repeated, never its result.
+
+    Args:
+        scene, query: what is asked of which bodies.
+        pairs: if they are given.
+        part: of every step, which these are.
     """
     size = scene.body_count if pairs is None else len(pairs)
-    last = scene.meshes.experience.get(_kind(query, pairs))
+    last = scene.meshes.experience.get(_kind(query, pairs, part))
     given = None if pairs is None else len(pairs)
     guess = Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
     if not isinstance(last, _Experience):
@@ -62,11 +67,11 @@ def recall_capacity(scene: Scene, query: Query, pairs: Tensor | None) -> Capacit
     return replace(room, launches=max(room.launches, guess.launches))
 
 
-def remember_needs(scene: Scene, query: Query, pairs: Tensor | None, needed: Capacity) -> None:
+def remember_needs(scene: Scene, query: Query, pairs: Tensor | None, needed: Capacity, part: str | None = None) -> None:
     """For `recall_capacity`."""
     size = scene.body_count if pairs is None else len(pairs)
     if size > 0:
-        scene.meshes.experience[_kind(query, pairs)] = _Experience(size, needed)
+        scene.meshes.experience[_kind(query, pairs, part)] = _Experience(size, needed)
 
 
 def pairs_a_chunk(scene: Scene, query: Query, budget: int | None, pair_count: int) -> int:
@@ -79,9 +84,11 @@ def pairs_a_chunk(scene: Scene, query: Query, budget: int | None, pair_count: in
     return max(1, limit // bytes_per_pair)
 
 
-def _kind(query: Query, pairs: Tensor | None) -> str:
+def _kind(query: Query, pairs: Tensor | None, part: str | None) -> str:
     if pairs is None:
         return query.report
+    if part is not None:
+        return f"{query.report}: {part}"
     # A whole step and a repetition of a part of it may differ by much in what a pair needs: octaves of sizes tell them
     # apart.
     return f"{query.report} of 2^{len(pairs).bit_length()} given pairs"

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from pgccd import ops
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import Counts
 from pgccd.contacts import Contacts
-from pgccd.detect import find_contacts, finish_search, start_search
+from pgccd.detect import find_contacts, start_search
+from pgccd.memory import remember_needs
 from pgccd.query import Query
 from pgccd.streaming import join_contacts
 from pgccd.within import Search
@@ -20,6 +22,7 @@ class Part:
     """Body pairs of a step that are searched together.
 
     Args:
+        name: tells it from other parts; the same in every step, since the next one is expected to need as much room.
         query: what is asked.
         bodies: moving; checked.
         pairs: (P, 2) int64 rows of these, of each pair first the body that contacts are to name first. Rows of -1 may
@@ -30,6 +33,7 @@ class Part:
 
     def __init__(
         self,
+        name: str,
         query: Query,
         bodies: MovingBodies,
         pairs: Tensor,
@@ -38,14 +42,17 @@ class Part:
     ) -> None:
         if count is not None and not pairs.is_cuda:
             pairs, count = pairs[: int(count)], None
-        self.query, self.bodies, self.pairs, self.count, self.rows = query, bodies, pairs, count, rows
+        self.name, self.query, self.bodies = name, query, bodies
+        self.pairs, self.count, self.rows = pairs, count, rows
         self._search: Search | None = None
+        self._counts: Counts | None = None
+        self._scratch_bytes = 0
         self._contacts: Contacts | None = None
 
     def start(self) -> Search:
         """Starts the search for their contacts, if nobody has. Waits for nothing."""
         if self._search is None:
-            self._search = start_search(self.bodies, self.query, self.pairs, self.count)
+            self._search = start_search(self.bodies, self.query, self.pairs, self.count, self.name)
         return self._search
 
     def begin(self) -> None:
@@ -55,21 +62,30 @@ class Part:
         else:
             self.find()
 
-    def finish(self, counts: Counts) -> Contacts:
-        """What the search found, if it did not overflow; counts: its own, which the host has read."""
-        self._contacts = finish_search(self.start(), self.pairs, counts)
-        return self._contacts
+    def learn(self, counts: Counts) -> None:
+        """Takes note of what the search counted, which the host has read, for `find` and for the next step."""
+        self._counts = counts
+        self._scratch_bytes = ops.take_scratch_peak() if self.pairs.is_cuda else 0
+        if not counts.overflow:
+            remember_needs(self.bodies.scene, self.query, self.pairs, counts.needed(self.start().capacity), self.name)
 
     def find(self) -> Contacts:
         """Their contacts, as rows of `bodies`. Waits for them."""
         if self._contacts is not None:
             return self._contacts
         if self._search is not None:
-            counts = self._search.read()
-            if not counts.overflow:
-                return self.finish(counts)
+            if self._counts is None:
+                self.learn(self._search.read())
+            assert self._counts is not None
+            if not self._counts.overflow:
+                self._contacts = self._search.contacts(self._counts)
+                self._contacts.stats.scratch_bytes = self._scratch_bytes
+                return self._contacts
         pairs = self.pairs if self.count is None else self.pairs[: int(self.count)]
         self._contacts = find_contacts(self.bodies, self.query, pairs=pairs)
+        needed = self._contacts.stats.needed
+        if needed is not None:
+            remember_needs(self.bodies.scene, self.query, self.pairs, needed, self.name)
         return self._contacts
 
     def in_step(self, pairs: Tensor) -> Tensor:

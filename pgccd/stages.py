@@ -25,6 +25,7 @@ class StageClock:
 
     def __init__(self) -> None:
         self._start = time.perf_counter()
+        self._total: float | None = None
         self._seconds: dict[str, float] = {}
         self._events: list[tuple[str, torch.cuda.Event, torch.cuda.Event]] = []
 
@@ -60,10 +61,14 @@ class StageClock:
         self._read(_WORK)
         return sum(self._seconds.get(stage, 0.0) for stage in _WORK)
 
+    def stop(self) -> None:
+        """Ends what `total` tells."""
+        self._total = self.total
+
     @property
     def total(self) -> float:
-        """Seconds since the clock was made."""
-        return time.perf_counter() - self._start
+        """Seconds since the clock was made, until it was stopped."""
+        return time.perf_counter() - self._start if self._total is None else self._total
 
     def _read(self, names: Sequence[str]) -> None:
         pending, self._events = self._events, []

@@ -156,7 +156,7 @@ def find_share(
     side = SideStream(bodies.device, options.overlap and comm.size > 1)
     if comm.size == 1:
         with clock.stage("broad"):
-            part = Part(options.query, bodies, broad.find_pairs(bodies, separation, options.broad_phase))
+            part = Part("own", options.query, bodies, broad.find_pairs(bodies, separation, options.broad_phase))
         begin(part)
         return Share(halo.wait(), [part], None, side, separation)
     with side, clock.stage("halo"):
@@ -168,7 +168,8 @@ def find_share(
     where = separation, halo.reach, partition.territory(comm.rank)
     with clock.stage("broad"):
         pairs = broad.find_pairs(bodies, separation, options.broad_phase)
-        of_own = Part(options.query, bodies, *ops.owned_pairs(pairs, None, own["id"], centres_of(bodies), *where))
+        found = ops.owned_pairs(pairs, None, own["id"], centres_of(bodies), *where)
+        of_own = Part("own", options.query, bodies, *found)
     begin(of_own)
     with side:
         held = held or _wait(halo, clock)
@@ -179,7 +180,7 @@ def find_share(
         with clock.stage("broad"):
             crossing = broad.find_pairs(at_border, separation, options.broad_phase)
             found = ops.owned_pairs(crossing, rows, held.id, centres_of(at_border), *where)
-            with_ghosts = Part(options.query, at_border, *found, rows)
+            with_ghosts = Part("with ghosts", options.query, at_border, *found, rows)
     side.join()
     begin(with_ghosts)
     return Share(held, [of_own, with_ghosts], ghosts, side, separation)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -31,7 +30,7 @@ from pgccd.sim.files import (
 )
 from pgccd.sim.progress import Progress
 from pgccd.sim.runner import Run, drive
-from pgccd.sim.step import Step, toi_of
+from pgccd.sim.step import Step
 from pgccd.sim.world import RobotState, World, WorldConfig
 
 
@@ -191,13 +190,16 @@ class _FleetMachine:
         self.fleet, self._digest = fleet, digest
         self._checkpoints = Checkpoints(fleet.comm, folder)
         self.last_step: RankStep | None = None
+        self._wish = False
 
     def stops(self, wish: bool) -> bool:
-        return self.fleet.comm.any(wish)
+        # All learn of it at the end of the step to come, with all else.
+        self._wish = wish
+        return self.last_step.wished if self.last_step is not None else self.fleet.comm.any(wish)
 
-    def step(self, index: int) -> dict[str, Any]:
-        self.last_step = self.fleet.step(index)
-        return self.last_step.record
+    def step(self, index: int) -> RankStep:
+        self.last_step = self.fleet.step(index, self._wish)
+        return self.last_step
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
         self.fleet.verify()
@@ -256,4 +258,4 @@ def gather_step(comm: Comm, step: RankStep, after: RobotState) -> Step:
     order = torch.argsort(contacts["pairs"][:, 0] * max(1, len(fraction)) + contacts["pairs"][:, 1])
     whole = Contacts(**take_rows(contacts, order), stats=found.stats)
     settlement = replace(step.settlement, fraction=fraction)
-    return Step(step.index, RobotState(**before), whole, toi_of(whole), settlement, after, step.record)
+    return Step(step.index, RobotState(**before), settlement, after, lambda: whole, lambda: step.record)

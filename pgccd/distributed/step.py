@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import astuple, dataclass
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -16,12 +18,12 @@ from pgccd.distributed.exchange import Columns, take_rows
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
 from pgccd.motion import RigidMotion
-from pgccd.parts import Part
+from pgccd.parts import Part, contacts_of_step
 from pgccd.scene import Scene
 from pgccd.sim.partners import Partners
 from pgccd.sim.response import Settlement, respond
 from pgccd.sim.rounds import Pace, goes_ahead, knows_rounds
-from pgccd.sim.step import Settled, settle_step
+from pgccd.sim.step import settle_step
 from pgccd.sim.tally import COUNTED, Tally, Work, count_step
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
@@ -38,10 +40,21 @@ class RankStep:
     """What one rank knows of a step that was made."""
 
     index: int  #: from 0
-    detection: Detection
     before: RobotState  #: of the robots owned, as planned
     settlement: Settlement  #: of the robots held
-    record: dict[str, Any]  #: of the whole world: the line in steps.jsonl, the same on all ranks but for the times
+    wished: bool  #: whether any rank was given a wish
+    find: Callable[[], Detection]  #: gives `detection`
+    tell: Callable[[], dict[str, Any]]  #: gives `record`
+
+    @cached_property
+    def detection(self) -> Detection:
+        """Of the whole step."""
+        return self.find()
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """Of the whole world: the line in steps.jsonl, the same on all ranks but for the times."""
+        return self.tell()
 
 
 @dataclass
@@ -51,14 +64,15 @@ class _Report:
     tally: Tally
     held: int
     arrived: int
+    wish: int
     busy: int  #: nanoseconds of traversing and solving
     moves: list[int]  #: how many robots leave it for each rank; empty if that is told later
 
     @classmethod
     def of(cls, work: Work, told: list[int]) -> _Report:
         """`told`: what a rank concluded."""
-        counted, (held, arrived, *moves) = told[:COUNTED], told[COUNTED:]
-        return cls(Tally.of(work, counted), held, arrived, work.nanoseconds, moves)
+        counted, (held, arrived, wish, *moves) = told[:COUNTED], told[COUNTED:]
+        return cls(Tally.of(work, counted), held, arrived, wish, work.nanoseconds, moves)
 
 
 class Fleet:
@@ -108,8 +122,13 @@ class Fleet:
         parts = self.comm.gather_objects(astuple(Census.of(self.state.id)))
         Census.total([Census(*part) for part in parts]).require(self._expected)
 
-    def step(self, index: int) -> RankStep:
-        """Moves the robots by one step, the `index`-th from 0."""
+    def step(self, index: int, wish: bool = False) -> RankStep:
+        """Moves the robots by one step, the `index`-th from 0.
+
+        Args:
+            index: the same on all ranks.
+            wish: to stop, say: all are told whether any rank has it.
+        """
         comm, clock = self.comm, StageClock()
         comm.guard.activity = f"step {index}"
         with clock.stage("plan"):
@@ -132,35 +151,33 @@ class Fleet:
                 counted = count_step(after, fraction, share.held.id, pairs, toi)
                 leaving = Leaving(comm, self.partition, after.position)
                 moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
-                return torch.cat([counted, self._told_by_host(share), *moves])
+                return torch.cat([counted, self._told_by_host(share, wish), *moves])
 
         settled = settle_step(share.parts, len(share.held), partners, self._pace, conclude, clock, exchange)
         reports = [_Report.of(*told) for told in zip(settled.work, settled.told, strict=True)]
         tallies = [report.tally for report in reports]
         Census.total([Census(tally.robots, tally.id_hash) for tally in tallies]).require(self._expected)
-        moved_cells = self._balance(index, share, settled, planned, reports, clock)
+        moved_cells = self._balance(index, share, planned, reports, clock)
         with clock.stage("migrate"):
             moves = [report.moves for report in reports]
             known = None
             if leaving is not None and moved_cells == 0 and all(moves):
                 known = leaving, moves[comm.rank], [row[comm.rank] for row in moves]
             self._migrate(after, known)
-        found = Detection(share, settled.contacts)
-        record = Tally.total(tallies).record(index, settled.settlement.rounds, clock)
-        record["ranks"] = {
-            "bodies": [part.robots for part in tallies],
-            "ghosts": [report.held - report.tally.robots for report in reports],
-            "pcs": [part.pcs for part in tallies],
-            "contacts": [part.contacts for part in tallies],
-            "arrived": [report.arrived for report in reports],
-            "busy_seconds": [round(1e-9 * report.busy, 6) for report in reports],
-            "moved_cells": moved_cells,
-            "imbalance": round(imbalance(torch.tensor([float(part.pcs) for part in tallies])), 4),
-        }
-        return RankStep(index, found, planned, settled.settlement, record)
+        clock.stop()
 
-    def _told_by_host(self, share: Share) -> Tensor:
-        return torch.tensor([len(share.held), self._arrived]).to(self.world.device, non_blocking=True)
+        def tell() -> dict[str, Any]:
+            record = Tally.total(tallies).record(index, settled.settlement.rounds, clock)
+            return record | {"ranks": _told_of_ranks(reports, moved_cells)}
+
+        def find() -> Detection:
+            return Detection(share, contacts_of_step(share.parts))
+
+        wished = any(report.wish for report in reports)
+        return RankStep(index, planned, settled.settlement, wished, find, tell)
+
+    def _told_by_host(self, share: Share, wish: bool) -> Tensor:
+        return torch.tensor([len(share.held), self._arrived, int(wish)]).to(self.world.device, non_blocking=True)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
         pose = (columns["position"], columns["orientation"], columns["velocity"], columns["angular_velocity"])
@@ -170,7 +187,6 @@ class Fleet:
         self,
         index: int,
         share: Share,
-        settled: Settled,
         planned: RobotState,
         reports: list[_Report],
         clock: StageClock,
@@ -186,7 +202,7 @@ class Fleet:
             seconds = [1e-9 * report.busy for report in reports]
             if RankLoads(robots, pcs, contacts, seconds).are_level(self.balance):
                 return 0
-            loads = cell_loads(self.partition, planned.position, Detection(share, settled.contacts))
+            loads = cell_loads(self.partition, planned.position, Detection(share, contacts_of_step(share.parts)))
             total = CellLoads.unstacked(self.comm.sum(loads.stacked()))
             former = self.partition
             self.partition = rebalance(former, total, self.balance, torch.tensor(seconds, dtype=torch.float64))
@@ -196,6 +212,20 @@ class Fleet:
         """Hands robots over; the state's ids ascend."""
         columns, self._arrived = migrate(self.comm, self.partition, state.columns, state.position, known)
         self.state = RobotState(**columns)
+
+
+def _told_of_ranks(reports: list[_Report], moved_cells: int) -> dict[str, Any]:
+    tallies = [report.tally for report in reports]
+    return {
+        "bodies": [part.robots for part in tallies],
+        "ghosts": [report.held - report.tally.robots for report in reports],
+        "pcs": [part.pcs for part in tallies],
+        "contacts": [part.contacts for part in tallies],
+        "arrived": [report.arrived for report in reports],
+        "busy_seconds": [round(1e-9 * report.busy, 6) for report in reports],
+        "moved_cells": moved_cells,
+        "imbalance": round(imbalance(torch.tensor([float(part.pcs) for part in tallies])), 4),
+    }
 
 
 def cell_loads(partition: Partition, position: Tensor, found: Detection) -> CellLoads:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol, TypeGuard
 
 import torch
@@ -34,16 +35,19 @@ class Pace:
     def __init__(self) -> None:
         #: None before the first step.
         self.rounds: int | None = None
+        self._needed: Callable[[], Sequence[Capacity]] | None = None
         self._rooms: list[Capacity] = []
 
     def room(self, round: int) -> Capacity:
         """For a round, from 0."""
+        if self._needed is not None:
+            rooms = [capacity.times(_SLACK) for capacity in self._needed()]
+            self._needed, self._rooms[: len(rooms)] = None, rooms
         return self._rooms[min(round, len(self._rooms) - 1)] if self._rooms else Capacity(0, 0).times(1.0)
 
-    def learn(self, needed: Sequence[Capacity]) -> None:
-        """What each round of a step needed."""
-        self.rounds = len(needed)
-        self._rooms[: len(needed)] = [capacity.times(_SLACK) for capacity in needed]
+    def learn(self, rounds: int, needed: Callable[[], Sequence[Capacity]]) -> None:
+        """How many rounds a step took. What each needed is asked in the next one, when the host has time."""
+        self.rounds, self._needed = rounds, needed
 
 
 def knows_rounds(pace: Pace | None) -> TypeGuard[Pace]:
@@ -128,35 +132,44 @@ def settle_ahead(
         changes = [slow_down(0)]
     more = pace.rounds or 0
     goes_on: list[bool] = []  # before each round: whether a robot has changed on any rank
-    needed: list[Capacity] = []
+    made: list[tuple[Sequence[int], Capacity]] = []  # of each round: what this rank counted, and in what room
     secondary_contacts = [0] * exchange.ranks
     while True:
         counts, rooms = [search.counts[: len(COUNT_ROWS)] for search in searches], []
         with clock.stage("respond"):
-            for round in range(len(needed), len(needed) + more):
+            for round in range(len(made), len(made) + more):
                 rooms.append(pace.room(round))
                 counts.append(start_round(changed, fraction, rooms[-1], first))
                 changes.append(slow_down(round + 1))
         mine = [*changes, *counts, conclude(fraction)]
         with clock.stage("gather"):
             told = exchange.gather(torch.cat(mine)).tolist()
+        # By now a GPU has nothing to do: what can wait is put off.
         end = len(changes) + len(counts) * len(COUNT_ROWS)
-        made = [_counts_of(numbers[len(changes) : end]) for numbers in told]
-        if any(count.overflow for of_rank in made for count in of_rank):
+        columns = [_columns_of(numbers[len(changes) : end]) for numbers in told]
+        if any(any(any(of_rank[row]) for row in _OVERFLOWS) for of_rank in columns):
             return None
         goes_on += [any(numbers[round] for numbers in told) for round in range(len(changes))]
-        of_rounds = [of_rank[len(parts) :] for of_rank in made]
-        needed += [count.needed(room) for count, room in zip(of_rounds[exchange.rank], rooms, strict=True)]
-        for rank, of_rank in enumerate(of_rounds):
-            secondary_contacts[rank] += sum(count.contacts for count in of_rank)
+        for rank, of_rank in enumerate(columns):
+            secondary_contacts[rank] += sum(of_rank[COUNT_ROWS["contacts"]][len(parts) :])
+        of_step = [list(zip(*of_rank, strict=True)) for of_rank in columns]
+        made += zip(of_step[exchange.rank][len(parts) :], rooms, strict=True)
         if not all(goes_on):
             rounds = goes_on.index(False)
-            pace.learn(needed[:rounds])
+            pace.learn(rounds, partial(_needed, made[:rounds]))
             settlement = Settlement(fraction, rounds, secondary_contacts[exchange.rank])
-            of_step = [of_rank[: len(parts)] for of_rank in made]
-            return Ahead(settlement, [numbers[end:] for numbers in told], of_step, secondary_contacts)
+            of_parts = [[Counts.of(numbers) for numbers in of_rank[: len(parts)]] for of_rank in of_step]
+            return Ahead(settlement, [numbers[end:] for numbers in told], of_parts, secondary_contacts)
         changes, more = [], _MORE_ROUNDS
 
 
-def _counts_of(numbers: list[int]) -> list[Counts]:
-    return [Counts.of(numbers[k : k + len(COUNT_ROWS)]) for k in range(0, len(numbers), len(COUNT_ROWS))]
+def _needed(made: Sequence[tuple[Sequence[int], Capacity]]) -> list[Capacity]:
+    return [Counts.of(numbers).needed(room) for numbers, room in made]
+
+
+_OVERFLOWS = [COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts")]
+
+
+def _columns_of(numbers: list[int]) -> list[list[int]]:
+    """Each of `Counts` of all searches."""
+    return [numbers[row :: len(COUNT_ROWS)] for row in range(len(COUNT_ROWS))]

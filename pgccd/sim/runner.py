@@ -122,6 +122,15 @@ def resume(
     return _continue(world, state, checkpoint.steps_made, steps, folder, broad_phase, checkpoint_every, progress)
 
 
+class HasRecord(Protocol):
+    """A step that was made."""
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Its line in the log."""
+        ...
+
+
 class Machine(Protocol):
     """Makes the steps of a run."""
 
@@ -129,8 +138,8 @@ class Machine(Protocol):
         """Whether to stop now, given whether this process was asked to."""
         ...
 
-    def step(self, index: int) -> dict[str, Any]:
-        """Makes a step; returns its line in the log."""
+    def step(self, index: int) -> HasRecord:
+        """Makes a step."""
         ...
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
@@ -154,10 +163,10 @@ class _WorldMachine:
     def stops(self, wish: bool) -> bool:
         return wish
 
-    def step(self, index: int) -> dict[str, Any]:
+    def step(self, index: int) -> HasRecord:
         self.last_step = make_step(self.world, self._scene, self.state, index, self._broad_phase)
         self.state = self.last_step.after
-        return self.last_step.record
+        return self.last_step
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
         checkpoint = Checkpoint(self.world.config, steps_made, steps_wanted, self._digest, self.state)
@@ -206,19 +215,52 @@ def drive(
     """
     if checkpoint_every < 0:
         raise ValueError(f"checkpoint_every: expected a number >= 0, got {checkpoint_every}")
-    progress = progress or Silent()
     with log or nullcontext(), _stop_requests() as stop:
-        while steps_made < steps and not machine.stops(stop.is_set()):
-            record = machine.step(steps_made)
-            if log is not None:
-                log.append(record)
-            steps_made += 1
-            progress.advance(record)
-            if checkpoint_every and steps_made % checkpoint_every == 0 and steps_made < steps:
-                machine.save(steps_made, steps)
+        with _Lines(log, progress or Silent()) as lines:
+            while steps_made < steps and not machine.stops(stop.is_set()):
+                lines.add(machine.step(steps_made))
+                steps_made += 1
+                if checkpoint_every and steps_made % checkpoint_every == 0 and steps_made < steps:
+                    lines.finish()
+                    machine.save(steps_made, steps)
         machine.save(steps_made, steps)
         machine.finish()
     return steps_made
+
+
+class _Lines:
+    """Writes the line of each step when the next one is made: asking for it any sooner would wait for a GPU.
+
+    Args:
+        log: None: another process keeps it.
+        progress: told about every step.
+    """
+
+    def __init__(self, log: StepLog | None, progress: Progress) -> None:
+        self._log, self._progress = log, progress
+        self._last: HasRecord | None = None
+
+    def add(self, step: HasRecord) -> None:
+        """Writes the line of the step before this one."""
+        self.finish()
+        self._last = step
+
+    def finish(self) -> None:
+        """Writes the line of the last step."""
+        if self._last is None:
+            return
+        record, self._last = self._last.record, None
+        if self._log is not None:
+            self._log.append(record)
+        self._progress.advance(record)
+
+    def __enter__(self) -> _Lines:
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        # When a GPU or another rank has failed, what the line waits for may never come.
+        if not isinstance(error, RuntimeError):
+            self.finish()
 
 
 @contextmanager

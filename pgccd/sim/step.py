@@ -25,15 +25,30 @@ from pgccd.stages import StageClock
 
 @dataclass
 class Step:
-    """A step that was made."""
+    """A step that was made. What takes time to find out is found out when it is asked for: a GPU can have the next step
+    before."""
 
     index: int  #: from 0
     before: RobotState  #: as planned: poses at t0, velocities of the step
-    contacts: Contacts  #: of the whole step, had nobody stopped
-    toi: Tensor  #: (K,) float64, its column
     settlement: Settlement
     after: RobotState
-    record: dict[str, Any]  #: its line in steps.jsonl
+    find: Callable[[], Contacts]  #: gives `contacts`
+    tell: Callable[[], dict[str, Any]]  #: gives `record`
+
+    @cached_property
+    def contacts(self) -> Contacts:
+        """Of the whole step, had nobody stopped."""
+        return self.find()
+
+    @property
+    def toi(self) -> Tensor:
+        """(K,) float64, of these."""
+        return toi_of(self.contacts)
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """Its line in steps.jsonl."""
+        return self.tell()
 
 
 def make_step(
@@ -66,7 +81,7 @@ def make_step(
     with clock.stage("broad"):
         bodies = MovingBodies(scene, motion)
         pairs = broad.find_pairs(bodies, broad_phase=broad_phase)
-        parts = [Part(FIRST_CONTACTS, bodies, pairs)]
+        parts = [Part("all", FIRST_CONTACTS, bodies, pairs)]
         partners = Partners(world, before.moving_columns, None, pairs)
     after = before
 
@@ -79,31 +94,22 @@ def make_step(
 
     pace = _pace_of(scene) if goes_ahead(ahead, scene.device) else None
     settled = settle_step(parts, scene.body_count, partners, pace, conclude, clock)
-    tally = Tally.of(settled.work[0], settled.told[0])
-    record = tally.record(index, settled.settlement.rounds, clock)
-    return Step(index, before, settled.contacts, toi_of(settled.contacts), settled.settlement, after, record)
+    clock.stop()
+
+    def tell() -> dict[str, Any]:
+        tally = Tally.of(settled.work[0], settled.told[0])
+        return tally.record(index, settled.settlement.rounds, clock)
+
+    return Step(index, before, settled.settlement, after, partial(contacts_of_step, parts), tell)
 
 
+@dataclass
 class Settled:
-    """How a step ended.
+    """How a step ended."""
 
-    Args:
-        finish: gives the contacts of the whole step, once they are wanted: a GPU may have more urgent work to be given.
-        settlement: what robots make of the step.
-        work: of each rank.
-        told: what each rank concluded.
-    """
-
-    def __init__(
-        self, finish: Callable[[], Contacts], settlement: Settlement, work: list[Work], told: list[list[int]]
-    ) -> None:
-        self._finish = finish
-        self.settlement, self.work, self.told = settlement, work, told
-
-    @cached_property
-    def contacts(self) -> Contacts:
-        """Of the whole step."""
-        return self._finish()
+    settlement: Settlement  #: what robots make of the step
+    work: list[Work]  #: of each rank
+    told: list[list[int]]  #: what each rank concluded
 
 
 def settle_step(
@@ -137,30 +143,24 @@ def settle_step(
         given_fraction = partial(conclude, given, _joined([columns[4] for columns in rows]))
         ahead = settle_ahead(parts, body_count, partners.start_round, exchange, pace, given_fraction, clock)
         if ahead is not None:
-            mine = ahead.counts[exchange.rank]
-            for counts in mine:
+            for part, counts in zip(parts, ahead.counts[exchange.rank], strict=True):
+                part.learn(counts)
                 clock.add(counts.seconds)
             work = [Work.of(*rank) for rank in zip(ahead.counts, ahead.secondary_contacts, strict=True)]
-
-            def finish() -> Contacts:
-                for part, counts in zip(parts, mine, strict=True):
-                    part.finish(counts)
-                return contacts_of_step(parts)
-
-            return Settled(finish, ahead.settlement, work, ahead.told)
+            return Settled(ahead.settlement, work, ahead.told)
     contacts = contacts_of_step(parts)
     clock.add(contacts.stats.seconds)
     with clock.stage("respond"):
         settlement = settle(contacts.pairs, toi_of(contacts), body_count, partners, exchange)
     if pace is not None:
-        pace.learn(partners.needed)
+        pace.learn(len(partners.needed), lambda: partners.needed)
     told = torch.tensor(astuple(Work.of([contacts.stats], settlement.secondary_contacts)))
     told = told.to(device, non_blocking=True)
     concluded = conclude(contacts.pairs, toi_of(contacts), settlement.fraction)
     with clock.stage("gather"):
         numbers = exchange.gather(torch.cat([told, concluded])).tolist()
     work = [Work(*row[: len(told)]) for row in numbers]
-    return Settled(lambda: contacts, settlement, work, [row[len(told) :] for row in numbers])
+    return Settled(settlement, work, [row[len(told) :] for row in numbers])
 
 
 def _joined(columns: list[Tensor]) -> Tensor:

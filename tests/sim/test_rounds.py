@@ -63,7 +63,7 @@ class AStep:
         self.contacts = find_contacts(self.bodies, FIRST_CONTACTS, pairs=self.pairs)
 
     def parts(self) -> list[Part]:
-        return [Part(FIRST_CONTACTS, self.bodies, self.pairs)]
+        return [Part("all", FIRST_CONTACTS, self.bodies, self.pairs)]
 
     def partners(self) -> Partners:
         return Partners(self.world, self.state.moving_columns, None, self.pairs)
@@ -110,6 +110,13 @@ def many_rounds() -> AStep:
     raise AssertionError("no step takes three rounds")
 
 
+def paced(rounds: int, needed: Capacity = Capacity(0, 0), pace: Pace | None = None) -> Pace:  # noqa: B008
+    """After a step of so many rounds."""
+    pace = pace or Pace()
+    pace.learn(rounds, lambda: [needed] * rounds)
+    return pace
+
+
 class Gathers(OneRank):
     """Counts what the host waits for."""
 
@@ -126,8 +133,7 @@ def test_wherever_a_batch_ends() -> None:
     step = many_rounds()
     expected = step.expected()
     for rounds in range(expected.rounds + 3):
-        pace, exchange = Pace(), Gathers(step.pairs)
-        pace.learn([Capacity.guess(400, 200)] * rounds)
+        pace, exchange = paced(rounds, Capacity.guess(400, 200)), Gathers(step.pairs)
         found = step.ahead(pace, exchange)
         assert found is not None and same(found.settlement, expected)
         assert found.told == [step.conclude(expected.fraction).tolist()]
@@ -147,8 +153,7 @@ def test_too_little_room_in_a_round(room: Capacity) -> None:
             def room(self, round: int, lacking: int = lacking) -> Capacity:
                 return room if round == lacking else super().room(round)
 
-        pace = Tight()
-        pace.learn([Capacity(0, 0)] * expected.rounds)
+        pace = paced(expected.rounds, pace=Tight())
         asked = step.partners()
         short.append(step.ahead(pace, partners=asked) is None)
         found = step.settled(pace, asked)
@@ -163,8 +168,7 @@ def test_too_little_room_for_the_whole_step(monkeypatch: pytest.MonkeyPatch) -> 
     step = many_rounds()
     expected = step.expected()
     monkeypatch.setattr(detect_module, "EXACTLY", Capacity(0, len(step.contacts) - 1))
-    pace = Pace()
-    pace.learn([Capacity(0, 0)] * expected.rounds)
+    pace = paced(expected.rounds)
     assert step.ahead(pace) is None
     monkeypatch.setattr(detect_module, "EXACTLY", Capacity(0, len(step.contacts)))
     found = step.ahead(pace)
@@ -174,8 +178,7 @@ def test_too_little_room_for_the_whole_step(monkeypatch: pytest.MonkeyPatch) -> 
 def test_more_memory_than_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     step = many_rounds()
     monkeypatch.setattr(partners_module, "memory_limit", lambda *_: 1000)
-    pace = Pace()
-    pace.learn([Capacity(0, 0)])
+    pace = paced(1)
     assert step.ahead(pace) is None
 
 
@@ -227,8 +230,7 @@ def test_a_round_is_few_operators_and_no_wait() -> None:
     step = many_rounds()
     calls = []
     for rounds in (8, 9):
-        pace = Pace()
-        pace.learn([Capacity(0, 0)] * rounds)
+        pace = paced(rounds)
         with Calls() as watch:
             step.ahead(pace)
         calls.append(watch.calls)

@@ -197,12 +197,11 @@ void run_search(const DeviceContext& context, const Bodies& bodies, const Search
     // No toi, no key and no winner yet.
     fill_bytes(context, reinterpret_cast<char*>(search.best), 0xff, 20 * search.input.pair_count);
   }
-  glance_at_candidates<Bodies>
-      <<<resident_blocks_of(glance_at_candidates<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
+  int blocks = blocks_in_turns(glance_at_candidates<Bodies>, search.input.candidates.size, kBlockThreads);
+  glance_at_candidates<Bodies><<<blocks, kBlockThreads, 0, context.stream>>>(bodies, search);
   check_cuda(cudaGetLastError(), "glance_at_candidates");
-  solve_candidates<Bodies>
-      <<<resident_blocks_of(solve_candidates<Bodies>, kSolveThreads), kSolveThreads, 0, context.stream>>>(bodies,
-                                                                                                          search);
+  blocks = blocks_in_turns(solve_candidates<Bodies>, search.capacity, kSolveThreads, kSolveThreads);
+  solve_candidates<Bodies><<<blocks, kSolveThreads, 0, context.stream>>>(bodies, search);
   check_cuda(cudaGetLastError(), "solve_candidates");
 }
 
