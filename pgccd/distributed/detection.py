@@ -159,10 +159,8 @@ def find_share(
             part = Part("own", options.query, bodies, broad.find_pairs(bodies, separation, options.broad_phase))
         begin(part)
         return Share(halo.wait(), [part], None, side, separation)
-    with side, clock.stage("halo"):
-        halo.announce()
-        # A GPU is first given something to do, as the others' answers take their time.
-        if not side.is_apart:
+    if not side.is_apart:
+        with clock.stage("halo"):
             halo.send()
     held = None if options.overlap else _wait(halo, clock)
     where = separation, halo.reach, partition.territory(comm.rank)
@@ -170,8 +168,12 @@ def find_share(
         pairs = broad.find_pairs(bodies, separation, options.broad_phase)
         found = ops.owned_pairs(pairs, None, own["id"], centres_of(bodies), *where)
         of_own = Part("own", options.query, bodies, *found)
+    # A GPU is first given something to do, as the others' answers take their time.
     begin(of_own)
     with side:
+        if side.is_apart:
+            with clock.stage("halo"):
+                halo.send()
         held = held or _wait(halo, clock)
         with clock.stage("halo"):
             ghosts = _told(*build(held.ghosts))

@@ -98,14 +98,10 @@ class Halo:
             self._border = border[:count]
         bodies.checked = True
 
-    def announce(self) -> None:
-        """Tells the other ranks how many ghosts they get. Leaves the answer on the device."""
-        self._holders, self._counts = ops.holders_of(*self._where, self._border, self._comm.size)
-        self._answer = self._comm.exchange_counts(self._counts)
-
     def send(self) -> None:
-        """Sends them, once the other ranks have told how many are to come."""
-        sent, received = torch.stack([self._counts, self._answer]).tolist()
+        """Sends them, once ranks have told one another how many are to come."""
+        self._holders, self._counts = ops.holders_of(*self._where, self._border, self._comm.size)
+        sent, received = torch.stack([self._counts, self._comm.exchange_counts(self._counts)]).tolist()
         self._route = Route(self._comm, ops.rows_by_rank(self._holders, self._border, sum(sent)), sent, received)
         self._arrival = self._route.forward(self._own)
 

@@ -164,6 +164,7 @@ class Fleet:
             if leaving is not None and moved_cells == 0 and all(moves):
                 known = leaving, moves[comm.rank], [row[comm.rank] for row in moves]
             self._migrate(after, known)
+        settled.learn()
         clock.stop()
 
         def tell() -> dict[str, Any]:

@@ -145,20 +145,21 @@ def settle_ahead(
         with clock.stage("gather"):
             told = exchange.gather(torch.cat(mine)).tolist()
         # By now a GPU has nothing to do: what can wait is put off.
-        end = len(changes) + len(counts) * len(COUNT_ROWS)
-        columns = [_columns_of(numbers[len(changes) : end]) for numbers in told]
-        if any(any(any(of_rank[row]) for row in _OVERFLOWS) for of_rank in columns):
+        begin, size = len(changes), len(COUNT_ROWS)
+        # The counts of parts come first, then those of rounds.
+        end, in_rounds = begin + size * len(counts), begin + size * len(parts)
+        if any(any(numbers[begin + row : end : size]) for numbers in told for row in _OVERFLOWS):
             return None
-        goes_on += [any(numbers[round] for numbers in told) for round in range(len(changes))]
-        for rank, of_rank in enumerate(columns):
-            secondary_contacts[rank] += sum(of_rank[COUNT_ROWS["contacts"]][len(parts) :])
-        of_step = [list(zip(*of_rank, strict=True)) for of_rank in columns]
-        made += zip(of_step[exchange.rank][len(parts) :], rooms, strict=True)
+        goes_on += [any(numbers[round] for numbers in told) for round in range(begin)]
+        for rank, numbers in enumerate(told):
+            secondary_contacts[rank] += sum(numbers[in_rounds + COUNT_ROWS["contacts"] : end : size])
+        made += [(told[exchange.rank][in_rounds + size * k :][:size], room) for k, room in enumerate(rooms)]
         if not all(goes_on):
             rounds = goes_on.index(False)
             pace.learn(rounds, partial(_needed, made[:rounds]))
             settlement = Settlement(fraction, rounds, secondary_contacts[exchange.rank])
-            of_parts = [[Counts.of(numbers) for numbers in of_rank[: len(parts)]] for of_rank in of_step]
+            places = range(begin, in_rounds, size)
+            of_parts = [[Counts.of(numbers[at : at + size]) for at in places] for numbers in told]
             return Ahead(settlement, [numbers[end:] for numbers in told], of_parts, secondary_contacts)
         changes, more = [], _MORE_ROUNDS
 
@@ -168,8 +169,3 @@ def _needed(made: Sequence[tuple[Sequence[int], Capacity]]) -> list[Capacity]:
 
 
 _OVERFLOWS = [COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts")]
-
-
-def _columns_of(numbers: list[int]) -> list[list[int]]:
-    """Each of `Counts` of all searches."""
-    return [numbers[row :: len(COUNT_ROWS)] for row in range(len(COUNT_ROWS))]

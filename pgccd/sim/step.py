@@ -94,6 +94,7 @@ def make_step(
 
     pace = _pace_of(scene) if goes_ahead(ahead, scene.device) else None
     settled = settle_step(parts, scene.body_count, partners, pace, conclude, clock)
+    settled.learn()
     clock.stop()
 
     def tell() -> dict[str, Any]:
@@ -110,6 +111,7 @@ class Settled:
     settlement: Settlement  #: what robots make of the step
     work: list[Work]  #: of each rank
     told: list[list[int]]  #: what each rank concluded
+    learn: Callable[[], None]  #: takes note of what the step needed; a GPU may be given more urgent work before
 
 
 def settle_step(
@@ -143,11 +145,14 @@ def settle_step(
         given_fraction = partial(conclude, given, _joined([columns[4] for columns in rows]))
         ahead = settle_ahead(parts, body_count, partners.start_round, exchange, pace, given_fraction, clock)
         if ahead is not None:
-            for part, counts in zip(parts, ahead.counts[exchange.rank], strict=True):
-                part.learn(counts)
-                clock.add(counts.seconds)
             work = [Work.of(*rank) for rank in zip(ahead.counts, ahead.secondary_contacts, strict=True)]
-            return Settled(ahead.settlement, work, ahead.told)
+
+            def learn() -> None:
+                for part, counts in zip(parts, ahead.counts[exchange.rank], strict=True):
+                    part.learn(counts)
+                    clock.add(counts.seconds)
+
+            return Settled(ahead.settlement, work, ahead.told, learn)
     contacts = contacts_of_step(parts)
     clock.add(contacts.stats.seconds)
     with clock.stage("respond"):
@@ -160,7 +165,7 @@ def settle_step(
     with clock.stage("gather"):
         numbers = exchange.gather(torch.cat([told, concluded])).tolist()
     work = [Work(*row[: len(told)]) for row in numbers]
-    return Settled(settlement, work, [row[len(told) :] for row in numbers])
+    return Settled(settlement, work, [row[len(told) :] for row in numbers], lambda: None)
 
 
 def _joined(columns: list[Tensor]) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 from torch import Tensor
@@ -61,7 +61,10 @@ class Tally:
     @classmethod
     def of(cls, work: Work, counted: Sequence[int]) -> Tally:
         """Of what `count_step` counted, hashes perhaps signed."""
-        return cls.total([cls(*astuple(work)[:-1], *counted)])
+        robots, contacts_hash, state_hash, stopped, touching_at_t0, id_hash = counted
+        hashes = contacts_hash % 2**64, state_hash % 2**64
+        found = work.pcs, work.contacts, work.secondary_contacts, work.candidates, work.unresolved
+        return cls(*found, robots, *hashes, stopped, touching_at_t0, id_hash % 2**64)
 
     @classmethod
     def total(cls, parts: Sequence[Tally]) -> Tally:

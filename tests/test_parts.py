@@ -1,0 +1,118 @@
+"""A step searched in parts: the contacts of the whole, whatever the rows of the parts' bodies and whatever their room."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from support.crowds import crowds
+
+import pgccd
+from pgccd.capacity import Capacity
+from pgccd.detect import find_contacts
+from pgccd.parts import Part, contacts_of_step, pairs_of_step
+from pgccd.query import Query
+
+COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
+
+
+class Divided:
+    """A step, its contacts, and two parts of it: of the second the bodies are in another order, some of them missing.
+
+    Args:
+        padded: whether rows of -1 follow the pairs, whose number only the device knows.
+    """
+
+    def __init__(self, device: torch.device, report: Any, padded: bool) -> None:
+        crowd = crowds()["faster than cells"]
+        self.query = Query(report, 0.01, None, False)
+
+        def moving(rows: torch.Tensor) -> pgccd.MovingBodies:
+            motion = crowd.motion(rows)
+            pose = (motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation)
+            scene = pgccd.Scene(crowd.meshes, crowd.mesh_index[rows], device)
+            return pgccd.MovingBodies(scene, pgccd.RigidMotion.of_checked(*(x.to(device) for x in pose), "rigid"))
+
+        count = len(crowd.position)
+        bodies = moving(torch.arange(count))
+        self.pairs = pgccd.broad.find_pairs(bodies, 0.01)
+        self.expected = find_contacts(bodies, self.query, pairs=self.pairs)
+        turn = torch.rand(len(self.pairs), generator=torch.Generator().manual_seed(1)).to(device) < 0.5
+        first, second = self.pairs[turn], self.pairs[~turn]
+        rows = second.unique().flip(0)
+        place = torch.zeros(count, dtype=torch.int64, device=device)
+        place[rows] = torch.arange(len(rows), device=device)
+        self.parts = [self._part("first", bodies, first, padded, None)]
+        self.parts.append(self._part("second", moving(rows.cpu()), place[second], padded, rows))
+
+    def _part(
+        self, name: str, bodies: pgccd.MovingBodies, pairs: torch.Tensor, padded: bool, rows: torch.Tensor | None
+    ) -> Part:
+        count = None
+        if padded:
+            count = torch.tensor([len(pairs)], device=pairs.device)
+            pairs = torch.cat([pairs, pairs.new_full((7, 2), -1)])
+        return Part(name, self.query, bodies, pairs, count, rows)
+
+    def check(self) -> None:
+        found = contacts_of_step(self.parts)
+        assert len(self.expected) > 5 and found.stats.pcs == self.expected.stats.pcs
+        assert found.stats.contacts == len(found) == len(self.expected)
+        order = torch.argsort(found.pairs[:, 0] * 10**6 + found.pairs[:, 1], stable=True)
+        for name in COLUMNS:
+            one, other = getattr(found, name), getattr(self.expected, name)
+            assert (one is None and other is None) or torch.equal(one[order], other), name
+        pairs = pairs_of_step(self.parts)
+        assert torch.equal(pairs[pairs[:, 0] >= 0].unique(dim=0), self.pairs)
+
+
+@pytest.mark.parametrize("padded", [False, True])
+@pytest.mark.parametrize("report", ["any", "first", "all"])
+def test_same_contacts(device: torch.device, report: Any, padded: bool) -> None:
+    Divided(device, report, padded).check()
+    begun = Divided(device, report, padded)
+    for part in begun.parts:
+        part.begin()
+    begun.check()
+    started = Divided(device, report, padded)
+    searches = [part.start() for part in started.parts]
+    for part, search in zip(started.parts, searches, strict=True):
+        part.learn(search.read())
+    started.check()
+    assert not any(part.start() is not search for part, search in zip(started.parts, searches, strict=True))
+
+
+def test_too_little_room(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
+    divided = Divided(device, "first", padded=True)
+    with monkeypatch.context() as patch:
+        little = Capacity(0, 1)
+        patch.setattr(sys.modules["pgccd.detect"], "EXACTLY", little)
+        patch.setattr(sys.modules["pgccd.detect"], "recall_capacity", lambda *_: little)
+        counts = [part.start().read() for part in divided.parts]
+    assert all(each.overflow for each in counts)
+    divided.parts[0].learn(counts[0])  # or not
+    divided.check()
+
+
+def test_a_part_is_given_the_room_that_it_needed(device: torch.device) -> None:
+    if device.type == "cpu":
+        pytest.skip("rooms are those needed")
+    for _ in range(2):
+        divided = Divided(device, "all", padded=True)
+        divided.check()
+        needed = [part.find().stats.needed for part in divided.parts]
+    for part, each in zip(divided.parts, needed, strict=True):
+        assert each is not None
+        room = part.start().capacity
+        for name in ("leaf_pairs", "candidates", "contacts"):
+            assert getattr(each, name) <= getattr(room, name) <= 2 * getattr(each, name) + 2 * 4096
+    # Whatever else is searched in between.
+    other = replace(divided.query, report="first")
+    for part in divided.parts:
+        find_contacts(part.bodies, other, pairs=part.find().pairs[:1])
+        assert (
+            Part(part.name, part.query, part.bodies, part.pairs, part.count).start().capacity == part.start().capacity
+        )
