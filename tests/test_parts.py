@@ -1,4 +1,4 @@
-"""A step searched in parts: the contacts of the whole, whatever the rows of the parts' bodies and whatever their room."""
+"""A step searched in parts: the contacts of the whole, whatever the rows of the bodies and whatever their room."""
 
 from __future__ import annotations
 
