@@ -248,7 +248,8 @@ def flat(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
     if base:
         share = row["ranks"] if row["scaling"] == "strong" else 1
         efficiency = base[0]["single_process_ms"]["median"] / row["ms"]["median"] / share
-        in_a_row = base[0]["single_process_in_a_row_ms"] / row["in_a_row_ms"] / share
+        if base[0].get("in_a_row_ms") and row.get("in_a_row_ms"):
+            in_a_row = base[0]["single_process_in_a_row_ms"] / row["in_a_row_ms"] / share
     return {
         "scaling": row["scaling"],
         "world": row["pattern"],
@@ -256,7 +257,7 @@ def flat(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
         "robots": row["robots"],
         "ms": row["ms"]["median"],
         "efficiency": efficiency,
-        "in a row ms": row["in_a_row_ms"],
+        "in a row ms": row.get("in_a_row_ms"),
         "in a row efficiency": in_a_row,
         **{f"{name} ms": value for name, value in row["mean_of_ranks_ms"].items()},
         "ghosts/body": row["ghosts_a_body"],

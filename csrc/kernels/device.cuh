@@ -97,16 +97,6 @@ int resident_blocks_of(Kernel kernel, int block_threads = kBlockThreads) {
   return found = resident_blocks(larger(blocks, 1));
 }
 
-// The same for kernels that may have up to `most` items of like size to do, `a_block` at a time in each block. Where there
-// may be many, blocks take turns: other streams, above all more urgent ones, need not wait for the end of all.
-template <class Kernel>
-int blocks_in_turns(Kernel kernel, int64_t most, int64_t a_block) {
-  constexpr int64_t kRounds = 8, kMostTurns = 16;
-  const int64_t at_once = resident_blocks_of(kernel);
-  const int64_t turns = most / (at_once * a_block * kRounds);
-  return static_cast<int>(at_once * larger<int64_t>(1, smaller(turns, kMostTurns)));
-}
-
 namespace device_detail {
 
 template <class Count, class Fn>

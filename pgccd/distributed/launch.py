@@ -115,6 +115,7 @@ def connect(
     if backend == "nccl":
         # Messages go before what a GPU is doing meanwhile.
         options = dist.ProcessGroupNCCL.Options(is_high_priority_stream=True)
+        options._timeout = _delta(patience)
     dist.init_process_group(
         backend,
         store=store,

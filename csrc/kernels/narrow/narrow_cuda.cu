@@ -197,12 +197,12 @@ void run_search(const DeviceContext& context, const Bodies& bodies, const Search
     // No toi, no key and no winner yet.
     fill_bytes(context, reinterpret_cast<char*>(search.best), 0xff, 20 * search.input.pair_count);
   }
-  const int blocks = blocks_in_turns(glance_at_candidates<Bodies>, search.input.candidates.size, kBlockThreads);
-  glance_at_candidates<Bodies><<<blocks, kBlockThreads, 0, context.stream>>>(bodies, search);
+  glance_at_candidates<Bodies>
+      <<<resident_blocks_of(glance_at_candidates<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
   check_cuda(cudaGetLastError(), "glance_at_candidates");
-  // Not in turns: a block's few long searches would keep others from taking its place.
-  const int resident = resident_blocks_of(solve_candidates<Bodies>, kSolveThreads);
-  solve_candidates<Bodies><<<resident, kSolveThreads, 0, context.stream>>>(bodies, search);
+  solve_candidates<Bodies>
+      <<<resident_blocks_of(solve_candidates<Bodies>, kSolveThreads), kSolveThreads, 0, context.stream>>>(bodies,
+                                                                                                          search);
   check_cuda(cudaGetLastError(), "solve_candidates");
 }
 

@@ -186,9 +186,8 @@ struct Traversal {
 
   void descend_roots(TaskList leaves) {
     const TaskList rest = rest_of(0);
-    const int blocks = blocks_in_turns(descend_from_roots<Bodies>, input_.pair_count, kGroupsPerBlock);
-    descend_from_roots<Bodies>
-        <<<blocks, kBlockThreads, 0, context_.stream>>>(pairs_, leaves, rest, &counters_->node_tests);
+    descend_from_roots<Bodies><<<resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
+        pairs_, leaves, rest, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_from_roots");
     if constexpr (Sweep::may_be_one_body) {
       start_within<Bodies><<<resident_blocks_of(start_within<Bodies>), kBlockThreads, 0, context_.stream>>>(
@@ -201,15 +200,14 @@ struct Traversal {
   void descend_rest(int launch, int kind, TaskList leaves) {
     const TaskHandover rest{rest_of(launch - 1), rest_of(launch), &counters_->rest[(launch + 1) % 3],
                             &counters_->most_rest};
-    const int blocks = blocks_in_turns(descend_further<Bodies>, task_capacity_, kGroupsPerBlock);
-    descend_further<Bodies>
-        <<<blocks, kBlockThreads, 0, context_.stream>>>(pairs_, kind, rest, leaves, &counters_->node_tests);
+    descend_further<Bodies><<<resident_blocks_of(descend_further<Bodies>), kBlockThreads, 0, context_.stream>>>(
+        pairs_, kind, rest, leaves, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_further");
   }
 
   void visit(TaskList leaves, uint32_t begin, CandidateSink out) {
-    const int blocks = blocks_in_turns(visit_leaves<Bodies>, leaves.capacity, 2 * kWarpsPerBlock);
-    visit_leaves<Bodies><<<blocks, kBlockThreads, 0, context_.stream>>>(pairs_, leaves, begin, out);
+    visit_leaves<Bodies>
+        <<<resident_blocks_of(visit_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, begin, out);
     check_cuda(cudaGetLastError(), "visit_leaves");
   }
 
