@@ -122,10 +122,10 @@ EXACTLY = Capacity(pairs=0, contacts=-1)
 class Counts:
     """What the operators counted in one step, in their order; times in nanoseconds of the device's clock."""
 
-    pairs: int
+    pairs: int  # found
     overlaps: int
     long_rows: int
-    pairs_written: int
+    pairs_written: int  # searched
     pairs_overflow: int
     broad_began: int
     broad_ended: int

@@ -144,25 +144,35 @@ def find_contacts(
 
 
 def start_search(
-    bodies: MovingBodies, query: Query, pairs: Tensor, count: Tensor | None = None, part: str | None = None
+    bodies: MovingBodies,
+    query: Query,
+    pairs: Tensor,
+    pair_counts: Tensor | None = None,
+    capacity: Capacity | None = None,
+    part: str | None = None,
 ) -> Search:
     """Starts `find_contacts` without waiting for a GPU; `Search.contacts` completes it.
 
-    There is room for a step, or such a part of it, like the last one of these meshes. Where that would take too much
-    memory there is none, and all of it overflows.
-
     Args:
         bodies, query, pairs: as for `find_contacts`.
-        count: (1,) int64, left on the device: how many of the pairs there are, if the rest is padding.
+        pair_counts: (7,) int64, left on the device: the first of `Counts`, if some of the pairs are padding.
+        capacity: the room there is. Default: `expected_capacity`; if that is None there is no room, and all of it
+            overflows.
         part: of every step, which the pairs are.
     """
-    capacity = EXACTLY
     if bodies.device.type != "cpu":
         ops.take_scratch_peak()  # of earlier steps
-        capacity = recall_capacity(bodies.scene, query, pairs, part)
-        if capacity.bytes > memory_limit(None, capacity.bytes, bodies.device):
-            capacity = Capacity(0, 0)
-    return search_within(bodies, query, capacity, "auto", pairs, count)
+    if capacity is None:
+        capacity = expected_capacity(bodies, query, pairs, part) or Capacity(0, 0)
+    return search_within(bodies, query, capacity, "auto", pairs, pair_counts)
+
+
+def expected_capacity(bodies: MovingBodies, query: Query, pairs: Tensor | None, part: str | None) -> Capacity | None:
+    """Room for a step, or such a part of it, like the last one of these meshes; None if that takes too much memory."""
+    if bodies.device.type == "cpu":
+        return EXACTLY
+    capacity = recall_capacity(bodies.scene, query, pairs, part)
+    return None if capacity.bytes > memory_limit(None, capacity.bytes, bodies.device) else capacity
 
 
 def _on_cpu(bodies: MovingBodies, query: Query) -> tuple[SolvePairs, Callable[[Tensor], Contacts]]:

@@ -42,7 +42,7 @@ def is_out_of_memory(error: Exception) -> bool:
 
 @dataclass(frozen=True)
 class _Experience:
-    size: int  #: of the step: bodies, or pairs where they were given
+    size: int  #: of the step: bodies; or pairs, where they were given and are no part of every step
     needed: Capacity
 
 
@@ -55,9 +55,9 @@ def recall_capacity(scene: Scene, query: Query, pairs: Tensor | None, part: str 
     Args:
         scene, query: what is asked of which bodies.
         pairs: if they are given.
-        part: of every step, which these are.
+        part: of every step, which this is.
     """
-    size = scene.body_count if pairs is None else len(pairs)
+    size = _size(scene, pairs, part)
     last = scene.meshes.experience.get(_kind(query, pairs, part))
     given = None if pairs is None else len(pairs)
     guess = Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
@@ -69,7 +69,7 @@ def recall_capacity(scene: Scene, query: Query, pairs: Tensor | None, part: str 
 
 def remember_needs(scene: Scene, query: Query, pairs: Tensor | None, needed: Capacity, part: str | None = None) -> None:
     """For `recall_capacity`."""
-    size = scene.body_count if pairs is None else len(pairs)
+    size = _size(scene, pairs, part)
     if size > 0:
         scene.meshes.experience[_kind(query, pairs, part)] = _Experience(size, needed)
 
@@ -84,11 +84,16 @@ def pairs_a_chunk(scene: Scene, query: Query, budget: int | None, pair_count: in
     return max(1, limit // bytes_per_pair)
 
 
+def _size(scene: Scene, pairs: Tensor | None, part: str | None) -> int:
+    # Parts' pairs may be given or not, and padded.
+    return scene.body_count if pairs is None or part is not None else len(pairs)
+
+
 def _kind(query: Query, pairs: Tensor | None, part: str | None) -> str:
-    if pairs is None:
-        return query.report
     if part is not None:
         return f"{query.report}: {part}"
+    if pairs is None:
+        return query.report
     # A whole step and a repetition of a part of it may differ by much in what a pair needs: octaves of sizes tell them
     # apart.
     return f"{query.report} of 2^{len(pairs).bit_length()} given pairs"

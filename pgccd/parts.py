@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from pgccd import ops
 from pgccd.bodies import MovingBodies
-from pgccd.capacity import Counts
+from pgccd.capacity import COUNT_ROWS, Capacity, Counts
 from pgccd.contacts import Contacts
 from pgccd.detect import find_contacts, start_search
 from pgccd.memory import remember_needs
@@ -24,11 +25,13 @@ class Part:
     Args:
         name: tells it from other parts; the same in every step, since the next one is expected to need as much room.
         query: what is asked.
-        bodies: moving; checked.
+        bodies: moving.
         pairs: (P, 2) int64 rows of these, of each pair first the body that contacts are to name first. Rows of -1 may
             follow.
-        count: (1,) int64, left on the device: how many pairs there are. Default: P.
+        pair_counts: (7,) int64, left on the device: the first of `pgccd.capacity.Counts`. Default: there are P pairs.
         rows: (B,) int64: which of the step's bodies each of `bodies` is. Default: they are those of the step.
+        capacity: room for the search. Default: what is expected to suffice.
+        find_pairs: finds all pairs, if there was not room for them.
     """
 
     def __init__(
@@ -37,13 +40,13 @@ class Part:
         query: Query,
         bodies: MovingBodies,
         pairs: Tensor,
-        count: Tensor | None = None,
+        pair_counts: Tensor | None = None,
         rows: Tensor | None = None,
+        capacity: Capacity | None = None,
+        find_pairs: Callable[[], Tensor] | None = None,
     ) -> None:
-        if count is not None and not pairs.is_cuda:
-            pairs, count = pairs[: int(count)], None
-        self.name, self.query, self.bodies = name, query, bodies
-        self.pairs, self.count, self.rows = pairs, count, rows
+        self.name, self.query, self.bodies, self.pairs, self.rows = name, query, bodies, pairs, rows
+        self._pair_counts, self._capacity, self._find_pairs = pair_counts, capacity, find_pairs
         self._search: Search | None = None
         self._counts: Counts | None = None
         self._scratch_bytes = 0
@@ -52,7 +55,9 @@ class Part:
     def start(self) -> Search:
         """Starts the search for their contacts, if nobody has. Waits for nothing."""
         if self._search is None:
-            self._search = start_search(self.bodies, self.query, self.pairs, self.count, self.name)
+            self._search = start_search(
+                self.bodies, self.query, self.pairs, self._pair_counts, self._capacity, self.name
+            )
         return self._search
 
     def begin(self) -> None:
@@ -81,10 +86,22 @@ class Part:
                 self._contacts = self._search.contacts(self._counts)
                 self._contacts.stats.scratch_bytes = self._scratch_bytes
                 return self._contacts
-        pairs = self.pairs if self.count is None else self.pairs[: int(self.count)]
-        self._contacts = find_contacts(self.bodies, self.query, pairs=pairs)
+        if self._pair_counts is not None:
+            numbers, self._pair_counts = self._pair_counts.tolist(), None
+            if numbers[COUNT_ROWS["pairs_overflow"]] and self._find_pairs is not None:
+                self.pairs = self._find_pairs()
+            else:
+                self.pairs = self.pairs[: numbers[COUNT_ROWS["pairs_written"]]]
+        self._contacts = find_contacts(self.bodies, self.query, pairs=self.pairs)
         needed = self._contacts.stats.needed
         if needed is not None:
+            if self._counts is not None:  # of finding pairs only the first search can tell
+                needed = replace(
+                    needed,
+                    pairs=max(needed.pairs, self._counts.pairs),
+                    overlaps=self._counts.overlaps,
+                    long_rows=self._counts.long_rows != 0,
+                )
             remember_needs(self.bodies.scene, self.query, self.pairs, needed, self.name)
         return self._contacts
 

@@ -60,7 +60,7 @@ class Search:
             rows = narrow.keep_earliest(rows)
         stats = Stats(
             bodies=self.bodies.scene.body_count,
-            pcs=counts.pairs,
+            pcs=counts.pairs_written,
             node_tests=counts.node_tests,
             candidates=counts.candidates,
             contacts=len(rows[0]),
@@ -100,8 +100,8 @@ class Search:
         return self.counts[COUNT_ROWS[name]].reshape(1)
 
 
-def _counts_of_given(pairs: Tensor, count: Tensor | None) -> Tensor:
-    """What the broad phase would have counted."""
+def counts_of_given(pairs: Tensor, count: Tensor | None = None) -> Tensor:
+    """(7,) int64: what the broad phase would have counted, of pairs (P, 2) of which there are `count` (1,)."""
     if count is None and pairs.device.type == "cpu":
         values = [0] * COUNTS_OF_PAIRS
         values[COUNT_ROWS["pairs"]] = values[COUNT_ROWS["pairs_written"]] = pairs.shape[0]
@@ -123,7 +123,7 @@ def search_within(
     capacity: Capacity,
     broad_phase: broad.BroadPhase,
     pairs: Tensor | None,
-    count: Tensor | None = None,
+    pair_counts: Tensor | None = None,
 ) -> Search:
     """Starts a step.
 
@@ -133,7 +133,7 @@ def search_within(
         capacity: room for the answer and for what is needed on the way.
         broad_phase: how the PCS is found.
         pairs: (P, 2) int64, instead of that.
-        count: (1,) int64, left on the device: how many these are, if not all.
+        pair_counts: (7,) int64, left on the device: what is known of their number, if that is not P.
     """
     faults = bodies.first_faults()
     if pairs is None:
@@ -141,7 +141,7 @@ def search_within(
         pairs, pair_counts = broad.find_pairs_within(bodies, query.min_separation, chosen, capacity, faults[-1:])
     else:
         chosen = None
-        pair_counts = _counts_of_given(pairs, count)
+        pair_counts = counts_of_given(pairs) if pair_counts is None else pair_counts
         if not bodies.checked:
             pair_counts = pair_counts * (1 - faults[-1:])
     linear_path = None if bodies.deforming else bodies.linear_path

@@ -15,6 +15,7 @@ from pgccd.capacity import Capacity
 from pgccd.detect import find_contacts
 from pgccd.parts import Part, contacts_of_step, pairs_of_step
 from pgccd.query import Query
+from pgccd.within import counts_of_given
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 
@@ -51,11 +52,11 @@ class Divided:
     def _part(
         self, name: str, bodies: pgccd.MovingBodies, pairs: torch.Tensor, padded: bool, rows: torch.Tensor | None
     ) -> Part:
-        count = None
+        counts = None
         if padded:
-            count = torch.tensor([len(pairs)], device=pairs.device)
+            counts = counts_of_given(pairs, torch.tensor([len(pairs)], device=pairs.device))
             pairs = torch.cat([pairs, pairs.new_full((7, 2), -1)])
-        return Part(name, self.query, bodies, pairs, count, rows)
+        return Part(name, self.query, bodies, pairs, counts, rows)
 
     def check(self) -> None:
         found = contacts_of_step(self.parts)
@@ -113,6 +114,5 @@ def test_a_part_is_given_the_room_that_it_needed(device: torch.device) -> None:
     other = replace(divided.query, report="first")
     for part in divided.parts:
         find_contacts(part.bodies, other, pairs=part.find().pairs[:1])
-        assert (
-            Part(part.name, part.query, part.bodies, part.pairs, part.count).start().capacity == part.start().capacity
-        )
+        again = Part(part.name, part.query, part.bodies, part.pairs)
+        assert again.start().capacity == part.start().capacity

@@ -65,7 +65,7 @@ class Held:
 
 
 class Halo:
-    """The ghosts of one step, on their way.
+    """The ghosts of one step, on their way. First bodies that others need are looked for, without waiting.
 
     Args:
         comm: between the ranks.
@@ -73,15 +73,12 @@ class Halo:
         own: columns of this rank's own bodies that others need, "id" ascending.
         bodies: these, moving; not checked yet.
         min_separation: length.
-
-    Raises:
-        ValueError: a pose is invalid.
     """
 
     def __init__(
         self, comm: Comm, partition: Partition, own: Mapping[str, Tensor], bodies: MovingBodies, min_separation: float
     ) -> None:
-        self._comm, self._own = comm, own
+        self._comm, self._own, self._bodies = comm, own, bodies
         self._where = centres_of(bodies), min_separation, partition.territory(comm.rank)
         nobody = own["id"][:0]
         #: (N,) uint8: 1 for own bodies that reach cells of others.
@@ -89,17 +86,28 @@ class Halo:
         #: (B,) int64: rows of these.
         self._border = nobody
         self._arrival: Arrival | None = None
-        if comm.size == 1:
-            bodies.motion.check()
-        else:
-            self.reach, border, found = ops.border_bodies(*self._where)
-            count, *faults = torch.cat([found, bodies.first_faults()]).tolist()
-            bodies.raise_faults(faults)
-            self._border = border[:count]
-        bodies.checked = True
+        self._found = bodies.first_faults()
+        if comm.size > 1:
+            self.reach, self._border, found = ops.border_bodies(*self._where)
+            self._found = torch.cat([found, self._found])
+
+    def check(self) -> None:
+        """Waits for what was found out about the bodies.
+
+        Raises:
+            ValueError: a pose is invalid.
+        """
+        if self._bodies.checked:
+            return
+        count, *faults = ([0] if self._comm.size == 1 else []) + self._found.tolist()
+        self._bodies.raise_faults(faults)
+        self._bodies.checked = True
+        self._border = self._border[:count]
 
     def send(self) -> None:
-        """Sends them, once ranks have told one another how many are to come."""
+        """Sends them, once ranks have told one another how many are to come. Checks the bodies, if that has not been
+        done."""
+        self.check()
         self._holders, self._counts = ops.holders_of(*self._where, self._border, self._comm.size)
         sent, received = torch.stack([self._counts, self._comm.exchange_counts(self._counts)]).tolist()
         self._route = Route(self._comm, ops.rows_by_rank(self._holders, self._border, sum(sent)), sent, received)
@@ -109,6 +117,7 @@ class Halo:
         """The bodies held, once all ghosts are here. Sends them, if that has not been done."""
         id = self._own["id"]
         if self._comm.size == 1:
+            self.check()
             ghosts = {name: column[:0] for name, column in self._own.items()}
             holders = id.new_empty((0, 1), dtype=torch.uint8)
             return Held(id, ghosts, Route(self._comm, id[:0], [0], [0]), id[:0], holders, id.new_zeros(1))

@@ -13,10 +13,11 @@ from torch import Tensor
 from pgccd.broad import BroadPhase
 from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, imbalance, rebalance
 from pgccd.distributed.comm import Comm
-from pgccd.distributed.detection import Detection, Options, Share, find_share
+from pgccd.distributed.detection import Detection
 from pgccd.distributed.exchange import Columns, take_rows
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
+from pgccd.distributed.share import Options, Share, find_share
 from pgccd.motion import RigidMotion
 from pgccd.parts import Part, contacts_of_step
 from pgccd.scene import Scene

@@ -14,11 +14,12 @@ from pgccd.contacts import Contacts
 from pgccd.distributed.agreement import require_agreement, together
 from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rank_loads, rebalance
 from pgccd.distributed.comm import Alone, Comm
-from pgccd.distributed.detection import Detection, Options, detect_distributed
+from pgccd.distributed.detection import Detection, detect_distributed
 from pgccd.distributed.exchange import Columns, make_route, take_rows
 from pgccd.distributed.migrate import Census, migrate
 from pgccd.distributed.partition import Partition, Point, Triple
 from pgccd.distributed.report import earliest_for_all, tell_owners
+from pgccd.distributed.share import Options
 from pgccd.distributed.step import cell_loads
 from pgccd.mesh import Mesh, MeshSet
 from pgccd.motion import RigidMotion

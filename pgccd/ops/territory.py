@@ -47,10 +47,10 @@ def owned_pairs(
     reach: Tensor,
     territory: Territory,
 ) -> tuple[Tensor, Tensor]:
-    """Of the pairs (P, 2) of bodies B those whose reference point lies in a cell of the rank, that of the smaller id
-    first, in the first `found` (1,) places of (P, 2), then rows of -1. Of the bodies that the rank holds, own ones come
-    first, then ghosts: reach (N,) of own ones is as above, id (N + G,) is of all. rows (B,): which of them each of the
-    bodies is, and only pairs with a ghost count; None: they are the own ones."""
+    """Of the pairs (P, 2) of bodies B, perhaps rows of -1 among them, those whose reference point lies in a cell of the
+    rank, that of the smaller id first, in the first `found` (1,) places of (P, 2), then rows of -1. Of the bodies that
+    the rank holds, own ones come first, then ghosts: reach (N,) of own ones is as above, id (N + G,) is of all. rows
+    (B,): which of them each of the bodies is, and only pairs with a ghost count; None: they are the own ones."""
     return library.operators.owned_pairs(pairs, rows, id, list(centres), min_separation, reach, *territory)
 
 

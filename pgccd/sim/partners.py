@@ -37,6 +37,10 @@ class Partners:
         self._copies = self._copies_of(0)
         self._no_faults = pairs.new_empty(0)
 
+    def look_among(self, pairs: Tensor) -> None:
+        """From now on these are the PCS."""
+        self._pairs = pairs
+
     def __call__(self, changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
         """See `FindContacts`."""
         # A slowed robot stays within the volume it was to sweep: it meets nobody but its partners in the PCS.

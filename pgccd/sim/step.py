@@ -13,7 +13,7 @@ from torch import Tensor
 from pgccd import broad
 from pgccd.bodies import MovingBodies
 from pgccd.contacts import Contacts
-from pgccd.parts import Part, contacts_of_step
+from pgccd.parts import Part, contacts_of_step, pairs_of_step
 from pgccd.scene import Scene
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
 from pgccd.sim.response import Exchange, OneRank, Settlement, respond, settle
@@ -154,6 +154,8 @@ def settle_step(
 
             return Settled(ahead.settlement, work, ahead.told, learn)
     contacts = contacts_of_step(parts)
+    # There may not have been room for all pairs.
+    partners.look_among(pairs_of_step(parts))
     clock.add(contacts.stats.seconds)
     with clock.stage("respond"):
         settlement = settle(contacts.pairs, toi_of(contacts), body_count, partners, exchange)

@@ -33,7 +33,7 @@ class Work:
     @classmethod
     def of(cls, parts: Sequence[Stats | Counts], secondary_contacts: int) -> Work:
         """Of the search for the contacts of the whole step, part by part."""
-        pcs = sum(part.pairs if isinstance(part, Counts) else part.pcs for part in parts)
+        pcs = sum(part.pairs_written if isinstance(part, Counts) else part.pcs for part in parts)
         contacts, candidates, unresolved = (
             sum(getattr(part, name) for part in parts) for name in ("contacts", "candidates", "unresolved")
         )

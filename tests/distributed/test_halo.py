@@ -13,7 +13,8 @@ import pgccd
 from distributed.conftest import World
 from pgccd import ops, sim
 from pgccd.distributed import Alone, Comm, Fleet, Partition, starting_share
-from pgccd.distributed.detection import Options, detect_distributed
+from pgccd.distributed.detection import detect_distributed
+from pgccd.distributed.share import Options
 from pgccd.stages import StageClock
 
 

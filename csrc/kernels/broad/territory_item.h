@@ -65,7 +65,7 @@ struct OwnedPairs {
   const uint8_t* reach;  // (own_count,) bits
   int64_t own_count;     // of bodies held
   const int64_t* id;     // of bodies held
-  const int64_t* pairs;  // (pair_count, 2) of `bodies`
+  const int64_t* pairs;  // (pair_count, 2) of `bodies`, padding negative
   int64_t pair_count;
 
   PGCCD_HD int64_t held(int64_t body) const { return rows != nullptr ? rows[body] : body; }
@@ -75,7 +75,9 @@ struct OwnedPairs {
 // a cell of this rank for certain if one of them reaches no other. Where bodies are named by rows, pairs of own bodies
 // are somebody else's business.
 PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t k) {
-  const int64_t i = input.pairs[2 * k], j = input.pairs[2 * k + 1], held_i = input.held(i), held_j = input.held(j);
+  const int64_t i = input.pairs[2 * k], j = input.pairs[2 * k + 1];
+  if (i < 0) return false;
+  const int64_t held_i = input.held(i), held_j = input.held(j);
   const bool own_i = held_i < input.own_count, own_j = held_j < input.own_count;
   if (input.rows != nullptr && own_i && own_j) return false;
   if ((own_i && input.reach[held_i] == 0) || (own_j && input.reach[held_j] == 0)) return true;

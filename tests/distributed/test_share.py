@@ -1,0 +1,79 @@
+"""Own pairs found without waiting for their number, in whatever room: the steps of one process, bit for bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+from unittest import mock
+
+import pytest
+
+from distributed.conftest import World
+from pgccd import sim
+from pgccd.capacity import EXACTLY, Capacity
+from pgccd.distributed import Comm, Fleet, Partition, starting_share
+from pgccd.distributed import share as share_module
+from pgccd.parts import Part
+
+CONFIG = sim.WorldConfig(robots=150, speed=0.3, spin=0.5, seed=3)
+STEPS = 14
+PLENTY = Capacity.guess(600)
+ROOMS = {
+    "plenty": PLENTY,
+    "none": EXACTLY,
+    "pairs": replace(PLENTY, pairs=4),
+    "contacts": replace(PLENTY, contacts=1),
+    "too much memory": None,
+}
+
+
+def without_times(record: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in record.items() if "seconds" not in name and name != "ranks"}
+
+
+def by_one_process() -> list[dict[str, Any]]:
+    world = sim.World(CONFIG)
+    state, records = world.start(), []
+    scene = world.scene(state.id)
+    for index in range(STEPS):
+        step = sim.make_step(world, scene, state, index)
+        state = step.after
+        records.append(without_times(step.record))
+    return records
+
+
+def by_ranks(comm: Comm, room: str, ahead: bool) -> tuple[list[dict[str, Any]], int]:
+    """Records, and how many own parts were searched anew."""
+    world = sim.World(CONFIG)
+    half = world.half_extent
+    partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
+    searched = 0
+
+    class Watched(Part):
+        def find(self) -> Any:
+            nonlocal searched
+            former = self.pairs
+            found = super().find()
+            searched += self.name == "own" and self.pairs is not former
+            return found
+
+    patches = {"_looks_ahead": lambda _: True, "expected_capacity": lambda *_: ROOMS[room], "Part": Watched}
+    with mock.patch.multiple(share_module, **patches):
+        fleet = Fleet(comm, world, partition, starting_share(comm, world, partition), ahead=ahead)
+        made = [fleet.step(index) for index in range(STEPS)]
+    records = [without_times(step.record) for step in made]
+    for step in made:
+        found = step.detection
+        assert len(found.pairs) == step.record["ranks"]["pcs"][comm.rank] and bool((found.pairs >= 0).all())
+    return records, searched
+
+
+@pytest.mark.parametrize("ahead", [True, False])
+@pytest.mark.parametrize("room", list(ROOMS))
+def test_same_steps(ranks: World, room: str, ahead: bool) -> None:
+    expected = by_one_process()
+    assert sum(step["contacts"] for step in expected) > 20
+    for size in (2, 3):
+        for records, searched in ranks.run(size, by_ranks, room, ahead):
+            assert records == expected
+            assert (searched > 0) == (room != "too much memory")
