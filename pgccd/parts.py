@@ -11,7 +11,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import COUNT_ROWS, Capacity, Counts
-from pgccd.contacts import Contacts
+from pgccd.contacts import Contacts, Stats
 from pgccd.detect import find_contacts, start_search
 from pgccd.memory import remember_needs
 from pgccd.query import Query
@@ -118,6 +118,11 @@ def contacts_of_step(parts: Sequence[Part]) -> Contacts:
     if len(parts) == 1:
         return found[0]
     return join_contacts(found, [part.in_step(each.pairs) for part, each in zip(parts, found, strict=True)])
+
+
+def search_seconds(found: Counts | Stats) -> dict[str, float]:
+    """Of traversing and solving pairs. Those who find the pairs time that themselves."""
+    return {stage: found.seconds[stage] for stage in ("traverse", "narrow")}
 
 
 def pairs_of_step(parts: Sequence[Part]) -> Tensor:

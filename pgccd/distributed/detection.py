@@ -15,7 +15,7 @@ from pgccd.distributed.exchange import Columns
 from pgccd.distributed.halo import Held, centres_of
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, Share, find_share
-from pgccd.parts import Part, contacts_of_step
+from pgccd.parts import Part, contacts_of_step, search_seconds
 from pgccd.stages import StageClock
 
 
@@ -73,7 +73,7 @@ def detect_distributed(
     """
     share = find_share(comm, partition, own, build, options, clock, Part.begin)
     found = contacts_of_step(share.parts)
-    clock.add(found.stats.seconds)
+    clock.add(search_seconds(found.stats))
     if options.report == "earliest":
         found = _earliest(found, share.held.id)
     return Detection(share, replace(found, stats=replace(found.stats, bodies=len(share.held))))

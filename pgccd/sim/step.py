@@ -13,7 +13,7 @@ from torch import Tensor
 from pgccd import broad
 from pgccd.bodies import MovingBodies
 from pgccd.contacts import Contacts
-from pgccd.parts import Part, contacts_of_step, pairs_of_step
+from pgccd.parts import Part, contacts_of_step, pairs_of_step, search_seconds
 from pgccd.scene import Scene
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
 from pgccd.sim.response import Exchange, OneRank, Settlement, respond, settle
@@ -150,13 +150,13 @@ def settle_step(
             def learn() -> None:
                 for part, counts in zip(parts, ahead.counts[exchange.rank], strict=True):
                     part.learn(counts)
-                    clock.add(counts.seconds)
+                    clock.add(search_seconds(counts))
 
             return Settled(ahead.settlement, work, ahead.told, learn)
     contacts = contacts_of_step(parts)
     # There may not have been room for all pairs.
     partners.look_among(pairs_of_step(parts))
-    clock.add(contacts.stats.seconds)
+    clock.add(search_seconds(contacts.stats))
     with clock.stage("respond"):
         settlement = settle(contacts.pairs, toi_of(contacts), body_count, partners, exchange)
     if pace is not None:
