@@ -220,6 +220,7 @@ def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -
     rows = json.loads(Path(path).read_text())["rows"] if Path(path).exists() else []
     key = ("scaling", "ranks", "robots", "pattern", "balance", "cells", "axes", "overlap", "ahead", "transport")
     row["transport"] = transport
+    row["commit"] = results.versions()["commit"]  # others of the file may be of other versions
     rows = [other for other in rows if [other.get(name) for name in key] != [row[name] for name in key]] + [row]
     rows.sort(key=lambda other: (other["scaling"], other["pattern"], other["ranks"], other["robots"]))
     results.table([flat(other, rows) for other in rows])

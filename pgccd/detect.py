@@ -167,11 +167,13 @@ def start_search(
     return search_within(bodies, query, capacity, "auto", pairs, pair_counts)
 
 
-def expected_capacity(bodies: MovingBodies, query: Query, pairs: Tensor | None, part: str | None) -> Capacity | None:
-    """Room for a step, or such a part of it, like the last one of these meshes; None if that takes too much memory."""
+def expected_capacity(
+    bodies: MovingBodies, query: Query, pairs: Tensor | None, part: str | None, **slack: float
+) -> Capacity | None:
+    """As `recall_capacity`; None if that takes too much memory."""
     if bodies.device.type == "cpu":
         return EXACTLY
-    capacity = recall_capacity(bodies.scene, query, pairs, part)
+    capacity = recall_capacity(bodies.scene, query, pairs, part, **slack)
     return None if capacity.bytes > memory_limit(None, capacity.bytes, bodies.device) else capacity
 
 

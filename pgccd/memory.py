@@ -13,7 +13,7 @@ from pgccd.query import Query
 from pgccd.scene import Scene
 
 _DEFAULT_BUDGET = 1 << 30
-# Beyond what the last step needed.
+# Times what the last step needed.
 _SLACK = 1.25
 # What one pair of the PCS may need while it is traversed and solved, on the standard scene with room to spare.
 _BYTES_PER_PAIR = 1536
@@ -42,11 +42,13 @@ def is_out_of_memory(error: Exception) -> bool:
 
 @dataclass(frozen=True)
 class _Experience:
-    size: int  #: of the step: bodies; or pairs, where they were given and are no part of every step
+    size: int  #: of the step: bodies, or pairs where they were given
     needed: Capacity
 
 
-def recall_capacity(scene: Scene, query: Query, pairs: Tensor | None, part: str | None = None) -> Capacity:
+def recall_capacity(
+    scene: Scene, query: Query, pairs: Tensor | None, part: str | None = None, slack: float = _SLACK
+) -> Capacity:
     """Room for a step like the last one of these meshes, or of the standard scene if there was none.
 
     The meshes remember, since scenes come and go with the bodies of a rank. What they remember changes how often a step
@@ -56,20 +58,21 @@ def recall_capacity(scene: Scene, query: Query, pairs: Tensor | None, part: str 
         scene, query: what is asked of which bodies.
         pairs: if they are given.
         part: of every step, which this is.
+        slack: times what the last step needed.
     """
-    size = _size(scene, pairs, part)
+    size = scene.body_count if pairs is None else len(pairs)
     last = scene.meshes.experience.get(_kind(query, pairs, part))
     given = None if pairs is None else len(pairs)
     guess = Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
     if not isinstance(last, _Experience):
         return guess
-    room = last.needed.times(_SLACK * size / last.size)
+    room = last.needed.times(slack * size / last.size)
     return replace(room, launches=max(room.launches, guess.launches))
 
 
 def remember_needs(scene: Scene, query: Query, pairs: Tensor | None, needed: Capacity, part: str | None = None) -> None:
     """For `recall_capacity`."""
-    size = _size(scene, pairs, part)
+    size = scene.body_count if pairs is None else len(pairs)
     if size > 0:
         scene.meshes.experience[_kind(query, pairs, part)] = _Experience(size, needed)
 
@@ -82,11 +85,6 @@ def pairs_a_chunk(scene: Scene, query: Query, budget: int | None, pair_count: in
         bytes_per_pair = max(bytes_per_pair, math.ceil(last.needed.bytes / last.needed.pairs))
     limit = memory_limit(budget, pair_count * bytes_per_pair, scene.device)
     return max(1, limit // bytes_per_pair)
-
-
-def _size(scene: Scene, pairs: Tensor | None, part: str | None) -> int:
-    # Parts' pairs may be given or not, and padded.
-    return scene.body_count if pairs is None or part is not None else len(pairs)
 
 
 def _kind(query: Query, pairs: Tensor | None, part: str | None) -> str:

@@ -30,7 +30,7 @@ class Part:
             follow.
         pair_counts: (7,) int64, left on the device: the first of `pgccd.capacity.Counts`. Default: there are P pairs.
         rows: (B,) int64: which of the step's bodies each of `bodies` is. Default: they are those of the step.
-        capacity: room for the search. Default: what is expected to suffice.
+        capacity: room for the search, chosen before the pairs were known. Default: what is expected to suffice.
         find_pairs: finds all pairs, if there was not room for them.
     """
 
@@ -47,6 +47,8 @@ class Part:
     ) -> None:
         self.name, self.query, self.bodies, self.pairs, self.rows = name, query, bodies, pairs, rows
         self._pair_counts, self._capacity, self._find_pairs = pair_counts, capacity, find_pairs
+        # What the room is in proportion to: bodies, if it was chosen before there were pairs.
+        self._given = pairs if capacity is None else None
         self._search: Search | None = None
         self._counts: Counts | None = None
         self._scratch_bytes = 0
@@ -72,7 +74,7 @@ class Part:
         self._counts = counts
         self._scratch_bytes = ops.take_scratch_peak() if self.pairs.is_cuda else 0
         if not counts.overflow:
-            remember_needs(self.bodies.scene, self.query, self.pairs, counts.needed(self.start().capacity), self.name)
+            remember_needs(self.bodies.scene, self.query, self._given, counts.needed(self.start().capacity), self.name)
 
     def find(self) -> Contacts:
         """Their contacts, as rows of `bodies`. Waits for them."""
@@ -102,7 +104,7 @@ class Part:
                     overlaps=self._counts.overlaps,
                     long_rows=self._counts.long_rows != 0,
                 )
-            remember_needs(self.bodies.scene, self.query, self.pairs, needed, self.name)
+            remember_needs(self.bodies.scene, self.query, self._given, needed, self.name)
         return self._contacts
 
     def in_step(self, pairs: Tensor) -> Tensor:

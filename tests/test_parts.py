@@ -13,6 +13,7 @@ from support.crowds import crowds
 import pgccd
 from pgccd.capacity import Capacity
 from pgccd.detect import find_contacts
+from pgccd.memory import recall_capacity, remember_needs
 from pgccd.parts import Part, contacts_of_step, pairs_of_step
 from pgccd.query import Query
 from pgccd.within import counts_of_given
@@ -116,3 +117,23 @@ def test_a_part_is_given_the_room_that_it_needed(device: torch.device) -> None:
         find_contacts(part.bodies, other, pairs=part.find().pairs[:1])
         again = Part(part.name, part.query, part.bodies, part.pairs)
         assert again.start().capacity == part.start().capacity
+
+
+def test_what_is_remembered_of_parts() -> None:
+    """By name, and in proportion to pairs where they are given, else to bodies; whatever else is searched between."""
+    divided = Divided(torch.device("cpu"), "first", padded=False)
+    scene, query, pairs = divided.parts[0].bodies.scene, divided.query, divided.pairs
+    needed = replace(Capacity.guess(100_000), launches=9)
+    remember_needs(scene, query, None, needed, "one")
+    remember_needs(scene, query, pairs, replace(needed, launches=10), "other")
+    remember_needs(scene, query, None, Capacity(0, 0))
+    remember_needs(scene, query, pairs, Capacity(0, 0))
+    assert recall_capacity(scene, query, None, "one") == needed.times(1.25)
+    assert recall_capacity(scene, query, None, "one", slack=2.0) == needed.times(2.0)
+    half = pairs[: len(pairs) // 2]
+    assert (
+        recall_capacity(scene, query, half, "other").candidates
+        == needed.times(1.25 * len(half) / len(pairs)).candidates
+    )
+    assert recall_capacity(scene, query, pairs).launches == Capacity.guess(1).launches
+    assert recall_capacity(scene, query, None, "third").launches == Capacity.guess(1).launches

@@ -29,6 +29,11 @@ from pgccd.scene import FILTERS, Scene
 from pgccd.stages import StageClock
 from pgccd.within import counts_of_given
 
+# Of own pairs found without waiting: the part's name, and how much room there is, times what the last step needed. More
+# than where it is known how many more pairs there are.
+_OWN = "own, in a room"
+_SLACK = 1.5
+
 #: From columns of bodies to their scene and motion: the same bits on every rank that holds a body.
 Build = Callable[[Columns], tuple[Scene, RigidMotion]]
 
@@ -108,7 +113,7 @@ def find_share(
     if comm.size == 1:
         held = halo.wait()
         with clock.stage("broad"):
-            part = Part(_OWN, options.query, bodies, broad.find_pairs(bodies, separation, options.broad_phase))
+            part = Part("own", options.query, bodies, broad.find_pairs(bodies, separation, options.broad_phase))
         begin(part)
         return Share(held, [part], None, side, separation)
     if not side.is_apart:
@@ -155,20 +160,17 @@ def _own_pairs(bodies: MovingBodies, id: Tensor, where: _Where, options: Options
         pairs, count = owned(broad.find_pairs(bodies, separation, options.broad_phase))
         return pairs[: int(count)]
 
-    capacity = expected_capacity(bodies, query, None, _OWN) if _looks_ahead(bodies) else None
+    capacity = expected_capacity(bodies, query, None, _OWN, slack=_SLACK) if _looks_ahead(bodies) else None
     if capacity is None:
         if not bodies.checked:
             bodies.raise_faults(bodies.first_faults().tolist())
-        return Part(_OWN, query, bodies, find_pairs())
+        return Part("own", query, bodies, find_pairs())
     invalid, phase = bodies.first_faults()[-1:], options.broad_phase
     candidates, counts = broad.find_pairs_within(bodies, separation, phase, capacity, invalid)
     pairs, count = owned(candidates)
     row = COUNT_ROWS["pairs_written"]
     counts[row : row + 1].copy_(count)
     return Part(_OWN, query, bodies, pairs, counts, capacity=capacity, find_pairs=find_pairs)
-
-
-_OWN = "own"
 
 
 def _looks_ahead(bodies: MovingBodies) -> bool:
