@@ -123,6 +123,7 @@ class Measured:
                 "measured ms": row["ms"]["median"],
                 "model ms": timing.rounded(self.step(row) + self.many_ms),
                 "fitted to": row["ranks"] == 2,
+                "commit": row["commit"],
             }
             for row in rows
             if row["ranks"] > 1
