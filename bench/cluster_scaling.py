@@ -38,7 +38,8 @@ PARTS = {
     "waiting": ("gather",),
     "hash": ("hash",),
 }
-# What is left of a step: the host's own time between stages.
+# What is left of a step: the host's own time between stages. Negative where a GPU does something meanwhile: what has to
+# do with ghosts is done while own pairs are tested.
 REST = "rest"
 
 

@@ -36,12 +36,15 @@ def _stack(axes: Axes, rows: list[dict[str, Any]]) -> None:
     names = [f"{row['robots'] / 1e6:g} M\n{row['ranks']} ranks" for row in rows]
     below = [0.0] * len(rows)
     for part, colour in _PARTS.items():
-        heights = [row["mean_of_ranks_ms"].get(part, 0.0) for row in rows]
+        # What goes on at the same time adds up to more than the whole step.
+        heights = [max(0.0, row["mean_of_ranks_ms"].get(part, 0.0)) for row in rows]
         axes.bar(range(len(rows)), heights, bottom=below, color=colour, label=part, width=0.7)
         below = [base + height for base, height in zip(below, heights, strict=True)]
     axes.plot(range(len(rows)), [row["ms"]["median"] for row in rows], "k_", markersize=16, label="whole step")
     axes.set_xticks(range(len(rows)), names, fontsize=7)
-    axes.set(ylabel="milliseconds a step (mean of ranks)", title="A simulation step, random world")
+    axes.set(
+        ylabel="milliseconds a step (mean of ranks)", title="A simulation step, random world (halo while detecting)"
+    )
     axes.legend(frameon=False, fontsize=6, ncols=2)
 
 
