@@ -63,13 +63,7 @@ def detect_distributed(
 ) -> Detection:
     """Finds the contacts of this rank's share of pairs; the shares of all ranks together are all pairs, once each.
 
-    Args:
-        comm: between the ranks.
-        partition: the same on all of them.
-        own: columns of the bodies this rank owns, "id" ascending; those that other ranks need to know of ghosts.
-        build: their scene and motion.
-        options: what to find.
-        clock: stages are timed here.
+    Arguments as for `find_share`.
     """
     share = find_share(comm, partition, own, build, options, clock, Part.begin)
     found = contacts_of_step(share.parts)
