@@ -69,6 +69,16 @@ def test_nccl_does_the_same(tmp_path: Path, expected: list[dict[str, Any]]) -> N
     assert hashes[0] == hashes[1]
 
 
+@pytest.mark.parametrize("where", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+def test_a_scene_of_one_s_own_under_torchrun(where: str) -> None:
+    if where == "cuda" and not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    ranks = 2 if where == "cpu" else min(4, torch.cuda.device_count())
+    names = ["on corners of many cells", "faster than cells", "a terrain under all"]
+    done = finish(torchrun(ranks, str(SUPPORT / "world_job.py"), where, *names))
+    assert done.returncode == 0, done.stdout
+
+
 def test_mpirun_does_the_same(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
     sim.run(CONFIG, 6, tmp_path)
     steps = ["--resume", str(tmp_path), "--steps", "14", "--transport", "mpi4py", "--no-pictures"]

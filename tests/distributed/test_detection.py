@@ -23,7 +23,9 @@ def by_one_process(name: str, report: str) -> pgccd.Contacts:
     return crowds()[name].detect(report)
 
 
-def share(comm: Comm, name: str, report: str, seed: int, overlap: bool) -> tuple[SharedWorld, torch.Tensor]:
+def share(
+    comm: Comm, name: str, report: str, seed: int, overlap: bool, device: torch.device
+) -> tuple[SharedWorld, torch.Tensor]:
     """A crowd's bodies on ranks, dealt out at random, with a random table of owners; and ids by row of the crowd."""
     crowd = crowds()[name]
     generator = torch.Generator().manual_seed(seed)
@@ -35,40 +37,40 @@ def share(comm: Comm, name: str, report: str, seed: int, overlap: bool) -> tuple
         crowd.meshes,
         (0.0,) * 3,
         (8.0,) * 3,
-        crowd.position[mine],
-        id=ids[mine],
-        mesh_index=crowd.mesh_index[mine],
-        payload=take_rows(columns, mine),
+        crowd.position[mine].to(device),
+        id=ids[mine].to(device),
+        mesh_index=crowd.mesh_index[mine].to(device),
+        payload={name: column[mine].to(device) for name, column in columns.items()},
         comm=comm,
         report=report,
         min_separation=crowd.min_separation,
         cells=4,
         balance=BalanceOptions("none"),
         overlap=overlap,
-        **take_rows(crowd.filters, mine),
+        **{name: column[mine].to(device) for name, column in crowd.filters.items()},
     )
     if seed:
-        owner = torch.randint(comm.size, (world.partition.cell_count,), generator=generator)
+        owner = torch.randint(comm.size, (world.partition.cell_count,), generator=generator).to(device)
         world.partition = world.partition.with_owner(owner)
         world.move(world.position)
     assert bool((world.partition.owner_of(world.position) == comm.rank).all())
     return world, ids
 
 
-def find(comm: Comm, name: str) -> list[tuple[int, int]]:
+def find(comm: Comm, name: str, device: torch.device = torch.device("cpu")) -> list[tuple[int, int]]:  # noqa: B008
     """Compares all reports with one process; returns how many pairs and ghosts this rank had, for each assignment."""
     seen = []
     for index, report in enumerate(REPORTS):
         whole = by_one_process(name, report)
         for seed in (0, 1 + index) if comm.size > 1 else (0,):
-            world, ids = share(comm, name, report, seed, overlap=(seed > 0) == (index % 2 == 0))
+            world, ids = share(comm, name, report, seed, (seed > 0) == (index % 2 == 0), device)
             mine = world.payload
             motion = pgccd.RigidMotion.from_velocity(
                 world.position, mine["orientation"], mine["velocity"], mine["rotation"], dt=1.0
             )
             hits = world.step(motion)
             expected_pairs = ids[whole.pairs]
-            concerned = torch.isin(expected_pairs, world.id).any(dim=1)
+            concerned = torch.isin(expected_pairs, world.id.cpu()).any(dim=1)
             if report == "earliest":
                 concerned[:] = True
             for column in COLUMNS:
@@ -77,7 +79,7 @@ def find(comm: Comm, name: str) -> list[tuple[int, int]]:
                     assert found is None
                     continue
                 expected = (expected_pairs if column == "pairs" else expected)[concerned]
-                assert torch.equal(found, expected), (report, seed, column)
+                assert torch.equal(found.cpu(), expected), (report, seed, column)
             # What the ranks tested adds up to the whole, no pair twice.
             assert int(comm.sum(torch.tensor([len(world._found.pairs)]))) == whole.stats.pcs
             ids_tested = world._found.held.id[world._found.pairs]
@@ -87,7 +89,7 @@ def find(comm: Comm, name: str) -> list[tuple[int, int]]:
             assert len(everything.unique(dim=0)) == whole.stats.pcs
             if report == "first":
                 first = pgccd.sim.first_collisions(whole.pairs, whole.toi, len(ids))
-                assert torch.equal(world.first_toi(hits), first[torch.searchsorted(ids, world.id)])
+                assert torch.equal(world.first_toi(hits).cpu(), first[torch.searchsorted(ids, world.id.cpu())])
             assert int(world.loads().sum()) == len(ids) + 8 * whole.stats.pcs
             owners = world._found.held.owner[world._found.pairs]
             seen.append((len(whole), int((owners != comm.rank).all(dim=1).sum())))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -79,8 +82,15 @@ def start_ranks(ranks: int, program: list[str]) -> list[subprocess.Popen[str]]:
     return started
 
 
+_ports = itertools.count()
+
+
 def free_port() -> int:
-    """One that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    """One that is free, and that no other worker of the tests takes; below those that systems hand out."""
+    worker = int(re.sub(r"\D", "", os.environ.get("PYTEST_XDIST_WORKER", "0")))
+    for number in _ports:
+        port = 20_000 + 100 * worker + number % 100
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError("counting ends")
