@@ -24,7 +24,7 @@ from pgccd.scene import Scene
 from pgccd.sim.partners import Partners
 from pgccd.sim.response import Settlement, respond
 from pgccd.sim.rounds import Pace, goes_ahead, knows_rounds
-from pgccd.sim.step import settle_step
+from pgccd.sim.step import Settled, settle_step
 from pgccd.sim.tally import COUNTED, Tally, Work, count_step
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
@@ -158,7 +158,7 @@ class Fleet:
         reports = [_Report.of(*told) for told in zip(settled.work, settled.told, strict=True)]
         tallies = [report.tally for report in reports]
         Census.total([Census(tally.robots, tally.id_hash) for tally in tallies]).require(self._expected)
-        moved_cells = self._balance(index, share, planned, reports, clock)
+        moved_cells = self._balance(index, share, settled, planned, reports, clock)
         with clock.stage("migrate"):
             moves = [report.moves for report in reports]
             known = None
@@ -189,6 +189,7 @@ class Fleet:
         self,
         index: int,
         share: Share,
+        settled: Settled,
         planned: RobotState,
         reports: list[_Report],
         clock: StageClock,
@@ -204,6 +205,7 @@ class Fleet:
             seconds = [1e-9 * report.busy for report in reports]
             if RankLoads(robots, pcs, contacts, seconds).are_level(self.balance):
                 return 0
+            settled.learn()  # so that contacts need not be waited for
             loads = cell_loads(self.partition, planned.position, Detection(share, contacts_of_step(share.parts)))
             total = CellLoads.unstacked(self.comm.sum(loads.stacked()))
             former = self.partition

@@ -216,20 +216,20 @@ def drive(
     if checkpoint_every < 0:
         raise ValueError(f"checkpoint_every: expected a number >= 0, got {checkpoint_every}")
     with log or nullcontext(), _stop_requests() as stop:
-        with _Lines(log, progress or Silent()) as lines:
+        with _LateTeller(log, progress or Silent()) as teller:
             while steps_made < steps and not machine.stops(stop.is_set()):
-                lines.add(machine.step(steps_made))
+                teller.add(machine.step(steps_made))
                 steps_made += 1
                 if checkpoint_every and steps_made % checkpoint_every == 0 and steps_made < steps:
-                    lines.finish()
+                    teller.finish()
                     machine.save(steps_made, steps)
         machine.save(steps_made, steps)
         machine.finish()
     return steps_made
 
 
-class _Lines:
-    """Writes the line of each step when the next one is made: asking for it any sooner would wait for a GPU.
+class _LateTeller:
+    """Tells of each step when the next one has been made: asking for its line any sooner would wait for a GPU.
 
     Args:
         log: None: another process keeps it.
@@ -241,12 +241,12 @@ class _Lines:
         self._last: HasRecord | None = None
 
     def add(self, step: HasRecord) -> None:
-        """Writes the line of the step before this one."""
+        """Tells of the step before this one."""
         self.finish()
         self._last = step
 
     def finish(self) -> None:
-        """Writes the line of the last step."""
+        """Tells of the last step."""
         if self._last is None:
             return
         record, self._last = self._last.record, None
@@ -254,12 +254,12 @@ class _Lines:
             self._log.append(record)
         self._progress.advance(record)
 
-    def __enter__(self) -> _Lines:
+    def __enter__(self) -> _LateTeller:
         return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        # When a GPU or another rank has failed, what the line waits for may never come.
-        if not isinstance(error, RuntimeError):
+        # What the line of a step on a GPU waits for may never come, once that or another rank has failed.
+        if not (isinstance(error, RuntimeError) and torch.cuda.is_initialized()):
             self.finish()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import torch
@@ -111,7 +111,8 @@ class Settled:
     settlement: Settlement  #: what robots make of the step
     work: list[Work]  #: of each rank
     told: list[list[int]]  #: what each rank concluded
-    learn: Callable[[], None]  #: takes note of what the step needed; a GPU may be given more urgent work before
+    #: Takes note of what the step needed, the first time it is called; a GPU may be given more urgent work before.
+    learn: Callable[[], None]
 
 
 def settle_step(
@@ -152,7 +153,7 @@ def settle_step(
                     part.learn(counts)
                     clock.add(search_seconds(counts))
 
-            return Settled(ahead.settlement, work, ahead.told, learn)
+            return Settled(ahead.settlement, work, ahead.told, cache(learn))
     contacts = contacts_of_step(parts)
     # There may not have been room for all pairs.
     partners.look_among(pairs_of_step(parts))

@@ -42,14 +42,22 @@ def by_one_process() -> list[dict[str, Any]]:
     return records
 
 
-def by_ranks(comm: Comm, room: str, ahead: bool) -> tuple[list[dict[str, Any]], int]:
-    """Records, and how many own parts were searched anew."""
+def by_ranks(comm: Comm, room: str, ahead: bool) -> tuple[list[dict[str, Any]], int, int]:
+    """Records; how often own pairs were found anew; and how many own parts were not searched in their room alone."""
     world = sim.World(CONFIG)
     half = world.half_extent
     partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
-    searched = 0
+    renewed = searched = 0
 
     class Watched(Part):
+        def __init__(self, *given: Any, find_pairs: Any = None, **more: Any) -> None:
+            def renew() -> Any:
+                nonlocal renewed
+                renewed += 1
+                return find_pairs()
+
+            super().__init__(*given, find_pairs=find_pairs and renew, **more)
+
         def find(self) -> Any:
             nonlocal searched
             former = self.pairs
@@ -65,7 +73,7 @@ def by_ranks(comm: Comm, room: str, ahead: bool) -> tuple[list[dict[str, Any]], 
     for step in made:
         found = step.detection
         assert len(found.pairs) == step.record["ranks"]["pcs"][comm.rank] and bool((found.pairs >= 0).all())
-    return records, searched
+    return records, renewed, searched
 
 
 @pytest.mark.parametrize("ahead", [True, False])
@@ -74,6 +82,9 @@ def test_same_steps(ranks: World, room: str, ahead: bool) -> None:
     expected = by_one_process()
     assert sum(step["contacts"] for step in expected) > 20
     for size in (2, 3):
-        for records, searched in ranks.run(size, by_ranks, room, ahead):
+        for records, renewed, searched in ranks.run(size, by_ranks, room, ahead):
             assert records == expected
-            assert (searched > 0) == (room != "too much memory")
+            assert (renewed > 1) == (room in ("none", "pairs"))
+            if room == "plenty":
+                # The first step is always waited for.
+                assert searched == (1 if ahead else STEPS)

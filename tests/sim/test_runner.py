@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ import torch
 
 import pgccd
 from pgccd import sim
+from pgccd.sim import runner
 from pgccd.sim.files import CHECKPOINT_FILE, LOG_FILE, WORLD_FILE
+from pgccd.stages import StageClock
 
 CONFIG = sim.WorldConfig(robots=200, pattern="skewed", seed=11, speed=0.2)
 FIELDS = {"step", "robots", "pcs", "contacts", "contacts_hash", "state_hash", "seconds", "stage_seconds", "candidates"}
@@ -106,6 +109,24 @@ def test_checkpoints_are_written_on_the_way(finished: tuple[Path, sim.Run], tmp_
     assert len(log(tmp_path)) == 13
     sim.resume(tmp_path)
     assert without_times(log(tmp_path)) == without_times(log(finished[0]))
+
+
+@pytest.mark.parametrize("on_gpu", [False, True])
+def test_lines_of_the_steps_before_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, on_gpu: bool) -> None:
+    make_step = runner.make_step
+
+    def fail(*arguments: Any) -> Any:
+        if arguments[3] == 7:
+            raise RuntimeError("no more")
+        return make_step(*arguments)
+
+    monkeypatch.setattr(runner, "make_step", fail)
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: on_gpu)
+    # The stages' times would be asked of a GPU.
+    monkeypatch.setattr(StageClock, "stage", lambda *_: nullcontext())
+    with pytest.raises(RuntimeError, match="no more"):
+        sim.run(CONFIG, 24, tmp_path)
+    assert len(log(tmp_path)) == (6 if on_gpu else 7)
 
 
 def test_a_new_run_forgets_the_checkpoint_of_an_earlier_one(tmp_path: Path) -> None:
