@@ -6,9 +6,9 @@ Run it once for each number of ranks; every run adds its row to the same file an
     torchrun --nproc-per-node 4 bench/cluster_scaling.py --robots 4000000 --device cuda
     torchrun --nproc-per-node 4 bench/cluster_scaling.py --robots-a-rank 1000000 --device cuda
 
-With one rank the single-device program is timed beside, step by step from the same states. A step is timed from barrier
-to barrier, and after that as many in a row, as a simulation makes them. `waiting` is what a rank spends in the
-all-gather at the end of the step, until the slowest has come.
+With one rank the single-device program is timed beside, over the same steps. Steps follow one another as a simulation
+makes them; one lasts from the end of the one before, which every rank learns when the slowest has come. `waiting` is
+what a rank spends in the all-gather that tells it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from support import results, timing
 from pgccd import distributed, sim
 from pgccd.distributed.launch import TRANSPORTS
 from pgccd.sim.rounds import goes_ahead
+from pgccd.sim.runner import HasRecord
 
 # What the stages of a step are summed up to.
 PARTS = {
@@ -83,34 +84,25 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
     fleet = start(comm, config, device, arguments)
     for index in range(arguments.steps_before):
         fleet.step(index)
-    whole, single, parts, ranks = [], [], [], []
-    for index in range(arguments.steps_before, arguments.steps_before + arguments.rounds):
-        state = fleet.state
-        duration, made = timed_step(comm, fleet, index, device)
-        whole.append(duration)
-        spent = {name: sum(seconds_of(made, stages)) for name, stages in PARTS.items()}
-        parts.append(spent | {REST: duration - sum(spent.values())})
-        ranks.append(made.record["ranks"])
-        if comm.size == 1:
-            scene = fleet.world.scene(state.id)
-            seconds, alone = wall(
-                lambda: sim.make_step(fleet.world, scene, state, index, ahead=ahead(arguments)),  # noqa: B023
-                device,
-            )
-            single.append(seconds)
-            if alone.record["state_hash"] != made.record["state_hash"]:
-                raise SystemExit(f"step {index}: one rank and one process differ")
-    everybody = comm.gather_objects(parts)
-    state, begin = fleet.state, arguments.steps_before + arguments.rounds
-    in_a_row = a_step_in_a_row(comm, device, arguments.rounds, lambda index: fleet.step(begin + index))
-    single_in_a_row = None
+    state, begin = fleet.state, arguments.steps_before
+    durations, records = follow(comm, begin, arguments.rounds, lambda index: fleet.step(index, more=True))
+    everybody = comm.gather_objects((durations, [parts_of(*step) for step in zip(records, durations, strict=True)]))
+    whole = [max(steps) for steps in zip(*(times for times, _ in everybody), strict=True)]
+    parts = [steps for _, steps in everybody]
+    ranks = [record["ranks"] for record in records]
+    single: list[float] = []
     if comm.size == 1:
+        scene = fleet.world.scene(state.id)
 
-        def advance(index: int) -> None:
+        def advance(index: int) -> sim.Step:
             nonlocal state
-            state = sim.make_step(fleet.world, scene, state, begin + index, ahead=ahead(arguments)).after
+            made = sim.make_step(fleet.world, scene, state, index, ahead=ahead(arguments))
+            state = made.after
+            return made
 
-        single_in_a_row = a_step_in_a_row(comm, device, arguments.rounds, advance)
+        single, alone = follow(comm, begin, arguments.rounds, advance)
+        if [record["state_hash"] for record in alone] != [record["state_hash"] for record in records]:
+            raise SystemExit("one rank and one process differ")
     return {
         "scaling": "weak" if weak else "strong",
         "ranks": comm.size,
@@ -123,15 +115,14 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "ahead": ahead(arguments, comm.size),
         "ms": timing.summary(whole),
         "single_process_ms": timing.summary(single) if single else None,
-        "in_a_row_ms": in_a_row,
-        "single_process_in_a_row_ms": single_in_a_row,
-        "mean_of_ranks_ms": {name: over_ranks(everybody, name, mean) for name in (*PARTS, REST)},
-        "slowest_rank_ms": {name: over_ranks(everybody, name, max) for name in (*PARTS, REST)},
+        "timed": "in a row",  # earlier rows: from barrier to barrier
+        "mean_of_ranks_ms": {name: over_ranks(parts, name, mean) for name in (*PARTS, REST)},
+        "slowest_rank_ms": {name: over_ranks(parts, name, max) for name in (*PARTS, REST)},
         "imbalance_by_step": [step["imbalance"] for step in ranks],
         "busy_imbalance": timing.rounded(mean([ratio(step["busy_seconds"]) for step in ranks])),
         "ghosts_a_body": timing.rounded(mean([sum(step["ghosts"]) / robots for step in ranks])),
         "moved_cells_a_step": timing.rounded(mean([step["moved_cells"] for step in ranks])),
-        "state_hash": made.record["state_hash"],
+        "state_hash": records[-1]["state_hash"],
     }
 
 
@@ -156,47 +147,27 @@ def ahead(arguments: argparse.Namespace, ranks: int = 1) -> bool:
     return goes_ahead(False if arguments.no_ahead else None, torch.device(arguments.device), ranks)
 
 
-def timed_step(
-    comm: distributed.Comm, fleet: distributed.Fleet, index: int, device: torch.device
-) -> tuple[float, distributed.RankStep]:
-    """Seconds from barrier to barrier, and the step."""
+def follow(
+    comm: distributed.Comm, begin: int, rounds: int, step: Callable[[int], HasRecord]
+) -> tuple[list[float], list[dict[str, Any]]]:
+    """Seconds and lines of the log of so many steps in a row, after one that is not timed."""
     comm.barrier()
-
-    def step() -> distributed.RankStep:
-        made = fleet.step(index)
-        comm.barrier()
-        return made
-
-    return wall(step, device)
-
-
-def a_step_in_a_row(comm: distributed.Comm, device: torch.device, steps: int, step: Callable[[int], object]) -> float:
-    """Milliseconds of one of so many steps, with nothing in between."""
-    comm.barrier()
-
-    def run() -> None:
-        for index in range(steps):
-            step(index)
-        comm.barrier()
-
-    seconds, _ = wall(run, device)
-    return timing.rounded(1e3 * seconds / steps)
+    last = step(begin)
+    end, durations, records = time.perf_counter(), [], []
+    for index in range(begin + 1, begin + 1 + rounds):
+        made = step(index)
+        former, end = end, time.perf_counter()
+        durations.append(end - former)
+        # As a simulation does: a step's line is told when the next has been made.
+        records.append(last.record)
+        last = made
+    return durations, [*records[1:], last.record]
 
 
-def wall(work: Any, device: torch.device) -> tuple[float, Any]:
-    """By the wall clock, since most of what is measured happens between devices."""
-    if device.type == "cuda":
-        torch.cuda.synchronize()
-    begin = time.perf_counter()
-    result = work()
-    if device.type == "cuda":
-        torch.cuda.synchronize()
-    return time.perf_counter() - begin, result
-
-
-def seconds_of(made: distributed.RankStep, stages: tuple[str, ...]) -> list[float]:
-    """Of this rank."""
-    return [made.record["stage_seconds"].get(stage, 0.0) for stage in stages]
+def parts_of(record: dict[str, Any], duration: float) -> dict[str, float]:
+    """Seconds of a step on one rank, by what they were spent on."""
+    spent = {name: sum(record["stage_seconds"].get(stage, 0.0) for stage in stages) for name, stages in PARTS.items()}
+    return spent | {REST: duration - sum(spent.values())}
 
 
 def over_ranks(parts: list[list[dict[str, float]]], name: str, combine: Any) -> float:
@@ -246,12 +217,10 @@ def flat(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
         for other in rows
         if other["ranks"] == 1 and other["robots"] == wanted and other["pattern"] == row["pattern"]
     ]
-    efficiency = in_a_row = None
+    efficiency = None
     if base:
         share = row["ranks"] if row["scaling"] == "strong" else 1
         efficiency = base[0]["single_process_ms"]["median"] / row["ms"]["median"] / share
-        if base[0].get("in_a_row_ms") and row.get("in_a_row_ms"):
-            in_a_row = base[0]["single_process_in_a_row_ms"] / row["in_a_row_ms"] / share
     return {
         "scaling": row["scaling"],
         "world": row["pattern"],
@@ -259,8 +228,6 @@ def flat(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
         "robots": row["robots"],
         "ms": row["ms"]["median"],
         "efficiency": efficiency,
-        "in a row ms": row.get("in_a_row_ms"),
-        "in a row efficiency": in_a_row,
         **{f"{name} ms": value for name, value in row["mean_of_ranks_ms"].items()},
         "ghosts/body": row["ghosts_a_body"],
         "imbalance": row["imbalance_by_step"][-1],

@@ -61,13 +61,17 @@ class StageClock:
         self._read(_WORK)
         return sum(self._seconds.get(stage, 0.0) for stage in _WORK)
 
+    def restart(self) -> None:
+        """`total` counts from now on. Stages that are over stay as they are."""
+        self._start = time.perf_counter()
+
     def stop(self) -> None:
         """Ends what `total` tells."""
         self._total = self.total
 
     @property
     def total(self) -> float:
-        """Seconds since the clock was made, until it was stopped."""
+        """Seconds since the clock was made or restarted, until it was stopped."""
         return time.perf_counter() - self._start if self._total is None else self._total
 
     def _read(self, names: Sequence[str]) -> None:

@@ -14,7 +14,7 @@ from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns
 from pgccd.distributed.halo import Held, centres_of
 from pgccd.distributed.partition import Partition
-from pgccd.distributed.share import Build, Options, Share, find_share
+from pgccd.distributed.share import Build, Options, OwnSearch, Share
 from pgccd.parts import Part, contacts_of_step, search_seconds
 from pgccd.stages import StageClock
 
@@ -63,9 +63,9 @@ def detect_distributed(
 ) -> Detection:
     """Finds the contacts of this rank's share of pairs; the shares of all ranks together are all pairs, once each.
 
-    Arguments as for `find_share`.
+    Arguments as for `OwnSearch`.
     """
-    share = find_share(comm, partition, own, build, options, clock, Part.begin)
+    share = OwnSearch(comm, partition, own, build, options, clock, Part.begin).with_ghosts()
     found = contacts_of_step(share.parts)
     clock.add(search_seconds(found.stats))
     if options.report == "earliest":

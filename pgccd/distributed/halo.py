@@ -21,6 +21,7 @@ from pgccd.bodies import MovingBodies
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Arrival, Columns, Route
 from pgccd.distributed.partition import Partition
+from pgccd.host_copy import HostCopy
 
 #: Centres at t0 and t1 (N, 3) and SBV radius (N,) of bodies.
 Centres = tuple[Tensor, Tensor, Tensor]
@@ -86,10 +87,11 @@ class Halo:
         #: (B,) int64: rows of these.
         self._border = nobody
         self._arrival: Arrival | None = None
-        self._found = bodies.first_faults()
+        found = bodies.first_faults()
         if comm.size > 1:
-            self.reach, self._border, found = ops.border_bodies(*self._where)
-            self._found = torch.cat([found, self._found])
+            self.reach, self._border, count = ops.border_bodies(*self._where)
+            found = torch.cat([count, found])
+        self._found = HostCopy(found)
 
     def check(self) -> None:
         """Waits for what was found out about the bodies.
@@ -99,7 +101,7 @@ class Halo:
         """
         if self._bodies.checked:
             return
-        count, *faults = ([0] if self._comm.size == 1 else []) + self._found.tolist()
+        count, *faults = ([0] if self._comm.size == 1 else []) + self._found.numpy().tolist()
         self._bodies.raise_faults(faults)
         self._bodies.checked = True
         self._border = self._border[:count]
@@ -142,7 +144,6 @@ class HeldExchange:
 
     def __init__(self, held: Held, ghosts: Centres, min_separation: float, partition: Partition) -> None:
         self._comm = comm = held.route.comm
-        self._told: torch.cuda.Event | None = None
         if comm.size == 1:
             self._shared = held.own_id[:0], [0]
             return
@@ -152,18 +153,13 @@ class HeldExchange:
         before = sum(received[: comm.rank])
         self._holders = torch.cat([holders[:before], held.holders, holders[before:]])
         self._rows = torch.cat([row[:before], held.border, row[before:]])
-        # On its way while bodies are tested; read when that is over, so that nothing waits for it.
-        self._counts = (counts + held.border_counts).to("cpu", non_blocking=True)
-        if row.is_cuda:
-            self._told = torch.cuda.Event()
-            self._told.record()
+        # On its way while bodies are tested.
+        self._counts = HostCopy(counts + held.border_counts)
 
     @functools.cached_property
     def _shared(self) -> tuple[Tensor, list[int]]:
         """Rows of bodies that others hold too, by rank; and how many for each rank."""
-        if self._told is not None:
-            self._told.synchronize()
-        counts = self._counts.tolist()
+        counts: list[int] = self._counts.numpy().tolist()
         return ops.rows_by_rank(self._holders, self._rows, sum(counts)), counts
 
     @property

@@ -197,8 +197,8 @@ class _FleetMachine:
         self._wish = wish
         return self.last_step.wished if self.last_step is not None else self.fleet.comm.any(wish)
 
-    def step(self, index: int) -> RankStep:
-        self.last_step = self.fleet.step(index, self._wish)
+    def step(self, index: int, more: bool) -> RankStep:
+        self.last_step = self.fleet.step(index, self._wish, more)
         return self.last_step
 
     def save(self, steps_made: int, steps_wanted: int) -> None:

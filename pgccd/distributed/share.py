@@ -80,17 +80,20 @@ class Share:
             centres = nobody if self.ghosts is None else centres_of(self.ghosts)
             return HeldExchange(self.held, centres, self.min_separation, partition)
 
+    def lend(self) -> None:
+        """Says that the current stream goes on reading all this while the side stream works for the next step."""
+        if self.ghosts is None:
+            return
+        held, border = self.held, self.parts[-1]
+        lent = [*held.ghosts.values(), held.border, held.holders, held.border_counts, held.route.rows, border.pairs]
+        lent += [*_columns(self.ghosts).values(), *_columns(border.bodies).values()]
+        self.side.lend(lent if border.rows is None else [*lent, border.rows])
 
-def find_share(
-    comm: Comm,
-    partition: Partition,
-    own: Columns,
-    build: Build,
-    options: Options,
-    clock: StageClock,
-    begin: Callable[[Part], object],
-) -> Share:
-    """The pairs that this rank is to test, and all that it must know of their bodies.
+
+class OwnSearch:
+    """One rank's step as far as it goes without ghosts: the pairs of its own bodies, of which the search begins.
+
+    On a GPU nothing is waited for, where room for the pairs can be foreseen; elsewhere ghosts are sent before.
 
     Args:
         comm: between the ranks.
@@ -100,64 +103,87 @@ def find_share(
         options: what to find.
         clock: stages are timed here.
         begin: called with each part as soon as it is known.
+        in_vain: (1,) int64, left on the device: if it is not 0, the outcome does not matter, and little is done.
 
     Raises:
         ValueError: a pose is invalid.
+
+    Example:
+        >>> share = OwnSearch(comm, partition, own, build, Options(), StageClock(), Part.begin).with_ghosts()
     """
-    separation = broad.check_separation(options.min_separation)
-    with clock.stage("plan"):
-        bodies = MovingBodies(*build(own), wait=False)
-    with clock.stage("halo"):
-        halo = Halo(comm, partition, own, bodies, separation)
-    side = SideStream(bodies.device, options.overlap and comm.size > 1)
-    if comm.size == 1:
-        held = halo.wait()
-        with clock.stage("broad"):
-            part = Part("own", options.query, bodies, broad.find_pairs(bodies, separation, options.broad_phase))
-        begin(part)
-        return Share(held, [part], None, side, separation)
-    if not side.is_apart:
+
+    def __init__(
+        self,
+        comm: Comm,
+        partition: Partition,
+        own: Columns,
+        build: Build,
+        options: Options,
+        clock: StageClock,
+        begin: Callable[[Part], object],
+        in_vain: Tensor | None = None,
+    ) -> None:
+        self._comm, self._build, self._options, self._clock, self._begin = comm, build, options, clock, begin
+        separation = broad.check_separation(options.min_separation)
+        with clock.stage("plan"):
+            self._bodies = bodies = MovingBodies(*build(own), wait=False)
         with clock.stage("halo"):
-            halo.send()
-    ghosts_first = None if options.overlap else _wait(halo, clock)
-    where = separation, halo.reach, partition.territory(comm.rank)
-    with clock.stage("broad"):
-        of_own = _own_pairs(bodies, own["id"], where, options)
-    # A GPU is first given something to do, as the others' answers take their time.
-    begin(of_own)
-    with side:
-        if side.is_apart:
+            self._halo = halo = Halo(comm, partition, own, bodies, separation)
+        self._where = separation, halo.reach, partition.territory(comm.rank)
+        self._side = SideStream(bodies.device, options.overlap and comm.size > 1)
+        if comm.size > 1 and not self._side.is_apart:
             with clock.stage("halo"):
                 halo.send()
-        held = ghosts_first or _wait(halo, clock)
-        with clock.stage("halo"):
-            ghosts = _told(*build(held.ghosts))
-            rows = _near_ghosts(bodies, ghosts, separation, partition.territory(comm.rank))
-            at_border = _bodies(bodies, _taken(bodies, ghosts, rows))
+        self._held = self._wait() if comm.size > 1 and not options.overlap else None
         with clock.stage("broad"):
-            crossing = broad.find_pairs(at_border, separation, options.broad_phase)
-            pairs, count = ops.owned_pairs(crossing, rows, held.id, centres_of(at_border), *where)
-            with_ghosts = Part("with ghosts", options.query, at_border, pairs, counts_of_given(pairs, count), rows)
-    side.join()
-    begin(with_ghosts)
-    return Share(held, [of_own, with_ghosts], ghosts, side, separation)
+            self._part = _own_pairs(bodies, own["id"], self._where if comm.size > 1 else None, options, in_vain)
+        begin(self._part)
+
+    def with_ghosts(self) -> Share:
+        """The whole share: waits for ghosts, and begins to search the pairs with them."""
+        separation, _, territory = self._where
+        if self._comm.size == 1:
+            return Share(self._halo.wait(), [self._part], None, self._side, separation)
+        with self._side:
+            if self._side.is_apart:
+                with self._clock.stage("halo"):
+                    self._halo.send()
+            held = self._held or self._wait()
+            with self._clock.stage("halo"):
+                ghosts = _told(*self._build(held.ghosts))
+                rows = _near_ghosts(self._bodies, ghosts, separation, territory)
+                at_border = _bodies(self._bodies, _taken(self._bodies, ghosts, rows))
+                crossing = broad.find_pairs(at_border, separation, self._options.broad_phase)
+                pairs, count = ops.owned_pairs(crossing, rows, held.id, centres_of(at_border), *self._where)
+                counts = counts_of_given(pairs, count)
+                with_ghosts = Part("with ghosts", self._options.query, at_border, pairs, counts, rows)
+        self._side.join()
+        self._begin(with_ghosts)
+        return Share(held, [self._part, with_ghosts], ghosts, self._side, separation)
+
+    def _wait(self) -> Held:
+        with self._clock.stage("halo wait"):
+            return self._halo.wait()
 
 
 #: Separation, which own bodies reach cells of others, and whose cells are whose.
 _Where = tuple[float, Tensor, ops.Territory]
 
 
-def _own_pairs(bodies: MovingBodies, id: Tensor, where: _Where, options: Options) -> Part:
-    """Pairs of own bodies that this rank is to test. On a GPU they are found without waiting, where room for them can
-    be foreseen; the bodies need not be checked, then: if they are invalid there are no pairs.
+def _own_pairs(
+    bodies: MovingBodies, id: Tensor, where: _Where | None, options: Options, in_vain: Tensor | None
+) -> Part:
+    """Pairs of own bodies that this rank is to test; all, if it is alone (`where` None). On a GPU they are found
+    without waiting, where room for them can be foreseen; the bodies need not be checked, then: if they are invalid
+    there are no pairs.
     """
-    query, separation = options.query, where[0]
-
-    def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
-        return ops.owned_pairs(pairs, None, id, centres_of(bodies), *where)
+    query, separation = options.query, options.min_separation
 
     def find_pairs() -> Tensor:
-        pairs, count = owned(broad.find_pairs(bodies, separation, options.broad_phase))
+        pairs = broad.find_pairs(bodies, separation, options.broad_phase)
+        if where is None:
+            return pairs
+        pairs, count = ops.owned_pairs(pairs, None, id, centres_of(bodies), *where)
         return pairs[: int(count)]
 
     capacity = expected_capacity(bodies, query, None, _OWN, slack=_SLACK) if _looks_ahead(bodies) else None
@@ -166,10 +192,13 @@ def _own_pairs(bodies: MovingBodies, id: Tensor, where: _Where, options: Options
             bodies.raise_faults(bodies.first_faults().tolist())
         return Part("own", query, bodies, find_pairs())
     invalid, phase = bodies.first_faults()[-1:], options.broad_phase
-    candidates, counts = broad.find_pairs_within(bodies, separation, phase, capacity, invalid)
-    pairs, count = owned(candidates)
-    row = COUNT_ROWS["pairs_written"]
-    counts[row : row + 1].copy_(count)
+    if in_vain is not None:
+        invalid = torch.maximum(invalid, in_vain)
+    pairs, counts = broad.find_pairs_within(bodies, separation, phase, capacity, invalid)
+    if where is not None:
+        pairs, count = ops.owned_pairs(pairs, None, id, centres_of(bodies), *where)
+        row = COUNT_ROWS["pairs_written"]
+        counts[row : row + 1].copy_(count)
     return Part(_OWN, query, bodies, pairs, counts, capacity=capacity, find_pairs=find_pairs)
 
 
@@ -198,11 +227,6 @@ def _told(scene: Scene, motion: RigidMotion) -> MovingBodies:
     """Of bodies whose owners have checked them."""
     pose = motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
     return MovingBodies(scene, RigidMotion.of_checked(*pose, motion.path))
-
-
-def _wait(halo: Halo, clock: StageClock) -> Held:
-    with clock.stage("halo wait"):
-        return halo.wait()
 
 
 _MOTION = ("position_t0", "orientation_t0", "position_t1", "rotation")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 
 import torch
@@ -13,7 +14,8 @@ class SideStream:
     everything is done in order.
 
     It goes on from what the current stream has been given when it is made. Memory taken on it goes back to it: as every
-    use of that by the current stream comes before the next side stream is made, nothing is overwritten.
+    use of that by the current stream comes before the next side stream is made, or is told by `lend`, nothing is
+    overwritten.
 
     Args:
         device: of the tensors worked on.
@@ -49,6 +51,13 @@ class SideStream:
         """Lets the current stream go on after all that this one has been given."""
         if self._stream is not None:
             torch.cuda.current_stream(self._stream.device).wait_stream(self._stream)
+
+    def lend(self, tensors: Iterable[torch.Tensor]) -> None:
+        """Says that what was made on this stream is read by the current one, perhaps when the next side stream has been
+        made: its memory is used again once that is over."""
+        if self._stream is not None:
+            for tensor in tensors:
+                tensor.record_stream(torch.cuda.current_stream(self._stream.device))
 
 
 @functools.cache

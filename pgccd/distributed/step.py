@@ -11,13 +11,14 @@ import torch
 from torch import Tensor
 
 from pgccd.broad import BroadPhase
-from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, imbalance, rebalance
+from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rebalance
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.detection import Detection
 from pgccd.distributed.exchange import Columns, take_rows
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
-from pgccd.distributed.share import Options, Share, find_share
+from pgccd.distributed.share import Options, OwnSearch, Share
+from pgccd.distributed.step_reports import Reports
 from pgccd.motion import RigidMotion
 from pgccd.parts import Part, contacts_of_step
 from pgccd.scene import Scene
@@ -25,7 +26,7 @@ from pgccd.sim.partners import Partners
 from pgccd.sim.response import Settlement, respond
 from pgccd.sim.rounds import Pace, goes_ahead, knows_rounds
 from pgccd.sim.step import Settled, settle_step
-from pgccd.sim.tally import COUNTED, Tally, Work, count_step
+from pgccd.sim.tally import Tally, count_step
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
 
@@ -34,6 +35,8 @@ _BLOCK_ROBOTS = 1 << 20
 # Up to so many ranks, each tells all how many robots leave it for whom together with its tally; with more, those
 # concerned alone.
 _TELLS_MOVES = 64
+# Robots that have left stay with their rank as long as there are so many times more ghosts: each may be one.
+_MOST_AWAY = 4
 
 
 @dataclass
@@ -58,22 +61,16 @@ class RankStep:
         return self.tell()
 
 
-@dataclass
-class _Report:
-    """What a rank tells all others after a step."""
+@dataclass(frozen=True)
+class _Begun:
+    """A step whose first work a GPU has been given."""
 
-    tally: Tally
-    held: int
-    arrived: int
-    wish: int
-    busy: int  #: nanoseconds of traversing and solving
-    moves: list[int]  #: how many robots leave it for each rank; empty if that is told later
-
-    @classmethod
-    def of(cls, work: Work, told: list[int]) -> _Report:
-        """`told`: what a rank concluded."""
-        counted, (held, arrived, wish, *moves) = told[:COUNTED], told[COUNTED:]
-        return cls(Tally.of(work, counted), held, arrived, wish, work.nanoseconds, moves)
+    index: int
+    state: RobotState
+    partition: Partition
+    planned: RobotState
+    search: OwnSearch
+    clock: StageClock
 
 
 class Fleet:
@@ -87,6 +84,8 @@ class Fleet:
         balance: how cells change hands.
         broad_phase, overlap: see `Options`.
         ahead: see `pgccd.sim.make_step`; the same on all ranks. Default: on a GPU, and with other ranks.
+
+    `state` is that of the robots this rank has.
 
     Example:
         >>> fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
@@ -111,6 +110,10 @@ class Fleet:
         # The fleet's own, so that all ranks know the same number of rounds.
         self._pace = Pace() if goes_ahead(ahead, world.device, comm.size) else None
         self._expected = Census.of_range(world.config.robots)
+        #: Whether a step that follows at once is begun before the outcome of the one before is known.
+        self.begins_early = world.device.type != "cpu" and overlap
+        self._begun: _Begun | None = None
+        self._few_have_left = False
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()
 
@@ -123,25 +126,27 @@ class Fleet:
         parts = self.comm.gather_objects(astuple(Census.of(self.state.id)))
         Census.total([Census(*part) for part in parts]).require(self._expected)
 
-    def step(self, index: int, wish: bool = False) -> RankStep:
-        """Moves the robots by one step, the `index`-th from 0.
+    def step(self, index: int, wish: bool = False, more: bool = False) -> RankStep:
+        """Moves the robots by one step.
 
         Args:
             index: the same on all ranks.
             wish: to stop, say: all are told whether any rank has it.
+            more: whether the next step follows at once, on all ranks. Then a GPU is given its first work before the
+                host knows how this one ends. Robots that have left the cells of their rank stay with it for a while,
+                since handing them over would have to be waited for; without more to come each is where it belongs.
         """
-        comm, clock = self.comm, StageClock()
+        comm = self.comm
         comm.guard.activity = f"step {index}"
-        with clock.stage("plan"):
-            planned = self.world.plan(self.state, index)
-        own = planned.moving_columns
-        begin = Part.start if knows_rounds(self._pace) else Part.begin
-        share = find_share(comm, self.partition, own, self._build, self.options, clock, begin)
+        begun = self._take_begun(index)
+        planned, clock = begun.planned, begun.clock
+        share = begun.search.with_ghosts()
         with clock.stage("halo"):
             exchange = share.exchange(self.partition)
-            partners = Partners(self.world, own, share.held.ghosts, share.pairs)
+            partners = Partners(self.world, planned.moving_columns, share.held.ghosts, share.pairs)
         after: RobotState = planned
         leaving: Leaving | None = None
+        keeps = more and self.begins_early and self._few_have_left
 
         def conclude(pairs: Tensor, toi: Tensor, fraction: Tensor) -> Tensor:
             nonlocal after, leaving
@@ -152,31 +157,68 @@ class Fleet:
                 counted = count_step(after, fraction, share.held.id, pairs, toi)
                 leaving = Leaving(comm, self.partition, after.position)
                 moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
-                return torch.cat([counted, self._told_by_host(share, wish), *moves])
+                return torch.cat([counted, self._told_by_host(share, wish), leaving.counts.sum()[None], *moves])
 
-        settled = settle_step(share.parts, len(share.held), partners, self._pace, conclude, clock, exchange)
-        reports = [_Report.of(*told) for told in zip(settled.work, settled.told, strict=True)]
-        tallies = [report.tally for report in reports]
-        Census.total([Census(tally.robots, tally.id_hash) for tally in tallies]).require(self._expected)
+        def begin_next(in_vain: Tensor) -> None:
+            self._begun = self._begin(index + 1, after, in_vain)
+
+        meanwhile = begin_next if keeps else None
+        settled = settle_step(share.parts, len(share.held), partners, self._pace, conclude, clock, exchange, meanwhile)
+        reports = Reports.of(settled)
         moved_cells = self._balance(index, share, settled, planned, reports, clock)
         with clock.stage("migrate"):
-            moves = [report.moves for report in reports]
             known = None
-            if leaving is not None and moved_cells == 0 and all(moves):
-                known = leaving, moves[comm.rank], [row[comm.rank] for row in moves]
-            self._migrate(after, known)
-        settled.learn()
+            if leaving is not None and moved_cells == 0 and reports.moves.size:
+                known = leaving, reports.moves[comm.rank].tolist(), reports.moves[:, comm.rank].tolist()
+            if keeps and moved_cells == 0:
+                self.state, self._arrived = after, 0
+            else:
+                self._migrate(after, known)
         clock.stop()
+        self._few_have_left = moved_cells == 0 and _MOST_AWAY * reports.leaving.sum() <= reports.ghosts.sum()
+        if more and self.begins_early and not self._has_begun(index + 1):
+            self._begun = self._begin(index + 1, self.state)
+        tally = Tally.of(reports.work, reports.counted)
+        Census(tally.robots, tally.id_hash).require(self._expected)
+        settled.learn()
 
         def tell() -> dict[str, Any]:
-            record = Tally.total(tallies).record(index, settled.settlement.rounds, clock)
-            return record | {"ranks": _told_of_ranks(reports, moved_cells)}
+            record = tally.record(index, settled.settlement.rounds, clock)
+            return record | {"ranks": reports.record(moved_cells)}
 
         def find() -> Detection:
+            share.lend()
             return Detection(share, contacts_of_step(share.parts))
 
-        wished = any(report.wish for report in reports)
-        return RankStep(index, planned, settled.settlement, wished, find, tell)
+        return RankStep(index, planned, settled.settlement, bool(reports.wish.any()), find, tell)
+
+    def _begin(self, index: int, state: RobotState, in_vain: Tensor | None = None) -> _Begun:
+        """Plans a step, and begins to search pairs of own robots."""
+        clock = StageClock()
+        with clock.stage("plan"):
+            planned = self.world.plan(state, index)
+        begin = Part.start if knows_rounds(self._pace) else Part.begin
+        own = planned.moving_columns
+        search = OwnSearch(self.comm, self.partition, own, self._build, self.options, clock, begin, in_vain)
+        return _Begun(index, state, self.partition, planned, search, clock)
+
+    def _has_begun(self, index: int) -> bool:
+        """Whether the step has been begun, of these robots and with these owners."""
+        begun = self._begun
+        return (
+            begun is not None
+            and begun.index == index
+            and begun.state is self.state
+            and begun.partition is self.partition
+        )
+
+    def _take_begun(self, index: int) -> _Begun:
+        begun = self._begun if self._has_begun(index) else None
+        self._begun = None
+        if begun is None:
+            return self._begin(index, self.state)
+        begun.clock.restart()
+        return begun
 
     def _told_by_host(self, share: Share, wish: bool) -> Tensor:
         return torch.tensor([len(share.held), self._arrived, int(wish)]).to(self.world.device, non_blocking=True)
@@ -191,23 +233,20 @@ class Fleet:
         share: Share,
         settled: Settled,
         planned: RobotState,
-        reports: list[_Report],
+        reports: Reports,
         clock: StageClock,
     ) -> int:
         """Shares the cells out anew; returns how many moved."""
         if not self.balance.applies(index + 1, self.comm.size):
             return 0
         with clock.stage("balance"):
-            tallies = [report.tally for report in reports]
-            robots, pcs, contacts = (
-                [getattr(tally, name) for tally in tallies] for name in ("robots", "pcs", "contacts")
-            )
-            seconds = [1e-9 * report.busy for report in reports]
-            if RankLoads(robots, pcs, contacts, seconds).are_level(self.balance):
+            seconds = reports.seconds()
+            loads = RankLoads(reports.robots, reports.worked("pcs"), reports.worked("contacts"), seconds)
+            if loads.are_level(self.balance):
                 return 0
             settled.learn()  # so that contacts need not be waited for
-            loads = cell_loads(self.partition, planned.position, Detection(share, contacts_of_step(share.parts)))
-            total = CellLoads.unstacked(self.comm.sum(loads.stacked()))
+            seen = cell_loads(self.partition, planned.position, Detection(share, contacts_of_step(share.parts)))
+            total = CellLoads.unstacked(self.comm.sum(seen.stacked()))
             former = self.partition
             self.partition = rebalance(former, total, self.balance, torch.tensor(seconds, dtype=torch.float64))
             return int((self.partition.owner != former.owner).sum())
@@ -216,20 +255,6 @@ class Fleet:
         """Hands robots over; the state's ids ascend."""
         columns, self._arrived = migrate(self.comm, self.partition, state.columns, state.position, known)
         self.state = RobotState(**columns)
-
-
-def _told_of_ranks(reports: list[_Report], moved_cells: int) -> dict[str, Any]:
-    tallies = [report.tally for report in reports]
-    return {
-        "bodies": [part.robots for part in tallies],
-        "ghosts": [report.held - report.tally.robots for report in reports],
-        "pcs": [part.pcs for part in tallies],
-        "contacts": [part.contacts for part in tallies],
-        "arrived": [report.arrived for report in reports],
-        "busy_seconds": [round(1e-9 * report.busy, 6) for report in reports],
-        "moved_cells": moved_cells,
-        "imbalance": round(imbalance(torch.tensor([float(part.pcs) for part in tallies])), 4),
-    }
 
 
 def cell_loads(partition: Partition, position: Tensor, found: Detection) -> CellLoads:

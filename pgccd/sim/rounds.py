@@ -4,22 +4,29 @@ ranks agree once on whether there are more.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, TypeGuard
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
 from pgccd.capacity import COUNT_ROWS, Capacity, Counts
+from pgccd.host_copy import HostCopy
 from pgccd.parts import Part
 from pgccd.sim.response import Exchange, Settlement, limits_of
+from pgccd.sim.tally import Rows
 from pgccd.stages import StageClock
 
-# Rounds made at a time, after those that the last step took.
+# Rounds made at a time, after as many as any of the last steps took.
 _MORE_ROUNDS = 2
+# How many steps count as the last.
+_REMEMBERED = 8
 # Times what a round needed in the last step.
 _SLACK = 1.5
 
@@ -30,13 +37,18 @@ def goes_ahead(ahead: bool | None, device: torch.device, ranks: int = 1) -> bool
 
 
 class Pace:
-    """How many rounds the last step took, which is the same on all ranks, and what room they need on this one."""
+    """How many rounds the last steps took, which is the same on all ranks, and what room they need on this one."""
 
     def __init__(self) -> None:
-        #: None before the first step.
-        self.rounds: int | None = None
+        self._recent: deque[int] = deque(maxlen=_REMEMBERED)
         self._needed: Callable[[], Sequence[Capacity]] | None = None
         self._rooms: list[Capacity] = []
+
+    @property
+    def rounds(self) -> int | None:
+        """The most that any of the last steps took; None before the first."""
+        # A round too many costs less than to find out that there is one more.
+        return max(self._recent, default=None)
 
     def room(self, round: int) -> Capacity:
         """For a round, from 0."""
@@ -47,11 +59,12 @@ class Pace:
 
     def learn(self, rounds: int, needed: Callable[[], Sequence[Capacity]]) -> None:
         """How many rounds a step took. What each needed is asked in the next one, when the host has time."""
-        self.rounds, self._needed = rounds, needed
+        self._recent.append(rounds)
+        self._needed = needed
 
 
 def knows_rounds(pace: Pace | None) -> TypeGuard[Pace]:
-    """Whether rounds can be made ahead: how many there may be is known from the last step."""
+    """Whether rounds can be made ahead: how many there may be is known from the last steps."""
     return pace is not None and pace.rounds is not None
 
 
@@ -77,15 +90,19 @@ class StartRound(Protocol):
 #: all ranks. Perhaps called again with others, when what it did before does not count.
 Conclude = Callable[[Tensor], Tensor]
 
+#: What a GPU can be given to do before the host knows what was concluded. Told (1,) int64, left on the device: not 0 if
+#: all that was in vain, as rounds did not suffice; then, and where there was not room, something else is concluded.
+Meanwhile = Callable[[Tensor], None]
+
 
 @dataclass
 class Ahead:
     """What came of a step of which only the end was waited for."""
 
     settlement: Settlement
-    told: list[list[int]]  #: what each rank concluded
-    counts: list[list[Counts]]  #: of each rank's search for the contacts of the whole step, part by part
-    secondary_contacts: list[int]  #: of each rank
+    told: Rows  #: (ranks, k): what each concluded
+    counts: NDArray[np.int64]  #: (ranks, parts, 21): `Counts` of each one's search for the contacts of the whole step
+    secondary_contacts: NDArray[np.int64]  #: (ranks,)
 
 
 def settle_ahead(
@@ -96,11 +113,12 @@ def settle_ahead(
     pace: Pace,
     conclude: Conclude,
     clock: StageClock,
+    meanwhile: Meanwhile | None = None,
 ) -> Ahead | None:
     """What `settle` decides, to the bit. Rounds are made without knowing whether they are needed: after the last one
     nobody has changed, and nothing comes of more.
 
-    The host waits once, for the contacts of the whole step too, unless there are more rounds than in the last step.
+    The host waits once, for the contacts of the whole step too, unless there are more rounds than in the last steps.
     What decides how many are made is known to all ranks.
 
     Args:
@@ -108,9 +126,10 @@ def settle_ahead(
         body_count: number of robots N.
         start_round: starts a round.
         exchange: how ranks agree.
-        pace: of a step before this one.
+        pace: of the steps before this one.
         conclude: what follows.
         clock: stages are timed here.
+        meanwhile: what else can be begun then.
 
     Returns:
         None, on all ranks, if there was not room for something on one of them.
@@ -132,8 +151,8 @@ def settle_ahead(
         changes = [slow_down(0)]
     more = pace.rounds or 0
     goes_on: list[bool] = []  # before each round: whether a robot has changed on any rank
-    made: list[tuple[Sequence[int], Capacity]] = []  # of each round: what this rank counted, and in what room
-    secondary_contacts = [0] * exchange.ranks
+    made: list[tuple[NDArray[np.int64], Capacity]] = []  # of each round: what this rank counted, and in what room
+    secondary_contacts = np.zeros(exchange.ranks, dtype=np.int64)
     while True:
         counts, rooms = [search.counts[: len(COUNT_ROWS)] for search in searches], []
         with clock.stage("respond"):
@@ -143,29 +162,31 @@ def settle_ahead(
                 changes.append(slow_down(round + 1))
         mine = [*changes, *counts, conclude(fraction)]
         with clock.stage("gather"):
-            told = exchange.gather(torch.cat(mine)).tolist()
-        # By now a GPU has nothing to do: what can wait is put off.
-        begin, size = len(changes), len(COUNT_ROWS)
-        # The counts of parts come first, then those of rounds.
-        end, in_rounds = begin + size * len(counts), begin + size * len(parts)
-        if any(any(numbers[begin + row : end : size]) for numbers in told for row in _OVERFLOWS):
+            gathered = exchange.gather(torch.cat(mine))
+            on_host = HostCopy(gathered)
+        if meanwhile is not None:
+            meanwhile(gathered[:, len(changes) - 1].amax(dim=0, keepdim=True))
+        with clock.stage("gather"):
+            told = on_host.numpy()
+        begin, end = len(changes), len(changes) + len(COUNT_ROWS) * len(counts)
+        searched = told[:, begin:end].reshape(exchange.ranks, len(counts), len(COUNT_ROWS))
+        if searched[:, :, _OVERFLOWS].any():
             return None
-        goes_on += [any(numbers[round] for numbers in told) for round in range(begin)]
-        for rank, numbers in enumerate(told):
-            secondary_contacts[rank] += sum(numbers[in_rounds + COUNT_ROWS["contacts"] : end : size])
-        made += [(told[exchange.rank][in_rounds + size * k :][:size], room) for k, room in enumerate(rooms)]
+        goes_on += (told[:, :begin].max(axis=0) > 0).tolist()
+        # The counts of parts come first, then those of rounds.
+        of_parts, of_rounds = searched[:, : len(parts)], searched[:, len(parts) :]
+        secondary_contacts += of_rounds[:, :, COUNT_ROWS["contacts"]].sum(axis=1)
+        made += zip(of_rounds[exchange.rank], rooms, strict=True)
         if not all(goes_on):
             rounds = goes_on.index(False)
             pace.learn(rounds, partial(_needed, made[:rounds]))
-            settlement = Settlement(fraction, rounds, secondary_contacts[exchange.rank])
-            places = range(begin, in_rounds, size)
-            of_parts = [[Counts.of(numbers[at : at + size]) for at in places] for numbers in told]
-            return Ahead(settlement, [numbers[end:] for numbers in told], of_parts, secondary_contacts)
+            settlement = Settlement(fraction, rounds, int(secondary_contacts[exchange.rank]))
+            return Ahead(settlement, told[:, end:], of_parts, secondary_contacts)
         changes, more = [], _MORE_ROUNDS
 
 
-def _needed(made: Sequence[tuple[Sequence[int], Capacity]]) -> list[Capacity]:
-    return [Counts.of(numbers).needed(room) for numbers, room in made]
+def _needed(made: Sequence[tuple[NDArray[np.int64], Capacity]]) -> list[Capacity]:
+    return [Counts.of(numbers.tolist()).needed(room) for numbers, room in made]
 
 
 _OVERFLOWS = [COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts")]

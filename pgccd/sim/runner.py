@@ -138,8 +138,8 @@ class Machine(Protocol):
         """Whether to stop now, given whether this process was asked to."""
         ...
 
-    def step(self, index: int) -> HasRecord:
-        """Makes a step."""
+    def step(self, index: int, more: bool) -> HasRecord:
+        """Makes a step; whether the next one follows at once."""
         ...
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
@@ -163,7 +163,7 @@ class _WorldMachine:
     def stops(self, wish: bool) -> bool:
         return wish
 
-    def step(self, index: int) -> HasRecord:
+    def step(self, index: int, more: bool) -> HasRecord:
         self.last_step = make_step(self.world, self._scene, self.state, index, self._broad_phase)
         self.state = self.last_step.after
         return self.last_step
@@ -218,9 +218,10 @@ def drive(
     with log or nullcontext(), _stop_requests() as stop:
         with _LateTeller(log, progress or Silent()) as teller:
             while steps_made < steps and not machine.stops(stop.is_set()):
-                teller.add(machine.step(steps_made))
+                saves = checkpoint_every != 0 and (steps_made + 1) % checkpoint_every == 0
+                teller.add(machine.step(steps_made, more=not saves and steps_made + 1 < steps))
                 steps_made += 1
-                if checkpoint_every and steps_made % checkpoint_every == 0 and steps_made < steps:
+                if saves and steps_made < steps:
                     teller.finish()
                     machine.save(steps_made, steps)
         machine.save(steps_made, steps)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from typing import Any
 
@@ -12,13 +12,14 @@ from torch import Tensor
 
 from pgccd import broad
 from pgccd.bodies import MovingBodies
+from pgccd.capacity import Counts
 from pgccd.contacts import Contacts
 from pgccd.parts import Part, contacts_of_step, pairs_of_step, search_seconds
 from pgccd.scene import Scene
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
 from pgccd.sim.response import Exchange, OneRank, Settlement, respond, settle
-from pgccd.sim.rounds import Pace, goes_ahead, knows_rounds, settle_ahead
-from pgccd.sim.tally import Tally, Work, count_step
+from pgccd.sim.rounds import Meanwhile, Pace, goes_ahead, knows_rounds, settle_ahead
+from pgccd.sim.tally import WORK, Rows, Tally, count_step, work_of_counts, work_of_stats
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
 
@@ -98,8 +99,7 @@ def make_step(
     clock.stop()
 
     def tell() -> dict[str, Any]:
-        tally = Tally.of(settled.work[0], settled.told[0])
-        return tally.record(index, settled.settlement.rounds, clock)
+        return Tally.of(settled.work, settled.told).record(index, settled.settlement.rounds, clock)
 
     return Step(index, before, settled.settlement, after, partial(contacts_of_step, parts), tell)
 
@@ -109,8 +109,8 @@ class Settled:
     """How a step ended."""
 
     settlement: Settlement  #: what robots make of the step
-    work: list[Work]  #: of each rank
-    told: list[list[int]]  #: what each rank concluded
+    work: Rows  #: (ranks, 6), see `WORK`
+    told: Rows  #: (ranks, k): what each concluded
     #: Takes note of what the step needed, the first time it is called; a GPU may be given more urgent work before.
     learn: Callable[[], None]
 
@@ -123,6 +123,7 @@ def settle_step(
     conclude: Callable[[Tensor, Tensor, Tensor], Tensor],
     clock: StageClock,
     exchange: Exchange | None = None,
+    meanwhile: Meanwhile | None = None,
 ) -> Settled:
     """Finds the contacts of a step, and decides how much of it each robot makes.
 
@@ -130,11 +131,12 @@ def settle_step(
         parts: of the PCS, `FIRST_CONTACTS` being what is asked; as many on all ranks.
         body_count: number of robots held N.
         partners: who may meet whom.
-        pace: of the last step; None: the host looks at the outcome of every round.
+        pace: of the last steps; None: the host looks at the outcome of every round.
         conclude: what follows, given the pairs (K, 2) and toi (K,) of contacts, perhaps padded with pairs of -1 and toi
             inf, and fraction (N,): (k,) int64 numbers for all ranks. Perhaps called again with others.
         clock: stages are timed here.
         exchange: how ranks agree; default: there is one.
+        meanwhile: what else can be begun while the host waits for the outcome, perhaps several times.
     """
     device = parts[0].bodies.device
     exchange = exchange or OneRank(parts[0].pairs.reshape(-1))
@@ -144,12 +146,13 @@ def settle_step(
         rows = [part.start().rows for part in parts]
         given = _joined([part.in_step(pairs) for part, (pairs, *_) in zip(parts, rows, strict=True)])
         given_fraction = partial(conclude, given, _joined([columns[4] for columns in rows]))
-        ahead = settle_ahead(parts, body_count, partners.start_round, exchange, pace, given_fraction, clock)
+        ahead = settle_ahead(parts, body_count, partners.start_round, exchange, pace, given_fraction, clock, meanwhile)
         if ahead is not None:
-            work = [Work.of(*rank) for rank in zip(ahead.counts, ahead.secondary_contacts, strict=True)]
+            work = work_of_counts(ahead.counts, ahead.secondary_contacts)
 
             def learn() -> None:
-                for part, counts in zip(parts, ahead.counts[exchange.rank], strict=True):
+                for part, numbers in zip(parts, ahead.counts[exchange.rank].tolist(), strict=True):
+                    counts = Counts.of(numbers)
                     part.learn(counts)
                     clock.add(search_seconds(counts))
 
@@ -162,13 +165,12 @@ def settle_step(
         settlement = settle(contacts.pairs, toi_of(contacts), body_count, partners, exchange)
     if pace is not None:
         pace.learn(len(partners.needed), lambda: partners.needed)
-    told = torch.tensor(astuple(Work.of([contacts.stats], settlement.secondary_contacts)))
+    told = torch.tensor(work_of_stats(contacts.stats, settlement.secondary_contacts))
     told = told.to(device, non_blocking=True)
     concluded = conclude(contacts.pairs, toi_of(contacts), settlement.fraction)
     with clock.stage("gather"):
-        numbers = exchange.gather(torch.cat([told, concluded])).tolist()
-    work = [Work(*row[: len(told)]) for row in numbers]
-    return Settled(settlement, work, [row[len(told) :] for row in numbers], lambda: None)
+        numbers = exchange.gather(torch.cat([told, concluded])).cpu().numpy()
+    return Settled(settlement, numbers[:, : len(WORK)], numbers[:, len(WORK) :], lambda: None)
 
 
 def _joined(columns: list[Tensor]) -> Tensor:

@@ -2,50 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.capacity import Counts
+from pgccd.capacity import COUNT_ROWS
 from pgccd.contacts import Stats
 from pgccd.sim.hashing import hashed_columns
 from pgccd.sim.world import RobotState
 from pgccd.stages import StageClock
 
-#: Numbers of `count_step`.
+#: (ranks, k) int64: a row for each rank.
+Rows = NDArray[np.int64]
+
+#: What a rank's searches found in a step, and for how many nanoseconds it traversed and solved pairs of the whole step:
+#: first columns of what it tells the others.
+WORK = ("pcs", "contacts", "secondary_contacts", "candidates", "unresolved", "nanoseconds")
+#: Numbers of `count_step`, which follow.
 COUNTED = 6
 
 
-@dataclass
-class Work:
-    """What a rank's searches found in a step, and how long it took: in the order of `Tally`."""
+def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int64]) -> Rows:
+    """(ranks, 6), as `WORK` says.
 
-    pcs: int
-    contacts: int
-    secondary_contacts: int
-    candidates: int
-    unresolved: int
-    nanoseconds: int  #: traversing and solving all pairs of the whole step
+    Args:
+        counts: (ranks, parts, 21): `pgccd.capacity.Counts` of each part of the whole step.
+        secondary_contacts: (ranks,) found in rounds of settling.
+    """
+    whole = counts.sum(axis=1)
+    pcs, contacts, candidates, unresolved, began, ended = (
+        whole[:, COUNT_ROWS[name]]
+        for name in ("pairs_written", "contacts", "candidates", "unresolved", "traverse_began", "narrow_ended")
+    )
+    return np.stack([pcs, contacts, secondary_contacts, candidates, unresolved, ended - began], axis=1)
 
-    @classmethod
-    def of(cls, parts: Sequence[Stats | Counts], secondary_contacts: int) -> Work:
-        """Of the search for the contacts of the whole step, part by part."""
-        pcs = sum(part.pairs_written if isinstance(part, Counts) else part.pcs for part in parts)
-        contacts, candidates, unresolved = (
-            sum(getattr(part, name) for part in parts) for name in ("contacts", "candidates", "unresolved")
-        )
-        seconds = sum(part.seconds["traverse"] + part.seconds["narrow"] for part in parts)
-        return cls(pcs, contacts, secondary_contacts, candidates, unresolved, round(1e9 * seconds))
+
+def work_of_stats(stats: Stats, secondary_contacts: int) -> list[int]:
+    """(6,) of one rank."""
+    nanoseconds = round(1e9 * (stats.seconds["traverse"] + stats.seconds["narrow"]))
+    return [stats.pcs, stats.contacts, secondary_contacts, stats.candidates, stats.unresolved, nanoseconds]
 
 
 @dataclass
 class Tally:
-    """What is counted in a step. The tallies of parts of a world add up to that of the whole."""
+    """What is counted in a step."""
 
-    # What the searches counted first, then what `count_step` does.
+    # What the searches found first, then what `count_step` counted.
     pcs: int
     contacts: int
     secondary_contacts: int
@@ -59,20 +65,19 @@ class Tally:
     id_hash: int  #: modulo 2^64
 
     @classmethod
-    def of(cls, work: Work, counted: Sequence[int]) -> Tally:
-        """Of what `count_step` counted, hashes perhaps signed."""
-        robots, contacts_hash, state_hash, stopped, touching_at_t0, id_hash = counted
-        hashes = contacts_hash % 2**64, state_hash % 2**64
-        found = work.pcs, work.contacts, work.secondary_contacts, work.candidates, work.unresolved
-        return cls(*found, robots, *hashes, stopped, touching_at_t0, id_hash % 2**64)
+    def of(cls, work: Rows, counted: Rows) -> Tally:
+        """Of all ranks together.
 
-    @classmethod
-    def total(cls, parts: Sequence[Tally]) -> Tally:
-        """Of the whole."""
-        sums = {field.name: sum(getattr(part, field.name) for part in parts) for field in fields(cls)}
-        for name in ("contacts_hash", "state_hash", "id_hash"):
-            sums[name] %= 2**64
-        return cls(**sums)
+        Args:
+            work: (ranks, 6).
+            counted: (ranks, 6) by `count_step`.
+        """
+        # Hashes add up modulo 2^64 by themselves.
+        pcs, contacts, secondary_contacts, candidates, unresolved, _ = work.sum(axis=0).tolist()
+        robots, contacts_hash, state_hash, stopped, touching_at_t0, id_hash = counted.sum(axis=0).tolist()
+        found = pcs, contacts, secondary_contacts, candidates, unresolved
+        hashes = contacts_hash % 2**64, state_hash % 2**64
+        return cls(*found, robots, *hashes, stopped, touching_at_t0, id_hash % 2**64)
 
     def record(self, index: int, rounds: int, clock: StageClock) -> dict[str, Any]:
         """The line of steps.jsonl."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 from typing import Any
+from unittest import mock
 
 import pytest
 import torch
@@ -72,19 +73,22 @@ def follow(
     device: str = "cpu",
     ahead: bool = False,
 ) -> dict[str, int]:
-    """Compares every step's log and the last step's columns with one process."""
+    """Compares every step's log and the last step's columns with one process. With `ahead`, steps are begun early too,
+    as they are on a GPU, and now and then a rank has not room enough."""
     records, last = single_run(name, steps)
     fleet = make_fleet(comm, name, policy, overlap, device, ahead)
+    fleet.begins_early |= ahead
     if ahead and comm.rank == comm.size - 1:
         fleet._pace = Cramped()
     generator = torch.Generator().manual_seed(17)
-    seen = {"moved cells": 0, "arrived": 0, "contacts": 0}
+    seen = {"moved cells": 0, "arrived": 0, "contacts": 0, "away": 0}
     for index in range(steps):
         if random_owners and index % 5 == 2:
             # As though balancing had gone mad. Until the next migration, ranks have robots that they should not have.
             owner = torch.randint(comm.size, (fleet.partition.cell_count,), generator=generator)
             fleet.partition = fleet.partition.with_owner(owner)
-        made = fleet.step(index)
+        more = index % 4 != 3 and index + 1 < steps
+        made = fleet.step(index, more=more)
         found = without_times(made.record)
         if device != "cpu":  # a GPU looks at others on the way to the same contacts
             found["candidates"] = records[index]["candidates"]
@@ -92,7 +96,9 @@ def follow(
         ranks = made.record["ranks"]
         for part, whole in (("bodies", "robots"), ("pcs", "pcs"), ("contacts", "contacts")):
             assert len(ranks[part]) == comm.size and sum(ranks[part]) == made.record[whole]
-        assert bool((fleet.partition.owner_of(fleet.state.position) == comm.rank).all())
+        at_home = bool((fleet.partition.owner_of(fleet.state.position) == comm.rank).all())
+        assert at_home or (more and fleet.begins_early)
+        seen["away"] += not at_home
         seen["moved cells"] += ranks["moved_cells"]
         seen["arrived"] += sum(ranks["arrived"])
         seen["contacts"] += made.record["contacts"]
@@ -132,7 +138,11 @@ def test_same_bits_as_one_process(world: World, name: str, policy: str, random_o
 @pytest.mark.parametrize(("name", "policy"), [("random", "cost"), ("skewed", "one-cell")])
 def test_same_bits_with_rounds_made_ahead(world: World, name: str, policy: str) -> None:
     """Now and then one rank alone has not enough room, and all must make the rounds again."""
-    world(follow, name, policy, 24, policy == "cost", True, "cpu", True)
+    seen = world(follow, name, policy, 24, policy == "cost", True, "cpu", True)
+    if len(seen) > 1:
+        assert seen[0]["arrived"] > 20
+        if policy == "cost":  # by the other, cells change hands in almost every step
+            assert sum(rank["away"] for rank in seen) > 0
 
 
 @pytest.mark.cuda
@@ -147,6 +157,45 @@ def test_same_bits_on_a_gpu_that_ranks_share(world: World, name: str, policy: st
 @pytest.mark.parametrize("policy", ["cost", "measured", "one-cell"])
 def test_same_bits_for_two_hundred_steps(world: World, name: str, policy: str) -> None:
     world(follow, name, policy, 200, False, True)
+
+
+def begin_early(comm: Comm) -> None:
+    fleet = make_fleet(comm, "random", "none", True, ahead=True)
+    fleet.begins_early = True
+    begun: list[int] = []
+    begin = fleet._begin
+
+    def watched(index: int, *more: Any) -> Any:
+        begun.append(index)
+        return begin(index, *more)
+
+    records, _ = single_run("random", 8)
+    with mock.patch.object(fleet, "_begin", watched):
+        for index in range(4):
+            made = fleet.step(index, more=index < 3)
+            # Only what is said to come is begun early; again if the outcome was not yet settled.
+            assert begun == sorted(begun) and begun[-1] == min(index + 1, 3)
+            # What has been found can be looked at while the next step goes on.
+            assert len(made.detection.contacts) == made.record["ranks"]["contacts"][comm.rank]
+            assert without_times(made.record) == records[index]
+        fleet.step(4, more=True)
+        # Another step than was begun, as after going back to a state kept before.
+        before = fleet.state
+        fleet.step(5, more=True)
+        fleet.state = before
+        del begun[:]
+        assert without_times(fleet.step(5, more=True).record) == records[5]
+        assert begun[0] == 5 and set(begun[1:]) == {6}
+        del begun[1:]
+        # Cells that have been given to others meanwhile.
+        fleet.partition = fleet.partition.with_owner(fleet.partition.owner.flip(0))
+        assert without_times(fleet.step(6).record) == records[6]
+        assert begun == [5, 6]
+        assert without_times(fleet.step(7).record) == records[7]
+
+
+def test_a_step_begun_before_it_is_asked_for(world: World) -> None:
+    world(begin_early)
 
 
 def lose_one(comm: Comm) -> None:

@@ -1,0 +1,62 @@
+"""What ranks tell one another at the end of a step of the nanorobot world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from pgccd.distributed.balance import imbalance
+from pgccd.sim.step import Settled
+from pgccd.sim.tally import COUNTED, WORK, Rows
+
+
+@dataclass(frozen=True)
+class Reports:
+    """A row each."""
+
+    work: Rows  #: (ranks, 6), see `WORK`
+    counted: Rows  #: (ranks, 6) by `count_step`
+    held: Rows  #: (ranks,): robots
+    arrived: Rows  #: (ranks,): of those, how many came from others before the step
+    wish: Rows  #: (ranks,): 0 or 1
+    leaving: Rows  #: (ranks,): how many are in cells of others after it
+    moves: Rows  #: (ranks, ranks): how many of them are in cells of each; (ranks, 0) if that is told later
+
+    @classmethod
+    def of(cls, settled: Settled) -> Reports:
+        """`settled`: as `Fleet.step` had it concluded."""
+        counted, rest = settled.told[:, :COUNTED], settled.told[:, COUNTED:]
+        return cls(settled.work, counted, rest[:, 0], rest[:, 1], rest[:, 2], rest[:, 3], rest[:, 4:])
+
+    @property
+    def robots(self) -> list[int]:
+        """Of each rank."""
+        return self.counted[:, 0].tolist()
+
+    @property
+    def ghosts(self) -> Rows:
+        """(ranks,)."""
+        return self.held - self.counted[:, 0]
+
+    def worked(self, name: str) -> list[int]:
+        """One of `WORK`, of each rank."""
+        return self.work[:, WORK.index(name)].tolist()
+
+    def seconds(self) -> list[float]:
+        """That each rank traversed and solved."""
+        return [1e-9 * spent for spent in self.worked("nanoseconds")]
+
+    def record(self, moved_cells: int) -> dict[str, Any]:
+        """The object `ranks` of the step's line in the log."""
+        return {
+            "bodies": self.robots,
+            "ghosts": self.ghosts.tolist(),
+            "pcs": self.worked("pcs"),
+            "contacts": self.worked("contacts"),
+            "arrived": self.arrived.tolist(),
+            "busy_seconds": [round(seconds, 6) for seconds in self.seconds()],
+            "moved_cells": moved_cells,
+            "imbalance": round(imbalance(torch.tensor(self.worked("pcs"), dtype=torch.float64)), 4),
+        }
