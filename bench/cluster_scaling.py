@@ -92,12 +92,12 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
     ranks = [record["ranks"] for record in records]
     single: list[float] = []
     if comm.size == 1:
-        scene = fleet.world.scene(state.id)
+        scene, begun = fleet.world.scene(state.id), None
 
         def advance(index: int) -> sim.Step:
-            nonlocal state
-            made = sim.make_step(fleet.world, scene, state, index, ahead=ahead(arguments))
-            state = made.after
+            nonlocal state, begun
+            made = sim.make_step(fleet.world, scene, state, index, ahead=ahead(arguments), begun=begun, more=True)
+            state, begun = made.after, made.next
             return made
 
         single, alone = follow(comm, begin, arguments.rounds, advance)

@@ -8,15 +8,20 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pgccd import ops
+from pgccd import broad, ops
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import COUNT_ROWS, Capacity, Counts
 from pgccd.contacts import Contacts, Stats
-from pgccd.detect import find_contacts, start_search
+from pgccd.detect import expected_capacity, find_contacts, start_search
 from pgccd.memory import remember_needs
 from pgccd.query import Query
 from pgccd.streaming import join_contacts
 from pgccd.within import Search
+
+# Of pairs found without waiting: the part's name, and how much room there is, times what the last step needed. More
+# than where it is known how many more pairs there are.
+_IN_A_ROOM = "found, in a room"
+_SLACK = 1.5
 
 
 class Part:
@@ -112,6 +117,58 @@ class Part:
         if self.rows is None:
             return pairs
         return torch.cat([self.rows, self.rows.new_full((1,), -1)])[pairs]
+
+
+#: Of pairs (P, 2), perhaps with rows of -1 after them, those to be searched: as many, in the first places; and their
+#: number (1,) int64, left on the device.
+Select = Callable[[Tensor], tuple[Tensor, Tensor]]
+
+
+def find_part(
+    bodies: MovingBodies,
+    query: Query,
+    broad_phase: broad.BroadPhase = "auto",
+    select: Select | None = None,
+    in_vain: Tensor | None = None,
+) -> Part:
+    """The PCS of bodies, as a part. On a GPU it is found without waiting for its size, in a room, where it can be
+    foreseen how much suffices. Then the bodies need not be checked: if they are invalid there are no pairs.
+
+    Args:
+        bodies, query, broad_phase: as for `find_contacts`.
+        select: which of the pairs are searched. Default: all.
+        in_vain: (1,) int64, left on the device: if it is not 0, nobody will look at the outcome, and little is done.
+
+    Raises:
+        ValueError: the bodies are invalid, and that had to be known.
+    """
+    separation = query.min_separation
+
+    def find_pairs() -> Tensor:
+        pairs = broad.find_pairs(bodies, separation, broad_phase)
+        if select is None:
+            return pairs
+        pairs, count = select(pairs)
+        return pairs[: int(count)]
+
+    capacity = expected_capacity(bodies, query, None, _IN_A_ROOM, slack=_SLACK) if _looks_ahead(bodies) else None
+    if capacity is None:
+        if not bodies.checked:
+            bodies.raise_faults(bodies.first_faults().tolist())
+        return Part("found", query, bodies, find_pairs())
+    invalid = bodies.first_faults()[-1:]
+    if in_vain is not None:
+        invalid = torch.maximum(invalid, in_vain)
+    pairs, counts = broad.find_pairs_within(bodies, separation, broad_phase, capacity, invalid)
+    if select is not None:
+        pairs, count = select(pairs)
+        row = COUNT_ROWS["pairs_written"]
+        counts[row : row + 1].copy_(count)
+    return Part(_IN_A_ROOM, query, bodies, pairs, counts, capacity=capacity, find_pairs=find_pairs)
+
+
+def _looks_ahead(bodies: MovingBodies) -> bool:
+    return bodies.device.type != "cpu"
 
 
 def contacts_of_step(parts: Sequence[Part]) -> Contacts:

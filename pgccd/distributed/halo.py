@@ -162,6 +162,11 @@ class HeldExchange:
         counts: list[int] = self._counts.numpy().tolist()
         return ops.rows_by_rank(self._holders, self._rows, sum(counts)), counts
 
+    @functools.cached_property
+    def _twice(self) -> Tensor:
+        """(S, 2): these rows, each as both bodies of a pair."""
+        return self._shared[0][:, None].expand(-1, 2).contiguous()
+
     @property
     def shared(self) -> Tensor:
         """(S,) int64: rows of bodies that others hold too; more than once if several do."""
@@ -180,9 +185,8 @@ class HeldExchange:
         if self._comm.size == 1:
             return
         rows, counts = self._shared
-        message = first.index_select(0, rows).view(torch.uint8).view(-1, first.element_size())
-        answer = self._comm.exchange(message, counts, counts).wait()
-        first.scatter_reduce_(0, rows, answer.view(first.dtype)[:, 0], "amin")
+        answer = self._comm.exchange(ops.pack_rows([first], rows), counts, counts).wait()
+        ops.simulate_first_toi(first, None, self._twice, answer.view(first.dtype)[:, 0])
 
     def gather(self, values: Tensor) -> Tensor:
         """values (k,) -> (ranks, k): those of every rank."""

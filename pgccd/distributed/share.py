@@ -15,24 +15,17 @@ from torch import Tensor
 
 from pgccd import broad, narrow, ops
 from pgccd.bodies import MovingBodies
-from pgccd.capacity import COUNT_ROWS
-from pgccd.detect import expected_capacity
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns
 from pgccd.distributed.halo import Halo, Held, HeldExchange, centres_of
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.side_stream import SideStream
 from pgccd.motion import RigidMotion
-from pgccd.parts import Part, pairs_of_step
+from pgccd.parts import Part, find_part, pairs_of_step
 from pgccd.query import Query
 from pgccd.scene import FILTERS, Scene
 from pgccd.stages import StageClock
 from pgccd.within import counts_of_given
-
-# Of own pairs found without waiting: the part's name, and how much room there is, times what the last step needed. More
-# than where it is known how many more pairs there are.
-_OWN = "own, in a room"
-_SLACK = 1.5
 
 #: From columns of bodies to their scene and motion: the same bits on every rank that holds a body.
 Build = Callable[[Columns], tuple[Scene, RigidMotion]]
@@ -135,8 +128,13 @@ class OwnSearch:
             with clock.stage("halo"):
                 halo.send()
         self._held = self._wait() if comm.size > 1 and not options.overlap else None
+
+        def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
+            return ops.owned_pairs(pairs, None, own["id"], centres_of(bodies), *self._where)
+
         with clock.stage("broad"):
-            self._part = _own_pairs(bodies, own["id"], self._where if comm.size > 1 else None, options, in_vain)
+            select = owned if comm.size > 1 else None
+            self._part = find_part(bodies, options.query, options.broad_phase, select, in_vain)
         begin(self._part)
 
     def with_ghosts(self) -> Share:
@@ -157,6 +155,7 @@ class OwnSearch:
                 pairs, count = ops.owned_pairs(crossing, rows, held.id, centres_of(at_border), *self._where)
                 counts = counts_of_given(pairs, count)
                 with_ghosts = Part("with ghosts", self._options.query, at_border, pairs, counts, rows)
+        # Not beside the own pairs: their kernels fill the GPU, and these come one after another.
         self._side.join()
         self._begin(with_ghosts)
         return Share(held, [self._part, with_ghosts], ghosts, self._side, separation)
@@ -164,46 +163,6 @@ class OwnSearch:
     def _wait(self) -> Held:
         with self._clock.stage("halo wait"):
             return self._halo.wait()
-
-
-#: Separation, which own bodies reach cells of others, and whose cells are whose.
-_Where = tuple[float, Tensor, ops.Territory]
-
-
-def _own_pairs(
-    bodies: MovingBodies, id: Tensor, where: _Where | None, options: Options, in_vain: Tensor | None
-) -> Part:
-    """Pairs of own bodies that this rank is to test; all, if it is alone (`where` None). On a GPU they are found
-    without waiting, where room for them can be foreseen; the bodies need not be checked, then: if they are invalid
-    there are no pairs.
-    """
-    query, separation = options.query, options.min_separation
-
-    def find_pairs() -> Tensor:
-        pairs = broad.find_pairs(bodies, separation, options.broad_phase)
-        if where is None:
-            return pairs
-        pairs, count = ops.owned_pairs(pairs, None, id, centres_of(bodies), *where)
-        return pairs[: int(count)]
-
-    capacity = expected_capacity(bodies, query, None, _OWN, slack=_SLACK) if _looks_ahead(bodies) else None
-    if capacity is None:
-        if not bodies.checked:
-            bodies.raise_faults(bodies.first_faults().tolist())
-        return Part("own", query, bodies, find_pairs())
-    invalid, phase = bodies.first_faults()[-1:], options.broad_phase
-    if in_vain is not None:
-        invalid = torch.maximum(invalid, in_vain)
-    pairs, counts = broad.find_pairs_within(bodies, separation, phase, capacity, invalid)
-    if where is not None:
-        pairs, count = ops.owned_pairs(pairs, None, id, centres_of(bodies), *where)
-        row = COUNT_ROWS["pairs_written"]
-        counts[row : row + 1].copy_(count)
-    return Part(_OWN, query, bodies, pairs, counts, capacity=capacity, find_pairs=find_pairs)
-
-
-def _looks_ahead(bodies: MovingBodies) -> bool:
-    return bodies.device.type != "cpu"
 
 
 def _near_ghosts(bodies: MovingBodies, ghosts: MovingBodies, separation: float, territory: ops.Territory) -> Tensor:

@@ -164,7 +164,10 @@ class _WorldMachine:
         return wish
 
     def step(self, index: int, more: bool) -> HasRecord:
-        self.last_step = make_step(self.world, self._scene, self.state, index, self._broad_phase)
+        begun = None if self.last_step is None else self.last_step.next
+        self.last_step = make_step(
+            self.world, self._scene, self.state, index, self._broad_phase, begun=begun, more=more
+        )
         self.state = self.last_step.after
         return self.last_step
 

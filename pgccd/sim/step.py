@@ -14,7 +14,8 @@ from pgccd import broad
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import Counts
 from pgccd.contacts import Contacts
-from pgccd.parts import Part, contacts_of_step, pairs_of_step, search_seconds
+from pgccd.host_copy import HostCopy
+from pgccd.parts import Part, contacts_of_step, find_part, pairs_of_step, search_seconds
 from pgccd.scene import Scene
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
 from pgccd.sim.response import Exchange, OneRank, Settlement, respond, settle
@@ -22,6 +23,18 @@ from pgccd.sim.rounds import Meanwhile, Pace, goes_ahead, knows_rounds, settle_a
 from pgccd.sim.tally import WORK, Rows, Tally, count_step, work_of_counts, work_of_stats
 from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A step of which the first search goes on."""
+
+    index: int
+    state: RobotState  #: after the step before
+    before: RobotState  #: as planned
+    part: Part  #: the PCS
+    faults: HostCopy  #: of the motion
+    clock: StageClock
 
 
 @dataclass
@@ -35,6 +48,7 @@ class Step:
     after: RobotState
     find: Callable[[], Contacts]  #: gives `contacts`
     tell: Callable[[], dict[str, Any]]  #: gives `record`
+    next: Begun | None = None  #: the next one, if it was said to follow
 
     @cached_property
     def contacts(self) -> Contacts:
@@ -52,6 +66,33 @@ class Step:
         return self.tell()
 
 
+def begin_step(
+    world: World,
+    scene: Scene,
+    state: RobotState,
+    index: int,
+    broad_phase: broad.BroadPhase = "auto",
+    in_vain: Tensor | None = None,
+) -> Begun:
+    """Gives a GPU the first work of a step, mostly without waiting; elsewhere finds the PCS.
+
+    Args:
+        world, scene, state, index, broad_phase: as for `make_step`.
+        in_vain: see `find_part`.
+    """
+    clock = StageClock()
+    with clock.stage("plan"):
+        before = world.plan(state, index)
+        motion = world.motion(before)
+    with clock.stage("broad"):
+        bodies = MovingBodies(scene, motion, wait=scene.device.type == "cpu")
+        faults = HostCopy(bodies.first_faults())
+        part = find_part(bodies, FIRST_CONTACTS, broad_phase, in_vain=in_vain)
+    if scene.device.type != "cpu":
+        part.start()
+    return Begun(index, state, before, part, faults, clock)
+
+
 def make_step(
     world: World,
     scene: Scene,
@@ -59,6 +100,8 @@ def make_step(
     index: int,
     broad_phase: broad.BroadPhase = "auto",
     ahead: bool | None = None,
+    begun: Begun | None = None,
+    more: bool = False,
 ) -> Step:
     """Moves the robots by one step.
 
@@ -70,21 +113,24 @@ def make_step(
         broad_phase: as for `detect`.
         ahead: whether the rounds of settling are made several at a time, without waiting for a GPU in each (default: if
             there is one). The result does not depend on it.
+        begun: `next` of the step before, of which `state` came.
+        more: whether the next step follows at once: then a GPU is given its first work before the host knows how this
+            one ends.
+
+    Raises:
+        ValueError: the state is invalid.
 
     Example:
         >>> step = pgccd.sim.make_step(world, scene, world.start(), 0)
         >>> step.after, step.record["contacts"]
     """
-    clock = StageClock()
-    with clock.stage("plan"):
-        before = world.plan(state, index)
-        motion = world.motion(before)
-    with clock.stage("broad"):
-        bodies = MovingBodies(scene, motion)
-        pairs = broad.find_pairs(bodies, broad_phase=broad_phase)
-        parts = [Part("all", FIRST_CONTACTS, bodies, pairs)]
-        partners = Partners(world, before.moving_columns, None, pairs)
-    after = before
+    if begun is not None and begun.index == index and _follows(begun, state):
+        begun.clock.restart()
+    else:
+        begun = begin_step(world, scene, state, index, broad_phase)
+    before, clock = begun.before, begun.clock
+    partners = Partners(world, before.moving_columns, None, begun.part.pairs)
+    after, begun_next = before, None
 
     def conclude(pairs: Tensor, toi: Tensor, fraction: Tensor) -> Tensor:
         nonlocal after
@@ -93,15 +139,34 @@ def make_step(
         with clock.stage("hash"):
             return count_step(after, fraction, before.id, pairs, toi)
 
+    def begin_next(in_vain: Tensor) -> None:
+        nonlocal begun_next
+        begun_next = begin_step(world, scene, after, index + 1, broad_phase, in_vain)
+
     pace = _pace_of(scene) if goes_ahead(ahead, scene.device) else None
-    settled = settle_step(parts, scene.body_count, partners, pace, conclude, clock)
+    meanwhile = begin_next if more and _begins_early(scene) else None
+    settled = settle_step([begun.part], scene.body_count, partners, pace, conclude, clock, meanwhile=meanwhile)
+    begun.part.bodies.raise_faults(begun.faults.numpy().tolist())
     settled.learn()
     clock.stop()
 
     def tell() -> dict[str, Any]:
         return Tally.of(settled.work, settled.told).record(index, settled.settlement.rounds, clock)
 
-    return Step(index, before, settled.settlement, after, partial(contacts_of_step, parts), tell)
+    find = partial(contacts_of_step, [begun.part])
+    return Step(
+        index, before, settled.settlement, after, find, tell, begun_next if _follows(begun_next, after) else None
+    )
+
+
+def _begins_early(scene: Scene) -> bool:
+    """Whether a step is begun before the outcome of the one before is known."""
+    return scene.device.type != "cpu"
+
+
+def _follows(begun: Begun | None, state: RobotState) -> bool:
+    """Whether a step was begun from that state, not from one that was put right later."""
+    return begun is not None and begun.state is state
 
 
 @dataclass

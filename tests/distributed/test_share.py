@@ -9,10 +9,10 @@ from unittest import mock
 import pytest
 
 from distributed.conftest import World
+from pgccd import parts as parts_module
 from pgccd import sim
 from pgccd.capacity import EXACTLY, Capacity
 from pgccd.distributed import Comm, Fleet, Partition, starting_share
-from pgccd.distributed import share as share_module
 from pgccd.parts import Part
 
 CONFIG = sim.WorldConfig(robots=150, speed=0.3, spin=0.5, seed=3)
@@ -62,11 +62,11 @@ def by_ranks(comm: Comm, room: str, ahead: bool) -> tuple[list[dict[str, Any]], 
             nonlocal searched
             former = self.pairs
             found = super().find()
-            searched += self.name.startswith("own") and self.pairs is not former
+            searched += self.name.startswith("found") and self.pairs is not former
             return found
 
     patches = {"_looks_ahead": lambda _: True, "expected_capacity": lambda *_, slack: ROOMS[room], "Part": Watched}
-    with mock.patch.multiple(share_module, **patches):
+    with mock.patch.multiple(parts_module, **patches):
         fleet = Fleet(comm, world, partition, starting_share(comm, world, partition), ahead=ahead)
         made = [fleet.step(index) for index in range(STEPS)]
     records = [without_times(step.record) for step in made]

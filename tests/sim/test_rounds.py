@@ -26,6 +26,7 @@ from pgccd.sim.tally import WORK
 from pgccd.stages import StageClock
 
 detect_module = sys.modules["pgccd.detect"]
+step_module = sys.modules["pgccd.sim.step"]
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5}
 
 
@@ -48,6 +49,51 @@ def test_same_bits(seed: int, pattern: str, kinds: int) -> None:
     meshes = [big, pgccd.Mesh(0.7 * big.vertices, big.faces)][:kinds]
     config = WorldConfig(pattern=pattern, seed=seed, **FAST)
     assert follow(config, 12, True, meshes) == follow(config, 12, False, meshes)
+
+
+@pytest.mark.parametrize("pattern", ["random", "skewed"])
+def test_steps_begun_before_the_outcome_of_the_last_is_known(
+    device: torch.device, pattern: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps, in_vain, config = 40, 0, WorldConfig(pattern=pattern, seed=3, **FAST)
+    expected = follow(config, steps, True)
+    monkeypatch.setattr(step_module, "_begins_early", lambda _: True)
+    begin_step, begun = step_module.begin_step, []
+
+    def watched(*arguments: Any) -> Any:
+        begun.append(arguments[3])
+        return begin_step(*arguments)
+
+    monkeypatch.setattr(step_module, "begin_step", watched)
+    world = World(config, device=device)
+    state, following = world.start(), None
+    scene = world.scene(state.id)
+    for index in range(steps):
+        more = index % 5 != 4
+        step = make_step(world, scene, state, index, ahead=True, begun=following, more=more)
+        assert more or step.next is None
+        for name, value in step.record.items():
+            # A GPU looks at other feature pairs on the way to the same contacts.
+            if "seconds" not in name and (name != "candidates" or device.type == "cpu"):
+                assert value == expected[index][name]
+        in_vain += begun.count(index + 1) - (step.next is not None)
+        state, following = step.after, step.next
+        if index == 21:  # another state, though the same to the bit
+            state = RobotState(**state.columns)
+    assert {name: column.tolist() for name, column in state.columns.items()} == expected[-1]
+    # Steps 0, 22 and those after every fifth were begun when they were made; others before, some of them in vain.
+    assert in_vain > 0 and begun.count(0) == begun.count(25) == 1 and begun.count(22) >= 2
+
+
+def test_an_invalid_state(device: torch.device) -> None:
+    world = World(WorldConfig(**FAST), device=device)
+    state, scene = world.start(), world.scene(world.start().id)
+    for index in range(3):
+        state = make_step(world, scene, state, index).after
+    state.position = state.position.clone()
+    state.position[17, 1] = torch.nan
+    with pytest.raises(ValueError, match="position_t0: body 17"):
+        make_step(world, scene, state, 3)
 
 
 class AStep:

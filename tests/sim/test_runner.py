@@ -115,10 +115,10 @@ def test_checkpoints_are_written_on_the_way(finished: tuple[Path, sim.Run], tmp_
 def test_lines_of_the_steps_before_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, on_gpu: bool) -> None:
     make_step = runner.make_step
 
-    def fail(*arguments: Any) -> Any:
+    def fail(*arguments: Any, **more: Any) -> Any:
         if arguments[3] == 7:
             raise RuntimeError("no more")
-        return make_step(*arguments)
+        return make_step(*arguments, **more)
 
     monkeypatch.setattr(runner, "make_step", fail)
     monkeypatch.setattr(torch.cuda, "is_initialized", lambda: on_gpu)
