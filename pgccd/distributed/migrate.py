@@ -99,8 +99,16 @@ class Census:
         return cls.total([cls.of(torch.arange(begin, min(count, begin + _BLOCK))) for begin in begins])
 
     @classmethod
+    def of_ranks(cls, comm: Comm, id: Tensor) -> Census:
+        """Of all ranks' bodies, of which this rank has (N,) int64."""
+        mine = cls.of(id)
+        signed = mine.ids - 2**64 if mine.ids >= 2**63 else mine.ids
+        parts: list[list[int]] = comm.all_gather(torch.tensor([mine.count, signed])).tolist()
+        return cls.total([cls(count, ids % 2**64) for count, ids in parts])
+
+    @classmethod
     def total(cls, parts: list[Census]) -> Census:
-        """Of all ranks' bodies."""
+        """Of several parts together."""
         return cls(sum(part.count for part in parts), sum(part.ids for part in parts) % 2**64)
 
     def require(self, expected: Census) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -123,8 +123,7 @@ class Fleet:
         Raises:
             RuntimeError: some are lost or doubled.
         """
-        parts = self.comm.gather_objects(astuple(Census.of(self.state.id)))
-        Census.total([Census(*part) for part in parts]).require(self._expected)
+        Census.of_ranks(self.comm, self.state.id).require(self._expected)
 
     def step(self, index: int, wish: bool = False, more: bool = False) -> RankStep:
         """Moves the robots by one step.

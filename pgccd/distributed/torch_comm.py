@@ -59,7 +59,10 @@ class TorchComm(Comm):
             if self.size > self.neighbours_above:
                 works = self._to_neighbours(rows, arriving, sent, received)
             else:
-                works = [dist.all_to_all_single(arriving, rows, received, sent, group=self._group, async_op=True)]
+                # NCCL does it on the current stream; on one of its own it would begin and end later.
+                later = self.transport != "nccl"
+                work = dist.all_to_all_single(arriving, rows, received, sent, group=self._group, async_op=later)
+                works = [work] if later else []
 
         def wait(rows: Tensor = rows) -> Tensor:  # holds what is being sent
             for work in works:

@@ -116,7 +116,7 @@ class World:
             counts = self.comm.all_gather(torch.tensor([len(position)]))[:, 0].tolist()
             columns["id"] = columns["id"] + sum(counts[: self.comm.rank])
         _require_unique(self.comm, columns["id"])
-        self._census = self._count(columns)
+        self._census = Census.of_ranks(self.comm, columns["id"])
         self._found: Detection | None = None
         self._seconds, self._steps = 0.0, 0
         self._columns = take_rows(columns, torch.argsort(columns["id"]))
@@ -249,11 +249,7 @@ class World:
             if not RankLoads(bodies, pairs, contacts, told[:, 3].tolist()).are_level(self.balance):
                 self.partition = rebalance(self.partition, self._cell_loads(), self.balance, told[:, 3])
         self._columns, _ = migrate(self.comm, self.partition, self._columns, self._columns["position"])
-        self._count(self._columns).require(self._census)
-
-    def _count(self, columns: Columns) -> Census:
-        mine = Census.of(columns["id"])
-        return Census.total([Census(*part) for part in self.comm.gather_objects((mine.count, mine.ids))])
+        Census.of_ranks(self.comm, self.id).require(self._census)
 
 
 def _ids(id: Tensor | None, count: int, device: torch.device) -> Tensor:

@@ -93,6 +93,8 @@ def follow(
         if device != "cpu":  # a GPU looks at others on the way to the same contacts
             found["candidates"] = records[index]["candidates"]
         assert found == records[index]
+        if index % 3 == 0:  # what has been found can be looked at while the next step goes on
+            assert len(made.detection.contacts) == made.record["ranks"]["contacts"][comm.rank]
         ranks = made.record["ranks"]
         for part, whole in (("bodies", "robots"), ("pcs", "pcs"), ("contacts", "contacts")):
             assert len(ranks[part]) == comm.size and sum(ranks[part]) == made.record[whole]
@@ -175,8 +177,6 @@ def begin_early(comm: Comm) -> None:
             made = fleet.step(index, more=index < 3)
             # Only what is said to come is begun early; again if the outcome was not yet settled.
             assert begun == sorted(begun) and begun[-1] == min(index + 1, 3)
-            # What has been found can be looked at while the next step goes on.
-            assert len(made.detection.contacts) == made.record["ranks"]["contacts"][comm.rank]
             assert without_times(made.record) == records[index]
         fleet.step(4, more=True)
         # Another step than was begun, as after going back to a state kept before.

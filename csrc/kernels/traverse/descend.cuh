@@ -12,14 +12,14 @@ constexpr int kGroupsPerWarp = kWarp / kBlockWidth;
 constexpr int kGroupsPerBlock = kBlockThreads / kBlockWidth;
 constexpr int kStackSize = 64;
 // Rounds before a group hands back. While there are not tasks enough to fill the device, few; as launches go on, more:
-// what is left is spread by then.
-constexpr uint32_t kTasksThatFill = 16384;
+// what is left is spread by then. Very few tasks are spread at once, since most of the device waits for them.
+constexpr uint32_t kTasksThatFill = 16384, kFewTasks = 2048;
 // The last launch, where it is known to be that, hands back only what its stacks cannot hold.
 constexpr int kLastLaunch = 1 << 20;
 PGCCD_HD int rounds_of_launch(int launch, uint32_t task_count) {
   if (launch == kLastLaunch) return kLastLaunch;
-  constexpr int kRounds[] = {6, 6, 12, 48};
-  const int rounds = kRounds[launch < 3 ? launch : 3];
+  constexpr int kRounds[] = {6, 6, 12, 48}, kRoundsOfFew[] = {2, 3, 4, 8};
+  const int at = launch < 3 ? launch : 3, rounds = task_count < kFewTasks ? kRoundsOfFew[at] : kRounds[at];
   return task_count >= kTasksThatFill && rounds < 20 ? 20 : rounds;
 }
 
