@@ -9,9 +9,9 @@ from typing import Any
 
 # Bytes of each unit of room on a GPU, all that the operators keep of it together.
 _BYTES = {
-    "pairs": 168,
+    "pairs": 176,
     "overlaps": 8,
-    "poses": 84,
+    "poses": 96,
     "tasks": 24,
     "leaf_pairs": 12,
     "candidates": 16,
@@ -157,7 +157,7 @@ class Counts:
     def needed(self, capacity: Capacity) -> Capacity:
         """The room that the step, made within `capacity`, would have needed."""
         return Capacity(
-            launches=2 * capacity.launches if self.tasks_left else capacity.launches,
+            launches=max(1, 2 * capacity.launches) if self.tasks_left else capacity.launches,
             long_rows=self.long_rows != 0,
             **{name: getattr(self, name) for name in _BYTES},
         )

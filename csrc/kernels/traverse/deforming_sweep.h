@@ -5,9 +5,9 @@
 
 namespace pgccd {
 
-struct DeformingSweep : PairFrame {
+struct alignas(16) DeformingSweep : PairFrame {
   float inflation;
-  int32_t unused = 0;                  // instead of padding, since sweeps are copied word by word
+  int32_t unused = 0;                  // instead of padding, which would be copied unset
   static constexpr float tilt = 0.0f;  // normals do not turn
   static constexpr int segment_count = 1;
 

@@ -5,6 +5,7 @@
 #pragma once
 
 #include "kernels/traverse/start_within.cuh"
+#include "kernels/traverse/words.cuh"
 
 namespace pgccd {
 
@@ -32,14 +33,6 @@ struct GroupShared {
   NodePair stack[kStackSize];
 };
 
-template <class T>
-__device__ void copy_words(const T& source, T& target, int slot) {
-  static_assert(sizeof(T) % sizeof(uint32_t) == 0 && std::is_trivially_copyable_v<T>);
-  const auto* from = reinterpret_cast<const uint32_t*>(&source);
-  auto* to = reinterpret_cast<uint32_t*>(&target);
-  for (int k = slot; k < static_cast<int>(sizeof(T) / sizeof(uint32_t)); k += kBlockWidth) to[k] = from[k];
-}
-
 // The eight threads' view of their task.
 struct Group {
   const LocalPose* poses = nullptr;
@@ -53,7 +46,7 @@ template <class Bodies, class TaskAt>
 __device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, TaskAt&& task_at, TaskList leaves,
                         TaskList rest, unsigned long long* node_tests) {
   using Sweep = typename SweepOf<Bodies>::type;
-  __shared__ alignas(Sweep) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
+  __shared__ alignas(16) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
   __shared__ WarpBuffer<Task> buffers[kWarpsPerBlock];
   const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, shift = lane - slot;
   const int most_rounds = rounds_of_launch(launch, count);
@@ -73,8 +66,8 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, 
       if (is_one_body && task.nodes.first == task.nodes.second) continue;  // of which start_within takes care
       if (slot == 0) shared.stack[0] = task.nodes;
       const LocalPose* poses = pairs.poses + pairs.pose_begin[task.pair];
-      copy_words(pairs.sweeps[task.pair], shared.sweep, slot);
-      for (int k = 0; k < kPosesAtHand; ++k) copy_words(poses[k], shared.poses[k], slot);
+      copy_words(pairs.sweeps[task.pair], shared.sweep, slot, kBlockWidth);
+      for (int k = 0; k < kPosesAtHand; ++k) copy_words(poses[k], shared.poses[k], slot, kBlockWidth);
       group.poses = pairs.sweeps[task.pair].segment_count < kPosesAtHand ? shared.poses : poses;
       group.size = 1;
       group.rounds = 0;

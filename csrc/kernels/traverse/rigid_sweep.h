@@ -5,7 +5,7 @@
 
 namespace pgccd {
 
-struct RigidSweep : PairFrame {
+struct alignas(16) RigidSweep : PairFrame {
   float inflation;  // distance to keep, chord deviation and rounding, local units
   // By how much of |n_end - n_start|, times a node's radius, its slab is thicker along the mean of the two normals.
   // With normals n0 and n1 that belong to rotations at the ends of the segment: half, since the mean differs from each
@@ -14,7 +14,7 @@ struct RigidSweep : PairFrame {
   // |n1 - n0| (3/2 h - h^2) <= 3/2 |n_end - n0|.
   float tilt;
   int segment_count;
-  int32_t unused = 0;  // instead of padding, since sweeps are copied word by word
+  int32_t unused[3] = {};  // instead of padding, which would be copied unset
 
   PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until)
       : PairFrame(bodies, i, j, until) {

@@ -23,11 +23,12 @@ struct SweepSettings {
   double tolerance;  // as in pair_tolerance
 };
 
-// Poses at one segment boundary, scale included.
-struct LocalPose {
+// Poses at one segment boundary, scale included. It and sweeps are aligned so that they can be copied in few pieces.
+struct alignas(16) LocalPose {
   Mat3<float> first;   // body frame of i -> local
   Mat3<float> second;  // body frame of j -> local, without the shift
   Vec3<float> shift;   // centre of j
+  float unused[3] = {};
 };
 
 // Eight triangles of one body in its own frame, at one end of a segment.

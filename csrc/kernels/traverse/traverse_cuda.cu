@@ -148,8 +148,8 @@ struct Traversal {
       const Sweep sweep(bodies, input.pairs[2 * pair], input.pairs[2 * pair + 1], input.settings, horizon);
       uint32_t begin = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
       if (begin + sweep.segment_count >= capacity) begin = 0;  // somebody else's: nobody will look
-      for (int k = 0; k <= sweep.segment_count; ++k) poses[begin + k] = sweep.pose(bodies, k);
-      sweeps[pair] = sweep;
+      for (int k = 0; k <= sweep.segment_count; ++k) store_words(sweep.pose(bodies, k), poses[begin + k]);
+      store_words(sweep, sweeps[pair]);
       within.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
       pose_begin[pair] = begin;
     });

@@ -1,0 +1,36 @@
+// Structures copied 16 bytes at a time: a thread that reads or writes a row of its own does so in few instructions,
+// which is what counts where neighbouring threads' rows lie far apart.
+#pragma once
+
+#include <cstring>
+#include <type_traits>
+
+#include "kernels/device.cuh"
+
+namespace pgccd {
+
+template <class T>
+constexpr int kWordsOf = static_cast<int>(sizeof(T) / sizeof(uint4));
+
+template <class T>
+constexpr bool kIsOfWords = std::is_trivially_copyable_v<T> && sizeof(T) % sizeof(uint4) == 0 && alignof(T) >= 16;
+
+// By one thread, to memory of the device.
+template <class T>
+__device__ void store_words(const T& source, T& target) {
+  static_assert(kIsOfWords<T>);
+  uint4 words[kWordsOf<T>];
+  memcpy(words, &source, sizeof(T));
+  for (int k = 0; k < kWordsOf<T>; ++k) reinterpret_cast<uint4*>(&target)[k] = words[k];
+}
+
+// By threads with slots 0 to `threads` - 1 together.
+template <class T>
+__device__ void copy_words(const T& source, T& target, int slot, int threads) {
+  static_assert(kIsOfWords<T>);
+  const auto* from = reinterpret_cast<const uint4*>(&source);
+  auto* to = reinterpret_cast<uint4*>(&target);
+  for (int k = slot; k < kWordsOf<T>; k += threads) to[k] = from[k];
+}
+
+}  // namespace pgccd
