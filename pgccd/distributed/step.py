@@ -113,7 +113,8 @@ class Fleet:
         #: Whether a step that follows at once is begun before the outcome of the one before is known.
         self.begins_early = world.device.type != "cpu" and overlap
         self._begun: _Begun | None = None
-        self._few_have_left = False
+        # In the last step: nothing was about to change hands.
+        self._was_calm = False
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()
 
@@ -145,7 +146,7 @@ class Fleet:
             partners = Partners(self.world, planned.moving_columns, share.held.ghosts, share.pairs)
         after: RobotState = planned
         leaving: Leaving | None = None
-        keeps = more and self.begins_early and self._few_have_left
+        keeps = more and self.begins_early and self._was_calm
 
         def conclude(pairs: Tensor, toi: Tensor, fraction: Tensor) -> Tensor:
             nonlocal after, leaving
@@ -164,7 +165,7 @@ class Fleet:
         meanwhile = begin_next if keeps else None
         settled = settle_step(share.parts, len(share.held), partners, self._pace, conclude, clock, exchange, meanwhile)
         reports = Reports.of(settled)
-        moved_cells = self._balance(index, share, settled, planned, reports, clock)
+        is_level, moved_cells = self._balance(index, share, settled, planned, reports, clock)
         with clock.stage("migrate"):
             known = None
             if leaving is not None and moved_cells == 0 and reports.moves.size:
@@ -174,7 +175,7 @@ class Fleet:
             else:
                 self._migrate(after, known)
         clock.stop()
-        self._few_have_left = moved_cells == 0 and _MOST_AWAY * reports.leaving.sum() <= reports.ghosts.sum()
+        self._was_calm = is_level and bool(_MOST_AWAY * reports.leaving.sum() <= reports.ghosts.sum())
         if more and self.begins_early and not self._has_begun(index + 1):
             self._begun = self._begin(index + 1, self.state)
         tally = Tally.of(reports.work, reports.counted)
@@ -234,21 +235,23 @@ class Fleet:
         planned: RobotState,
         reports: Reports,
         clock: StageClock,
-    ) -> int:
-        """Shares the cells out anew; returns how many moved."""
+    ) -> tuple[bool, int]:
+        """Shares the cells out anew. Returns whether there was no need to, and how many moved."""
         if not self.balance.applies(index + 1, self.comm.size):
-            return 0
+            return True, 0
         with clock.stage("balance"):
             seconds = reports.seconds()
             loads = RankLoads(reports.robots, reports.worked("pcs"), reports.worked("contacts"), seconds)
             if loads.are_level(self.balance):
-                return 0
+                return True, 0
             settled.learn()  # so that contacts need not be waited for
             seen = cell_loads(self.partition, planned.position, Detection(share, contacts_of_step(share.parts)))
             total = CellLoads.unstacked(self.comm.sum(seen.stacked()))
-            former = self.partition
-            self.partition = rebalance(former, total, self.balance, torch.tensor(seconds, dtype=torch.float64))
-            return int((self.partition.owner != former.owner).sum())
+            shared_out = rebalance(self.partition, total, self.balance, torch.tensor(seconds, dtype=torch.float64))
+            moved = int((shared_out.owner != self.partition.owner).sum())
+            if moved > 0:
+                self.partition = shared_out
+            return False, moved
 
     def _migrate(self, state: RobotState, known: tuple[Leaving, list[int], list[int]] | None = None) -> None:
         """Hands robots over; the state's ids ascend."""
