@@ -17,7 +17,8 @@ of cells. Then a skewed density (a peak in each corner of the box) is balanced f
                 are even
 
 and says which share of a step each is. Robots have the size, the speed and the density of the standard world and are
-spread evenly. What it says of four ranks on one host, which it has not been fitted to, stands beside the measurement.
+spread evenly. What it says of four ranks on one host, which it has not been fitted to, stands beside the measurement;
+of an earlier version too, to whose own rows it is fitted then.
 
     python bench/cluster_model.py --robots 1000000000 --ranks 1024
     python bench/cluster_model.py --counted  # the model anew, from what was counted before
@@ -29,7 +30,6 @@ import argparse
 import json
 import math
 import time
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -51,7 +51,9 @@ def main() -> None:
     arguments = parse_arguments()
     path = arguments.out or results.FOLDER / "cluster_model-cpu.json"
     known = json.loads(path.read_text())["rows"] if path.exists() else []
-    measured = Measured(results.FOLDER / "cluster_scaling-cuda.json")
+    scaling = json.loads((results.FOLDER / "cluster_scaling-cuda.json").read_text())
+    measured, earlier = Measured(scaling["rows"]), Measured(scaling.get("earlier_rows", []))
+    check = measured.check + earlier.check
     rows = [] if arguments.counted else count(arguments)
     new = [(row["ranks"], row["robots"]) for row in rows]
     rows += [row for row in known if (row["ranks"], row["robots"]) not in new]
@@ -61,11 +63,11 @@ def main() -> None:
         row["model_skewed"] = model(row, arguments, measured, row["skewed"]["imbalance"][-1])
     results.table([flat(row) for row in rows])
     print("\nmeasured on one host, and what the model says:")
-    results.table(measured.check)
+    results.table(check)
     assumed = {
         name: value for name, value in vars(arguments).items() if name not in ("out", "ranks", "robots", "counted")
     }
-    content = {"assumed": assumed | measured.fitted, "check": measured.check, "rows": rows}
+    content = {"assumed": assumed | measured.fitted, "check": check, "rows": rows}
     results.write("cluster_model", "cpu", content, path)
 
 
@@ -105,11 +107,14 @@ class Measured:
     """What was measured on one host, and how well it is described.
 
     Args:
-        path: results of cluster_scaling.py.
+        rows: of cluster_scaling.py, for one and two ranks at least; or none.
     """
 
-    def __init__(self, path: Path) -> None:
-        rows = [row for row in json.loads(path.read_text())["rows"] if row["pattern"] == "random" and row["overlap"]]
+    def __init__(self, rows: list[dict[str, Any]]) -> None:
+        rows = [row for row in rows if row["pattern"] == "random" and row["overlap"] and "disturbed" not in row]
+        self.check: list[dict[str, Any]] = []
+        if not rows:
+            return
         alone = sorted((row["robots"], row["single_process_ms"]["median"]) for row in rows if row["ranks"] == 1)
         (few, few_ms), (many, many_ms) = alone[0], alone[-1]
         self.robot_ms = (many_ms - few_ms) / (many - few)

@@ -115,7 +115,6 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "ahead": ahead(arguments, comm.size),
         "ms": timing.summary(whole),
         "single_process_ms": timing.summary(single) if single else None,
-        "timed": "in a row",  # earlier rows: from barrier to barrier
         "mean_of_ranks_ms": {name: over_ranks(parts, name, mean) for name in (*PARTS, REST)},
         "slowest_rank_ms": {name: over_ranks(parts, name, max) for name in (*PARTS, REST)},
         "imbalance_by_step": [step["imbalance"] for step in ranks],
@@ -189,7 +188,8 @@ def ratio(values: list[float]) -> float:
 def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -> None:
     """Adds the row to the file, and prints all of them."""
     path = arguments.out or results.FOLDER / f"cluster_scaling-{arguments.device.partition(':')[0]}.json"
-    rows = json.loads(Path(path).read_text())["rows"] if Path(path).exists() else []
+    known = json.loads(Path(path).read_text()) if Path(path).exists() else {}
+    rows = known.get("rows", [])
     key = ("scaling", "ranks", "robots", "pattern", "balance", "cells", "axes", "overlap", "ahead", "transport")
     row["transport"] = transport
     row["commit"] = results.versions()["commit"]  # others of the file may be of other versions
@@ -198,7 +198,8 @@ def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -
     results.table([flat(other, rows) for other in rows])
     print(f"\nmilliseconds of this run, {row['robots']:,} robots on {row['ranks']} ranks:")
     results.table(by_stage(row))
-    results.write("cluster_scaling", arguments.device, {"rows": rows}, Path(path))
+    kept = {name: value for name, value in known.items() if name.startswith("earlier_rows")}  # of versions before
+    results.write("cluster_scaling", arguments.device, {"rows": rows} | kept, Path(path))
 
 
 def by_stage(row: dict[str, Any]) -> list[dict[str, Any]]:

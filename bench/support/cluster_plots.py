@@ -19,12 +19,15 @@ _PARTS = {
 def scaling(result: Result) -> Figure:
     """Where the time of a step goes, by number of ranks; and speed beside one process."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), width_ratios=(2, 1))
-    rows = [row for row in result["rows"] if row["pattern"] == "random" and row["overlap"]]
+    rows = [row for row in result["rows"] if row["pattern"] == "random" and row["overlap"] and "disturbed" not in row]
     _stack(left, rows)
-    for kind, colour in (("strong", "#0072b2"), ("weak", "#009e73")):
-        speeds = _speeds(rows, kind)
-        if speeds:
-            right.plot(*zip(*speeds, strict=True), "o-", color=colour, label=f"{kind} scaling")
+    sizes = sorted({row["robots"] for row in rows if row["scaling"] == "strong" and row["ranks"] == 1})
+    series = [(f"{robots / 1e6:g} M in all", _speeds(rows, "strong", robots)) for robots in sizes]
+    few = [row["robots"] for row in rows if row["scaling"] == "weak" and row["ranks"] == 1]
+    series += [(f"{robots / 1e6:g} M a rank", _speeds(rows, "weak", robots)) for robots in few]
+    for (label, speeds), colour in zip(series, ("#0072b2", "#d55e00", "#009e73", "#cc79a7"), strict=False):
+        if len(speeds) > 1:
+            right.plot(*zip(*speeds, strict=True), "o-", color=colour, label=label)
     most = max(row["ranks"] for row in rows)
     right.plot([1, most], [1, most], ":", color="#9a9a9a", label="ideal")
     right.set(xlabel="ranks", title="Times the speed of one process")
@@ -48,13 +51,11 @@ def _stack(axes: Axes, rows: list[dict[str, Any]]) -> None:
     axes.legend(frameon=False, fontsize=6, ncols=2)
 
 
-def _speeds(rows: list[dict[str, Any]], kind: str) -> list[tuple[int, float]]:
+def _speeds(rows: list[dict[str, Any]], kind: str, robots: int) -> list[tuple[int, float]]:
+    """By number of ranks, beside one process with so many robots."""
     chosen = sorted((row for row in rows if row["scaling"] == kind), key=lambda row: row["ranks"])
-    base = next((row for row in chosen if row["ranks"] == 1 and row["single_process_ms"]), None)
-    if base is None:
-        return []
-    comparable = [row for row in chosen if kind == "weak" or row["robots"] == base["robots"]]
-    single = base["single_process_ms"]["median"]
+    comparable = [row for row in chosen if row["robots"] == robots * (row["ranks"] if kind == "weak" else 1)]
+    single = comparable[0]["single_process_ms"]["median"]
     return [
         (row["ranks"], single / row["ms"]["median"] * (row["ranks"] if kind == "weak" else 1)) for row in comparable
     ]
