@@ -65,6 +65,8 @@ class Part:
             self._search = start_search(
                 self.bodies, self.query, self.pairs, self._pair_counts, self._capacity, self.name
             )
+            # Now: when its counts are read, another search may have been started.
+            self._scratch_bytes = ops.take_scratch_peak() if self.pairs.is_cuda else 0
         return self._search
 
     def begin(self) -> None:
@@ -77,7 +79,6 @@ class Part:
     def learn(self, counts: Counts) -> None:
         """Takes note of what the search counted, which the host has read, for `find` and for the next step."""
         self._counts = counts
-        self._scratch_bytes = ops.take_scratch_peak() if self.pairs.is_cuda else 0
         if not counts.overflow:
             remember_needs(self.bodies.scene, self.query, self._given, counts.needed(self.start().capacity), self.name)
 

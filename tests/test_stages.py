@@ -44,6 +44,15 @@ def test_stages_add_up_on_the_host() -> None:
     assert clock.work == clock.seconds["plan"] + 1.0
 
 
+def test_what_was_begun_before_counts_as_a_stage_only() -> None:
+    clock = StageClock()
+    with clock.stage("plan"):
+        time.sleep(0.02)
+    clock.restart()
+    clock.stop()
+    assert clock.total < 0.02 <= clock.seconds["plan"]
+
+
 def test_on_a_gpu_events_tell_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     Event.made = []
     monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
