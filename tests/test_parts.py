@@ -14,10 +14,11 @@ import pgccd
 from pgccd.capacity import Capacity
 from pgccd.detect import find_contacts
 from pgccd.memory import recall_capacity, remember_needs
-from pgccd.parts import Part, contacts_of_step, pairs_of_step
+from pgccd.parts import Part, contacts_of_step, find_part, pairs_of_step
 from pgccd.query import Query
 from pgccd.within import counts_of_given
 
+parts_module = sys.modules["pgccd.parts"]
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 
 
@@ -137,3 +138,32 @@ def test_what_is_remembered_of_parts() -> None:
     )
     assert recall_capacity(scene, query, pairs).launches == Capacity.guess(1).launches
     assert recall_capacity(scene, query, None, "third").launches == Capacity.guess(1).launches
+
+
+@pytest.mark.parametrize("room", ["enough", "too little"])
+def test_pairs_found_in_a_room(device: torch.device, room: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = Divided(device, "first", False)
+    bodies = whole.parts[0].bodies
+    capacity = Capacity.guess(bodies.scene.body_count).times(4.0) if room == "enough" else Capacity(3, 1)
+    monkeypatch.setattr(parts_module, "_looks_ahead", lambda _: True)
+    monkeypatch.setattr(parts_module, "expected_capacity", lambda *_, slack: capacity)
+
+    def even(pairs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Those whose first body is one of even row, in the first places."""
+        chosen = (pairs[:, 0] % 2 == 0) & (pairs[:, 0] >= 0)
+        kept = torch.full_like(pairs, -1)
+        kept[: int(chosen.sum())] = pairs[chosen]
+        return kept, chosen.sum().reshape(1)
+
+    for select in (None, even):
+        for vain in (None, 0, 1):
+            in_vain = None if vain is None else torch.tensor([vain], device=device)
+            part = find_part(bodies, whole.query, select=select, in_vain=in_vain)
+            part.start()
+            if vain == 1:  # no pairs, and so nothing to search
+                assert bool((part.pairs < 0).all()) and part.start().read().pairs_written == 0
+                continue
+            found = part.find()
+            expected = whole.expected.pairs
+            expected = expected if select is None else expected[expected[:, 0] % 2 == 0]
+            assert len(expected) > 2 and torch.equal(found.pairs, expected)
