@@ -67,7 +67,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--balance", choices=distributed.POLICIES, default="cost")
     parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
     parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
-    parser.add_argument("--no-overlap", action="store_true", help="wait for the ghosts before any detection")
+    parser.add_argument("--no-overlap", action="store_true", help="wait for ghosts first, begin no step early")
     parser.add_argument("--no-ahead", action="store_true", help="wait for every round of settling")
     parser.add_argument("--steps-before", type=int, default=20, help="steps made before the first is timed")
     parser.add_argument("--rounds", type=int, default=20, help="steps timed")

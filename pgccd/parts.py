@@ -138,7 +138,7 @@ def find_part(
     Args:
         bodies, query, broad_phase: as for `find_contacts`.
         select: which of the pairs are searched. Default: all.
-        in_vain: (1,) int64, left on the device: if it is not 0, nobody will look at the outcome, and little is done.
+        in_vain: (1,) int64, left on the device: if it is not 0, nobody will look at the outcome, and a GPU does little.
 
     Raises:
         ValueError: the bodies are invalid, and that had to be known.

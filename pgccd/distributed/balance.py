@@ -115,7 +115,7 @@ class RankLoads:
     def are_level(self, options: BalanceOptions) -> bool:
         """True if no cell would move, whatever the loads of single cells.
 
-        Holds where every body was in a cell of its rank.
+        Holds where every body was in a cell of its rank, and nearly so where few were not.
         """
         if options.policy == "one-cell":
             return _differ_little(self.contacts, options.threshold)

@@ -96,7 +96,7 @@ class OwnSearch:
         options: what to find.
         clock: stages are timed here.
         begin: called with each part as soon as it is known.
-        in_vain: (1,) int64, left on the device: if it is not 0, the outcome does not matter, and little is done.
+        in_vain: see `find_part`.
 
     Raises:
         ValueError: a pose is invalid.

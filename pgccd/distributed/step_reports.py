@@ -14,7 +14,7 @@ from pgccd.sim.tally import COUNTED, WORK, Rows
 
 @dataclass(frozen=True)
 class Reports:
-    """A row each."""
+    """Of all ranks, a row of each array for each."""
 
     work: Rows  #: (ranks, 6), see `WORK`
     counted: Rows  #: (ranks, 6) by `count_step`
