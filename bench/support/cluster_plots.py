@@ -14,6 +14,7 @@ _PARTS = {
     "detect": "#0072b2", "respond": "#d55e00", "halo": "#e69f00", "migrate": "#009e73", "balance": "#cc79a7",
     "plan": "#56b4e9", "hash": "#b0b0b0", "waiting": "#606060", "rest": "#dddddd",
 }  # fmt: skip
+_SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
 def scaling(result: Result) -> Figure:
@@ -21,13 +22,8 @@ def scaling(result: Result) -> Figure:
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), width_ratios=(2, 1))
     rows = [row for row in result["rows"] if row["pattern"] == "random" and row["overlap"] and "disturbed" not in row]
     _stack(left, rows)
-    sizes = sorted({row["robots"] for row in rows if row["scaling"] == "strong" and row["ranks"] == 1})
-    series = [(f"{robots / 1e6:g} M in all", _speeds(rows, "strong", robots)) for robots in sizes]
-    few = [row["robots"] for row in rows if row["scaling"] == "weak" and row["ranks"] == 1]
-    series += [(f"{robots / 1e6:g} M a rank", _speeds(rows, "weak", robots)) for robots in few]
-    for (label, speeds), colour in zip(series, ("#0072b2", "#d55e00", "#009e73", "#cc79a7"), strict=False):
-        if len(speeds) > 1:
-            right.plot(*zip(*speeds, strict=True), "o-", color=colour, label=label)
+    for (label, speeds), colour in zip(_series(rows), _SERIES, strict=False):
+        right.plot(*zip(*speeds, strict=True), "o-", color=colour, label=label)
     most = max(row["ranks"] for row in rows)
     right.plot([1, most], [1, most], ":", color="#9a9a9a", label="ideal")
     right.set(xlabel="ranks", title="Times the speed of one process")
@@ -36,7 +32,7 @@ def scaling(result: Result) -> Figure:
 
 
 def _stack(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    names = [f"{row['robots'] / 1e6:g} M\n{row['ranks']} ranks" for row in rows]
+    names = [f"{_size(row)} on {row['ranks']}" + (f"\n{row['transport']}" if row["ranks"] > 1 else "") for row in rows]
     below = [0.0] * len(rows)
     for part, colour in _PARTS.items():
         # What goes on at the same time adds up to more than the whole step.
@@ -46,19 +42,31 @@ def _stack(axes: Axes, rows: list[dict[str, Any]]) -> None:
     axes.plot(range(len(rows)), [row["ms"]["median"] for row in rows], "k_", markersize=16, label="whole step")
     axes.set_xticks(range(len(rows)), names, fontsize=7)
     axes.set(
-        ylabel="milliseconds a step (mean of ranks)", title="A simulation step, random world (halo while detecting)"
+        ylabel="milliseconds a step (mean of ranks)",
+        title="A step: robots on ranks, random world (halo while detecting)",
     )
     axes.legend(frameon=False, fontsize=6, ncols=2)
 
 
-def _speeds(rows: list[dict[str, Any]], kind: str, robots: int) -> list[tuple[int, float]]:
-    """By number of ranks, beside one process with so many robots."""
-    chosen = sorted((row for row in rows if row["scaling"] == kind), key=lambda row: row["ranks"])
-    comparable = [row for row in chosen if row["robots"] == robots * (row["ranks"] if kind == "weak" else 1)]
-    single = comparable[0]["single_process_ms"]["median"]
-    return [
-        (row["ranks"], single / row["ms"]["median"] * (row["ranks"] if kind == "weak" else 1)) for row in comparable
-    ]
+def _series(rows: list[dict[str, Any]]) -> list[tuple[str, list[tuple[int, float]]]]:
+    """Speeds by number of ranks beside one process, for each size of world and each way of sending messages."""
+    series = []
+    for base in (row for row in rows if row["ranks"] == 1):
+        is_weak, single = base["scaling"] == "weak", base["single_process_ms"]["median"]
+        for transport in sorted({row["transport"] for row in rows} - {base["transport"]}):
+            speeds = [(1, single / base["ms"]["median"])]
+            for row in sorted(rows, key=lambda row: row["ranks"]):
+                ranks = row["ranks"]
+                robots = base["robots"] * (ranks if is_weak else 1)
+                if (row["scaling"], row["transport"], row["robots"]) == (base["scaling"], transport, robots):
+                    speeds.append((ranks, single / row["ms"]["median"] * (ranks if is_weak else 1)))
+            if len(speeds) > 1:
+                series.append((f"{_size(base)} {'a rank' if is_weak else 'in all'}, {transport}", speeds))
+    return series
+
+
+def _size(row: dict[str, Any]) -> str:
+    return f"{row['robots'] / 1e6:g} M"
 
 
 def frame_pairs(result: Result) -> Figure:
