@@ -156,9 +156,11 @@ def test_same_bits_on_a_gpu_that_ranks_share(world: World, name: str, policy: st
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(WORLDS))
-@pytest.mark.parametrize("policy", ["cost", "measured", "one-cell"])
+@pytest.mark.parametrize("policy", ["cost", "measured", "one-cell", "none"])
 def test_same_bits_for_two_hundred_steps(world: World, name: str, policy: str) -> None:
-    world(follow, name, policy, 200, False, True)
+    """Where no policy shares the cells out, chance does; and steps are begun early."""
+    by_chance = policy == "none"
+    world(follow, name, policy, 200, by_chance, True, "cpu", by_chance)
 
 
 def begin_early(comm: Comm) -> None:
