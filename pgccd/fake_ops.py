@@ -75,8 +75,8 @@ def _(
 
 
 @torch.library.register_fake("pgccd::rows_by_rank")
-def _(holders: Tensor, rows: Tensor, count: int) -> Tensor:
-    return rows.new_empty((count,))
+def _(holders: Tensor, rows: Tensor, counts: Tensor, rooms: list[int]) -> Tensor:
+    return rows.new_empty((sum(rooms),))
 
 
 @torch.library.register_fake("pgccd::owned_pairs")

@@ -144,6 +144,18 @@ def test_merging_many(device: torch.device, remove: str, where: str) -> None:
         require_merged(device, kinds, former, removed, added, 6)
 
 
+@pytest.mark.parametrize("count", [0, 5])
+def test_rows_of_nobody_are_zeros(device: torch.device, count: int) -> None:
+    rows = torch.tensor([-1, *range(count), -1], device=device)
+    columns = to(device, columns_of(KINDS, count, torch.Generator().manual_seed(4)))
+    expected = [torch.cat([torch.zeros_like(column.new_empty((1, *column.shape[1:]))), column]) for column in columns]
+    expected = [torch.cat([column, column[:1]]) for column in expected]
+    packed = ops.pack_rows(columns, rows)
+    require_equal(ops.unpack_rows(packed, columns), [column.cpu() for column in expected], device)
+    for more in ([], [column[:0] for column in columns]):
+        require_equal(ops.take_rows(columns, more, rows), [column.cpu() for column in expected], device)
+
+
 def test_columns_need_not_be_contiguous(device: torch.device) -> None:
     strided = torch.rand((6, 4), device=device)[:, 1:3]
     rows = torch.tensor([5, 0, 0, 3], device=device)

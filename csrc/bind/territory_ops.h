@@ -56,14 +56,15 @@ struct TerritoryOps {
     return {holders, counts};
   }
 
-  static Tensor rows_by_rank(const Tensor& holders, const Tensor& bodies, int64_t count) {
-    const int64_t row_count = bodies.size(0), ranks = holders.size(1);
-    STD_TORCH_CHECK(count >= 0 && count <= row_count * ranks, "count: expected at most ", row_count * ranks, ", got ",
-                    count);
-    Tensor by_rank = new_tensor<int64_t>(bodies, {count});
-    Backend(bodies).rows_by_rank(rows<uint8_t>(holders, "holders", {row_count, ranks}),
-                                 rows<int64_t>(bodies, "rows", {kAnySize}), row_count, ranks, count,
-                                 data<int64_t>(by_rank));
+  static Tensor rows_by_rank(const Tensor& holders, const Tensor& bodies, const Tensor& counts,
+                             std::vector<int64_t> rooms) {
+    const int64_t row_count = bodies.size(0), ranks = static_cast<int64_t>(rooms.size());
+    const HeldRows held{rows<uint8_t>(holders, "holders", {row_count, ranks}),
+                        rows<int64_t>(bodies, "rows", {kAnySize}), row_count, ranks,
+                        rows<int64_t>(counts, "counts", {ranks})};
+    for (const int64_t room : rooms) STD_TORCH_CHECK(room >= 0, "rooms: expected numbers >= 0, got ", room);
+    Tensor by_rank = new_tensor<int64_t>(bodies, {std::accumulate(rooms.begin(), rooms.end(), int64_t{0})});
+    Backend(bodies).rows_by_rank(held, rooms, data<int64_t>(by_rank));
     return by_rank;
   }
 

@@ -14,9 +14,8 @@ class TerritoryOnCpu {
     border_bodies_cpu(executor_, bodies, territory, reach, border);
   }
   void holders_of(const HoldersInput& input, const Holders& out) const { holders_of_cpu(executor_, input, out); }
-  void rows_by_rank(const uint8_t* holders, const int64_t* rows, int64_t row_count, int64_t ranks, int64_t count,
-                    int64_t* by_rank) const {
-    rows_by_rank_cpu(holders, rows, row_count, ranks, count, by_rank);
+  void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank) const {
+    rows_by_rank_cpu(held, rooms, by_rank);
   }
   void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
     owned_pairs_cpu(executor_, input, owned, found);

@@ -19,9 +19,8 @@ class TerritoryOnCuda {
   void holders_of(const HoldersInput& input, const Holders& out) const {
     holders_of_cuda(session_.context(), input, out);
   }
-  void rows_by_rank(const uint8_t* holders, const int64_t* rows, int64_t row_count, int64_t ranks, int64_t count,
-                    int64_t* by_rank) const {
-    rows_by_rank_cuda(session_.context(), holders, rows, row_count, ranks, count, by_rank);
+  void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank) const {
+    rows_by_rank_cuda(session_.context(), held, rooms, by_rank);
   }
   void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
     owned_pairs_cuda(session_.context(), input, owned, found);

@@ -55,6 +55,11 @@ class Comm(ABC):
     #: With more ranks than this, `exchange` sends to neighbours one by one.
     neighbours_above = _NEIGHBOURS_ABOVE
 
+    @property
+    def goes_with_the_stream(self) -> bool:
+        """Whether messages between GPUs are sent by their current stream, so that the host waits for nothing."""
+        return self.transport == "nccl"
+
     @abstractmethod
     def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
         """Ragged all-to-all of rows (K, bytes) uint8: `sent[r]` of them go to rank r, in order; `received[r]` come."""

@@ -20,6 +20,7 @@ from pgccd import ops
 from pgccd.bodies import MovingBodies
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Arrival, Columns, Route
+from pgccd.distributed.halo_room import Room, SentWithin
 from pgccd.distributed.partition import Partition
 from pgccd.host_copy import HostCopy
 
@@ -54,6 +55,11 @@ class Held:
     def ghost_count(self) -> int:
         return len(self.ghosts["id"])
 
+    @property
+    def room(self) -> Room:
+        """For the halo of the next step."""
+        return Room.after(self.route.sent, self.route.received, len(self.border))
+
     @functools.cached_property
     def id(self) -> Tensor:
         """(N + G,) int64."""
@@ -79,7 +85,7 @@ class Halo:
     def __init__(
         self, comm: Comm, partition: Partition, own: Mapping[str, Tensor], bodies: MovingBodies, min_separation: float
     ) -> None:
-        self._comm, self._own, self._bodies = comm, own, bodies
+        self._comm, self._own, self._bodies = comm, dict(own), bodies
         self._where = centres_of(bodies), min_separation, partition.territory(comm.rank)
         nobody = own["id"][:0]
         #: (N,) uint8: 1 for own bodies that reach cells of others.
@@ -87,10 +93,11 @@ class Halo:
         #: (B,) int64: rows of these.
         self._border = nobody
         self._arrival: Arrival | None = None
+        self._within: SentWithin | None = None
         found = bodies.first_faults()
         if comm.size > 1:
-            self.reach, self._border, count = ops.border_bodies(*self._where)
-            found = torch.cat([count, found])
+            self.reach, self._border, self._count = ops.border_bodies(*self._where)
+            found = torch.cat([self._count, found])
         self._found = HostCopy(found)
 
     def check(self) -> None:
@@ -106,13 +113,18 @@ class Halo:
         self._bodies.checked = True
         self._border = self._border[:count]
 
+    def send_within(self, room: Room) -> None:
+        """Sends them without waiting for anything. If a rank turns out to be short of room, `wait` sends them again."""
+        self._within = SentWithin(self._comm, room, self._own, self._where, self._border, self._count)
+
     def send(self) -> None:
         """Sends them, once ranks have told one another how many are to come. Checks the bodies, if that has not been
         done."""
         self.check()
         self._holders, self._counts = ops.holders_of(*self._where, self._border, self._comm.size)
         sent, received = torch.stack([self._counts, self._comm.exchange_counts(self._counts)]).tolist()
-        self._route = Route(self._comm, ops.rows_by_rank(self._holders, self._border, sum(sent)), sent, received)
+        rows = ops.rows_by_rank(self._holders, self._border, self._counts, sent)
+        self._route = Route(self._comm, rows, sent, received)
         self._arrival = self._route.forward(self._own)
 
     def wait(self) -> Held:
@@ -123,6 +135,11 @@ class Halo:
             ghosts = {name: column[:0] for name, column in self._own.items()}
             holders = id.new_empty((0, 1), dtype=torch.uint8)
             return Held(id, ghosts, Route(self._comm, id[:0], [0], [0]), id[:0], holders, id.new_zeros(1))
+        if self._within is not None:
+            self.check()
+            within, self._within = self._within.wait(len(self._border)), None
+            if within is not None:
+                return Held(id, within.ghosts, within.route, self._border, within.holders, within.counts)
         if self._arrival is None:
             self.send()
         assert self._arrival is not None
@@ -153,14 +170,15 @@ class HeldExchange:
         before = sum(received[: comm.rank])
         self._holders = torch.cat([holders[:before], held.holders, holders[before:]])
         self._rows = torch.cat([row[:before], held.border, row[before:]])
+        self._counts = counts + held.border_counts
         # On its way while bodies are tested.
-        self._counts = HostCopy(counts + held.border_counts)
+        self._known = HostCopy(self._counts)
 
     @functools.cached_property
     def _shared(self) -> tuple[Tensor, list[int]]:
         """Rows of bodies that others hold too, by rank; and how many for each rank."""
-        counts: list[int] = self._counts.numpy().tolist()
-        return ops.rows_by_rank(self._holders, self._rows, sum(counts)), counts
+        counts: list[int] = self._known.numpy().tolist()
+        return ops.rows_by_rank(self._holders, self._rows, self._counts, counts), counts
 
     @functools.cached_property
     def _twice(self) -> Tensor:

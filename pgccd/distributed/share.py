@@ -1,13 +1,14 @@
 """What one rank tests in one step: the pairs of its own bodies, then those with ghosts.
 
 Whether a pair of own bodies is its to test it knows without any ghost. These pairs are searched while ghosts are under
-way; then ghosts meet the own bodies near them.
+way; ghosts then meet the own bodies near them, on a GPU beside that search.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import torch
@@ -18,6 +19,7 @@ from pgccd.bodies import MovingBodies
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns
 from pgccd.distributed.halo import Halo, Held, HeldExchange, centres_of
+from pgccd.distributed.halo_room import Room
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.side_stream import SideStream
 from pgccd.motion import RigidMotion
@@ -66,20 +68,15 @@ class Share:
         """(P, 2) int64: the PCS as rows of bodies held, that of the smaller id first; rows of -1 among them."""
         return pairs_of_step(self.parts)
 
-    def exchange(self, partition: Partition) -> HeldExchange:
-        """How ranks that hold a body agree about it."""
-        with self.side:
-            nobody = centres_of(self.parts[0].bodies)
-            centres = nobody if self.ghosts is None else centres_of(self.ghosts)
-            return HeldExchange(self.held, centres, self.min_separation, partition)
-
     def lend(self) -> None:
         """Says that the current stream goes on reading all this while the side stream works for the next step."""
         if self.ghosts is None:
             return
         held, border = self.held, self.parts[-1]
-        lent = [*held.ghosts.values(), held.border, held.holders, held.border_counts, held.route.rows, border.pairs]
+        search = border.start()
+        lent = [*held.ghosts.values(), held.border, held.holders, held.border_counts, held.route.rows]
         lent += [*_columns(self.ghosts).values(), *_columns(border.bodies).values()]
+        lent += [border.pairs, *search.rows, search.counts]
         self.side.lend(lent if border.rows is None else [*lent, border.rows])
 
 
@@ -97,6 +94,7 @@ class OwnSearch:
         clock: stages are timed here.
         begin: called with each part as soon as it is known.
         in_vain: see `find_part`.
+        room: of the halo, if it can be foreseen; the same on all ranks. On GPUs ghosts are then sent at once.
 
     Raises:
         ValueError: a pose is invalid.
@@ -115,8 +113,10 @@ class OwnSearch:
         clock: StageClock,
         begin: Callable[[Part], object],
         in_vain: Tensor | None = None,
+        room: Room | None = None,
     ) -> None:
-        self._comm, self._build, self._options, self._clock, self._begin = comm, build, options, clock, begin
+        self._comm, self._partition, self._build, self._options = comm, partition, build, options
+        self._clock, self._begin = clock, begin
         separation = broad.check_separation(options.min_separation)
         with clock.stage("plan"):
             self._bodies = bodies = MovingBodies(*build(own), wait=False)
@@ -124,10 +124,15 @@ class OwnSearch:
             self._halo = halo = Halo(comm, partition, own, bodies, separation)
         self._where = separation, halo.reach, partition.territory(comm.rank)
         self._side = SideStream(bodies.device, options.overlap and comm.size > 1)
-        if comm.size > 1 and not self._side.is_apart:
-            with clock.stage("halo"):
-                halo.send()
-        self._held = self._wait() if comm.size > 1 and not options.overlap else None
+        self._is_sent = comm.size == 1
+        if room is not None and _sends_ahead(comm, self._side):
+            with self._side, clock.stage("halo"):
+                halo.send_within(room)
+            self._is_sent = True
+        elif not self._side.is_apart:
+            self._send()
+        if not options.overlap:
+            _ = self._held  # waited for now
 
         def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
             return ops.owned_pairs(pairs, None, own["id"], centres_of(bodies), *self._where)
@@ -137,32 +142,56 @@ class OwnSearch:
             self._part = find_part(bodies, options.query, options.broad_phase, select, in_vain)
         begin(self._part)
 
+    def _send(self) -> None:
+        if not self._is_sent:
+            with self._side, self._clock.stage("halo"):
+                self._halo.send()
+            self._is_sent = True
+
+    @cached_property
+    def _held(self) -> Held:
+        """Waits for ghosts."""
+        self._send()
+        with self._side, self._clock.stage("halo wait"):
+            return self._halo.wait()
+
+    @cached_property
+    def _ghosts(self) -> MovingBodies:
+        with self._side, self._clock.stage("halo"):
+            return _told(*self._build(self._held.ghosts))
+
+    def exchange(self) -> HeldExchange:
+        """How ranks that hold a body agree about it. Waits for ghosts."""
+        held, centres = self._held, centres_of(self._bodies if self._comm.size == 1 else self._ghosts)
+        with self._side, self._clock.stage("halo"):
+            return HeldExchange(held, centres, self._where[0], self._partition)
+
     def with_ghosts(self) -> Share:
         """The whole share: waits for ghosts, and begins to search the pairs with them."""
         separation, _, territory = self._where
         if self._comm.size == 1:
-            return Share(self._halo.wait(), [self._part], None, self._side, separation)
+            return Share(self._held, [self._part], None, self._side, separation)
+        held, ghosts = self._held, self._ghosts
         with self._side:
-            if self._side.is_apart:
-                with self._clock.stage("halo"):
-                    self._halo.send()
-            held = self._held or self._wait()
             with self._clock.stage("halo"):
-                ghosts = _told(*self._build(held.ghosts))
                 rows = _near_ghosts(self._bodies, ghosts, separation, territory)
                 at_border = _bodies(self._bodies, _taken(self._bodies, ghosts, rows))
                 crossing = broad.find_pairs(at_border, separation, self._options.broad_phase)
                 pairs, count = ops.owned_pairs(crossing, rows, held.id, centres_of(at_border), *self._where)
                 counts = counts_of_given(pairs, count)
                 with_ghosts = Part("with ghosts", self._options.query, at_border, pairs, counts, rows)
-        # Not beside the own pairs: their kernels fill the GPU, and these come one after another.
+            self._begin(with_ghosts)
         self._side.join()
-        self._begin(with_ghosts)
         return Share(held, [self._part, with_ghosts], ghosts, self._side, separation)
 
-    def _wait(self) -> Held:
-        with self._clock.stage("halo wait"):
-            return self._halo.wait()
+    def give_up(self) -> None:
+        """For those who will not ask for the share: what follows on the current stream may use its memory again."""
+        self._side.join()
+
+
+def _sends_ahead(comm: Comm, side: SideStream) -> bool:
+    """Whether ghosts can be sent without waiting for their number."""
+    return side.is_apart and comm.goes_with_the_stream
 
 
 def _near_ghosts(bodies: MovingBodies, ghosts: MovingBodies, separation: float, territory: ops.Territory) -> Tensor:

@@ -15,6 +15,7 @@ from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, reba
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.detection import Detection
 from pgccd.distributed.exchange import Columns, take_rows
+from pgccd.distributed.halo_room import Room
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Options, OwnSearch, Share
@@ -113,6 +114,7 @@ class Fleet:
         #: Whether a step that follows at once is begun before the outcome of the one before is known.
         self.begins_early = world.device.type != "cpu" and overlap
         self._begun: _Begun | None = None
+        self._room: Room | None = None
         # In the last step: nothing was about to change hands.
         self._was_calm = False
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
@@ -140,9 +142,10 @@ class Fleet:
         comm.guard.activity = f"step {index}"
         begun = self._take_begun(index)
         planned, clock = begun.planned, begun.clock
-        share = begun.search.with_ghosts()
+        # In this order, so that the host can read how many agree before the search with ghosts is over.
+        exchange, share = begun.search.exchange(), begun.search.with_ghosts()
+        self._room = share.held.room
         with clock.stage("halo"):
-            exchange = share.exchange(self.partition)
             partners = Partners(self.world, planned.moving_columns, share.held.ghosts, share.pairs)
         after: RobotState = planned
         leaving: Leaving | None = None
@@ -194,12 +197,16 @@ class Fleet:
 
     def _begin(self, index: int, state: RobotState, in_vain: Tensor | None = None) -> _Begun:
         """Plans a step, and begins to search pairs of own robots."""
+        if self._begun is not None:
+            self._begun.search.give_up()
+            self._begun = None
         clock = StageClock()
         with clock.stage("plan"):
             planned = self.world.plan(state, index)
         begin = Part.start if knows_rounds(self._pace) else Part.begin
         own = planned.moving_columns
-        search = OwnSearch(self.comm, self.partition, own, self._build, self.options, clock, begin, in_vain)
+        where = self.comm, self.partition, own, self._build, self.options, clock
+        search = OwnSearch(*where, begin, in_vain, self._room)
         return _Begun(index, state, self.partition, planned, search, clock)
 
     def _has_begun(self, index: int) -> bool:
@@ -213,10 +220,10 @@ class Fleet:
         )
 
     def _take_begun(self, index: int) -> _Begun:
-        begun = self._begun if self._has_begun(index) else None
-        self._begun = None
-        if begun is None:
+        if not self._has_begun(index):
             return self._begin(index, self.state)
+        begun, self._begun = self._begun, None
+        assert begun is not None
         begun.clock.restart()
         return begun
 
@@ -250,7 +257,7 @@ class Fleet:
             shared_out = rebalance(self.partition, total, self.balance, torch.tensor(seconds, dtype=torch.float64))
             moved = int((shared_out.owner != self.partition.owner).sum())
             if moved > 0:
-                self.partition = shared_out
+                self.partition, self._room = shared_out, None
             return False, moved
 
     def _migrate(self, state: RobotState, known: tuple[Leaving, list[int], list[int]] | None = None) -> None:

@@ -16,6 +16,7 @@ from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rank
 from pgccd.distributed.comm import Alone, Comm
 from pgccd.distributed.detection import Detection, detect_distributed
 from pgccd.distributed.exchange import Columns, make_route, take_rows
+from pgccd.distributed.halo_room import Room
 from pgccd.distributed.migrate import Census, migrate
 from pgccd.distributed.partition import Partition, Point, Triple
 from pgccd.distributed.report import earliest_for_all, tell_owners
@@ -118,6 +119,7 @@ class World:
         _require_unique(self.comm, columns["id"])
         self._census = Census.of_ranks(self.comm, columns["id"])
         self._found: Detection | None = None
+        self._room: Room | None = None
         self._seconds, self._steps = 0.0, 0
         self._columns = take_rows(columns, torch.argsort(columns["id"]))
         self._change_hands()
@@ -175,8 +177,9 @@ class World:
         own |= {"position_t1": motion.position_t1, "rotation": motion.rotation}
         self.comm.guard.activity = "step"
         clock = StageClock()
-        found = detect_distributed(self.comm, self.partition, own, self._build, self.options, clock)
+        found = detect_distributed(self.comm, self.partition, own, self._build, self.options, clock, self._room)
         self._found, self._seconds, self._steps = found, clock.work, self._steps + 1
+        self._room = found.held.room
         if self.options.report == "earliest":
             return earliest_for_all(self.comm, found)
         return tell_owners(self.comm, found)
@@ -248,6 +251,7 @@ class World:
             bodies, pairs, contacts = told[:, :3].long().t().tolist()
             if not RankLoads(bodies, pairs, contacts, told[:, 3].tolist()).are_level(self.balance):
                 self.partition = rebalance(self.partition, self._cell_loads(), self.balance, told[:, 3])
+                self._room = None
         self._columns, _ = migrate(self.comm, self.partition, self._columns, self._columns["position"])
         Census.of_ranks(self.comm, self.id).require(self._census)
 

@@ -1,6 +1,6 @@
 """Rows of columns: tensors of any dtype and width with as many rows each, of which only the bytes matter.
 
-Row numbers are trusted: one out of range reads memory that is not the columns'.
+A row of -1 is zeros. Other row numbers are trusted: one out of range reads memory that is not the columns'.
 """
 
 from collections.abc import Sequence

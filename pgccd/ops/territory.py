@@ -13,7 +13,7 @@ Centres = Sequence[Tensor]
 
 def border_bodies(centres: Centres, min_separation: float, territory: Territory) -> tuple[Tensor, Tensor, Tensor]:
     """Bodies that reach cells of others: reach (N,) uint8, 1 for them; their rows, ascending, in the first `found` (1,)
-    places of (N,). centres: at t0 and t1 (N, 3), and radius (N,)."""
+    places of (N,), then rows of -1. centres: at t0 and t1 (N, 3), and radius (N,)."""
     return library.operators.border_bodies(list(centres), min_separation, *territory)
 
 
@@ -25,17 +25,17 @@ def holders_of(
     ranks: int,
     received: Sequence[int] = (),
 ) -> tuple[Tensor, Tensor]:
-    """(B, ranks) uint8: 1 for other ranks of which one of the rows `bodies` (B,) reaches a cell; and for the rank that
-    it came from, if these are ghosts, of which so many were `received` from each. And how many bodies of each, (ranks,)
-    int64."""
+    """(B, ranks) uint8: 1 for other ranks of which one of the rows `bodies` (B,) reaches a cell (a row of -1 none); and
+    for the rank that it came from, if these are ghosts, of which so many were `received` from each. And how many bodies
+    of each, (ranks,) int64."""
     arguments = (list(centres), min_separation, *territory, bodies, list(received), ranks)
     return library.operators.holders_of(*arguments)
 
 
-def rows_by_rank(holders: Tensor, rows: Tensor, count: int) -> Tensor:
-    """(count,) int64: the rows (B,) that rank 0 holds, then those that rank 1 does, ...; holders (B, ranks), with so
-    many ones."""
-    return library.operators.rows_by_rank(holders, rows, count)
+def rows_by_rank(holders: Tensor, rows: Tensor, counts: Tensor, rooms: Sequence[int]) -> Tensor:
+    """The rows (B,) that rank 0 holds, then those that rank 1 does, ...; each in a room for so many, of which the rest
+    is -1; those for which there is no room are left out. holders (B, ranks) and counts as of `holders_of`."""
+    return library.operators.rows_by_rank(holders, rows, counts, list(rooms))
 
 
 def owned_pairs(

@@ -76,6 +76,7 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     centre_owner = partition.owner_of(centres[0])
     sources = torch.randint(ranks, (len(cells),), generator=generator).sort().values
     received = torch.bincount(sources, minlength=ranks).tolist()
+    rooms = torch.randint(len(cells) + 3, (ranks,), generator=generator).tolist()
 
     for device in DEVICES:
         territory = (partition.frame, partition.owner.to(device), rank)
@@ -83,6 +84,7 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
         reach, at_edge, found = ops.border_bodies(here, SEPARATION, territory)
         assert reach.tolist() == [int(crosses) for crosses in crossing]
         assert kept(at_edge, found) == [body for body, crosses in enumerate(crossing) if crosses]
+        assert bool((at_edge[int(found) :] == -1).all()) and len(at_edge) == len(cells)
         rows = torch.arange(len(cells), device=device).flip(0)
         for came_from in ([], received):
             holders, counts = ops.holders_of(here, SEPARATION, territory, rows, ranks, came_from)
@@ -94,7 +96,15 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
                 [row for row, each in zip(rows.tolist(), expected, strict=True) if r in each] for r in range(ranks)
             ]
             assert counts.tolist() == [len(each) for each in by_rank]
-            assert ops.rows_by_rank(holders, rows, int(counts.sum())).tolist() == sum(by_rank, [])
+            assert ops.rows_by_rank(holders, rows, counts, counts.tolist()).tolist() == sum(by_rank, [])
+            in_rooms = [(each + [-1] * size)[:size] for each, size in zip(by_rank, rooms, strict=True)]
+            assert ops.rows_by_rank(holders, rows, counts, rooms).tolist() == sum(in_rooms, [])
+        # Among the rows there may be some of nobody.
+        padded = torch.where(rows % 3 == 1, -1, rows)
+        holders, counts = ops.holders_of(here, SEPARATION, territory, padded, ranks)
+        expected = [set() if row < 0 else {owner[cell] for cell in cells[row]} - {rank} for row in padded.tolist()]
+        assert [set(torch.nonzero(row)[:, 0].tolist()) for row in holders] == expected
+        assert counts.tolist() == [sum(r in each for each in expected) for r in range(ranks)]
         assert kept(*ops.near_ghosts(here, there, SEPARATION, territory)) == near
         mine = [column[:own_count] for column in here]
         at_edge = [column[border.to(device)] for column in here]

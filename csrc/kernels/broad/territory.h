@@ -14,12 +14,12 @@ struct FoundRows {
   int64_t* found;
 };
 
-// Bodies that reach cells of other ranks. reach (count,): 1 for them, or 0.
+// Bodies that reach cells of other ranks, and rows of -1 after them. reach (count,): 1 for them, or 0.
 void border_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Territory& territory, uint8_t* reach,
                        const FoundRows& border);
 
-// Bodies of which other ranks are to be found, `rows` (row_count,) of all. Where `received` is not empty they are
-// ghosts: so many came from each rank, in that order, and those ranks hold them too.
+// Bodies of which other ranks are to be found, `rows` (row_count,) of all; -1 is nobody. Where `received` is not empty
+// they are ghosts: so many came from each rank, in that order, and those ranks hold them too.
 struct HoldersInput {
   BroadBodies bodies;
   Territory territory;
@@ -37,9 +37,17 @@ struct Holders {
 
 void holders_of_cpu(const Executor& executor, const HoldersInput& input, const Holders& out);
 
-// The `rows` (row_count,) that rank 0 holds, then those that rank 1 does, and so on: `count` in all.
-void rows_by_rank_cpu(const uint8_t* holders, const int64_t* rows, int64_t row_count, int64_t ranks, int64_t count,
-                      int64_t* by_rank);
+// Rows and their holders as above.
+struct HeldRows {
+  const uint8_t* holders;
+  const int64_t* rows;
+  int64_t row_count, ranks;
+  const int64_t* counts;
+};
+
+// The rows that rank 0 holds, then those that rank 1 does, and so on; each in a room for so many, of which the rest is
+// -1. Those for which there is no room are left out.
+void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank);
 
 // Pairs whose reference point lies in a cell of the territory's rank, in the first places of owned (pair_count, 2),
 // then pairs of -1; `found` is how many there are.

@@ -12,6 +12,7 @@ void border_bodies_cpu(const Executor& executor, const BroadBodies& bodies, cons
     reach[body] = reaches_others(bodies, territory, body) ? 1 : 0;
     return reach[body] != 0;
   });
+  std::fill(border.rows + *border.found, border.rows + bodies.count, int64_t{-1});
 }
 
 void holders_of_cpu(const Executor& executor, const HoldersInput& input, const Holders& out) {
@@ -19,6 +20,7 @@ void holders_of_cpu(const Executor& executor, const HoldersInput& input, const H
   std::fill_n(out.holders, input.row_count * out.ranks, uint8_t{0});
   parallel_chunks(executor, input.row_count, 256, [&](int, int64_t begin, int64_t end) {
     for (int64_t k = begin; k < end; ++k) {
+      if (input.rows[k] < 0) continue;
       const CellRange range(territory.frame, swept_box(input.bodies, input.rows[k]));
       uint8_t* holders = out.holders + k * out.ranks;
       for (int64_t cell = 0; cell < range.count(); ++cell) {
@@ -37,13 +39,13 @@ void holders_of_cpu(const Executor& executor, const HoldersInput& input, const H
   }
 }
 
-void rows_by_rank_cpu(const uint8_t* holders, const int64_t* rows, int64_t row_count, int64_t ranks, int64_t count,
-                      int64_t* by_rank) {
-  int64_t at = 0;
-  for (int64_t rank = 0; rank < ranks; ++rank) {
-    for (int64_t k = 0; k < row_count && at < count; ++k) {
-      if (holders[k * ranks + rank] != 0) by_rank[at++] = rows[k];
+void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank) {
+  for (int64_t rank = 0; rank < held.ranks; ++rank) {
+    int64_t *at = by_rank, *end = by_rank + rooms[static_cast<size_t>(rank)];
+    for (int64_t k = 0; k < held.row_count && at < end; ++k) {
+      if (held.holders[k * held.ranks + rank] != 0) *at++ = held.rows[k];
     }
+    by_rank = std::fill_n(at, end - at, int64_t{-1});
   }
 }
 

@@ -1,6 +1,7 @@
 #include <numeric>
 #include <vector>
 
+#include "core/count_leading.h"
 #include "kernels/broad/territory_cuda.h"
 #include "kernels/find_rows.cuh"
 
@@ -37,11 +38,23 @@ __global__ void __launch_bounds__(kBlockThreads) count_columns(const uint8_t* ta
 }
 
 struct IsHolder {
-  const uint8_t* holders;
-  int64_t row_count, ranks;
+  HeldRows held;
   // Of (rank, row) in the order in which they are wanted.
-  __device__ bool operator()(int64_t item) const { return holders[(item % row_count) * ranks + item / row_count] != 0; }
+  __device__ bool operator()(int64_t item) const {
+    return held.holders[(item % held.row_count) * held.ranks + item / held.row_count] != 0;
+  }
 };
+
+// Where the part of each of several that follow one another ends, for the device.
+const int64_t* ends_of(const DeviceContext& context, std::vector<int64_t> sizes) {
+  std::partial_sum(sizes.begin(), sizes.end(), sizes.begin());
+  int64_t* ends = context.allocate<int64_t>(static_cast<int64_t>(sizes.size()));
+  if (sizes.empty()) return ends;
+  check_cuda(
+      cudaMemcpyAsync(ends, sizes.data(), sizeof(int64_t) * sizes.size(), cudaMemcpyHostToDevice, context.stream),
+      "cudaMemcpyAsync");
+  return ends;
+}
 
 }  // namespace
 
@@ -49,6 +62,7 @@ void border_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies,
                         uint8_t* reach, const FoundRows& border) {
   for_each_item(context, bodies.count,
                 [=] __device__(int64_t body) { reach[body] = reaches_others(bodies, territory, body) ? 1 : 0; });
+  fill_bytes(context, border.rows, 0xff, bodies.count);
   find_rows(context, bodies.count, border.rows, border.found,
             [=] __device__(int64_t body) { return reach[body] != 0; });
 }
@@ -62,17 +76,11 @@ void holders_of_cuda(const DeviceContext& context, const HoldersInput& input, co
   fill_bytes(context, holders, 0, input.row_count * ranks);
   fill_bytes(context, out.counts, 0, ranks);
   if (input.row_count == 0) return;
-  // Where the ghosts of each rank end.
   const auto sources = static_cast<int64_t>(input.received.size());
-  std::vector<int64_t> ends(input.received);
-  std::partial_sum(ends.begin(), ends.end(), ends.begin());
-  int64_t* end = context.allocate<int64_t>(sources);
-  if (sources > 0) {
-    check_cuda(cudaMemcpyAsync(end, ends.data(), sizeof(int64_t) * ends.size(), cudaMemcpyHostToDevice, context.stream),
-               "cudaMemcpyAsync");
-  }
+  const int64_t* end = ends_of(context, input.received);
   for_each_item(context, kBodyThreads * input.row_count, [=] __device__(int64_t item) {
     const int64_t k = item / kBodyThreads, thread = item % kBodyThreads;
+    if (rows[k] < 0) return;
     const CellRange range(territory.frame, swept_box(bodies, rows[k]));
     const int64_t count = range.count();
     for (int64_t cell = thread; cell < count; cell += kBodyThreads) {
@@ -90,12 +98,23 @@ void holders_of_cuda(const DeviceContext& context, const HoldersInput& input, co
   check_cuda(cudaGetLastError(), "count_columns");
 }
 
-void rows_by_rank_cuda(const DeviceContext& context, const uint8_t* holders, const int64_t* rows, int64_t row_count,
-                       int64_t ranks, int64_t count, int64_t* by_rank) {
-  if (count == 0) return;
-  int64_t* items = context.allocate<int64_t>(row_count * ranks);
-  find_rows(context, row_count * ranks, items, context.allocate<int64_t>(1), IsHolder{holders, row_count, ranks});
-  for_each_item(context, count, [=] __device__(int64_t k) { by_rank[k] = rows[items[k] % row_count]; });
+void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& rooms,
+                       int64_t* by_rank) {
+  const int64_t ranks = held.ranks, all = held.row_count * ranks;
+  const int64_t places = std::accumulate(rooms.begin(), rooms.end(), int64_t{0});
+  if (places == 0) return;
+  int64_t* items = context.allocate<int64_t>(all);
+  find_rows(context, all, items, context.allocate<int64_t>(1), IsHolder{held});
+  const int64_t* room_end = ends_of(context, rooms);
+  int64_t* begin = context.allocate<int64_t>(ranks);
+  run_cub(context, [&](void* scratch, size_t& bytes) {
+    return cub::DeviceScan::ExclusiveSum(scratch, bytes, held.counts, begin, ranks, context.stream);
+  });
+  for_each_item(context, places, [=] __device__(int64_t place) {
+    const int64_t rank = count_leading(ranks, [&](int64_t r) { return room_end[r] <= place; });
+    const int64_t k = place - (rank == 0 ? 0 : room_end[rank - 1]);
+    by_rank[place] = k < held.counts[rank] ? held.rows[items[begin[rank] + k] % held.row_count] : -1;
+  });
 }
 
 void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found) {

@@ -11,8 +11,8 @@ void border_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies,
 
 void holders_of_cuda(const DeviceContext& context, const HoldersInput& input, const Holders& out);
 
-void rows_by_rank_cuda(const DeviceContext& context, const uint8_t* holders, const int64_t* rows, int64_t row_count,
-                       int64_t ranks, int64_t count, int64_t* by_rank);
+void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& rooms,
+                       int64_t* by_rank);
 
 void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found);
 

@@ -15,7 +15,13 @@ template <size_t kWidth>
 void copy_column(const ColumnCopy& column, int64_t first_count, const Sources& sources, int64_t begin, int64_t end) {
   for (int64_t row = begin; row < end; ++row) {
     const uint8_t* source = column.source(sources[static_cast<size_t>(row - begin)], first_count);
-    std::memcpy(column.target + row * column.target_stride, source, kWidth == 0 ? column.width : kWidth);
+    uint8_t* target = column.target + row * column.target_stride;
+    const size_t width = kWidth == 0 ? column.width : kWidth;
+    if (source == nullptr) {
+      std::memset(target, 0, width);
+    } else {
+      std::memcpy(target, source, width);
+    }
   }
 }
 

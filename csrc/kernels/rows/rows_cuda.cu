@@ -41,7 +41,7 @@ ColumnGroup group_of(const std::vector<ColumnCopy>& columns, size_t begin, size_
 
 template <class Word>
 __device__ void copy_word(const uint8_t* source, uint8_t* target, uint32_t word) {
-  reinterpret_cast<Word*>(target)[word] = reinterpret_cast<const Word*>(source)[word];
+  reinterpret_cast<Word*>(target)[word] = source == nullptr ? Word{0} : reinterpret_cast<const Word*>(source)[word];
 }
 
 // A block finds where the rows of its tile come from, once for all columns. Neighbouring threads then copy neighbouring

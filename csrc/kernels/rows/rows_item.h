@@ -4,11 +4,12 @@
 #include <cstdint>
 #include <cstring>
 
-#include "core/platform.h"
+#include "core/count_leading.h"
 
 namespace pgccd {
 
-// Rows of one column, copied as bytes: what they mean does not matter. The source is two arrays, one after the other.
+// Rows of one column, copied as bytes: what they mean does not matter. The source is two arrays, one after the other;
+// row -1 is zeros.
 struct ColumnCopy {
   const uint8_t* first;
   const uint8_t* second;
@@ -16,7 +17,9 @@ struct ColumnCopy {
   int64_t first_stride, second_stride, target_stride;  // bytes from a row to the next
   uint32_t width;                                      // bytes of a row, at least 1
 
+  // Null: zeros.
   PGCCD_HD const uint8_t* source(int64_t row, int64_t first_count) const {
+    if (row < 0) return nullptr;
     return row < first_count ? first + row * first_stride : second + (row - first_count) * second_stride;
   }
 };
@@ -28,22 +31,6 @@ struct ChosenRows {
 
   PGCCD_HD int64_t operator()(int64_t row) const { return rows == nullptr ? row : rows[row]; }
 };
-
-// How many of [0, count) fulfil a condition that none does after the first that does not.
-template <class Condition>
-PGCCD_HD int64_t count_leading(int64_t count, const Condition& condition) {
-  int64_t begin = 0;
-  while (count > 0) {
-    const int64_t half = count / 2;
-    if (condition(begin + half)) {
-      begin += half + 1;
-      count -= half + 1;
-    } else {
-      count = half;
-    }
-  }
-  return begin;
-}
 
 // Rows by ascending id, of which some go and others come.
 struct RowChange {

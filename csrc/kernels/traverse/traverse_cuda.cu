@@ -9,6 +9,10 @@
 namespace pgccd {
 namespace {
 
+// Blocks come in so many waves: as long as one lasts, kernels of other streams, of whatever priority, find no place.
+// Of four, the time of a search does not show.
+constexpr int kWaves = 4;
+
 // Launches that continue what warps hand back, before the host asks whether anything is left. Their number grows by
 // two orders of magnitude with each, until the device is full.
 constexpr int kLaunchesPerBatch = 4;
@@ -186,8 +190,9 @@ struct Traversal {
 
   void descend_roots(TaskList leaves) {
     const TaskList rest = rest_of(0);
-    descend_from_roots<Bodies><<<resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
-        pairs_, leaves, rest, &counters_->node_tests);
+    descend_from_roots<Bodies>
+        <<<kWaves * resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
+            pairs_, leaves, rest, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_from_roots");
     if constexpr (Sweep::may_be_one_body) {
       start_within<Bodies><<<resident_blocks_of(start_within<Bodies>), kBlockThreads, 0, context_.stream>>>(
@@ -206,8 +211,8 @@ struct Traversal {
   }
 
   void visit(TaskList leaves, uint32_t begin, CandidateSink out) {
-    visit_leaves<Bodies>
-        <<<resident_blocks_of(visit_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, begin, out);
+    visit_leaves<Bodies><<<kWaves * resident_blocks_of(visit_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(
+        pairs_, leaves, begin, out);
     check_cuda(cudaGetLastError(), "visit_leaves");
   }
 

@@ -1,0 +1,92 @@
+"""Ghosts sent in messages whose sizes are known before, with whatever room: the steps of one process, bit for bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+from unittest import mock
+
+import pytest
+import torch
+from torch import Tensor
+
+from distributed.conftest import World
+from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
+from pgccd import sim
+from pgccd.distributed import Comm, Fleet, Partition, halo_room, share, starting_share
+from pgccd.distributed.halo_room import Room, Sent, SentWithin
+
+ROOMS = ["ample", "usual", "exact", "none", "border"]
+
+
+def by_ranks(comm: Comm, rooms: str) -> tuple[list[dict[str, Any]], list[bool]]:
+    """Records; and of each halo sent in a room, whether that was enough."""
+    world = sim.World(CONFIG)
+    half = world.half_extent
+    partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
+    enough: list[bool] = []
+    wait, after = SentWithin.wait, Room.after
+
+    def watched(self: SentWithin, border_count: int) -> Sent | None:
+        sent = wait(self, border_count)
+        enough.append(sent is not None)
+        if sent is not None:  # in its place, whatever room there was
+            assert sent.route.sent == sent.counts.tolist() and len(sent.route.rows) == sum(sent.route.sent)
+            assert len(sent.ghosts["id"]) == sum(sent.route.received) and len(sent.holders) == border_count
+        return sent
+
+    def cramped(sent: list[int], received: list[int], border: int) -> Room:
+        """One rank looks at fewer of its own bodies than it should."""
+        return replace(after(sent, received, border), border=border // 2 if comm.rank == 0 else border)
+
+    functions = {"ample": lambda count: 4 * count + 500, "exact": lambda count: count, "none": lambda _: 0}
+    patches = [
+        mock.patch.object(share, "_sends_ahead", lambda comm, _: comm.size > 1),
+        mock.patch.object(SentWithin, "wait", watched),
+    ]
+    if rooms in functions:
+        patches.append(mock.patch.object(halo_room, "_room", functions[rooms]))
+    if rooms == "border":
+        patches.append(mock.patch.object(Room, "after", cramped))
+    for patch in patches:
+        patch.start()
+    try:
+        fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
+        records = [without_times(fleet.step(index).record) for index in range(STEPS)]
+    finally:
+        mock.patch.stopall()
+    return records, enough
+
+
+@pytest.mark.parametrize("rooms", ROOMS)
+def test_same_bits_whatever_room_there_is(world: World, rooms: str) -> None:
+    expected = by_one_process()
+    told = world(by_ranks, rooms)
+    for records, enough in told:
+        assert records == expected
+        # In the first step, and when cells have changed hands, nobody knows how much room there should be. What is not
+        # enough is so for all ranks.
+        assert enough == told[0][1] and len(enough) < STEPS
+    if len(told) == 1:  # who has no ghosts
+        return
+    enough = told[0][1]
+    assert len(enough) > 0
+    if rooms in ("ample", "usual"):
+        assert all(enough) if rooms == "ample" else any(enough)
+    else:
+        assert not all(enough) if rooms == "exact" else not any(enough)
+
+
+def test_room_is_for_more_than_there_were() -> None:
+    room = Room.after([0, 1, 1000], [3, 0, 5_000_000], 12)
+    assert room.sent[0] == 0 and room.received[1] == 0  # no neighbours
+    for size, count in zip(
+        [*room.sent[1:], room.received[0], room.received[2], room.border], [1, 1000, 3, 5_000_000, 12], strict=True
+    ):
+        assert 1.25 * count <= size <= 1.25 * count + 320
+
+
+def test_what_filled_the_rooms() -> None:
+    rows: Tensor = torch.arange(9)
+    assert halo_room._filled(rows, [3, 0, 4, 2], [1, 0, 4, 0]).tolist() == [0, 3, 4, 5, 6]
+    assert halo_room._filled(rows, [3, 0, 4, 2], [0, 0, 0, 0]).tolist() == []
