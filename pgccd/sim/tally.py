@@ -33,12 +33,19 @@ def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int
         counts: (ranks, parts, 21): `pgccd.capacity.Counts` of each part of the whole step.
         secondary_contacts: (ranks,) found in rounds of settling.
     """
-    whole = counts.sum(axis=1)
-    pcs, contacts, candidates, unresolved, began, ended = (
-        whole[:, COUNT_ROWS[name]]
-        for name in ("pairs_written", "contacts", "candidates", "unresolved", "traverse_began", "narrow_ended")
-    )
-    return np.stack([pcs, contacts, secondary_contacts, candidates, unresolved, ended - began], axis=1)
+    names = ("pairs_written", "contacts", "candidates", "unresolved")
+    pcs, contacts, candidates, unresolved = (counts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in names)
+    spent = _covered(counts[:, :, COUNT_ROWS["traverse_began"]], counts[:, :, COUNT_ROWS["narrow_ended"]])
+    return np.stack([pcs, contacts, secondary_contacts, candidates, unresolved, spent], axis=1)
+
+
+def _covered(began: Rows, ended: Rows) -> Rows:
+    """(ranks,): how long any of the parts (ranks, parts) went on: a GPU may work on several at once."""
+    order = np.argsort(began, axis=1)
+    began, ended = np.take_along_axis(began, order, axis=1), np.take_along_axis(ended, order, axis=1)
+    reached = np.maximum.accumulate(ended, axis=1)
+    before = np.concatenate([began[:, :1], reached[:, :-1]], axis=1)
+    return np.maximum(0, ended - np.maximum(began, before)).sum(axis=1)
 
 
 def work_of_stats(stats: Stats, secondary_contacts: int) -> list[int]:
