@@ -8,7 +8,8 @@ Run it once for each number of ranks; every run adds its row to the same file an
 
 With one rank the single-device program is timed beside, over the same steps. Steps follow one another as a simulation
 makes them; one lasts from the end of the one before, which every rank learns when the slowest has come. `waiting` is
-what a rank spends in the all-gather that tells it.
+what a rank spends in the all-gather that tells it. Ranks depend on their hosts: `host_loop_ms` is what a loop of plain
+Python takes on each of them at the end, all at once; compare it before you compare rows.
 """
 
 from __future__ import annotations
@@ -89,6 +90,7 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
     everybody = comm.gather_objects((durations, [parts_of(*step) for step in zip(records, durations, strict=True)]))
     whole = [max(steps) for steps in zip(*(times for times, _ in everybody), strict=True)]
     parts = [steps for _, steps in everybody]
+    host_loop_ms = comm.gather_objects(timing.rounded(1e3 * timing.host_loop()))
     ranks = [record["ranks"] for record in records]
     single: list[float] = []
     if comm.size == 1:
@@ -121,6 +123,7 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "busy_imbalance": timing.rounded(mean([ratio(step["busy_seconds"]) for step in ranks])),
         "ghosts_a_body": timing.rounded(mean([sum(step["ghosts"]) / robots for step in ranks])),
         "moved_cells_a_step": timing.rounded(mean([step["moved_cells"] for step in ranks])),
+        "host_loop_ms": host_loop_ms,
         "state_hash": records[-1]["state_hash"],
     }
 

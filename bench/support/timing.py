@@ -25,6 +25,16 @@ def seconds(work: Callable[[], Any], device: torch.device | str = "cpu") -> tupl
     return begin.elapsed_time(end) * 1e-3, result
 
 
+def host_loop() -> float:
+    """Seconds that this core takes to add up 400,000 numbers, one by one: whether it is as fast as it was another
+    time, or has to share its time with somebody."""
+    start, total = time.perf_counter(), 0
+    for _ in range(20):
+        for number in range(20_000):
+            total += number
+    return time.perf_counter() - start
+
+
 def summary(samples: list[float], unit: float = 1e3) -> dict[str, float]:
     """Median and spread of durations in seconds, as milliseconds (or 1 / `unit` seconds)."""
     values = np.array(samples) * unit
