@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from unittest import mock
 
 import pytest
 import torch
@@ -142,12 +143,19 @@ def tumble(comm: Comm, policy: str) -> list[str]:
     return seen
 
 
+def tumble_ahead(comm: Comm, policy: str) -> list[str]:
+    """The same, ghosts being sent before their number is known, as on GPUs."""
+    with mock.patch("pgccd.distributed.share._sends_ahead", lambda comm, _: comm.size > 1):
+        return tumble(comm, policy)
+
+
 @pytest.mark.parametrize("policy", ["cost", "measured", "none"])
 def test_loops_of_one_s_own_come_out_alike(ranks: World, policy: str) -> None:
     alone = ranks.run(1, tumble, policy)[0]
     assert len(set(alone)) > 4
     for size in (2, 3, 4):
         assert ranks.run(size, tumble, policy)[0] == alone
+        assert ranks.run(size, tumble_ahead, policy)[0] == alone
 
 
 def leave_alone(comm: Comm) -> None:
