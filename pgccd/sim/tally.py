@@ -41,6 +41,8 @@ def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int
 
 def _covered(began: Rows, ended: Rows) -> Rows:
     """(ranks,): how long any of the parts (ranks, parts) went on: a GPU may work on several at once."""
+    if began.shape[1] == 1:
+        return (ended - began)[:, 0]
     order = np.argsort(began, axis=1)
     began, ended = np.take_along_axis(began, order, axis=1), np.take_along_axis(ended, order, axis=1)
     reached = np.maximum.accumulate(ended, axis=1)
