@@ -124,15 +124,14 @@ class OwnSearch:
             self._halo = halo = Halo(comm, partition, own, bodies, separation)
         self._where = separation, halo.reach, partition.territory(comm.rank)
         self._side = SideStream(bodies.device, options.overlap and comm.size > 1)
-        self._is_sent = comm.size == 1
-        if room is not None and _sends_ahead(comm, self._side):
+        if comm.size > 1:
             with self._side, clock.stage("halo"):
-                halo.send_within(room)
-            self._is_sent = True
-        elif not self._side.is_apart:
-            self._send()
-        if not options.overlap:
-            _ = self._held  # waited for now
+                if room is not None and _sends_ahead(comm, self._side):
+                    halo.send_within(room)
+                elif not self._side.is_apart:  # else when the own search is under way, since it must be waited for
+                    halo.send()
+            if not options.overlap:
+                _ = self._held  # waited for now
 
         def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
             return ops.owned_pairs(pairs, None, own["id"], centres_of(bodies), *self._where)
@@ -142,16 +141,9 @@ class OwnSearch:
             self._part = find_part(bodies, options.query, options.broad_phase, select, in_vain)
         begin(self._part)
 
-    def _send(self) -> None:
-        if not self._is_sent:
-            with self._side, self._clock.stage("halo"):
-                self._halo.send()
-            self._is_sent = True
-
     @cached_property
     def _held(self) -> Held:
         """Waits for ghosts."""
-        self._send()
         with self._side, self._clock.stage("halo wait"):
             return self._halo.wait()
 

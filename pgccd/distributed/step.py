@@ -220,10 +220,10 @@ class Fleet:
         )
 
     def _take_begun(self, index: int) -> _Begun:
-        if not self._has_begun(index):
+        begun = self._begun
+        if begun is None or not self._has_begun(index):
             return self._begin(index, self.state)
-        begun, self._begun = self._begun, None
-        assert begun is not None
+        self._begun = None
         begun.clock.restart()
         return begun
 

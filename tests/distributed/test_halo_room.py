@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 from unittest import mock
@@ -48,13 +49,11 @@ def by_ranks(comm: Comm, rooms: str) -> tuple[list[dict[str, Any]], list[bool]]:
         patches.append(mock.patch.object(halo_room, "_room", functions[rooms]))
     if rooms == "border":
         patches.append(mock.patch.object(Room, "after", cramped))
-    for patch in patches:
-        patch.start()
-    try:
+    with ExitStack() as stack:
+        for patch in patches:
+            stack.enter_context(patch)
         fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
         records = [without_times(fleet.step(index).record) for index in range(STEPS)]
-    finally:
-        mock.patch.stopall()
     return records, enough
 
 
