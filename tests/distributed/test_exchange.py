@@ -48,7 +48,7 @@ def test_replacing_rows_is_sorting(ids: set[int], random: Random) -> None:
     assert torch.equal(changed["x"], 0.5 * changed["id"])
 
 
-def send_about(comm: Comm, neighbours_above: int) -> None:
+def send_about(comm: Comm, neighbours_above: int, device: str = "cpu") -> None:
     comm.neighbours_above = neighbours_above
     for seed in range(4):
         # Every rank can work out what every other sends. Some send nothing, some to themselves, some a row twice.
@@ -59,8 +59,8 @@ def send_about(comm: Comm, neighbours_above: int) -> None:
             return rows, torch.randint(comm.size, (count,), generator=generator)
 
         rows, destination = plan(comm.rank)
-        mine = columns_of(comm.rank, 9)
-        route = make_route(comm, rows, destination)
+        mine = {name: column.to(device) for name, column in columns_of(comm.rank, 9).items()}
+        route = make_route(comm, rows.to(device), destination.to(device))
         under_way = route.forward(mine)
         received = under_way.wait()
         expected, source = [], []
@@ -71,7 +71,7 @@ def send_about(comm: Comm, neighbours_above: int) -> None:
             source += [rank] * len(chosen)
         assert route.source.tolist() == source
         for name in mine:
-            assert torch.equal(received[name], torch.cat([part[name] for part in expected])), name
+            assert torch.equal(received[name].cpu(), torch.cat([part[name] for part in expected])), name
         # And back again, in the order in which they left.
         returned = route.back({"twice": 2 * received["id"]}).wait()["twice"]
         assert torch.equal(returned, 2 * mine["id"][route.rows])

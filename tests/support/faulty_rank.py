@@ -1,4 +1,4 @@
-"""A run of which one rank goes wrong in step 3, in the way named on the command line."""
+"""A run of which one rank goes wrong in step 3, in the way and on the device named on the command line."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ import threading
 import torch
 
 from pgccd import sim
-from pgccd.distributed import Fleet, Partition, connect, guard, starting_share
+from pgccd.distributed import Fleet, Partition, choose_device, connect, guard, starting_share
 
 RANK, STEP = 1, 3
 # So that the test need not wait long.
 guard._SILENCE_SECONDS, guard._GRACE_SECONDS = 2.5, 2.0
 
 
-def main(fault: str) -> None:
-    with connect(timeout=4.0) as comm:
-        world = sim.World(sim.WorldConfig(robots=64))
+def main(fault: str, kind: str) -> None:
+    with connect(kind, "nccl" if kind == "cuda" else "gloo", timeout=4.0) as comm:
+        device = choose_device(kind)
+        world = sim.World(sim.WorldConfig(robots=64), device=device)
         upper = world.half_extent
-        partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=2)
+        partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=2, device=device)
         fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
         for index in range(10):
             if comm.rank == RANK and index == STEP:
@@ -34,4 +35,4 @@ def main(fault: str) -> None:
             fleet.step(index)
 
 
-main(sys.argv[1])
+main(sys.argv[1], sys.argv[2])

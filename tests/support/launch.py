@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 ROOT = Path(__file__).resolve().parents[2]
 SUPPORT = Path(__file__).resolve().parent
@@ -38,6 +39,15 @@ def torchrun(ranks: int, *arguments: str) -> list[str]:
     """The command; arguments: torchrun's, then the program's."""
     command = [sys.executable, "-m", "torch.distributed.run", "--master-port", str(free_port())]
     return [*command, "--nproc-per-node", str(ranks), "--monitor-interval", "0.1", *arguments]
+
+
+def over_nccl(ranks: int, *program: str) -> list[str]:
+    """A program's arguments, for ranks that send over NCCL; they share GPUs if these are fewer. Skips the test where
+    there is none."""
+    gpus = torch.cuda.device_count()
+    if not gpus:
+        pytest.skip("no CUDA device")
+    return [*program] if ranks <= gpus else ["-m", "support.machines", *program]
 
 
 def mpirun(ranks: int, *arguments: str) -> list[str]:

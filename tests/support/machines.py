@@ -1,0 +1,22 @@
+"""Several machines on this one, for more ranks over NCCL than there are GPUs.
+
+    torchrun ... -m support.machines -m MODULE | FILE, ARGUMENTS
+
+NCCL wants a GPU of its own for every rank of a machine. Told by NCCL_HOSTID that ranks stand on several machines, it
+lets a rank of each share a GPU, and sends by sockets what passes between machines.
+"""
+
+import os
+import runpy
+import sys
+
+import torch
+
+machine = int(os.environ["LOCAL_RANK"]) // torch.cuda.device_count()
+os.environ |= {"NCCL_HOSTID": f"machine {machine}", "NCCL_IB_DISABLE": "1", "NCCL_MNNVL_ENABLE": "0"}
+del sys.argv[0]
+if sys.argv[0] == "-m":
+    del sys.argv[0]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+else:
+    runpy.run_path(sys.argv[0], run_name="__main__")

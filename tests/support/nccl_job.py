@@ -1,0 +1,23 @@
+"""What the tests do over Gloo, over NCCL: run by torchrun, with how many steps a world of robots is followed."""
+
+from __future__ import annotations
+
+import sys
+
+import torch
+from distributed import test_detection, test_exchange, test_fleet
+
+from pgccd.distributed import choose_device, connect
+from support.crowds import crowds
+
+torch.set_num_threads(1)
+with connect("cuda", "nccl") as comm:
+    device = choose_device("cuda")
+    for neighbours_above in (32, 0):
+        test_exchange.send_about(comm, neighbours_above, str(device))
+    test_exchange.reduce_values(comm)
+    for name in crowds():
+        test_detection.find(comm, name, device)
+    # With cells shared out by chance, and a rank that now and then has no room.
+    seen = test_fleet.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
+    assert seen["contacts"] > 100 and seen["arrived"] > 20
