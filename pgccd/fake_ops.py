@@ -167,6 +167,13 @@ def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *rest: Any) -
     return _fake_found(pairs, rest)
 
 
+@torch.library.register_fake("pgccd::first_toi_within_rigid")
+def _(
+    mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, *_rest: object
+) -> tuple[Tensor, Tensor]:
+    return bodies[1].new_empty((pairs.shape[0],)), pairs.new_empty((21,))
+
+
 def _fake_contact_rows(pairs: Tensor, count: int | torch.SymInt) -> ContactRows:
     integers = [((), torch.int32), ((), torch.int8), ((2,), torch.int32), ((), torch.int8)]
     lengths = [(width, torch.float64) for width in ((), (2,), (3,), (3,))]

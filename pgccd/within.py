@@ -184,6 +184,26 @@ def contacts_within(
     return tuple(rows), counts  # type: ignore[return-value]
 
 
+def first_toi_within(
+    mesh_set: Sequence[Tensor],
+    tensors: Sequence[Tensor],
+    linear_path: bool,
+    pairs: Tensor,
+    pair_counts: Tensor,
+    query: Query,
+    capacity: Capacity,
+) -> tuple[Tensor, Tensor]:
+    """As `contacts_within` for the first contacts of rigid bodies, where only toi matters.
+
+    Returns:
+        (P,) float64: the first toi of each pair, inf where there is none; and counts (21,), of which `contacts` is the
+        number of pairs that have one.
+    """
+    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
+    room = capacity.of_contacts[:-1]  # none for contacts
+    return ops.first_toi_within_rigid(mesh_set, tensors, linear_path, pairs, pair_counts, *settings, room)
+
+
 def _earliest_row(rows: ContactRows) -> ContactRows:
     """One row: of those with the least toi the first; padding if there is none."""
     toi = rows[4]

@@ -1,6 +1,7 @@
 // The detection operators on the CPU.
 #include <algorithm>
 #include <chrono>
+#include <limits>
 
 #include "bind/cpu_executor.h"
 #include "bind/detect_ops.h"
@@ -80,12 +81,53 @@ class CpuBackend {
   void contacts_within(const Bodies& bodies, TraverseInput traversal, const int64_t* pair_count,
                        const TraverseCapacity&, NarrowInput narrow, bool only_earliest, const ContactCapacity& room,
                        const ContactOutput& make_output, int64_t* traverse_counts, int64_t* contact_counts) const {
+    int64_t narrow_time = 0;
+    const ContactRows found = search_within(bodies, traversal, pair_count, narrow, only_earliest, traverse_counts,
+                                            contact_counts, narrow_time);
+    const int64_t rows = static_cast<int64_t>(found.pair.size());
+    const int64_t capacity = room.contacts == kExactly ? rows : room.contacts, written = std::min(rows, capacity);
+    const ContactColumns out = make_output(capacity);
+    copy_rows(found, out, written);
+    for (int64_t row = 0; row < written; ++row) {
+      std::copy_n(narrow.pairs + 2 * int64_t{found.pair[row]}, 2, out.bodies + 2 * row);
+    }
+    pad_rows(out, written, capacity);
+    contact_counts[kContactsNeeded] = rows;
+    contact_counts[kContactsOverflow] = rows > capacity;
+    contact_counts[kUnresolvedWritten] =
+        std::count(found.status.begin(), found.status.begin() + written, static_cast<int8_t>(Status::kUnresolved));
+    end_counts(narrow_time, traverse_counts, contact_counts);
+  }
+
+  void first_toi_within(const RigidBodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
+                        const TraverseCapacity&, const NarrowInput& narrow, int64_t, double* toi,
+                        int64_t* traverse_counts, int64_t* contact_counts) const {
+    int64_t narrow_time = 0;
+    const ContactRows found =
+        search_within(bodies, traversal, pair_count, narrow, false, traverse_counts, contact_counts, narrow_time);
+    std::fill_n(toi, traversal.pair_count, std::numeric_limits<double>::infinity());
+    for (size_t row = 0; row < found.pair.size(); ++row) toi[found.pair[row]] = found.toi[row];
+    contact_counts[kContactsNeeded] = static_cast<int64_t>(found.pair.size());
+    end_counts(narrow_time, traverse_counts, contact_counts);
+  }
+
+  template <bool kEdgeEdge, class T>
+  void elementary(const T* x0, const T* x1, int64_t count, const NarrowSettings& settings,
+                  const ElementaryColumns<T>& out) const {
+    elementary_cpu<kEdgeEdge>(executor_, x0, x1, count, settings, out);
+  }
+
+ private:
+  // Contacts of the first `pair_count` pairs. Clears the counts, and fills in those of the traversal.
+  template <class Bodies>
+  ContactRows search_within(const Bodies& bodies, TraverseInput traversal, const int64_t* pair_count,
+                            NarrowInput narrow, bool only_earliest, int64_t* traverse_counts, int64_t* contact_counts,
+                            int64_t& narrow_time) const {
     const int64_t began = traverse_counts[kTraverseBegan];
     std::fill_n(traverse_counts, int64_t{kTraverseCounts}, int64_t{0});
     std::fill_n(contact_counts, int64_t{kContactCounts}, int64_t{0});
     traverse_counts[kTraverseBegan] = began;
     traversal.pair_count = narrow.pair_count = std::min(traversal.pair_count, *pair_count);
-    int64_t narrow_time = 0;
     std::vector<double> horizon;
     if (narrow.report == Report::kFirst) {
       // A good guess at each pair's first contact bounds how far the search for an earlier one need look. A GPU has
@@ -100,30 +142,14 @@ class CpuBackend {
       }
       traversal.horizon = horizon.data();
     }
-    const ContactRows found = search(bodies, traversal, narrow, traverse_counts, narrow_time);
-    const int64_t rows = static_cast<int64_t>(found.pair.size());
-    const int64_t capacity = room.contacts == kExactly ? rows : room.contacts, written = std::min(rows, capacity);
-    const ContactColumns out = make_output(capacity);
-    copy_rows(found, out, written);
-    for (int64_t row = 0; row < written; ++row) {
-      std::copy_n(narrow.pairs + 2 * int64_t{found.pair[row]}, 2, out.bodies + 2 * row);
-    }
-    pad_rows(out, written, capacity);
-    contact_counts[kContactsNeeded] = rows;
-    contact_counts[kContactsOverflow] = rows > capacity;
-    contact_counts[kUnresolvedWritten] =
-        std::count(found.status.begin(), found.status.begin() + written, static_cast<int8_t>(Status::kUnresolved));
+    return search(bodies, traversal, narrow, traverse_counts, narrow_time);
+  }
+
+  static void end_counts(int64_t narrow_time, int64_t* traverse_counts, int64_t* contact_counts) {
     contact_counts[kNarrowEnded] = nanoseconds();
     traverse_counts[kTraverseEnded] = contact_counts[kNarrowEnded] - narrow_time;
   }
 
-  template <bool kEdgeEdge, class T>
-  void elementary(const T* x0, const T* x1, int64_t count, const NarrowSettings& settings,
-                  const ElementaryColumns<T>& out) const {
-    elementary_cpu<kEdgeEdge>(executor_, x0, x1, count, settings, out);
-  }
-
- private:
   static int64_t nanoseconds() {
     return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch())
         .count();

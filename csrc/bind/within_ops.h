@@ -51,7 +51,58 @@ struct WithinOps {
                     {min_separation, tolerance, nonzero_toi}, report, capacity);
   }
 
+  // Of each pair only the first toi.
+  static std::tuple<Tensor, Tensor> first_toi_rigid(const std::vector<Tensor>& mesh_set,
+                                                    const std::vector<Tensor>& bodies, bool linear_path,
+                                                    const Tensor& pairs, const Tensor& pair_counts,
+                                                    double min_separation, double tolerance, bool nonzero_toi,
+                                                    const std::vector<int64_t>& capacity) {
+    check_capacity(capacity, 6);
+    const Task task(pairs, pair_counts, {min_separation, tolerance, nonzero_toi}, Report::kFirst);
+    Tensor toi = new_tensor<double>(pairs, {pairs.size(0)});
+    CountColumn counts(pairs, 0);
+    const Backend backend(pairs);
+    counts.begin(backend, task.of_pairs, {nullptr, 0, counts.end()});
+    backend.first_toi_within(rigid_view(mesh_set, bodies, linear_path), task.traversal, task.of_pairs + kPairsWritten,
+                             traverse_room(capacity), task.narrow, capacity[5], data<double>(toi), counts.of_traverse(),
+                             counts.of_contacts());
+    return {toi, counts.column};
+  }
+
  private:
+  // What is asked of the pairs.
+  struct Task {
+    Task(const Tensor& pairs, const Tensor& pair_counts, const NarrowSettings& settings, Report report)
+        : of_pairs(rows<int64_t>(pair_counts, "pair_counts", {kPairCounts})) {
+      traversal.pairs = narrow.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
+      traversal.pair_count = narrow.pair_count = pairs.size(0);
+      traversal.settings = {settings.separation, settings.tolerance};
+      narrow.settings = settings;
+      narrow.report = report;
+    }
+    const int64_t* of_pairs;  // counts
+    TraverseInput traversal{};
+    NarrowInput narrow;
+  };
+
+  // All counts of a step, and what is handed on after them.
+  struct CountColumn {
+    CountColumn(const Tensor& like, int64_t more)
+        : column(new_tensor<int64_t>(like, {kPairCounts + int64_t{kTraverseCounts} + int64_t{kContactCounts} + more})) {
+    }
+    int64_t* of_traverse() { return data<int64_t>(column) + kPairCounts; }
+    int64_t* of_contacts() { return of_traverse() + kTraverseCounts; }
+    int64_t* end() { return of_contacts() + kContactCounts; }
+    void begin(const Backend& backend, const int64_t* of_pairs, const CountSpan& more) {
+      backend.begin_counts({of_pairs, kPairCounts, data<int64_t>(column)}, more, of_traverse() + kTraverseBegan);
+    }
+    Tensor column;
+  };
+
+  static TraverseCapacity traverse_room(const std::vector<int64_t>& capacity) {
+    return {capacity[0], capacity[1], capacity[2], capacity[3], capacity[4]};
+  }
+
   // Rows are numbered by 32 bits.
   static void check_capacity(const std::vector<int64_t>& capacity, size_t count) {
     STD_TORCH_CHECK(capacity.size() == count, "capacity: expected ", count, " numbers, got ", capacity.size());
@@ -65,17 +116,9 @@ struct WithinOps {
   static Found contacts(const Bodies& bodies, const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
                         const NarrowSettings& settings, int64_t report, const std::vector<int64_t>& capacity) {
     check_capacity(capacity, 7);
-    TraverseInput traversal{};
-    traversal.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
-    traversal.pair_count = pairs.size(0);
-    traversal.settings = {settings.separation, settings.tolerance};
-    const TraverseCapacity room{capacity[0], capacity[1], capacity[2], capacity[3], capacity[4]};
-    NarrowInput narrow;
-    narrow.pairs = traversal.pairs;
-    narrow.pair_count = traversal.pair_count;
-    narrow.settings = settings;
     constexpr int64_t kOnlyEarliest = 3;  // the first contacts, of which only the earliest of all is wanted
-    narrow.report = report_of(report == kOnlyEarliest ? static_cast<int64_t>(Report::kFirst) : report);
+    const Task task(pairs, pair_counts, settings,
+                    report_of(report == kOnlyEarliest ? static_cast<int64_t>(Report::kFirst) : report));
     ContactTensors found{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};
     const auto make_output = [&](int64_t row_count) {
       found = new_contact_tensors(pairs, row_count);
@@ -86,26 +129,21 @@ struct WithinOps {
       std::get<0>(found) = body_pairs;
       return columns;
     };
-    Tensor counts =
-        new_tensor<int64_t>(pairs, {kPairCounts + int64_t{kTraverseCounts} + int64_t{kContactCounts} + faults.size(0)});
-    const int64_t* of_pairs = rows<int64_t>(pair_counts, "pair_counts", {kPairCounts});
-    const int64_t* of_faults = rows<int64_t>(faults, "faults", {kAnySize});
-    int64_t* const traverse_counts = data<int64_t>(counts) + kPairCounts;
-    int64_t* const contact_counts = traverse_counts + kTraverseCounts;
+    CountColumn counts(pairs, faults.size(0));
     const Backend backend(pairs);
-    backend.begin_counts({of_pairs, kPairCounts, data<int64_t>(counts)},
-                         {of_faults, faults.size(0), contact_counts + kContactCounts},
-                         traverse_counts + kTraverseBegan);
-    backend.contacts_within(bodies, traversal, of_pairs + kPairsWritten, room, narrow, report == kOnlyEarliest,
-                            {capacity[5], capacity[6]}, make_output, traverse_counts, contact_counts);
-    return std::tuple_cat(found, std::make_tuple(counts));
+    counts.begin(backend, task.of_pairs, {rows<int64_t>(faults, "faults", {kAnySize}), faults.size(0), counts.end()});
+    backend.contacts_within(bodies, task.traversal, task.of_pairs + kPairsWritten, traverse_room(capacity), task.narrow,
+                            report == kOnlyEarliest, {capacity[5], capacity[6]}, make_output, counts.of_traverse(),
+                            counts.of_contacts());
+    return std::tuple_cat(found, std::make_tuple(counts.column));
   }
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_WITHIN_OPS(library, Backend)                                      \
-  library.impl("pairs_within", TORCH_BOX(&WithinOps<Backend>::pairs));                   \
-  library.impl("contacts_within_rigid", TORCH_BOX(&WithinOps<Backend>::contacts_rigid)); \
-  library.impl("contacts_within_deforming", TORCH_BOX(&WithinOps<Backend>::contacts_deforming))
+#define PGCCD_REGISTER_WITHIN_OPS(library, Backend)                                              \
+  library.impl("pairs_within", TORCH_BOX(&WithinOps<Backend>::pairs));                           \
+  library.impl("contacts_within_rigid", TORCH_BOX(&WithinOps<Backend>::contacts_rigid));         \
+  library.impl("contacts_within_deforming", TORCH_BOX(&WithinOps<Backend>::contacts_deforming)); \
+  library.impl("first_toi_within_rigid", TORCH_BOX(&WithinOps<Backend>::first_toi_rigid))
 
 }  // namespace pgccd::bind

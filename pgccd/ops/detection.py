@@ -166,6 +166,16 @@ def contacts_within_deforming(
     return library.operators.contacts_within_deforming(list(mesh_set), list(bodies), *rest)
 
 
+def first_toi_within_rigid(
+    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool, *rest: object
+) -> tuple[Tensor, Tensor]:
+    """Of each pair (P, 2) the first toi (P,), inf where there is none; all counts (21,). Waits for nothing on a GPU.
+
+    `rest`: pairs, pair_counts, min_separation, tolerance, nonzero_toi, capacity (6,).
+    """
+    return library.operators.first_toi_within_rigid(list(mesh_set), list(bodies), linear_path, *rest)
+
+
 def vertex_face(
     points_t0: Tensor, points_t1: Tensor, min_separation: float, tolerance: float, nonzero_toi: bool
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -12,7 +12,7 @@ from pgccd.detect import detect
 from pgccd.memory import memory_limit
 from pgccd.query import Query
 from pgccd.sim.world import World
-from pgccd.within import contacts_within
+from pgccd.within import first_toi_within
 
 #: What is asked of the whole step, and in every round of settling. nonzero_toi: robots that part after a contact are
 #: free.
@@ -35,7 +35,6 @@ class Partners:
         #: Room that each round needed, where rounds were waited for.
         self.needed: list[Capacity] = []
         self._copies = self._copies_of(0)
-        self._no_faults = pairs.new_empty(0)
 
     def look_among(self, pairs: Tensor) -> None:
         """From now on these are the PCS."""
@@ -68,10 +67,8 @@ class Partners:
         pairs, pair_counts = ops.simulate_concerned_pairs(self._pairs, changed, room.pairs)
         bodies = self._world.pair_bodies(self._own, self._ghosts, fraction, pairs)
         copies, meshes = self._copies[: room.pairs], self._world.meshes.tensors
-        rows, counts = contacts_within(
-            meshes, bodies, False, copies, pair_counts, self._no_faults, FIRST_CONTACTS, room
-        )
-        ops.simulate_first_toi(first, pairs.view(-1), rows[0], rows[4])
+        toi, counts = first_toi_within(meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, room)
+        ops.simulate_first_toi(first, None, pairs, toi)
         return counts
 
     def _copies_of(self, count: int) -> Tensor:

@@ -18,7 +18,7 @@ struct FoundContact {
 
 struct Counters {
   uint32_t open;        // candidates that are not free at a glance, those that did not fit included
-  uint32_t contacts;    // among them
+  uint32_t contacts;    // among them; of first toi: pairs that have one
   uint32_t unresolved;  // of the rows written
   int64_t rows;         // to report
 };
@@ -28,10 +28,10 @@ struct Search {
   NarrowInput input;
   int32_t* open;  // rows of the candidates
   uint32_t capacity;
-  FoundContact* contacts;
-  unsigned long long* best;  // bits of the toi, or null; as the next two, which choose among equal ones
-  unsigned long long* best_key;
-  int32_t* winner;  // the contact
+  FoundContact* contacts;        // or null, as the next three
+  unsigned long long* best;      // bits of the toi
+  unsigned long long* best_key;  // as the next, to choose among equal ones
+  int32_t* winner;               // the contact
   Counters* counters;
 
   __device__ bool has_contact(int64_t contact) const { return contact < static_cast<int64_t>(counters->contacts); }
@@ -91,6 +91,7 @@ __global__ void __launch_bounds__(kSolveThreads, 6) solve_candidates(Bodies bodi
     const Outcome<double> outcome = solve_candidate(bodies, pair, candidate, search.input.settings, latest);
     if (outcome.status != Status::kTouch && outcome.status != Status::kUnresolved) continue;
     if (search.best != nullptr) atomicMin(search.best + candidate.pair, toi_bits(outcome.toi));
+    if (search.contacts == nullptr) continue;
     // No more contacts than open candidates: there is room.
     search.contacts[warp_append(&search.counters->contacts, 1)] = {c, static_cast<int32_t>(outcome.status), outcome.toi,
                                                                    outcome.u, outcome.v};
@@ -178,14 +179,19 @@ Search make_search(const DeviceContext& context, const NarrowInput& input, int64
   Search search{};
   search.input = input;
   search.counters = context.allocate<Counters>(1);
+  search.capacity = static_cast<uint32_t>(smaller<int64_t>(most_open, 0x7ffffff0));
+  search.open = context.allocate<int32_t>(search.capacity);
+  return search;
+}
+
+Search make_search_for_contacts(const DeviceContext& context, const NarrowInput& input, int64_t most_open) {
+  Search search = make_search(context, input, most_open);
   if (input.report != Report::kAll) {
     // In one piece, so that one launch fills all three.
     search.best = context.allocate<unsigned long long>(2 * input.pair_count + (input.pair_count + 1) / 2);
     search.best_key = search.best + input.pair_count;
     search.winner = reinterpret_cast<int32_t*>(search.best_key + input.pair_count);
   }
-  search.capacity = static_cast<uint32_t>(smaller<int64_t>(most_open, 0x7ffffff0));
-  search.open = context.allocate<int32_t>(search.capacity);
   search.contacts = context.allocate<FoundContact>(search.capacity);
   return search;
 }
@@ -195,7 +201,8 @@ void run_search(const DeviceContext& context, const Bodies& bodies, const Search
   fill_bytes(context, search.counters, 0, 1);
   if (search.best != nullptr) {
     // No toi, no key and no winner yet.
-    fill_bytes(context, reinterpret_cast<char*>(search.best), 0xff, 20 * search.input.pair_count);
+    const int64_t pair_bytes = search.winner != nullptr ? 20 : 8;
+    fill_bytes(context, reinterpret_cast<char*>(search.best), 0xff, pair_bytes * search.input.pair_count);
   }
   glance_at_candidates<Bodies>
       <<<resident_blocks_of(glance_at_candidates<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
@@ -219,7 +226,7 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
   // About one in four is open; all of them may be.
   int64_t capacity = smaller<int64_t>(input.candidates.size, input.candidates.size / 2 + 65536);
   for (;;) {
-    const Search search = make_search(context, input, capacity);
+    const Search search = make_search_for_contacts(context, input, capacity);
     run_search(context, bodies, search);
     const int32_t* selected = one_a_pair ? select_first(context, search) : nullptr;
     const Counters seen = read(context, search.counters);
@@ -238,7 +245,7 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
 template <class Bodies>
 void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                          const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts) {
-  const Search search = make_search(context, input, capacity.open);
+  const Search search = make_search_for_contacts(context, input, capacity.open);
   if (input.pair_count == 0) {
     fill_bytes(context, search.counters, 0, 1);
   } else {
@@ -259,6 +266,35 @@ void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, con
   });
 }
 
+template <class Bodies>
+void first_toi_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, int64_t most_open,
+                      double* toi, int64_t* counts) {
+  Search search = make_search(context, input, most_open);
+  search.best = reinterpret_cast<unsigned long long*>(toi);
+  if (input.pair_count == 0) {
+    fill_bytes(context, search.counters, 0, 1);
+  } else {
+    run_search(context, bodies, search);
+  }
+  for_each_item(context, input.pair_count, [=] __device__(int64_t pair) {
+    if (search.best[pair] == ~0ull) {
+      toi[pair] = static_cast<double>(INFINITY);
+    } else {
+      warp_append(&search.counters->contacts, 1);
+    }
+  });
+  const Counters* seen = search.counters;
+  for_each_item(context, 1, [=] __device__(int64_t) {
+    counts[kOpenNeeded] = seen->open;
+    counts[kContactsNeeded] = seen->contacts;
+    counts[kUnresolvedWritten] = 0;
+    counts[kContactsOverflow] = seen->open > search.capacity;
+    counts[kNarrowEnded] = nanoseconds();
+  });
+}
+
+template void first_toi_within(const DeviceContext&, const RigidBodies&, const NarrowInput&, int64_t, double*,
+                               int64_t*);
 template void narrow_phase_within(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactCapacity&,
                                   const ContactColumns&, int64_t*);
 template void narrow_phase_within(const DeviceContext&, const DeformingBodies&, const NarrowInput&,

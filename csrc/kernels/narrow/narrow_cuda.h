@@ -16,6 +16,12 @@ template <class Bodies>
 void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                          const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts);
 
+// Of each pair only the first toi, or infinity: toi (pair_count,). Contacts needed are pairs that have one; unresolved
+// ones are not told apart.
+template <class Bodies>
+void first_toi_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, int64_t most_open,
+                      double* toi, int64_t* counts);
+
 template <bool kEdgeEdge, class T>
 void elementary_cuda(const DeviceContext& context, const T* points_t0, const T* points_t1, int64_t count,
                      const NarrowSettings& settings, const ElementaryColumns<T>& out);
