@@ -167,11 +167,9 @@ def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *rest: Any) -
     return _fake_found(pairs, rest)
 
 
-@torch.library.register_fake("pgccd::first_toi_within_rigid")
-def _(
-    mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, *_rest: object
-) -> tuple[Tensor, Tensor]:
-    return bodies[1].new_empty((pairs.shape[0],)), pairs.new_empty((21,))
+@torch.library.register_fake("pgccd::lower_first_toi_rigid")
+def _(first: Tensor, owners: Tensor, *_rest: object) -> Tensor:
+    return owners.new_empty((21,))
 
 
 def _fake_contact_rows(pairs: Tensor, count: int | torch.SymInt) -> ContactRows:
@@ -245,8 +243,8 @@ def _(robots: Tensor, first: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
 
 
 @torch.library.register_fake("pgccd::simulate_slow_all_down")
-def _(first: Tensor, *_rest: object) -> Tensor:
-    return first.new_empty((1,), dtype=torch.int64)
+def _(first: Tensor, *_rest: object) -> None:
+    return None
 
 
 @torch.library.register_fake("pgccd::simulate_first_toi")

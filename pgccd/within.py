@@ -184,7 +184,9 @@ def contacts_within(
     return tuple(rows), counts  # type: ignore[return-value]
 
 
-def first_toi_within(
+def lower_first_toi(
+    first: Tensor,
+    owners: Tensor,
     mesh_set: Sequence[Tensor],
     tensors: Sequence[Tensor],
     linear_path: bool,
@@ -192,16 +194,19 @@ def first_toi_within(
     pair_counts: Tensor,
     query: Query,
     capacity: Capacity,
-) -> tuple[Tensor, Tensor]:
+) -> Tensor:
     """As `contacts_within` for the first contacts of rigid bodies, where only toi matters.
 
+    Args:
+        first: (N,) float64: the first toi so far; lowered in place.
+        owners: (P, 2) int64 rows of `first`: whose each pair's is.
+
     Returns:
-        (P,) float64: the first toi of each pair, inf where there is none; and counts (21,), of which `contacts` is the
-        number of pairs that have one.
+        Counts (21,), of which `contacts` is the number of pairs that have one.
     """
     settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
     room = capacity.of_contacts[:-1]  # none for contacts
-    return ops.first_toi_within_rigid(mesh_set, tensors, linear_path, pairs, pair_counts, *settings, room)
+    return ops.lower_first_toi_rigid(first, owners, mesh_set, tensors, linear_path, pairs, pair_counts, *settings, room)
 
 
 def _earliest_row(rows: ContactRows) -> ContactRows:

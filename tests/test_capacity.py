@@ -16,7 +16,7 @@ import pgccd
 from pgccd.capacity import Capacity, Counts
 from pgccd.detect import _detect_at_once as detect_at_once
 from pgccd.query import Query
-from pgccd.within import counts_of_given, first_toi_within
+from pgccd.within import counts_of_given, lower_first_toi
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 REPORTS = ("any", "first", "all", "earliest")
@@ -250,31 +250,36 @@ def test_first_toi_alone(device: torch.device) -> None:
     bodies, query = pgccd.MovingBodies(scene, motion), Query("first", 0.01, None, True)
     pairs = pgccd.broad.sweep(bodies, 0.01)
     hits, room = room_for(scene, motion, "first", 0.01, nonzero_toi=True, pairs=pairs)
-    expected = torch.full((len(pairs) + 3,), torch.inf, dtype=torch.float64, device=device)
-    keys, found = (rows[:, 0] * scene.body_count + rows[:, 1] for rows in (pairs, hits.pairs))
-    expected[torch.searchsorted(keys, found)] = hits.toi
     assert 0 < len(hits) < len(pairs)
+    assert hits.toi is not None
+    expected = torch.full((scene.body_count,), torch.inf, dtype=torch.float64, device=device)
+    expected.scatter_reduce_(0, hits.pairs.view(-1), hits.toi.repeat_interleave(2), "amin")
+    expected[0] = 0.0  # from before
     padded = torch.cat([pairs, pairs.new_full((3, 2), -1)])
     count = torch.tensor([len(pairs)], device=device)
+
+    def lowered(capacity: Capacity, given: torch.Tensor = padded, count: torch.Tensor = count) -> torch.Tensor:
+        nonlocal seen
+        first = torch.full_like(expected, torch.inf)
+        first[0] = 0.0
+        asked = bodies.mesh_set, bodies.tensors, False, given, counts_of_given(given, count)
+        seen = Counts.of(lower_first_toi(first, given, *asked, query, capacity).tolist())
+        return first
+
+    seen: Counts
     for capacity in (room, replace(room, contacts=0)):  # of contacts there are none
-        told = counts_of_given(padded, count)
-        toi, counts = first_toi_within(bodies.mesh_set, bodies.tensors, False, padded, told, query, capacity)
-        assert torch.equal(toi, expected)
-        seen = Counts.of(counts.tolist())
+        assert torch.equal(lowered(capacity), expected)
         assert seen.contacts == len(hits) and not seen.overflow and seen.pairs_written == len(pairs)
         assert seen.broad_began <= seen.traverse_began <= seen.traverse_ended <= seen.narrow_ended
     # Nobody looks at pairs that are said not to be there.
-    told = counts_of_given(padded, torch.zeros_like(count))
-    toi, counts = first_toi_within(bodies.mesh_set, bodies.tensors, False, padded, told, query, room)
-    assert bool((toi == torch.inf).all()) and Counts.of(counts.tolist()).contacts == 0
-    toi, _ = first_toi_within(bodies.mesh_set, bodies.tensors, False, padded[:0], told, query, room)
-    assert toi.shape == (0,)
+    for given in (padded, padded[:0]):
+        first = lowered(room, given, torch.zeros_like(count))
+        assert first.tolist() == [0.0, *[torch.inf] * (scene.body_count - 1)]
+        assert seen.contacts == 0 and not seen.overflow
     if device.type == "cuda":  # a CPU takes what it needs
-        told = counts_of_given(padded, count)
         for name in ("tasks", "leaf_pairs", "candidates", "open"):
-            little = replace(room, **{name: 1})
-            _, counts = first_toi_within(bodies.mesh_set, bodies.tensors, False, padded, told, query, little)
-            assert Counts.of(counts.tolist()).overflow, name
+            lowered(replace(room, **{name: 1}))
+            assert seen.overflow, name
 
 
 def test_rooms_for_like_needs_are_mostly_of_one_size() -> None:

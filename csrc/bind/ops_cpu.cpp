@@ -1,7 +1,6 @@
 // The detection operators on the CPU.
 #include <algorithm>
 #include <chrono>
-#include <limits>
 
 #include "bind/cpu_executor.h"
 #include "bind/detect_ops.h"
@@ -99,14 +98,18 @@ class CpuBackend {
     end_counts(narrow_time, traverse_counts, contact_counts);
   }
 
-  void first_toi_within(const RigidBodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
-                        const TraverseCapacity&, const NarrowInput& narrow, int64_t, double* toi,
-                        int64_t* traverse_counts, int64_t* contact_counts) const {
+  void lower_first_toi(const RigidBodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
+                       const TraverseCapacity&, const NarrowInput& narrow, int64_t, const FirstToi& known,
+                       int64_t* traverse_counts, int64_t* contact_counts) const {
     int64_t narrow_time = 0;
     const ContactRows found =
         search_within(bodies, traversal, pair_count, narrow, false, traverse_counts, contact_counts, narrow_time);
-    std::fill_n(toi, traversal.pair_count, std::numeric_limits<double>::infinity());
-    for (size_t row = 0; row < found.pair.size(); ++row) toi[found.pair[row]] = found.toi[row];
+    for (size_t row = 0; row < found.pair.size(); ++row) {
+      for (int side = 0; side < 2; ++side) {
+        double& first = known.first[known.owners[2 * int64_t{found.pair[row]} + side]];
+        first = smaller(first, found.toi[row]);
+      }
+    }
     contact_counts[kContactsNeeded] = static_cast<int64_t>(found.pair.size());
     end_counts(narrow_time, traverse_counts, contact_counts);
   }

@@ -67,12 +67,12 @@ class CudaBackend {
     narrow.candidates = traverse_within(context, bodies, traversal, pair_count, room, traverse_counts);
     narrow_phase_within(context, bodies, narrow, contact_room, make_output(contact_room.contacts), contact_counts);
   }
-  void first_toi_within(const RigidBodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
-                        const TraverseCapacity& room, NarrowInput narrow, int64_t most_open, double* toi,
-                        int64_t* traverse_counts, int64_t* contact_counts) const {
+  void lower_first_toi(const RigidBodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
+                       const TraverseCapacity& room, NarrowInput narrow, int64_t most_open, const FirstToi& known,
+                       int64_t* traverse_counts, int64_t* contact_counts) const {
     const DeviceContext& context = session_.context();
     narrow.candidates = traverse_within(context, bodies, traversal, pair_count, room, traverse_counts);
-    pgccd::first_toi_within(context, bodies, narrow, most_open, toi, contact_counts);
+    pgccd::lower_first_toi(context, bodies, narrow, most_open, known, contact_counts);
   }
   template <bool kEdgeEdge, class T>
   void elementary(const T* x0, const T* x1, int64_t count, const NarrowSettings& settings,

@@ -68,10 +68,11 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "contacts_within_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, Tensor faults, "
       "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
-  // Of each pair the first toi, or infinity; capacity without contacts, counts without faults.
+  // Lowers first (N,) f64 of the owners (P, 2) i64 of each pair; capacity without contacts, counts without faults.
   library.def(
-      "first_toi_within_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_counts, "
-      "float min_separation, float tolerance, bool nonzero_toi, int[] capacity) -> (Tensor toi, Tensor counts)");
+      "lower_first_toi_rigid(Tensor(a!) first, Tensor owners, Tensor[] mesh_set, Tensor[] bodies, bool linear_path, "
+      "Tensor pairs, Tensor pair_counts, float min_separation, float tolerance, bool nonzero_toi, int[] capacity) -> "
+      "Tensor counts");
   library.def(
       "vertex_face(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) "
       "-> (Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");

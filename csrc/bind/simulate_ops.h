@@ -97,17 +97,16 @@ struct SimulateOps {
     return {made, changes};
   }
 
-  static Tensor simulate_slow_all_down(Tensor first, Tensor fraction, Tensor changed, double approach,
-                                       double smallest) {
+  static void simulate_slow_all_down(Tensor first, Tensor fraction, Tensor changed, Tensor changes, double approach,
+                                     double smallest) {
     const int64_t count = first.size(0);
     rows<double>(first, "first", {count});
     rows<double>(fraction, "fraction", {count});
     rows<uint8_t>(changed, "changed", {count});
-    Tensor changes = new_integers(first, 1);
+    rows<int64_t>(changes, "changes", {1});
     Backend(first).slow_all_down(
         {data<double>(first), data<double>(fraction), data<uint8_t>(changed), count, approach, smallest},
         data<int64_t>(changes));
-    return changes;
   }
 
   static void simulate_first_toi(Tensor first, const std::optional<Tensor>& robots, const Tensor& pairs,

@@ -23,8 +23,8 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "simulate_slow_down(Tensor robots, Tensor first, Tensor fraction, float approach, float smallest) -> "
       "(Tensor made, Tensor changes)");
   library.def(
-      "simulate_slow_all_down(Tensor(a!) first, Tensor(b!) fraction, Tensor(c!) changed, float approach, "
-      "float smallest) -> Tensor changes");
+      "simulate_slow_all_down(Tensor(a!) first, Tensor(b!) fraction, Tensor(c!) changed, Tensor(d!) changes, "
+      "float approach, float smallest) -> ()");
   library.def("simulate_first_toi(Tensor(a!) first, Tensor? robots, Tensor pairs, Tensor toi) -> ()");
   // counts: see kernels/padded_pairs.h
   library.def("simulate_concerned_pairs(Tensor pairs, Tensor changed, int room) -> (Tensor concerned, Tensor counts)");

@@ -51,22 +51,22 @@ struct WithinOps {
                     {min_separation, tolerance, nonzero_toi}, report, capacity);
   }
 
-  // Of each pair only the first toi.
-  static std::tuple<Tensor, Tensor> first_toi_rigid(const std::vector<Tensor>& mesh_set,
-                                                    const std::vector<Tensor>& bodies, bool linear_path,
-                                                    const Tensor& pairs, const Tensor& pair_counts,
-                                                    double min_separation, double tolerance, bool nonzero_toi,
-                                                    const std::vector<int64_t>& capacity) {
+  // Of each pair only the first toi, to which that of its owners is lowered.
+  static Tensor lower_first_toi_rigid(Tensor first, const Tensor& owners, const std::vector<Tensor>& mesh_set,
+                                      const std::vector<Tensor>& bodies, bool linear_path, const Tensor& pairs,
+                                      const Tensor& pair_counts, double min_separation, double tolerance,
+                                      bool nonzero_toi, const std::vector<int64_t>& capacity) {
     check_capacity(capacity, 6);
     const Task task(pairs, pair_counts, {min_separation, tolerance, nonzero_toi}, Report::kFirst);
-    Tensor toi = new_tensor<double>(pairs, {pairs.size(0)});
+    rows<double>(first, "first", {kAnySize});
+    const FirstToi known{rows<int64_t>(owners, "owners", {pairs.size(0), 2}), data<double>(first)};
     CountColumn counts(pairs, 0);
     const Backend backend(pairs);
     counts.begin(backend, task.of_pairs, {nullptr, 0, counts.end()});
-    backend.first_toi_within(rigid_view(mesh_set, bodies, linear_path), task.traversal, task.of_pairs + kPairsWritten,
-                             traverse_room(capacity), task.narrow, capacity[5], data<double>(toi), counts.of_traverse(),
-                             counts.of_contacts());
-    return {toi, counts.column};
+    backend.lower_first_toi(rigid_view(mesh_set, bodies, linear_path), task.traversal, task.of_pairs + kPairsWritten,
+                            traverse_room(capacity), task.narrow, capacity[5], known, counts.of_traverse(),
+                            counts.of_contacts());
+    return counts.column;
   }
 
  private:
@@ -144,6 +144,6 @@ struct WithinOps {
   library.impl("pairs_within", TORCH_BOX(&WithinOps<Backend>::pairs));                           \
   library.impl("contacts_within_rigid", TORCH_BOX(&WithinOps<Backend>::contacts_rigid));         \
   library.impl("contacts_within_deforming", TORCH_BOX(&WithinOps<Backend>::contacts_deforming)); \
-  library.impl("first_toi_within_rigid", TORCH_BOX(&WithinOps<Backend>::first_toi_rigid))
+  library.impl("lower_first_toi_rigid", TORCH_BOX(&WithinOps<Backend>::lower_first_toi_rigid))
 
 }  // namespace pgccd::bind

@@ -166,14 +166,20 @@ def contacts_within_deforming(
     return library.operators.contacts_within_deforming(list(mesh_set), list(bodies), *rest)
 
 
-def first_toi_within_rigid(
-    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool, *rest: object
-) -> tuple[Tensor, Tensor]:
-    """Of each pair (P, 2) the first toi (P,), inf where there is none; all counts (21,). Waits for nothing on a GPU.
+def lower_first_toi_rigid(
+    first: Tensor,
+    owners: Tensor,
+    mesh_set: Sequence[Tensor],
+    bodies: Sequence[Tensor],
+    linear_path: bool,
+    *rest: object,
+) -> Tensor:
+    """Lowers first (N,) float64 of the owners (P, 2) int64 of each pair (P, 2) to the first toi of the pair. Returns
+    all counts (21,). Waits for nothing on a GPU.
 
     `rest`: pairs, pair_counts, min_separation, tolerance, nonzero_toi, capacity (6,).
     """
-    return library.operators.first_toi_within_rigid(list(mesh_set), list(bodies), linear_path, *rest)
+    return library.operators.lower_first_toi_rigid(first, owners, list(mesh_set), list(bodies), linear_path, *rest)
 
 
 def vertex_face(

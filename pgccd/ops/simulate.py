@@ -42,11 +42,11 @@ def simulate_slow_down(
 
 
 def simulate_slow_all_down(
-    first: Tensor, fraction: Tensor, changed: Tensor, approach: float, smallest: float
-) -> Tensor:
+    first: Tensor, fraction: Tensor, changed: Tensor, changes: Tensor, approach: float, smallest: float
+) -> None:
     """The same for all robots, in place: fraction (N,), and changed (N,) uint8, 1 for those that change; first (N,)
-    becomes infinite. Returns (1,) int64: 1 if any changes, else 0."""
-    return library.operators.simulate_slow_all_down(first, fraction, changed, approach, smallest)
+    becomes infinite; changes (1,) int64 becomes 1 if any changes."""
+    library.operators.simulate_slow_all_down(first, fraction, changed, changes, approach, smallest)
 
 
 def simulate_first_toi(first: Tensor, robots: Tensor | None, pairs: Tensor, toi: Tensor) -> None:

@@ -12,7 +12,7 @@ from pgccd.detect import detect
 from pgccd.memory import memory_limit
 from pgccd.query import Query
 from pgccd.sim.world import World
-from pgccd.within import first_toi_within
+from pgccd.within import lower_first_toi
 
 #: What is asked of the whole step, and in every round of settling. nonzero_toi: robots that part after a contact are
 #: free.
@@ -67,9 +67,7 @@ class Partners:
         pairs, pair_counts = ops.simulate_concerned_pairs(self._pairs, changed, room.pairs)
         bodies = self._world.pair_bodies(self._own, self._ghosts, fraction, pairs)
         copies, meshes = self._copies[: room.pairs], self._world.meshes.tensors
-        toi, counts = first_toi_within(meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, room)
-        ops.simulate_first_toi(first, None, pairs, toi)
-        return counts
+        return lower_first_toi(first, pairs, meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, room)
 
     def _copies_of(self, count: int) -> Tensor:
         """The two robots of each pair among their copies."""

@@ -143,24 +143,25 @@ def settle_ahead(
         for part, search in zip(parts, searches, strict=True):
             ops.simulate_first_toi(first, part.rows, search.rows[0], search.rows[4])
 
-    def slow_down(rounds: int) -> Tensor:
+    def slow_down(rounds: int, changes: Tensor) -> None:
         exchange.share(first)
-        return ops.simulate_slow_all_down(first, fraction, changed, *limits_of(rounds))
+        ops.simulate_slow_all_down(first, fraction, changed, changes, *limits_of(rounds))
 
-    with clock.stage("respond"):
-        changes = [slow_down(0)]
     more = pace.rounds or 0
+    with clock.stage("respond"):
+        changes = torch.zeros(1 + more, dtype=torch.int64, device=device)  # whether a robot changed, in each round
+        slow_down(0, changes[:1])
     goes_on: list[bool] = []  # before each round: whether a robot has changed on any rank
     made: list[tuple[NDArray[np.int64], Capacity]] = []  # of each round: what this rank counted, and in what room
     secondary_contacts = np.zeros(exchange.ranks, dtype=np.int64)
     while True:
         counts, rooms = [search.counts[: len(COUNT_ROWS)] for search in searches], []
         with clock.stage("respond"):
-            for round in range(len(made), len(made) + more):
+            for round, changes_now in enumerate(changes.split(1)[len(changes) - more :], len(made)):
                 rooms.append(pace.room(round))
                 counts.append(start_round(changed, fraction, rooms[-1], first))
-                changes.append(slow_down(round + 1))
-        mine = [*changes, *counts, conclude(fraction)]
+                slow_down(round + 1, changes_now)
+        mine = [changes, *counts, conclude(fraction)]
         with clock.stage("gather"):
             gathered = exchange.gather(torch.cat(mine))
             on_host = HostCopy(gathered)
@@ -182,7 +183,8 @@ def settle_ahead(
             pace.learn(rounds, partial(_needed, made[:rounds]))
             settlement = Settlement(fraction, rounds, int(secondary_contacts[exchange.rank]))
             return Ahead(settlement, told[:, end:], of_parts, secondary_contacts)
-        changes, more = [], _MORE_ROUNDS
+        more = _MORE_ROUNDS
+        changes = torch.zeros(more, dtype=torch.int64, device=device)
 
 
 def _needed(made: Sequence[tuple[NDArray[np.int64], Capacity]]) -> list[Capacity]:

@@ -222,12 +222,13 @@ def test_slowing_all_down(device: torch.device) -> None:
     rows = torch.arange(6, device=device)
     made, changes = ops.simulate_slow_down(rows, first, fraction, 0.99, 0.01)
     changed = torch.full((6,), 7, dtype=torch.uint8, device=device)
-    assert ops.simulate_slow_all_down(first, fraction, changed, 0.99, 0.01).tolist() == [1]
+    told = torch.zeros(4, dtype=torch.int64, device=device).split(1)
+    ops.simulate_slow_all_down(first, fraction, changed, told[1], 0.99, 0.01)
     assert torch.equal(fraction, made) and torch.equal(changed, changes) and bool((first == torch.inf).all())
-    assert ops.simulate_slow_all_down(first, fraction, changed, 0.99, 0.01).tolist() == [0]
+    ops.simulate_slow_all_down(first, fraction, changed, told[2], 0.99, 0.01)
     assert torch.equal(fraction, made) and not bool(changed.any())
-    nobody = first[:0], fraction[:0], changed[:0]
-    assert ops.simulate_slow_all_down(*nobody, 0.99, 0.01).tolist() == [0]
+    ops.simulate_slow_all_down(first[:0], fraction[:0], changed[:0], told[3], 0.99, 0.01)
+    assert torch.cat(told).tolist() == [0, 1, 0, 0]
 
 
 def test_first_toi_of_padded_contacts(device: torch.device) -> None:

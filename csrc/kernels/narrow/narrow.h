@@ -43,6 +43,12 @@ enum ContactCount : int {
   kContactCounts
 };
 
+// Whose first toi becomes known: of each pair's two sides, and each one's so far.
+struct FirstToi {
+  const int64_t* owners;  // (pair_count, 2) rows of `first`
+  double* first;
+};
+
 // Rows in canonical order: by pair, then kind and features (all), or one row a pair (any, first).
 struct ContactRows {
   std::vector<int32_t> pair;  // row in `pairs`

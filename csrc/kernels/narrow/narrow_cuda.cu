@@ -267,20 +267,21 @@ void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, con
 }
 
 template <class Bodies>
-void first_toi_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, int64_t most_open,
-                      double* toi, int64_t* counts) {
+void lower_first_toi(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, int64_t most_open,
+                     const FirstToi& known, int64_t* counts) {
   Search search = make_search(context, input, most_open);
-  search.best = reinterpret_cast<unsigned long long*>(toi);
+  search.best = context.allocate<unsigned long long>(input.pair_count);
   if (input.pair_count == 0) {
     fill_bytes(context, search.counters, 0, 1);
   } else {
     run_search(context, bodies, search);
   }
   for_each_item(context, input.pair_count, [=] __device__(int64_t pair) {
-    if (search.best[pair] == ~0ull) {
-      toi[pair] = static_cast<double>(INFINITY);
-    } else {
-      warp_append(&search.counters->contacts, 1);
+    const unsigned long long toi = search.best[pair];
+    if (toi == ~0ull) return;
+    warp_append(&search.counters->contacts, 1);
+    for (int side = 0; side < 2; ++side) {
+      atomicMin(reinterpret_cast<unsigned long long*>(known.first + known.owners[2 * pair + side]), toi);
     }
   });
   const Counters* seen = search.counters;
@@ -293,8 +294,8 @@ void first_toi_within(const DeviceContext& context, const Bodies& bodies, const 
   });
 }
 
-template void first_toi_within(const DeviceContext&, const RigidBodies&, const NarrowInput&, int64_t, double*,
-                               int64_t*);
+template void lower_first_toi(const DeviceContext&, const RigidBodies&, const NarrowInput&, int64_t, const FirstToi&,
+                              int64_t*);
 template void narrow_phase_within(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactCapacity&,
                                   const ContactColumns&, int64_t*);
 template void narrow_phase_within(const DeviceContext&, const DeformingBodies&, const NarrowInput&,

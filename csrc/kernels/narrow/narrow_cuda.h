@@ -16,11 +16,11 @@ template <class Bodies>
 void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                          const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts);
 
-// Of each pair only the first toi, or infinity: toi (pair_count,). Contacts needed are pairs that have one; unresolved
-// ones are not told apart.
+// Of each pair only the first toi, to which that of its owners is lowered. Contacts needed are pairs that have one;
+// unresolved ones are not told apart.
 template <class Bodies>
-void first_toi_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, int64_t most_open,
-                      double* toi, int64_t* counts);
+void lower_first_toi(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, int64_t most_open,
+                     const FirstToi& known, int64_t* counts);
 
 template <bool kEdgeEdge, class T>
 void elementary_cuda(const DeviceContext& context, const T* points_t0, const T* points_t1, int64_t count,

@@ -32,7 +32,7 @@ void pair_motion_cpu(const Executor& executor, const PairMotionInput& input, con
 // What robots that collide make of the step, fraction (count,), and which of them that slows down, changes (count,).
 void slow_down_cpu(const Executor& executor, const SlowDownInput& input, double* fraction, uint8_t* changes);
 
-// The same for all robots, in place; changes (1,) becomes 1 if any robot changes, else 0.
+// The same for all robots, in place; changes (1,) becomes 1 if any robot changes.
 void slow_all_down_cpu(const Executor& executor, const SlowAllDown& robots, int64_t* changes);
 
 // Lowers the first toi of robots to that of their contacts.

@@ -56,13 +56,13 @@ void slow_down_cpu(const Executor& executor, const SlowDownInput& input, double*
 }
 
 void slow_all_down_cpu(const Executor& executor, const SlowAllDown& robots, int64_t* changes) {
-  *changes = 0;
+  int64_t chunks = 0;
   parallel_chunks(executor, robots.count, 1024, [&](int, int64_t begin, int64_t end) {
     bool any = false;
     for (int64_t row = begin; row < end; ++row) any |= robots.slow_down(row);
-    if (any) add_shared(*changes, int64_t{1}, false);
+    if (any) add_shared(chunks, int64_t{1}, false);
   });
-  *changes = *changes != 0;
+  if (chunks != 0) *changes = 1;
 }
 
 void first_toi_cpu(const Executor&, const FirstToiInput& contacts, double* first) {

@@ -83,7 +83,6 @@ void slow_down_cuda(const DeviceContext& context, const SlowDownInput& input, do
 }
 
 void slow_all_down_cuda(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes) {
-  fill_bytes(context, changes, 0, 1);
   for_each_item(context, robots.count, [=] __device__(int64_t row) {
     if (robots.slow_down(row)) *changes = 1;  // whoever does writes the same
   });
