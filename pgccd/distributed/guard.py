@@ -13,7 +13,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
@@ -71,13 +71,17 @@ class Guard:
         self._progress = time.monotonic()
         #: What the rank is about, for messages: set it as often as you like.
         self.activity = "the start"
+        #: Whether what carries the messages has noticed that some are lost. Given if it lets a GPU wait for messages
+        #: that never come: the process would wait for the GPU, then, even at its end.
+        self.is_broken: Callable[[], bool] | None = None
+        self._ends_hard = False
         self._closed = threading.Event()
         if store is not None and size > 1:
             self._beat(0)
             self._thread = threading.Thread(target=self._watch, name="pgccd-guard", daemon=True)
             self._thread.start()
             # A thread that is inside the store when the interpreter goes would take the process with it.
-            atexit.register(self.close)
+            atexit.register(self._leave)
 
     @contextmanager
     def waiting(self, what: str) -> Iterator[None]:
@@ -92,6 +96,7 @@ class Guard:
             if blame is None:
                 raise
             self._publish(blame)
+            self._ends_hard = self.is_broken is not None
             raise RankFailureError(f"{blame} (rank {self._rank} was in {self.activity}, {what})") from error
 
     def report(self, error: BaseException) -> None:
@@ -107,7 +112,16 @@ class Guard:
             return
         self._closed.set()
         self._thread.join(_GRACE_SECONDS)
+        self.is_broken = None  # which holds what must go before Python does
         self._sign_off()
+
+    def _leave(self) -> None:
+        """At the end of the process, when errors have been printed."""
+        self.close()
+        if self._ends_hard:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(_EXIT_CODE)
 
     def _publish(self, blame: str) -> None:
         """The first to find out says it, so that all say the same."""
@@ -160,6 +174,7 @@ class Guard:
         assert self._store is not None
         pulse = 0
         hopeless_since: float | None = None
+        broken_since: float | None = None
         seen: dict[int, tuple[dict, float]] = {}  # each rank's newest sign, and since when it has been that
         while not self._closed.wait(_PULSE_SECONDS):
             pulse += 1
@@ -168,13 +183,20 @@ class Guard:
             blame = None
             try:
                 self._beat(pulse)
-                if self._store.check([_FAILURE]) or still > _SUSPICION_SECONDS:
-                    signs, now = self._signs(), time.monotonic()
+                now = time.monotonic()
+                if broken_since is None and self.is_broken is not None and self.is_broken():
+                    broken_since = now
+                if self._store.check([_FAILURE]) or still > _SUSPICION_SECONDS or broken_since is not None:
+                    signs = self._signs()
                     seen = {
                         r: seen[r] if r in seen and seen[r][0] == sign else (sign, now) for r, sign in enumerate(signs)
                     }
                     silent = [rank for rank, (_, since) in seen.items() if now - since > _SILENCE_SECONDS]
-                    blame = self._judge(signs, silent, hanging=still > self._timeout)
+                    # Who has died is silent by then.
+                    lost = broken_since is not None and now - broken_since > 2.0 * _SILENCE_SECONDS
+                    blame = self._judge(signs, silent, hanging=lost or still > self._timeout)
+                    if blame is None and lost:
+                        blame = "messages between ranks were lost, though all are alive"
             except RuntimeError:
                 blame = _NO_STORE
             if blame is None:

@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 import torch
 import torch.distributed as dist
 
+from pgccd.distributed import nccl
 from pgccd.distributed.comm import Alone, Comm
 from pgccd.distributed.guard import Guard
 from pgccd.distributed.torch_comm import TorchComm
@@ -111,11 +112,7 @@ def connect(
     backend = _backend(transport, device, placement, store)
     # NCCL's own watchdog names nobody: the guard gets the time to.
     patience = timeout + _NCCL_MARGIN if backend == "nccl" else timeout
-    options = None
-    if backend == "nccl":
-        # Messages go before what a GPU is doing meanwhile.
-        options = dist.ProcessGroupNCCL.Options(is_high_priority_stream=True)
-        options._timeout = _delta(patience)
+    options = nccl.options(_delta(patience)) if backend == "nccl" else None
     dist.init_process_group(
         backend,
         store=store,
@@ -124,6 +121,8 @@ def connect(
         timeout=_delta(patience),
         pg_options=options,
     )
+    if backend == "nccl":
+        guard.is_broken = nccl.watch_errors()
     control = dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=_delta(timeout))
     if transport == "mpi4py":
         from pgccd.distributed.mpi_comm import MpiComm

@@ -24,6 +24,7 @@ def guards(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Guard]]:
     yield ranks
     for rank in ranks:
         rank.close()
+        rank._ends_hard = False  # or the tests would end as a rank does that failed
 
 
 def fail(rank: Guard) -> str:
@@ -60,11 +61,43 @@ def test_a_silent_rank_has_died(guards: list[Guard], exits: list[int]) -> None:
     message = fail(guards[0])
     assert message.startswith("rank 1 (process ") and "has died (rank 0 was in step 7, halo)" in message
     # Whoever gets no error is ended by its guard.
+    assert _failure_told(guards[2], exits).startswith("rank 1 (process ")
+    guards[1]._closed.clear()
+
+
+def test_a_process_whose_gpu_waits_in_vain_ends_at_once(guards: list[Guard], exits: list[int]) -> None:
+    guards[0].is_broken = lambda: False
+    guards[2].report(MemoryError("8 GiB"))
+    for rank in guards[:2]:
+        assert "failed in the start" in fail(rank)
+    for rank in guards:
+        rank.close()
+    del exits[:]
+    for rank in guards:
+        rank._leave()
+    assert exits == [70]  # of the one that was told of a GPU
+
+
+def test_lost_messages_end_the_process_of_a_rank_that_gets_no_error(guards: list[Guard], exits: list[int]) -> None:
+    guards[1]._closed.set()
+    guards[1]._thread.join()
+    guards[0].is_broken = lambda: True
+    assert _failure_told(guards[0], exits).startswith("rank 1 (process ")
+    guards[1]._closed.clear()
+
+
+def test_lost_messages_without_a_lost_rank(guards: list[Guard], exits: list[int]) -> None:
+    guards[0].is_broken = lambda: True
+    assert _failure_told(guards[0], exits) == "messages between ranks were lost, though all are alive"
+
+
+def _failure_told(rank: Guard, exits: list[int]) -> str:
+    """What all ranks are told when one gives up."""
     deadline = time.monotonic() + 20.0
     while not exits and time.monotonic() < deadline:
         time.sleep(0.05)
     assert exits and set(exits) == {70}
-    guards[1]._closed.clear()
+    return rank._store.get("failure").decode()
 
 
 def test_a_rank_that_is_behind_hangs(guards: list[Guard], exits: list[int]) -> None:
