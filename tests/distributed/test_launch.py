@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from datetime import timedelta
+
 import pytest
 import torch
+import torch.distributed as dist
 
-from pgccd.distributed import Placement, choose_device, connect, find_placement
+from pgccd.distributed import Placement, choose_device, connect, find_placement, nccl
 from pgccd.distributed.launch import first_host
 
 
@@ -63,3 +67,12 @@ def test_one_process_needs_no_launcher() -> None:
     for arguments in ({"transport": "pigeon"}, {"timeout": 0.0}):
         with pytest.raises(ValueError, match=f"^{next(iter(arguments))}: "):
             connect(**arguments)
+
+
+@pytest.mark.skipif(not dist.is_nccl_available(), reason="this torch was built without NCCL")
+def test_the_guard_alone_ends_what_waits_for_nccl(monkeypatch: pytest.MonkeyPatch) -> None:
+    """torchrun tells torch to do it."""
+    monkeypatch.setenv("TORCH_NCCL_ASYNC_ERROR_HANDLING", "1")
+    chosen = nccl.options(timedelta(seconds=7))
+    assert os.environ["TORCH_NCCL_ASYNC_ERROR_HANDLING"] == "0"
+    assert chosen.is_high_priority_stream and chosen._timeout == timedelta(seconds=7)
