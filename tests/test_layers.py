@@ -122,8 +122,15 @@ def test_few_files_know_what_carries_messages() -> None:
         library: {path.name for path in python_files(PACKAGE) if any(n.startswith(library) for n in imports(path))}
         for library in ("torch.distributed", "mpi4py")
     }
-    assert knowing["torch.distributed"] == {"torch_comm.py", "nccl.py", "mpi_comm.py", "launch.py", "checkpoint.py"}
-    assert knowing["mpi4py"] == {"mpi_comm.py", "launch.py"}
+    assert knowing["torch.distributed"] == {
+        "torch_comm.py",
+        "nccl.py",
+        "mpi_comm.py",
+        "launch.py",
+        "rendezvous.py",
+        "checkpoint.py",
+    }
+    assert knowing["mpi4py"] == {"mpi_comm.py", "rendezvous.py"}
 
 
 def test_oracle_shares_nothing_with_the_product() -> None:

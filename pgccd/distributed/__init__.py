@@ -8,9 +8,10 @@ from pgccd.distributed.agreement import DisagreementError, on_first, require_agr
 from pgccd.distributed.balance import POLICIES, BalanceOptions, CellLoads, imbalance, rebalance
 from pgccd.distributed.comm import Alone, Comm
 from pgccd.distributed.guard import RankFailureError
-from pgccd.distributed.launch import Placement, choose_device, connect, find_placement
+from pgccd.distributed.launch import choose_device, connect
 from pgccd.distributed.mpi_comm import MpiComm
 from pgccd.distributed.partition import Partition, factorise
+from pgccd.distributed.placement import Placement, find_placement
 from pgccd.distributed.runner import FleetOptions, find_checkpoint, resume, run
 from pgccd.distributed.step import Fleet, RankStep, starting_share
 from pgccd.distributed.torch_comm import TorchComm

@@ -52,6 +52,8 @@ class Comm(ABC):
     size: int
     #: Tells which rank is to blame when a message does not come.
     guard: Guard
+    #: Whether these ranks were started in the place of others of the same job, after some of them were lost.
+    restarted = False
     #: With more ranks than this, `exchange` sends to neighbours one by one.
     neighbours_above = _NEIGHBOURS_ABOVE
 

@@ -16,7 +16,8 @@ from pgccd.distributed.agreement import on_first
 from pgccd.distributed.balance import POLICIES, BalanceOptions
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.guard import RankFailureError
-from pgccd.distributed.launch import DEFAULT_TIMEOUT, TRANSPORTS, connect, find_placement
+from pgccd.distributed.launch import DEFAULT_TIMEOUT, TRANSPORTS, connect
+from pgccd.distributed.placement import find_placement
 from pgccd.distributed.runner import FleetOptions, find_checkpoint
 
 _FAILURE_CODE = 70
@@ -70,8 +71,7 @@ def folder_to_resume(comm: Comm, options: argparse.Namespace, out: Path) -> Path
             return False
         return True
 
-    restarted = find_placement().restarts > 0
-    return out if restarted and on_first(comm, has_checkpoint) else None
+    return out if comm.restarted and on_first(comm, has_checkpoint) else None
 
 
 def needs_ranks(comm: Comm, folder: Path | None) -> bool:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 import torch
-from support.launch import SUPPORT, environment, finish, mpirun, over_nccl, start_ranks, torchrun
+from support.launch import ROOT, SUPPORT, environment, finish, free_port, mpirun, over_nccl, start_ranks, torchrun
 
 from pgccd import sim
 from pgccd.cli import main
@@ -112,11 +112,8 @@ def test_killed_rank_torchrun_starts_all_again(where: str, tmp_path: Path, expec
         stderr=subprocess.STDOUT,
         text=True,
     )
-    deadline = time.monotonic() + 100
-    while not (tmp_path / "checkpoints" / "newest.json").exists():
-        assert process.poll() is None and time.monotonic() < deadline, process.communicate(timeout=10)[0]
-        time.sleep(0.02)
-    os.kill(workers(process.pid)[-1], signal.SIGKILL)
+    wait_for_checkpoint(tmp_path, [process])
+    os.kill(workers(process.pid, 3)[-1], signal.SIGKILL)
     output, _ = process.communicate(timeout=180)
     assert process.returncode == 0, output
     assert "Signal 9 (SIGKILL)" in output or "exitcode: -9" in output, "nobody was killed"
@@ -125,11 +122,38 @@ def test_killed_rank_torchrun_starts_all_again(where: str, tmp_path: Path, expec
         assert log(tmp_path) == expected
 
 
-def workers(parent: int) -> list[int]:
+def workers(parent: int, ranks: int) -> list[int]:
     """Children of a process."""
     children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
-    assert len(children) >= 3
+    assert len(children) >= ranks
     return [int(child) for child in children]
+
+
+def wait_for_checkpoint(folder: Path, processes: list[subprocess.Popen[str]]) -> None:
+    deadline = time.monotonic() + 100
+    while not (folder / "checkpoints" / "newest.json").exists():
+        alive = all(process.poll() is None for process in processes)
+        assert alive and time.monotonic() < deadline, [process.communicate(timeout=10)[0] for process in processes]
+        time.sleep(0.02)
+
+
+def test_of_two_machines_one_loses_its_rank(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
+    """Its agent counts a restart, the other does not."""
+    meeting = ["--nnodes", "2", "--rdzv-backend", "c10d", "--rdzv-endpoint", f"127.0.0.1:{free_port()}"]
+    program = [*SIMULATE, *WORLD, "--steps", "60", "--checkpoint-every", "8", "--out", str(tmp_path)]
+    command = torchrun(1, *meeting, "--rdzv-id", "two", "--max-restarts", "2", *program)
+    agents = [
+        subprocess.Popen(
+            command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT
+        )
+        for _ in range(2)
+    ]
+    wait_for_checkpoint(tmp_path, agents)
+    os.kill(workers(agents[1].pid, 1)[-1], signal.SIGKILL)
+    outputs = [agent.communicate(timeout=180)[0] for agent in agents]
+    assert [agent.returncode for agent in agents] == [0, 0], outputs
+    assert "exitcode: -9" in outputs[1], "nobody was killed"
+    assert log(tmp_path) == expected
 
 
 def test_a_signal_to_one_rank_stops_all_after_the_same_step(tmp_path: Path, expected: list[dict[str, Any]]) -> None:

@@ -10,7 +10,6 @@ import torch
 import torch.distributed as dist
 
 from pgccd.distributed import Placement, choose_device, connect, find_placement, nccl
-from pgccd.distributed.launch import first_host
 
 
 @pytest.mark.parametrize(
@@ -42,14 +41,6 @@ def test_placement(environment: dict[str, str], expected: Placement) -> None:
 def test_numbers_that_are_none_are_named() -> None:
     with pytest.raises(ValueError, match="^WORLD_SIZE: expected a number, got 'many'"):
         find_placement({"RANK": "0", "WORLD_SIZE": "many"})
-
-
-@pytest.mark.parametrize(
-    ("nodes", "first"),
-    [("gpu[007-012,020],login1", "gpu007"), ("node3", "node3"), ("a1,b2", "a1"), ("n-1-[2,4]", "n-1-2")],
-)
-def test_first_host_of_slurm_s_short_form(nodes: str, first: str) -> None:
-    assert first_host(nodes) == first
 
 
 def test_devices_by_local_rank(monkeypatch: pytest.MonkeyPatch) -> None:

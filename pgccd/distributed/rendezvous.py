@@ -1,0 +1,134 @@
+"""Where the ranks that were started together find one another: a store that they share, and nobody else."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import time
+import uuid
+from datetime import timedelta
+
+import torch.distributed as dist
+
+from pgccd.distributed.placement import Placement
+
+_POLL_SECONDS = 0.01
+# A process may connect more than once.
+_THIS_PROCESS = uuid.uuid4().hex
+
+
+def meet(placement: Placement, timeout: float) -> tuple[dist.Store, bool]:
+    """The store; and whether these ranks were started again, in the place of others.
+
+    Raises:
+        ValueError: naming a variable of the environment.
+        ImportError: mpi4py is needed and not installed.
+        RuntimeError: the others did not come within `timeout` seconds.
+    """
+    if placement.launcher == "torchrun":
+        # torchrun's agent keeps a store that outlives the workers.
+        agent = os.environ.get("TORCHELASTIC_USE_AGENT_STORE") == "True"
+        run = os.environ.get("TORCHELASTIC_RUN_ID", "run")
+        store = _connect_store(
+            _variable("MASTER_ADDR"), int(_variable("MASTER_PORT")), placement, timeout, keeps=not agent
+        )
+        return agree_on_start(dist.PrefixStore(f"pgccd/{run}", store), placement, timeout)
+    if placement.launcher == "srun":
+        host = os.environ.get("MASTER_ADDR") or first_host(_variable("SLURM_STEP_NODELIST"))
+        # The same on all ranks, and another for another job or step.
+        number = int(os.environ.get("SLURM_JOB_ID", "0")) * 31 + int(os.environ.get("SLURM_STEP_ID", "0"))
+        port = int(os.environ.get("MASTER_PORT", 20000 + number % 20000))
+        return _connect_store(host, port, placement, timeout, keeps=True), False
+    return _meet_by_mpi(placement, timeout), False
+
+
+def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> tuple[dist.Store, bool]:
+    """A part of a store that was perhaps used before, for this start alone: what others left there might be taken for
+    signs of ranks of this one. Counts of restarts do not tell starts apart: torchrun's agents count their own only.
+
+    Rank 0 names the start to all who ask, each by a name of its own, until every rank has come to it.
+    """
+    name = uuid.uuid4().hex
+    try:
+        if placement.rank == 0:
+            former = store.get("first").decode() if store.check(["first"]) else _THIS_PROCESS
+            store.set("first", _THIS_PROCESS)
+            restarted = placement.restarts > 0 or former != _THIS_PROCESS
+            _welcome(store, placement.size, f"{name} {int(restarted)}", timeout)
+        else:
+            store.set(f"asks/{placement.rank}", name)
+            name, flag = store.get(f"start for {name}").decode().split()
+            store.set(f"{name}/here/{placement.rank}", "")
+            restarted = flag == "1"
+    except dist.DistError as error:
+        raise RuntimeError(f"rank 0 did not come within {timeout:g} s ({error})") from error
+    return dist.PrefixStore(name, store), restarted
+
+
+def _welcome(store: dist.Store, size: int, start: str, timeout: float) -> None:
+    """Tells it all other ranks."""
+    deadline = time.monotonic() + timeout
+    missing, told = list(range(1, size)), set()
+    while missing:
+        for rank in missing:
+            if store.check([f"asks/{rank}"]):  # perhaps one that is no more: its successor asks by another name
+                asking = store.get(f"asks/{rank}").decode()
+                if asking not in told:
+                    store.set(f"start for {asking}", start)
+                    told.add(asking)
+        missing = [rank for rank in missing if not store.check([f"{start.split()[0]}/here/{rank}"])]
+        if missing and time.monotonic() > deadline:
+            raise RuntimeError(f"ranks {missing[:8]} of {size} did not come within {timeout:g} s")
+        time.sleep(_POLL_SECONDS)
+
+
+def _meet_by_mpi(placement: Placement, timeout: float) -> dist.Store:
+    try:
+        from mpi4py import MPI
+    except (ImportError, RuntimeError) as error:  # RuntimeError: no MPI library
+        raise ImportError(f"started by {placement.launcher}: pip install mpi4py mpich ({error})") from error
+    world = MPI.COMM_WORLD
+    if world.Get_size() != placement.size:
+        raise ValueError(
+            f"mpi4py: its library sees {world.Get_size()} ranks, {placement.launcher} started {placement.size}: "
+            "they belong to different MPIs"
+        )
+    hosts = world.allgather(socket.gethostname())
+    host = "127.0.0.1" if len(set(hosts)) == 1 else os.environ.get("MASTER_ADDR", hosts[0])
+    store = None
+    if placement.rank == 0:
+        store = _connect_store(host, 0, placement, timeout, keeps=True)
+    port = world.bcast(store.port if store is not None else None)
+    return store or _connect_store(host, port, placement, timeout, keeps=True)
+
+
+def _connect_store(host: str, port: int, placement: Placement, timeout: float, keeps: bool) -> dist.TCPStore:
+    return dist.TCPStore(
+        host,
+        port,
+        placement.size,
+        is_master=keeps and placement.rank == 0,
+        timeout=timedelta(seconds=timeout),
+        wait_for_workers=False,
+    )
+
+
+def _variable(name: str) -> str:
+    try:
+        return os.environ[name]
+    except KeyError:
+        raise ValueError(f"{name}: not set, though other variables of its launcher are") from None
+
+
+def first_host(node_list: str) -> str:
+    """Of Slurm's short form.
+
+    Example:
+        >>> first_host("gpu[007-012,020],login1")
+        'gpu007'
+    """
+    found = re.match(r"([^\[,]+)(?:\[([^\],-]+))?", node_list)
+    if found is None:
+        raise ValueError(f"SLURM_STEP_NODELIST: expected host names, got {node_list!r}")
+    return found[1] + (found[2] or "")
