@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from datetime import timedelta
 from typing import Any, Literal, get_args
 
@@ -13,7 +12,7 @@ from pgccd.distributed import nccl
 from pgccd.distributed.comm import Alone, Comm
 from pgccd.distributed.guard import Guard
 from pgccd.distributed.placement import Placement, find_placement
-from pgccd.distributed.rendezvous import meet
+from pgccd.distributed.rendezvous import agent_keeps_store, meet
 from pgccd.distributed.torch_comm import TorchComm
 
 Transport = Literal["auto", "nccl", "gloo", "torch-mpi", "mpi4py"]
@@ -64,7 +63,7 @@ def connect(
         torch.cuda.set_device(device)
     store, restarted = meet(placement, timeout)
     # A process that keeps the store is the last to go.
-    keeps = placement.rank == 0 and os.environ.get("TORCHELASTIC_USE_AGENT_STORE") != "True"
+    keeps = placement.rank == 0 and not agent_keeps_store()
     guard = Guard(_second_connection(store), placement.rank, placement.size, timeout, keeps)
     backend = _backend(transport, device, placement, store)
     # NCCL's own watchdog names nobody: the guard gets the time to.

@@ -27,12 +27,9 @@ def meet(placement: Placement, timeout: float) -> tuple[dist.Store, bool]:
         RuntimeError: the others did not come within `timeout` seconds.
     """
     if placement.launcher == "torchrun":
-        # torchrun's agent keeps a store that outlives the workers.
-        agent = os.environ.get("TORCHELASTIC_USE_AGENT_STORE") == "True"
         run = os.environ.get("TORCHELASTIC_RUN_ID", "run")
-        store = _connect_store(
-            _variable("MASTER_ADDR"), int(_variable("MASTER_PORT")), placement, timeout, keeps=not agent
-        )
+        address = _variable("MASTER_ADDR"), int(_variable("MASTER_PORT"))
+        store = _connect_store(*address, placement, timeout, keeps=not agent_keeps_store())
         return agree_on_start(dist.PrefixStore(f"pgccd/{run}", store), placement, timeout)
     if placement.launcher == "srun":
         host = os.environ.get("MASTER_ADDR") or first_host(_variable("SLURM_STEP_NODELIST"))
@@ -43,6 +40,11 @@ def meet(placement: Placement, timeout: float) -> tuple[dist.Store, bool]:
     return _meet_by_mpi(placement, timeout), False
 
 
+def agent_keeps_store() -> bool:
+    """torchrun's agent, not rank 0: then the store outlives the ranks."""
+    return os.environ.get("TORCHELASTIC_USE_AGENT_STORE") == "True"
+
+
 def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> tuple[dist.Store, bool]:
     """A part of a store that was perhaps used before, for this start alone: what others left there might be taken for
     signs of ranks of this one. Counts of restarts do not tell starts apart: torchrun's agents count their own only.
@@ -50,24 +52,23 @@ def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> t
     Rank 0 names the start to all who ask, each by a name of its own, until every rank has come to it.
     """
     name = uuid.uuid4().hex
+    if placement.rank == 0:
+        former = store.get("former").decode() if store.check(["former"]) else _THIS_PROCESS
+        store.set("former", _THIS_PROCESS)
+        restarted = placement.restarts > 0 or former != _THIS_PROCESS
+        _welcome(store, placement.size, name, restarted, timeout)
+        return dist.PrefixStore(name, store), restarted
+    store.set(f"asks/{placement.rank}", name)
     try:
-        if placement.rank == 0:
-            former = store.get("first").decode() if store.check(["first"]) else _THIS_PROCESS
-            store.set("first", _THIS_PROCESS)
-            restarted = placement.restarts > 0 or former != _THIS_PROCESS
-            _welcome(store, placement.size, f"{name} {int(restarted)}", timeout)
-        else:
-            store.set(f"asks/{placement.rank}", name)
-            name, flag = store.get(f"start for {name}").decode().split()
-            store.set(f"{name}/here/{placement.rank}", "")
-            restarted = flag == "1"
+        start, flag = store.get(f"start for {name}").decode().split()
     except dist.DistError as error:
         raise RuntimeError(f"rank 0 did not come within {timeout:g} s ({error})") from error
-    return dist.PrefixStore(name, store), restarted
+    store.set(f"{start}/here/{placement.rank}", "")
+    return dist.PrefixStore(start, store), flag == "1"
 
 
-def _welcome(store: dist.Store, size: int, start: str, timeout: float) -> None:
-    """Tells it all other ranks."""
+def _welcome(store: dist.Store, size: int, start: str, restarted: bool, timeout: float) -> None:
+    """Tells all other ranks the start's name, and whether it follows another."""
     deadline = time.monotonic() + timeout
     missing, told = list(range(1, size)), set()
     while missing:
@@ -75,9 +76,9 @@ def _welcome(store: dist.Store, size: int, start: str, timeout: float) -> None:
             if store.check([f"asks/{rank}"]):  # perhaps one that is no more: its successor asks by another name
                 asking = store.get(f"asks/{rank}").decode()
                 if asking not in told:
-                    store.set(f"start for {asking}", start)
+                    store.set(f"start for {asking}", f"{start} {int(restarted)}")
                     told.add(asking)
-        missing = [rank for rank in missing if not store.check([f"{start.split()[0]}/here/{rank}"])]
+        missing = [rank for rank in missing if not store.check([f"{start}/here/{rank}"])]
         if missing and time.monotonic() > deadline:
             raise RuntimeError(f"ranks {missing[:8]} of {size} did not come within {timeout:g} s")
         time.sleep(_POLL_SECONDS)
