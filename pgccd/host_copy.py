@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
+
+from pgccd.events import record_event
 
 
 class HostCopy:
@@ -23,10 +24,7 @@ class HostCopy:
 
     def __init__(self, tensor: Tensor) -> None:
         self._copy = tensor.to("cpu", non_blocking=True)
-        self._made: torch.cuda.Event | None = None
-        if tensor.is_cuda:
-            self._made = torch.cuda.Event()
-            self._made.record()
+        self._made = record_event() if tensor.is_cuda else None
 
     def numpy(self) -> NDArray[np.int64]:
         """Its values."""

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 
 import torch
 
+from pgccd.events import record_event
+
 _WORK = ("plan", "bounds", "broad", "traverse", "narrow")
 
 
@@ -34,11 +36,9 @@ class StageClock:
         """Adds the time of the block to a stage."""
         self.add({name: 0.0})  # stages are listed in the order in which they began
         if torch.cuda.is_initialized():
-            begin, end = torch.cuda.Event(enable_timing=True), torch.cuda.Event(enable_timing=True)
-            begin.record()
+            begin = record_event(timed=True)
             yield
-            end.record()
-            self._events.append((name, begin, end))
+            self._events.append((name, begin, record_event(timed=True)))
         else:
             start = time.perf_counter()
             yield

@@ -56,8 +56,9 @@ class SideStream:
         """Says that what was made on this stream is read by the current one, perhaps when the next side stream has been
         made: its memory is used again once that is over."""
         if self._stream is not None:
+            current = torch.cuda.current_stream(self._stream.device)
             for tensor in tensors:
-                tensor.record_stream(torch.cuda.current_stream(self._stream.device))
+                tensor.record_stream(current)
 
 
 @functools.cache
