@@ -226,16 +226,6 @@ def _(state: list[Tensor], fraction: Tensor) -> tuple[Tensor, ...]:
     return _fake_robots(fraction, fraction.shape[0], 3, 4, 3, 3)
 
 
-@torch.library.register_fake("pgccd::simulate_pair_motion")
-def _(
-    own: list[Tensor], ghosts: list[Tensor], fraction: Tensor, pairs: Tensor, mesh_radius: Tensor
-) -> tuple[Tensor, ...]:
-    count = 2 * pairs.shape[0]
-    position_t0, position_t1, orientation, rotation = _fake_robots(fraction, count, 3, 3, 4, 3)
-    mesh_index = pairs.new_empty((count,), dtype=torch.int32)
-    return mesh_index, position_t0, position_t1, fraction.new_empty((count,)), orientation, rotation
-
-
 @torch.library.register_fake("pgccd::simulate_slow_down")
 def _(robots: Tensor, first: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
     count = robots.shape[0]
@@ -252,9 +242,20 @@ def _(first: Tensor, robots: Tensor | None, pairs: Tensor, toi: Tensor) -> None:
     return None
 
 
-@torch.library.register_fake("pgccd::simulate_concerned_pairs")
-def _(pairs: Tensor, changed: Tensor, room: int) -> tuple[Tensor, Tensor]:
-    return pairs.new_empty((room, 2)), pairs.new_empty((7,))
+@torch.library.register_fake("pgccd::simulate_concerned_motion")
+def _(
+    own: list[Tensor],
+    ghosts: list[Tensor],
+    fraction: Tensor,
+    changed: Tensor,
+    pairs: Tensor,
+    mesh_radius: Tensor,
+    room: int,
+) -> tuple[Tensor, ...]:
+    position_t0, position_t1, orientation, rotation = _fake_robots(fraction, 2 * room, 3, 3, 4, 3)
+    mesh_index, radius = pairs.new_empty((2 * room,), dtype=torch.int32), fraction.new_empty((2 * room,))
+    bodies = mesh_index, position_t0, position_t1, radius, orientation, rotation
+    return pairs.new_empty((room, 2)), *bodies, pairs.new_empty((7,))
 
 
 @torch.library.register_fake("pgccd::simulate_tally")

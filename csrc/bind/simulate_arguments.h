@@ -59,10 +59,6 @@ inline MovingRobots moving_robots(const std::vector<Tensor>& t, const char* name
   return view;
 }
 
-inline ConcernedPairs concerned_view(const Tensor& pairs, const Tensor& changed) {
-  return {rows<int64_t>(pairs, "pairs", {kAnySize, 2}), rows<uint8_t>(changed, "changed", {kAnySize})};
-}
-
 inline HashColumns hash_columns(const std::vector<Tensor>& t) {
   STD_TORCH_CHECK(!t.empty() && t.size() <= HashColumns::kMost, "columns: expected 1 to ", HashColumns::kMost,
                   " tensors, got ", t.size());

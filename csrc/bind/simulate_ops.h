@@ -62,30 +62,6 @@ struct SimulateOps {
     return {position, orientation, velocity, angular_velocity};
   }
 
-  static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor> simulate_pair_motion(const TensorList& own,
-                                                                                         const TensorList& ghosts,
-                                                                                         const Tensor& fraction,
-                                                                                         const Tensor& pairs,
-                                                                                         const Tensor& mesh_radius) {
-    PairMotionInput input;
-    input.own = moving_robots(own, "own");
-    input.ghosts = moving_robots(ghosts, "ghosts");
-    input.fraction = rows<double>(fraction, "fraction", {input.own.count + input.ghosts.count});
-    input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
-    input.pair_count = pairs.size(0);
-    input.mesh_radius = rows<double>(mesh_radius, "mesh_radius", {kAnySize});
-    input.mesh_count = mesh_radius.size(0);
-    STD_TORCH_CHECK(input.mesh_count > 0, "mesh_radius: expected at least one mesh");
-    const int64_t count = 2 * input.pair_count;
-    Tensor mesh_index = new_tensor<int32_t>(fraction, {count}), radius = new_tensor<double>(fraction, {count});
-    Tensor position_t0 = new_rows(fraction, count, 3), position_t1 = new_rows(fraction, count, 3);
-    Tensor orientation = new_rows(fraction, count, 4), rotation = new_rows(fraction, count, 3);
-    Backend(fraction).pair_motion(
-        input, {data<int32_t>(mesh_index), data<double>(position_t0), data<double>(radius), data<double>(orientation),
-                data<double>(position_t1), data<double>(rotation)});
-    return {mesh_index, position_t0, position_t1, radius, orientation, rotation};
-  }
-
   static std::tuple<Tensor, Tensor> simulate_slow_down(const Tensor& robots, const Tensor& first,
                                                        const Tensor& fraction, double approach, double smallest) {
     const int64_t robot_count = first.size(0), count = robots.size(0);
@@ -118,12 +94,34 @@ struct SimulateOps {
                              data<double>(first));
   }
 
-  static std::tuple<Tensor, Tensor> simulate_concerned_pairs(const Tensor& pairs, const Tensor& changed, int64_t room) {
+  // Pairs, what `MovingBodies.tensors` are of their robots, counts.
+  using PairsAndMotion = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
+
+  static PairsAndMotion simulate_concerned_motion(const TensorList& own, const TensorList& ghosts,
+                                                  const Tensor& fraction, const Tensor& changed, const Tensor& pairs,
+                                                  const Tensor& mesh_radius, int64_t room) {
     STD_TORCH_CHECK(room >= 0 && room < (int64_t{1} << 31), "room: expected a number in [0, 2^31), got ", room);
-    Tensor concerned = new_tensor<int64_t>(pairs, {room, 2}), counts = new_integers(pairs, int64_t{kPairCounts});
-    Backend(pairs).concerned_pairs(concerned_view(pairs, changed), pairs.size(0),
-                                   {{room, 0, false}, data<int64_t>(concerned), data<int64_t>(counts)});
-    return {concerned, counts};
+    ConcernedMotion given;
+    given.own = moving_robots(own, "own");
+    given.ghosts = moving_robots(ghosts, "ghosts");
+    const int64_t held = given.own.count + given.ghosts.count;
+    given.fraction = rows<double>(fraction, "fraction", {held});
+    given.concerned = {rows<int64_t>(pairs, "pairs", {kAnySize, 2}), rows<uint8_t>(changed, "changed", {held})};
+    given.pair_count = pairs.size(0);
+    given.mesh_radius = rows<double>(mesh_radius, "mesh_radius", {kAnySize});
+    given.mesh_count = mesh_radius.size(0);
+    STD_TORCH_CHECK(given.mesh_count > 0, "mesh_radius: expected at least one mesh");
+    Tensor found = new_tensor<int64_t>(pairs, {room, 2}), counts = new_integers(pairs, int64_t{kPairCounts});
+    Tensor mesh_index = new_tensor<int32_t>(fraction, {2 * room}), radius = new_tensor<double>(fraction, {2 * room});
+    Tensor position_t0 = new_rows(fraction, 2 * room, 3), position_t1 = new_rows(fraction, 2 * room, 3);
+    Tensor orientation = new_rows(fraction, 2 * room, 4), rotation = new_rows(fraction, 2 * room, 3);
+    given.room = room;
+    given.pairs = data<int64_t>(found);
+    given.motion = {data<int32_t>(mesh_index), data<double>(position_t0), data<double>(radius),
+                    data<double>(orientation), data<double>(position_t1), data<double>(rotation)};
+    given.counts = data<int64_t>(counts);
+    Backend(fraction).concerned_motion(given);
+    return {found, mesh_index, position_t0, position_t1, radius, orientation, rotation, counts};
   }
 
   static Tensor simulate_tally(const TensorList& state, const Tensor& fraction, const Tensor& id, const Tensor& pairs,
@@ -157,17 +155,16 @@ struct SimulateOps {
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_SIMULATE_OPS(library, Backend)                                                   \
-  library.impl("simulate_start", TORCH_BOX(&SimulateOps<Backend>::simulate_start));                     \
-  library.impl("simulate_plan", TORCH_BOX(&SimulateOps<Backend>::simulate_plan));                       \
-  library.impl("simulate_respond", TORCH_BOX(&SimulateOps<Backend>::simulate_respond));                 \
-  library.impl("simulate_pair_motion", TORCH_BOX(&SimulateOps<Backend>::simulate_pair_motion));         \
-  library.impl("simulate_slow_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_down));             \
-  library.impl("simulate_slow_all_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_all_down));     \
-  library.impl("simulate_first_toi", TORCH_BOX(&SimulateOps<Backend>::simulate_first_toi));             \
-  library.impl("simulate_concerned_pairs", TORCH_BOX(&SimulateOps<Backend>::simulate_concerned_pairs)); \
-  library.impl("simulate_tally", TORCH_BOX(&SimulateOps<Backend>::simulate_tally));                     \
-  library.impl("simulate_hash", TORCH_BOX(&SimulateOps<Backend>::simulate_hash));                       \
+#define PGCCD_REGISTER_SIMULATE_OPS(library, Backend)                                                     \
+  library.impl("simulate_start", TORCH_BOX(&SimulateOps<Backend>::simulate_start));                       \
+  library.impl("simulate_plan", TORCH_BOX(&SimulateOps<Backend>::simulate_plan));                         \
+  library.impl("simulate_respond", TORCH_BOX(&SimulateOps<Backend>::simulate_respond));                   \
+  library.impl("simulate_slow_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_down));               \
+  library.impl("simulate_slow_all_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_all_down));       \
+  library.impl("simulate_first_toi", TORCH_BOX(&SimulateOps<Backend>::simulate_first_toi));               \
+  library.impl("simulate_concerned_motion", TORCH_BOX(&SimulateOps<Backend>::simulate_concerned_motion)); \
+  library.impl("simulate_tally", TORCH_BOX(&SimulateOps<Backend>::simulate_tally));                       \
+  library.impl("simulate_hash", TORCH_BOX(&SimulateOps<Backend>::simulate_hash));                         \
   library.impl("random_uniforms", TORCH_BOX(&SimulateOps<Backend>::random_uniforms))
 
 }  // namespace pgccd::bind

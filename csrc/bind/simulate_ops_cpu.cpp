@@ -23,9 +23,6 @@ class SimulateOnCpu {
                        double* uniforms) const {
     random_uniforms_cpu(executor_, seed, id, count, step, stream, uniforms);
   }
-  void pair_motion(const PairMotionInput& input, const PairMotion& motion) const {
-    pair_motion_cpu(executor_, input, motion);
-  }
   void slow_down(const SlowDownInput& input, double* fraction, uint8_t* changes) const {
     slow_down_cpu(executor_, input, fraction, changes);
   }
@@ -33,9 +30,7 @@ class SimulateOnCpu {
     slow_all_down_cpu(executor_, robots, changes);
   }
   void first_toi(const FirstToiInput& contacts, double* first) const { first_toi_cpu(executor_, contacts, first); }
-  void concerned_pairs(const ConcernedPairs& concerned, int64_t pair_count, const PaddedPairs& out) const {
-    concerned_pairs_cpu(executor_, concerned, pair_count, out);
-  }
+  void concerned_motion(const ConcernedMotion& given) const { concerned_motion_cpu(executor_, given); }
   void tally_step(const StepOutcome& outcome, StepTally* tally) const { tally_step_cpu(executor_, outcome, tally); }
   void hash_rows(const HashColumns& columns, uint64_t* sum) const { hash_rows_cpu(executor_, columns, sum); }
 

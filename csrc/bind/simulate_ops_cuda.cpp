@@ -25,9 +25,6 @@ class SimulateOnCuda {
                        double* uniforms) const {
     random_uniforms_cuda(session_.context(), seed, id, count, step, stream, uniforms);
   }
-  void pair_motion(const PairMotionInput& input, const PairMotion& motion) const {
-    pair_motion_cuda(session_.context(), input, motion);
-  }
   void slow_down(const SlowDownInput& input, double* fraction, uint8_t* changes) const {
     slow_down_cuda(session_.context(), input, fraction, changes);
   }
@@ -37,9 +34,7 @@ class SimulateOnCuda {
   void first_toi(const FirstToiInput& contacts, double* first) const {
     first_toi_cuda(session_.context(), contacts, first);
   }
-  void concerned_pairs(const ConcernedPairs& concerned, int64_t pair_count, const PaddedPairs& out) const {
-    concerned_pairs_cuda(session_.context(), concerned, pair_count, out);
-  }
+  void concerned_motion(const ConcernedMotion& given) const { concerned_motion_cuda(session_.context(), given); }
   void tally_step(const StepOutcome& outcome, StepTally* tally) const {
     tally_step_cuda(session_.context(), outcome, tally);
   }

@@ -16,10 +16,6 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "simulate_respond(Tensor[] state, Tensor fraction) -> (Tensor position, Tensor orientation, Tensor velocity, "
       "Tensor angular_velocity)");
   library.def(
-      "simulate_pair_motion(Tensor[] own, Tensor[] ghosts, Tensor fraction, Tensor pairs, Tensor mesh_radius) -> "
-      "(Tensor mesh_index, Tensor position_t0, Tensor position_t1, Tensor radius, Tensor orientation, Tensor "
-      "rotation)");
-  library.def(
       "simulate_slow_down(Tensor robots, Tensor first, Tensor fraction, float approach, float smallest) -> "
       "(Tensor made, Tensor changes)");
   library.def(
@@ -27,7 +23,10 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "float approach, float smallest) -> ()");
   library.def("simulate_first_toi(Tensor(a!) first, Tensor? robots, Tensor pairs, Tensor toi) -> ()");
   // counts: see kernels/padded_pairs.h
-  library.def("simulate_concerned_pairs(Tensor pairs, Tensor changed, int room) -> (Tensor concerned, Tensor counts)");
+  library.def(
+      "simulate_concerned_motion(Tensor[] own, Tensor[] ghosts, Tensor fraction, Tensor changed, Tensor pairs, Tensor "
+      "mesh_radius, int room) -> (Tensor concerned, Tensor mesh_index, Tensor position_t0, Tensor position_t1, Tensor "
+      "radius, Tensor orientation, Tensor rotation, Tensor counts)");
   // Robots, hash of contacts, hash of states, robots that stopped, contacts at the start, hash of ids.
   library.def("simulate_tally(Tensor[] state, Tensor fraction, Tensor id, Tensor pairs, Tensor toi) -> Tensor");
   library.def("simulate_hash(Tensor[] columns) -> Tensor");

@@ -129,6 +129,12 @@ inline void note_time(const DeviceContext& context, int64_t* time) {
   for_each_item(context, 1, [=] __device__(int64_t) { *time = nanoseconds(); });
 }
 
+// Whether all other blocks of the launch have come here too. For one thread of each, after the block's last barrier.
+__device__ inline bool is_last_block(uint32_t* blocks_done) {
+  __threadfence();
+  return atomicAdd(blocks_done, 1u) + 1 == gridDim.x;
+}
+
 // Threads of a warp that append to one list share one atomic. Returns this thread's position.
 __device__ inline uint32_t warp_append(uint32_t* counter, uint32_t count) {
   const unsigned active = __activemask();

@@ -27,10 +27,9 @@ from pgccd.ops.library import take_scratch_peak
 from pgccd.ops.rows import merge_rows, pack_rows, take_rows, unpack_rows
 from pgccd.ops.simulate import (
     random_uniforms,
-    simulate_concerned_pairs,
+    simulate_concerned_motion,
     simulate_first_toi,
     simulate_hash,
-    simulate_pair_motion,
     simulate_plan,
     simulate_respond,
     simulate_slow_all_down,
@@ -73,10 +72,9 @@ __all__ = [
     "refit",
     "rotations_between",
     "rows_by_rank",
-    "simulate_concerned_pairs",
+    "simulate_concerned_motion",
     "simulate_first_toi",
     "simulate_hash",
-    "simulate_pair_motion",
     "simulate_plan",
     "simulate_respond",
     "simulate_slow_all_down",

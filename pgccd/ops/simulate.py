@@ -25,15 +25,6 @@ def simulate_respond(state: Sequence[Tensor], fraction: Tensor) -> tuple[Tensor,
     return library.operators.simulate_respond(list(state), fraction)
 
 
-def simulate_pair_motion(
-    own: Sequence[Tensor], ghosts: Sequence[Tensor], fraction: Tensor, pairs: Tensor, mesh_radius: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Mesh, position at t0 and t1, radius, orientation and rotation of the robots of pairs (P, 2), two rows a pair, of
-    which each makes `fraction` (N + G,) of its step; pairs may be padded with -1. own, ghosts: the first five columns
-    of a state; rows of ghosts follow own ones. mesh_radius (M,): the robot with id k has mesh k modulo M."""
-    return library.operators.simulate_pair_motion(list(own), list(ghosts), fraction, pairs, mesh_radius)
-
-
 def simulate_slow_down(
     robots: Tensor, first: Tensor, fraction: Tensor, approach: float, smallest: float
 ) -> tuple[Tensor, Tensor]:
@@ -55,10 +46,26 @@ def simulate_first_toi(first: Tensor, robots: Tensor | None, pairs: Tensor, toi:
     library.operators.simulate_first_toi(first, robots, pairs, toi)
 
 
-def simulate_concerned_pairs(pairs: Tensor, changed: Tensor, room: int) -> tuple[Tensor, Tensor]:
-    """Those of the pairs (P, 2), themselves perhaps padded with -1, with a robot of which changed (N,) uint8 is 1:
-    (room, 2), padded with -1; and counts (7,) as of `pairs_within`. Waits for nothing on a GPU."""
-    return library.operators.simulate_concerned_pairs(pairs, changed, room)
+def simulate_concerned_motion(
+    own: Sequence[Tensor],
+    ghosts: Sequence[Tensor],
+    fraction: Tensor,
+    changed: Tensor,
+    pairs: Tensor,
+    mesh_radius: Tensor,
+    room: int,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Those of the pairs (P, 2), perhaps padded with -1, with a robot of which changed (N + G,) uint8 is 1: (room, 2);
+    mesh, position at t0 and t1, radius, orientation and rotation of their robots, two rows a pair, of which each makes
+    `fraction` (N + G,) of its step; and counts (7,) as of `pairs_within`. On a GPU in any order, and nothing waits;
+    rows after the last are not set.
+
+    own, ghosts: the first five columns of a state; rows of ghosts follow own ones. mesh_radius (M,): the robot with id
+    k has mesh k modulo M.
+    """
+    return library.operators.simulate_concerned_motion(
+        list(own), list(ghosts), fraction, changed, pairs, mesh_radius, room
+    )
 
 
 def simulate_tally(state: Sequence[Tensor], fraction: Tensor, id: Tensor, pairs: Tensor, toi: Tensor) -> Tensor:

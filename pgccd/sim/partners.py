@@ -5,7 +5,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pgccd import ops
 from pgccd.capacity import Capacity
 from pgccd.contacts import Contacts
 from pgccd.detect import detect
@@ -43,16 +42,17 @@ class Partners:
     def __call__(self, changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
         """See `FindContacts`."""
         # A slowed robot stays within the volume it was to sweep: it meets nobody but its partners in the PCS.
-        pairs, counts = ops.simulate_concerned_pairs(self._pairs, changed.view(torch.uint8), len(self._pairs))
+        given = self._own, self._ghosts, fraction, changed.view(torch.uint8), self._pairs
+        _, _, counts = self._world.concerned_pairs(*given, 0)
         # Read together: on a GPU every look at a number waits for it.
         goes_on, count, *_ = torch.cat([anybody, counts]).tolist()
         if not goes_on:
             return None
         if not count:
             self.needed.append(Capacity(0, 0))
-            return pairs[:0], fraction[:0]
-        pairs = pairs[:count]
-        scene, motion = self._world.pair_motion(self._own, self._ghosts, fraction, pairs)
+            return self._pairs[:0], fraction[:0]
+        pairs, bodies, _ = self._world.concerned_pairs(*given, count)
+        scene, motion = self._world.pair_motion(bodies)
         # nonzero_toi: as for the whole step.
         contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=self._copies_of(count))
         self.needed.append(contacts.stats.needed or Capacity.guess(2 * count, count))
@@ -64,8 +64,8 @@ class Partners:
             room = Capacity(0, 0)  # which does not suffice: the rounds are waited for, then, and searched in pieces
         if room.pairs > len(self._copies):
             self._copies = self._copies_of(room.pairs)
-        pairs, pair_counts = ops.simulate_concerned_pairs(self._pairs, changed, room.pairs)
-        bodies = self._world.pair_bodies(self._own, self._ghosts, fraction, pairs)
+        given = self._own, self._ghosts, fraction, changed, self._pairs
+        pairs, bodies, pair_counts = self._world.concerned_pairs(*given, room.pairs)
         copies, meshes = self._copies[: room.pairs], self._world.meshes.tensors
         return lower_first_toi(first, pairs, meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, room)
 

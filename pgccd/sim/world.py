@@ -18,7 +18,7 @@ from pgccd.sim.robot import robot_mesh
 
 Pattern = Literal["random", "skewed"]
 PATTERNS: tuple[str, ...] = get_args(Pattern)
-# In the order that ops.simulate_pair_motion wants.
+# In the order that ops.simulate_concerned_motion wants.
 _MOVING = ("id", "position", "orientation", "velocity", "angular_velocity")
 
 
@@ -172,27 +172,36 @@ class World:
             velocity, spin = fraction[:, None] * velocity, fraction[:, None] * spin
         return RigidMotion.from_velocity(state.position, state.orientation, velocity, spin, dt=1.0)
 
-    def pair_bodies(
-        self, own: Sequence[Tensor], ghosts: Sequence[Tensor], fraction: Tensor, pairs: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """The robots of some pairs alone, each pair with its own copies of its two robots.
+    def concerned_pairs(
+        self,
+        own: Sequence[Tensor],
+        ghosts: Sequence[Tensor],
+        fraction: Tensor,
+        changed: Tensor,
+        pairs: Tensor,
+        room: int,
+    ) -> tuple[Tensor, tuple[Tensor, ...], Tensor]:
+        """Pairs with a robot that has changed, each with its own copies of its two robots. Waits for nothing on a GPU.
 
         Args:
             own, ghosts: `moving_columns` of planned states; rows of ghosts follow own ones.
             fraction: (N + G,) of the step that each robot makes.
+            changed: (N + G,) uint8.
             pairs: (P, 2) int64 rows; may be padded with -1.
+            room: for so many of them.
 
         Returns:
-            What `MovingBodies.tensors` would be for 2 P bodies, of which 2 k and 2 k + 1 are the robots of pair k.
+            The pairs (room, 2), on a GPU in any order; what `MovingBodies.tensors` would be for 2 room bodies, of which
+            2 k and 2 k + 1 are the robots of pair k; and counts (7,), the first of `Counts`. Rows of pairs that are not
+            there are not set.
         """
-        return ops.simulate_pair_motion(own, ghosts, fraction, pairs, self.meshes.radius)
+        radius = self.meshes.radius
+        found, *bodies, counts = ops.simulate_concerned_motion(own, ghosts, fraction, changed, pairs, radius, room)
+        return found, tuple(bodies), counts
 
-    def pair_motion(
-        self, own: Sequence[Tensor], ghosts: Sequence[Tensor], fraction: Tensor, pairs: Tensor
-    ) -> tuple[Scene, RigidMotion]:
-        """Scene and motion of `pair_bodies`, of pairs without padding."""
-        tensors = self.pair_bodies(own, ghosts, fraction, pairs)
-        mesh_index, position_t0, position_t1, radius, orientation, rotation = tensors
+    def pair_motion(self, bodies: Sequence[Tensor]) -> tuple[Scene, RigidMotion]:
+        """Scene and motion of `concerned_pairs` whose number was known."""
+        mesh_index, position_t0, position_t1, radius, orientation, rotation = bodies
         scene = Scene.of_checked(self.meshes, mesh_index)
         scene.radius = radius  # known already
         return scene, RigidMotion.of_checked(position_t0, orientation, position_t1, rotation)

@@ -178,7 +178,9 @@ def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> N
     own_count = len(state) - ghost_count
     own = [column[:own_count] for column in state.moving_columns.values()]
     ghosts = [column[own_count:] for column in state.moving_columns.values()]
-    scene, motion = world.pair_motion(own, ghosts, fraction, pairs)
+    everybody = torch.ones(len(state), dtype=torch.uint8)
+    _, bodies, _ = world.concerned_pairs(own, ghosts, fraction, everybody, pairs, len(pairs))
+    scene, motion = world.pair_motion(bodies)
     for name in ("position_t0", "orientation_t0", "position_t1", "rotation"):
         assert torch.equal(getattr(motion, name), getattr(slowed, name)[pairs.reshape(-1)]), name
     copies = torch.arange(2 * len(pairs)).view(-1, 2)
@@ -189,20 +191,43 @@ def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> N
 
 
 def test_concerned_pairs_are_those_with_a_robot_that_changed(device: torch.device) -> None:
+    """And their robots move as they do among all, to the bit, in whatever order they are found."""
+    world = World(WorldConfig(robots=5000, seed=4))
+    state = world.plan(world.start(), 0)
     generator = torch.Generator().manual_seed(2)
-    pairs = torch.randint(500, (3000, 2), generator=generator)
-    changed = torch.rand(500, generator=generator) < 0.1
-    marks, expected = changed.to(device).view(torch.uint8), pairs[changed[pairs].any(dim=1)]
+    pairs = torch.randint(5000, (30_000, 2), generator=generator)
+    pairs[::7] = -1
+    changed = torch.rand(5000, generator=generator) < 0.05
+    fraction = torch.rand(5000, dtype=torch.float64, generator=generator)
+    among_all = world.motion(state, fraction)
+    expected = sorted(pairs[(pairs[:, 0] >= 0) & changed[pairs].any(dim=1)].tolist())
     count = len(expected)
-    assert count > 100
-    for room in (3000, count, count - 1, 0):
-        rows, counts = ops.simulate_concerned_pairs(pairs.to(device), marks, room)
+    assert count > 2000
+    columns = [column.to(device) for column in state.moving_columns.values()]
+    own, ghosts = ([column[part] for column in columns] for part in (slice(0, 4100), slice(4100, None)))
+    marks = changed.to(device).view(torch.uint8)
+    there = World(world.config, device=device)
+    for room in (30_000, count, count - 1, 0):
+        found, bodies, counts = there.concerned_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), room)
         written = min(count, room)
-        assert rows.shape == (room, 2) and counts.tolist() == [count, 0, 0, written, int(room < count), 0, 0]
-        assert torch.equal(rows[:written].cpu(), expected[:written]) and bool((rows[written:] == -1).all())
-    assert ops.simulate_concerned_pairs(pairs[:0].to(device), marks, 5)[1].tolist() == [0] * 7
+        assert counts.tolist() == [count, 0, 0, written, int(room < count), 0, 0]
+        assert len(found) == room and all(len(column) == 2 * room for column in bodies)
+        found = found[:written].cpu()
+        if room < count:  # some of them
+            assert all(pair in expected for pair in found[::50].tolist())
+        else:
+            assert sorted(found.tolist()) == expected
+        robots = found.reshape(-1)
+        mesh_index, position_t0, position_t1, _, orientation, rotation = (c[: 2 * written].cpu() for c in bodies)
+        assert torch.equal(mesh_index, (state.id % len(world.meshes))[robots].int())
+        assert torch.equal(position_t0, among_all.position_t0[robots])
+        assert torch.equal(position_t1, among_all.position_t1[robots])
+        assert torch.equal(orientation, among_all.orientation_t0[robots])
+        assert torch.equal(rotation, among_all.rotation[robots])
+    nothing = there.concerned_pairs(own, ghosts, fraction.to(device), marks, pairs[:0].to(device), 5)
+    assert nothing[2].tolist() == [0] * 7
     with pytest.raises(RuntimeError, match=r"room: expected a number in \[0, 2\^31\), got -1"):
-        ops.simulate_concerned_pairs(pairs.to(device), marks, -1)
+        there.concerned_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), -1)
 
 
 def test_slowing_down(device: torch.device) -> None:

@@ -281,4 +281,4 @@ def test_a_round_is_few_operators_and_no_wait() -> None:
             step.ahead(pace)
         calls.append(watch.calls)
         assert watch.waits == 0  # the one look is that of the numbers gathered
-    assert calls[1] - calls[0] == 4
+    assert calls[1] - calls[0] == 3

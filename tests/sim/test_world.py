@@ -136,14 +136,15 @@ def test_operators_have_consistent_fake_kernels() -> None:
     torch.library.opcheck(torch.ops.pgccd.simulate_plan, (columns, 3, *settings))
     torch.library.opcheck(torch.ops.pgccd.simulate_respond, (columns, half))
     pairs, changed = torch.tensor([[0, 1], [1, 4], [-1, -1]]), torch.ones(5, dtype=torch.uint8)
-    bodies = (columns[:5], [column[:0] for column in columns[:5]], half, pairs, world.meshes.radius)
-    torch.library.opcheck(torch.ops.pgccd.simulate_pair_motion, bodies)
+    nobody = [column[:0] for column in columns[:5]]
+    # All rows: those after the last pair are not set.
+    moving = (columns[:5], nobody, half, changed, pairs, world.meshes.radius, 2)
+    torch.library.opcheck(torch.ops.pgccd.simulate_concerned_motion, moving)
     torch.library.opcheck(torch.ops.pgccd.simulate_slow_down, (state.id, half, half, 0.99, 0.01))
     nobody_yet = torch.zeros(1, dtype=torch.int64)
     slowing = (half.clone(), half.clone(), changed, nobody_yet, 0.99, 0.01)
     torch.library.opcheck(torch.ops.pgccd.simulate_slow_all_down, slowing)
     torch.library.opcheck(torch.ops.pgccd.simulate_first_toi, (half, state.id, pairs[:2], half[:2]))
-    torch.library.opcheck(torch.ops.pgccd.simulate_concerned_pairs, (pairs[:2], changed, 3))
     torch.library.opcheck(torch.ops.pgccd.random_uniforms, (state.id, 1, 2, 3))
 
 

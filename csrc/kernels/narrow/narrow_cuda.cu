@@ -20,7 +20,8 @@ struct Counters {
   uint32_t open;        // candidates that are not free at a glance, those that did not fit included
   uint32_t contacts;    // among them; of first toi: pairs that have one
   uint32_t unresolved;  // of the rows written
-  int64_t rows;         // to report
+  uint32_t blocks_done;
+  int64_t rows;  // to report
 };
 
 // Contacts, in any order; and per pair the earliest toi so far, unless all are to be reported.
@@ -96,6 +97,26 @@ __global__ void __launch_bounds__(kSolveThreads, 6) solve_candidates(Bodies bodi
     search.contacts[warp_append(&search.counters->contacts, 1)] = {c, static_cast<int32_t>(outcome.status), outcome.toi,
                                                                    outcome.u, outcome.v};
   }
+}
+
+// One thread a pair.
+__global__ void __launch_bounds__(kBlockThreads) lower_owners(Search search, FirstToi known, int64_t* counts) {
+  Counters& seen = *search.counters;
+  const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+  const unsigned long long toi = pair < search.input.pair_count ? search.best[pair] : ~0ull;
+  if (toi != ~0ull) {
+    warp_append(&seen.contacts, 1);
+    for (int side = 0; side < 2; ++side) {
+      atomicMin(reinterpret_cast<unsigned long long*>(known.first + known.owners[2 * pair + side]), toi);
+    }
+  }
+  __syncthreads();
+  if (threadIdx.x != 0 || !is_last_block(&seen.blocks_done)) return;
+  counts[kOpenNeeded] = seen.open;
+  counts[kContactsNeeded] = atomicAdd(&seen.contacts, 0u);
+  counts[kUnresolvedWritten] = 0;
+  counts[kContactsOverflow] = seen.open > search.capacity;
+  counts[kNarrowEnded] = nanoseconds();
 }
 
 // The contacts to report, in canonical order: one a pair.
@@ -198,12 +219,14 @@ Search make_search_for_contacts(const DeviceContext& context, const NarrowInput&
 
 template <class Bodies>
 void run_search(const DeviceContext& context, const Bodies& bodies, const Search& search) {
-  fill_bytes(context, search.counters, 0, 1);
-  if (search.best != nullptr) {
-    // No toi, no key and no winner yet.
-    const int64_t pair_bytes = search.winner != nullptr ? 20 : 8;
-    fill_bytes(context, reinterpret_cast<char*>(search.best), 0xff, pair_bytes * search.input.pair_count);
-  }
+  const int64_t pairs = search.input.pair_count;
+  // No toi, no key and no winner yet, as words of eight bytes.
+  const int64_t words = search.best == nullptr ? 0 : search.winner == nullptr ? pairs : 2 * pairs + (pairs + 1) / 2;
+  for_each_item(context, larger<int64_t>(1, words), [=] __device__(int64_t k) {
+    if (k == 0) *search.counters = {};
+    if (k < words) search.best[k] = ~0ull;
+  });
+  if (pairs == 0) return;
   glance_at_candidates<Bodies>
       <<<resident_blocks_of(glance_at_candidates<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
   check_cuda(cudaGetLastError(), "glance_at_candidates");
@@ -246,11 +269,7 @@ template <class Bodies>
 void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                          const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts) {
   const Search search = make_search_for_contacts(context, input, capacity.open);
-  if (input.pair_count == 0) {
-    fill_bytes(context, search.counters, 0, 1);
-  } else {
-    run_search(context, bodies, search);
-  }
+  run_search(context, bodies, search);
   const int32_t* selected = nullptr;
   if (input.pair_count > 0 && search.capacity > 0) {
     selected = search.best != nullptr ? select_first(context, search) : sort_all(context, search, search.capacity);
@@ -271,27 +290,10 @@ void lower_first_toi(const DeviceContext& context, const Bodies& bodies, const N
                      const FirstToi& known, int64_t* counts) {
   Search search = make_search(context, input, most_open);
   search.best = context.allocate<unsigned long long>(input.pair_count);
-  if (input.pair_count == 0) {
-    fill_bytes(context, search.counters, 0, 1);
-  } else {
-    run_search(context, bodies, search);
-  }
-  for_each_item(context, input.pair_count, [=] __device__(int64_t pair) {
-    const unsigned long long toi = search.best[pair];
-    if (toi == ~0ull) return;
-    warp_append(&search.counters->contacts, 1);
-    for (int side = 0; side < 2; ++side) {
-      atomicMin(reinterpret_cast<unsigned long long*>(known.first + known.owners[2 * pair + side]), toi);
-    }
-  });
-  const Counters* seen = search.counters;
-  for_each_item(context, 1, [=] __device__(int64_t) {
-    counts[kOpenNeeded] = seen->open;
-    counts[kContactsNeeded] = seen->contacts;
-    counts[kUnresolvedWritten] = 0;
-    counts[kContactsOverflow] = seen->open > search.capacity;
-    counts[kNarrowEnded] = nanoseconds();
-  });
+  run_search(context, bodies, search);
+  const int64_t blocks = larger<int64_t>(1, (input.pair_count + kBlockThreads - 1) / kBlockThreads);
+  lower_owners<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(search, known, counts);
+  check_cuda(cudaGetLastError(), "lower_owners");
 }
 
 template void lower_first_toi(const DeviceContext&, const RigidBodies&, const NarrowInput&, int64_t, const FirstToi&,

@@ -80,18 +80,12 @@ struct ConcernedPairs {
   }
 };
 
-// The k-th of the concerned pairs, `rows` (found,) of all, where there is room for it.
-PGCCD_HD void store_concerned_pair(const int64_t* pairs, const int64_t* rows, int64_t found, int64_t k,
-                                   const PaddedPairs& out) {
-  const int64_t room = out.capacity.pairs, written = found < room ? found : room;
-  if (k == 0) {
-    for (int count = 0; count < kPairCounts; ++count) out.counts[count] = 0;
-    out.counts[kPairsNeeded] = found;
-    out.counts[kPairsWritten] = written;
-    out.counts[kPairsOverflow] = found > room ? 1 : 0;
-  }
-  if (k >= room) return;
-  for (int side = 0; side < 2; ++side) out.rows[2 * k + side] = k < written ? pairs[2 * rows[k] + side] : -1;
+// Of pairs found, of which as many as there is room for are written. Nothing is said of overlaps and times.
+PGCCD_HD void store_counts(int64_t found, int64_t room, int64_t* counts) {
+  for (int count = 0; count < kPairCounts; ++count) counts[count] = 0;
+  counts[kPairsNeeded] = found;
+  counts[kPairsWritten] = found < room ? found : room;
+  counts[kPairsOverflow] = found > room ? 1 : 0;
 }
 
 }  // namespace pgccd

@@ -47,10 +47,6 @@ void random_uniforms_cpu(const Executor& executor, uint64_t seed, const int64_t*
   });
 }
 
-void pair_motion_cpu(const Executor& executor, const PairMotionInput& input, const PairMotion& motion) {
-  for_each_row(executor, 2 * input.pair_count, [&](int64_t row) { store_pair_motion(input, row, motion); });
-}
-
 void slow_down_cpu(const Executor& executor, const SlowDownInput& input, double* fraction, uint8_t* changes) {
   for_each_row(executor, input.count, [&](int64_t k) { slow_down(input, k, fraction, changes); });
 }
@@ -74,13 +70,14 @@ void first_toi_cpu(const Executor&, const FirstToiInput& contacts, double* first
   }
 }
 
-void concerned_pairs_cpu(const Executor& executor, const ConcernedPairs& concerned, int64_t pair_count,
-                         const PaddedPairs& out) {
-  std::vector<int64_t> rows(static_cast<size_t>(pair_count));
+void concerned_motion_cpu(const Executor& executor, const ConcernedMotion& given) {
+  std::vector<int64_t> rows(static_cast<size_t>(given.pair_count));
   int64_t found = 0;
-  find_rows(executor, pair_count, rows.data(), &found, concerned);
-  for_each_row(executor, larger<int64_t>(1, out.capacity.pairs),
-               [&](int64_t k) { store_concerned_pair(concerned.pairs, rows.data(), found, k, out); });
+  find_rows(executor, given.pair_count, rows.data(), &found, given.concerned);
+  for_each_row(executor, found, [&](int64_t k) {
+    for (int side = 0; side < 2; ++side) given.store(rows[static_cast<size_t>(k)], side, k);
+  });
+  store_counts(found, given.room, given.counts);
 }
 
 void tally_step_cpu(const Executor& executor, const StepOutcome& outcome, StepTally* tally) {

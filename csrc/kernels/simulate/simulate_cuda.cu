@@ -1,4 +1,6 @@
-#include "kernels/find_rows.cuh"
+#include <cub/cub.cuh>
+
+#include "kernels/device.cuh"
 #include "kernels/simulate/robot_item.h"
 #include "kernels/simulate/simulate_cuda.h"
 
@@ -32,6 +34,39 @@ __global__ void __launch_bounds__(kBlockThreads) tally_step(StepOutcome outcome,
     if (threadIdx.x == 0 && sum != 0) {
       atomicAdd(reinterpret_cast<unsigned long long*>(tally) + k, static_cast<unsigned long long>(sum));
     }
+  }
+}
+
+struct FoundPairs {
+  uint32_t count;
+  uint32_t blocks_done;
+};
+
+// One in some ten pairs is found, of which each is a hundred bytes to read and to write: a block first gathers those of
+// many, then all its threads have work.
+constexpr int kTilePairs = 8 * kBlockThreads;
+
+__global__ void __launch_bounds__(kBlockThreads) concerned_motion(ConcernedMotion given, FoundPairs* found) {
+  __shared__ int32_t tile[kTilePairs];
+  __shared__ uint32_t count, first;
+  const int64_t stride = static_cast<int64_t>(gridDim.x) * kTilePairs;
+  for (int64_t begin = static_cast<int64_t>(blockIdx.x) * kTilePairs; begin < given.pair_count; begin += stride) {
+    if (threadIdx.x == 0) count = 0;
+    __syncthreads();
+    const int pairs = static_cast<int>(smaller<int64_t>(kTilePairs, given.pair_count - begin));
+    for (int k = threadIdx.x; k < pairs; k += kBlockThreads) {
+      if (given.concerned(begin + k)) tile[warp_append(&count, 1)] = k;
+    }
+    __syncthreads();
+    if (threadIdx.x == 0) first = atomicAdd(&found->count, count);
+    __syncthreads();
+    for (uint32_t side = threadIdx.x; side < 2 * count; side += kBlockThreads) {
+      given.store(begin + tile[side / 2], static_cast<int>(side % 2), int64_t{first} + side / 2);
+    }
+    __syncthreads();
+  }
+  if (threadIdx.x == 0 && is_last_block(&found->blocks_done)) {
+    store_counts(atomicAdd(&found->count, 0u), given.room, given.counts);
   }
 }
 
@@ -74,10 +109,6 @@ void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int
   });
 }
 
-void pair_motion_cuda(const DeviceContext& context, const PairMotionInput& input, const PairMotion& motion) {
-  for_each_item(context, 2 * input.pair_count, [=] __device__(int64_t row) { store_pair_motion(input, row, motion); });
-}
-
 void slow_down_cuda(const DeviceContext& context, const SlowDownInput& input, double* fraction, uint8_t* changes) {
   for_each_item(context, input.count, [=] __device__(int64_t k) { slow_down(input, k, fraction, changes); });
 }
@@ -98,14 +129,13 @@ void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts,
   });
 }
 
-void concerned_pairs_cuda(const DeviceContext& context, const ConcernedPairs& concerned, int64_t pair_count,
-                          const PaddedPairs& out) {
-  int64_t* const rows = context.allocate<int64_t>(pair_count);
-  int64_t* const found = context.allocate<int64_t>(1);
-  find_rows(context, pair_count, rows, found, concerned);
-  const int64_t* const pairs = concerned.pairs;
-  for_each_item(context, larger<int64_t>(1, out.capacity.pairs),
-                [=] __device__(int64_t k) { store_concerned_pair(pairs, rows, *found, k, out); });
+void concerned_motion_cuda(const DeviceContext& context, const ConcernedMotion& given) {
+  FoundPairs* const found = context.allocate<FoundPairs>(1);
+  fill_bytes(context, found, 0, 1);
+  const int64_t tiles = (given.pair_count + kTilePairs - 1) / kTilePairs;
+  const int64_t blocks = larger<int64_t>(1, smaller<int64_t>(tiles, resident_blocks_of(concerned_motion)));
+  concerned_motion<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(given, found);
+  check_cuda(cudaGetLastError(), "concerned_motion");
 }
 
 void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {

@@ -26,9 +26,6 @@ void respond_cuda(const DeviceContext& context, const RobotColumns& robots, cons
 void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
                           uint32_t stream, double* uniforms);
 
-// The motion of pairs' robots.
-void pair_motion_cuda(const DeviceContext& context, const PairMotionInput& input, const PairMotion& motion);
-
 // What robots that collide make of the step, fraction (count,), and which of them that slows down, changes (count,).
 void slow_down_cuda(const DeviceContext& context, const SlowDownInput& input, double* fraction, uint8_t* changes);
 
@@ -38,10 +35,8 @@ void slow_all_down_cuda(const DeviceContext& context, const SlowAllDown& robots,
 // Lowers the first toi of robots to that of their contacts.
 void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts, double* first);
 
-// Of the pairs (pair_count, 2) those concerned, in as much room as there is. In the counts nothing is said of overlaps
-// and times.
-void concerned_pairs_cuda(const DeviceContext& context, const ConcernedPairs& concerned, int64_t pair_count,
-                          const PaddedPairs& out);
+// The pairs concerned, in any order, and how their robots move, in as much room as there is.
+void concerned_motion_cuda(const DeviceContext& context, const ConcernedMotion& given);
 
 // The sum of the rows' hashes modulo 2^64.
 void tally_step_cuda(const DeviceContext& context, const StepOutcome& outcome, StepTally* tally);
