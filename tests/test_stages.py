@@ -21,7 +21,8 @@ class Event:
         assert enable_timing
         self.at, self.waited_for = -1.0, False
 
-    def record(self) -> None:
+    def record(self, stream: str) -> None:
+        assert stream == "stream of 3"
         Event.made.append(self)
         self.at = float(len(Event.made))
 
@@ -63,6 +64,8 @@ def test_on_a_gpu_events_tell_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     Event.made = []
     monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
     monkeypatch.setattr(torch.cuda, "Event", Event)
+    monkeypatch.setattr(torch.cuda, "current_device", lambda: 3)
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: f"stream of {device}")
     clock = StageClock()
     with clock.stage("plan"), clock.stage("gather"):
         pass
