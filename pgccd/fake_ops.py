@@ -79,6 +79,11 @@ def _(holders: Tensor, rows: Tensor, counts: Tensor, rooms: list[int]) -> Tensor
     return rows.new_empty((sum(rooms),))
 
 
+@torch.library.register_fake("pgccd::counts_to_tell")
+def _(counts: Tensor, rooms: list[int], found: Tensor, room: int) -> Tensor:
+    return counts.new_empty((len(rooms), 2))
+
+
 @torch.library.register_fake("pgccd::owned_pairs")
 def _(pairs: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
     return pairs.new_empty((pairs.shape[0], 2)), pairs.new_empty((1,))

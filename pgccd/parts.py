@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -117,7 +118,13 @@ class Part:
         """Rows of `bodies` (K, 2), perhaps -1, as rows of the step's."""
         if self.rows is None:
             return pairs
-        return torch.cat([self.rows, self.rows.new_full((1,), -1)])[pairs]
+        return self._rows_or_nobody[pairs]
+
+    @functools.cached_property
+    def _rows_or_nobody(self) -> Tensor:
+        """`rows`, the last of them that of nobody."""
+        assert self.rows is not None
+        return torch.cat([self.rows, self.rows.new_full((1,), -1)])
 
 
 #: Of pairs (P, 2), perhaps with rows of -1 after them, those to be searched: as many, in the first places; and their

@@ -42,6 +42,7 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     rows = torch.arange(len(border), device=moving.device)
     holders, counts = ops.holders_of(centres, 0.01, territory, rows, 2, [2, len(border) - 2])
     ops.rows_by_rank(holders, rows, counts, [3, 0])
+    ops.counts_to_tell(counts, [3, 0], counts[:1], 4)
     pairs = torch.combinations(rows)
     for held in (None, rows):
         ops.owned_pairs(pairs, held, rows, centres, 0.01, reach, territory)

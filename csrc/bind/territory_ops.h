@@ -68,6 +68,14 @@ struct TerritoryOps {
     return by_rank;
   }
 
+  static Tensor counts_to_tell(const Tensor& counts, std::vector<int64_t> rooms, const Tensor& found, int64_t room) {
+    const int64_t ranks = static_cast<int64_t>(rooms.size());
+    const RoomInput input{rows<int64_t>(counts, "counts", {ranks}), rows<int64_t>(found, "found", {1}), room};
+    Tensor told = new_tensor<int64_t>(counts, {ranks, 2});
+    Backend(counts).counts_to_tell(input, rooms, data<int64_t>(told));
+    return told;
+  }
+
   static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const std::optional<Tensor>& held,
                                                 const Tensor& id, const TensorList& centres, double min_separation,
                                                 const Tensor& reach, FrameList frame, const Tensor& owner,
@@ -111,12 +119,13 @@ struct TerritoryOps {
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_TERRITORY_OPS(library, Backend)                             \
-  library.impl("border_bodies", TORCH_BOX(&TerritoryOps<Backend>::border_bodies)); \
-  library.impl("holders_of", TORCH_BOX(&TerritoryOps<Backend>::holders_of));       \
-  library.impl("rows_by_rank", TORCH_BOX(&TerritoryOps<Backend>::rows_by_rank));   \
-  library.impl("owned_pairs", TORCH_BOX(&TerritoryOps<Backend>::owned_pairs));     \
-  library.impl("near_ghosts", TORCH_BOX(&TerritoryOps<Backend>::near_ghosts));     \
+#define PGCCD_REGISTER_TERRITORY_OPS(library, Backend)                               \
+  library.impl("border_bodies", TORCH_BOX(&TerritoryOps<Backend>::border_bodies));   \
+  library.impl("holders_of", TORCH_BOX(&TerritoryOps<Backend>::holders_of));         \
+  library.impl("rows_by_rank", TORCH_BOX(&TerritoryOps<Backend>::rows_by_rank));     \
+  library.impl("counts_to_tell", TORCH_BOX(&TerritoryOps<Backend>::counts_to_tell)); \
+  library.impl("owned_pairs", TORCH_BOX(&TerritoryOps<Backend>::owned_pairs));       \
+  library.impl("near_ghosts", TORCH_BOX(&TerritoryOps<Backend>::near_ghosts));       \
   library.impl("leaving_bodies", TORCH_BOX(&TerritoryOps<Backend>::leaving_bodies))
 
 }  // namespace pgccd::bind

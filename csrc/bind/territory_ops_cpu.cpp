@@ -17,6 +17,9 @@ class TerritoryOnCpu {
   void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank) const {
     rows_by_rank_cpu(held, rooms, by_rank);
   }
+  void counts_to_tell(const RoomInput& input, const std::vector<int64_t>& rooms, int64_t* told) const {
+    counts_to_tell_cpu(input, rooms, told);
+  }
   void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
     owned_pairs_cpu(executor_, input, owned, found);
   }

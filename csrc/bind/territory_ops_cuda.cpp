@@ -22,6 +22,9 @@ class TerritoryOnCuda {
   void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank) const {
     rows_by_rank_cuda(session_.context(), held, rooms, by_rank);
   }
+  void counts_to_tell(const RoomInput& input, const std::vector<int64_t>& rooms, int64_t* told) const {
+    counts_to_tell_cuda(session_.context(), input, rooms, told);
+  }
   void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
     owned_pairs_cuda(session_.context(), input, owned, found);
   }

@@ -12,6 +12,7 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "holders_of(Tensor[] centres, float min_separation, float[] frame, Tensor owner, int rank, Tensor bodies, "
       "int[] received, int ranks) -> (Tensor holders, Tensor counts)");
   library.def("rows_by_rank(Tensor holders, Tensor rows, Tensor counts, int[] rooms) -> Tensor");
+  library.def("counts_to_tell(Tensor counts, int[] rooms, Tensor found, int room) -> Tensor");
   library.def(
       "owned_pairs(Tensor pairs, Tensor? rows, Tensor id, Tensor[] centres, float min_separation, Tensor reach, "
       "float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");

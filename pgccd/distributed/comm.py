@@ -68,7 +68,7 @@ class Comm(ABC):
 
     @abstractmethod
     def exchange_counts(self, counts: Tensor) -> Tensor:
-        """counts (size,) int64, one for each rank -> what each rank has for this one."""
+        """counts (size, ...) int64, a row for each rank -> what each rank has for this one."""
 
     @abstractmethod
     def all_gather(self, values: Tensor) -> Tensor:

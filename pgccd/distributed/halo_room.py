@@ -75,20 +75,18 @@ class SentWithin:
         border = border[: room.border]
         self._holders, self._counts = ops.holders_of(*where, border, comm.size)
         self._rows = ops.rows_by_rank(self._holders, border, self._counts, room.sent)
-        coming = comm.exchange_counts(self._counts)
+        # Each rank tells all others whether it is short of room.
+        told = ops.counts_to_tell(self._counts, room.sent, count, room.border)
+        self._told = HostCopy(torch.stack([told, comm.exchange_counts(told)]))
         self._pending = comm.exchange(pack(own, self._rows), room.sent, room.received)
-        places = torch.tensor(room.sent).to(count.device, non_blocking=True)
-        is_short = (count > room.border) | (self._counts > places).any()
-        anywhere = comm.all_gather(is_short.long()).amax(dim=0)
-        self._told = HostCopy(torch.cat([anywhere, self._counts, coming]))
 
     def wait(self, border_count: int) -> Sent | None:
         """What was sent; None, on all ranks, if one of them was short of room."""
-        is_short, *numbers = self._told.numpy().tolist()
+        told = self._told.numpy()
         packed = self._pending.wait()
-        if is_short:
+        if told[:, :, 1].any():
             return None
-        sent, received = numbers[: self._comm.size], numbers[self._comm.size :]
+        sent, received = told[:, :, 0].tolist()
         route = Route(self._comm, _filled(self._rows, self._room.sent, sent), sent, received)
         ghosts = unpack(_filled(packed, self._room.received, received), self._own)
         return Sent(route, ghosts, self._holders[:border_count], self._counts)

@@ -38,6 +38,12 @@ def rows_by_rank(holders: Tensor, rows: Tensor, counts: Tensor, rooms: Sequence[
     return library.operators.rows_by_rank(holders, rows, counts, list(rooms))
 
 
+def counts_to_tell(counts: Tensor, rooms: Sequence[int], found: Tensor, room: int) -> Tensor:
+    """(ranks, 2) int64, a row to tell each rank: how many rows are its, counts (ranks,); and 1 if those of a rank do
+    not fit into its one of `rooms`, or all of them, `found` (1,), not into `room`; else 0."""
+    return library.operators.counts_to_tell(counts, list(rooms), found, room)
+
+
 def owned_pairs(
     pairs: Tensor,
     rows: Tensor | None,

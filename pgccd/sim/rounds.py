@@ -134,8 +134,9 @@ def settle_ahead(
     Returns:
         None, on all ranks, if there was not room for something on one of them.
     """
+    more = pace.rounds or 0
+    device = parts[0].bodies.device
     with clock.stage("respond"):
-        device = parts[0].bodies.device
         fraction = torch.ones(body_count, dtype=torch.float64, device=device)
         changed = torch.empty(body_count, dtype=torch.uint8, device=device)
         first = torch.full_like(fraction, torch.inf)
@@ -143,12 +144,10 @@ def settle_ahead(
         for part, search in zip(parts, searches, strict=True):
             ops.simulate_first_toi(first, part.rows, search.rows[0], search.rows[4])
 
-    def slow_down(rounds: int, changes: Tensor) -> None:
-        exchange.share(first)
-        ops.simulate_slow_all_down(first, fraction, changed, changes, *limits_of(rounds))
+        def slow_down(rounds: int, changes: Tensor) -> None:
+            exchange.share(first)
+            ops.simulate_slow_all_down(first, fraction, changed, changes, *limits_of(rounds))
 
-    more = pace.rounds or 0
-    with clock.stage("respond"):
         changes = torch.zeros(1 + more, dtype=torch.int64, device=device)  # whether a robot changed, in each round
         slow_down(0, changes[:1])
     goes_on: list[bool] = []  # before each round: whether a robot has changed on any rank

@@ -128,6 +128,8 @@ def reduce_values(comm: Comm) -> None:
     assert comm.exchange_counts(10 * comm.rank + torch.arange(comm.size)).tolist() == [
         10 * rank + comm.rank for rank in range(comm.size)
     ]
+    rows = torch.stack([torch.arange(comm.size), torch.full((comm.size,), -comm.rank)], dim=1)
+    assert comm.exchange_counts(rows).tolist() == [[comm.rank, -rank] for rank in range(comm.size)]
     comm.barrier()
 
 

@@ -99,6 +99,11 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
             assert ops.rows_by_rank(holders, rows, counts, counts.tolist()).tolist() == sum(by_rank, [])
             in_rooms = [(each + [-1] * size)[:size] for each, size in zip(by_rank, rooms, strict=True)]
             assert ops.rows_by_rank(holders, rows, counts, rooms).tolist() == sum(in_rooms, [])
+            for room in (len(rows), len(rows) - 1):
+                for sizes in (rooms, counts.tolist()):
+                    short = room < len(rows) or any(len(e) > size for e, size in zip(by_rank, sizes, strict=True))
+                    told = ops.counts_to_tell(counts, sizes, torch.tensor([len(rows)], device=device), room)
+                    assert told.tolist() == [[len(each), int(short)] for each in by_rank]
         # Among the rows there may be some of nobody.
         padded = torch.where(rows % 3 == 1, -1, rows)
         holders, counts = ops.holders_of(here, SEPARATION, territory, padded, ranks)

@@ -49,6 +49,24 @@ struct HeldRows {
 // -1. Those for which there is no room are left out.
 void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank);
 
+// Whether rows have room.
+struct RoomInput {
+  const int64_t* counts;  // (ranks,) of rows for each rank
+  const int64_t* found;   // (1,) rows in all
+  int64_t room;           // for these
+
+  // `rooms`: for each rank's.
+  PGCCD_HD bool is_short(const int64_t* rooms, int64_t ranks) const {
+    for (int64_t rank = 0; rank < ranks; ++rank) {
+      if (counts[rank] > rooms[rank]) return true;
+    }
+    return *found > room;
+  }
+};
+
+// told (ranks, 2): the count of each, and 1 if there is not room for all rows.
+void counts_to_tell_cpu(const RoomInput& input, const std::vector<int64_t>& rooms, int64_t* told);
+
 // Pairs whose reference point lies in a cell of the territory's rank, in the first places of owned (pair_count, 2),
 // then pairs of -1; `found` is how many there are.
 void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found);

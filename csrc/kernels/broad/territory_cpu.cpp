@@ -49,6 +49,15 @@ void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& rooms, i
   }
 }
 
+void counts_to_tell_cpu(const RoomInput& input, const std::vector<int64_t>& rooms, int64_t* told) {
+  const int64_t ranks = static_cast<int64_t>(rooms.size());
+  const bool is_short = input.is_short(rooms.data(), ranks);
+  for (int64_t rank = 0; rank < ranks; ++rank) {
+    *told++ = input.counts[rank];
+    *told++ = is_short ? 1 : 0;
+  }
+}
+
 void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found) {
   std::vector<int64_t> kept(static_cast<size_t>(input.pair_count));
   find_rows(executor, input.pair_count, kept.data(), found, [&](int64_t k) { return is_owned(input, k); });

@@ -45,15 +45,18 @@ struct IsHolder {
   }
 };
 
+const int64_t* on_device(const DeviceContext& context, const std::vector<int64_t>& numbers) {
+  int64_t* const there = context.allocate<int64_t>(static_cast<int64_t>(numbers.size()));
+  if (numbers.empty()) return there;
+  const size_t bytes = sizeof(int64_t) * numbers.size();
+  check_cuda(cudaMemcpyAsync(there, numbers.data(), bytes, cudaMemcpyHostToDevice, context.stream), "cudaMemcpyAsync");
+  return there;
+}
+
 // Where the part of each of several that follow one another ends, for the device.
 const int64_t* ends_of(const DeviceContext& context, std::vector<int64_t> sizes) {
   std::partial_sum(sizes.begin(), sizes.end(), sizes.begin());
-  int64_t* ends = context.allocate<int64_t>(static_cast<int64_t>(sizes.size()));
-  if (sizes.empty()) return ends;
-  check_cuda(
-      cudaMemcpyAsync(ends, sizes.data(), sizeof(int64_t) * sizes.size(), cudaMemcpyHostToDevice, context.stream),
-      "cudaMemcpyAsync");
-  return ends;
+  return on_device(context, sizes);
 }
 
 }  // namespace
@@ -114,6 +117,16 @@ void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const
     const int64_t rank = count_leading(ranks, [&](int64_t r) { return room_end[r] <= place; });
     const int64_t k = place - (rank == 0 ? 0 : room_end[rank - 1]);
     by_rank[place] = k < held.counts[rank] ? held.rows[items[begin[rank] + k] % held.row_count] : -1;
+  });
+}
+
+void counts_to_tell_cuda(const DeviceContext& context, const RoomInput& input, const std::vector<int64_t>& rooms,
+                         int64_t* told) {
+  const int64_t ranks = static_cast<int64_t>(rooms.size());
+  const int64_t* const room = on_device(context, rooms);
+  for_each_item(context, ranks, [=] __device__(int64_t rank) {
+    told[2 * rank] = input.counts[rank];
+    told[2 * rank + 1] = input.is_short(room, ranks) ? 1 : 0;
   });
 }
 

@@ -14,6 +14,9 @@ void holders_of_cuda(const DeviceContext& context, const HoldersInput& input, co
 void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& rooms,
                        int64_t* by_rank);
 
+void counts_to_tell_cuda(const DeviceContext& context, const RoomInput& input, const std::vector<int64_t>& rooms,
+                         int64_t* told);
+
 void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found);
 
 void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadBodies& ghosts,
