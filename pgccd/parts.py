@@ -19,9 +19,8 @@ from pgccd.query import Query
 from pgccd.streaming import join_contacts
 from pgccd.within import Search
 
-# Of pairs found without waiting: the part's name, and how much room there is, times what the last step needed. More
-# than where it is known how many more pairs there are.
-_IN_A_ROOM = "found, in a room"
+# How much room there is for pairs found without waiting, times what the last step needed. More than where it is known
+# how many more pairs there are.
 _SLACK = 1.5
 
 
@@ -138,6 +137,8 @@ def find_part(
     broad_phase: broad.BroadPhase = "auto",
     select: Select | None = None,
     in_vain: Tensor | None = None,
+    name: str = "found",
+    rows: Tensor | None = None,
 ) -> Part:
     """The PCS of bodies, as a part. On a GPU it is found without waiting for its size, in a room, where it can be
     foreseen how much suffices. Then the bodies need not be checked: if they are invalid there are no pairs.
@@ -146,6 +147,7 @@ def find_part(
         bodies, query, broad_phase: as for `find_contacts`.
         select: which of the pairs are searched. Default: all.
         in_vain: (1,) int64, left on the device: if it is not 0, nobody will look at the outcome, and a GPU does little.
+        name, rows: as for `Part`.
 
     Raises:
         ValueError: the bodies are invalid, and that had to be known.
@@ -159,11 +161,12 @@ def find_part(
         pairs, count = select(pairs)
         return pairs[: int(count)]
 
-    capacity = expected_capacity(bodies, query, None, _IN_A_ROOM, slack=_SLACK) if _looks_ahead(bodies) else None
+    in_a_room = f"{name}, in a room"
+    capacity = expected_capacity(bodies, query, None, in_a_room, slack=_SLACK) if _looks_ahead(bodies) else None
     if capacity is None:
         if not bodies.checked:
             bodies.raise_faults(bodies.first_faults().tolist())
-        return Part("found", query, bodies, find_pairs())
+        return Part(name, query, bodies, find_pairs(), rows=rows)
     invalid = bodies.first_faults()[-1:]
     if in_vain is not None:
         invalid = torch.maximum(invalid, in_vain)
@@ -172,7 +175,7 @@ def find_part(
         pairs, count = select(pairs)
         row = COUNT_ROWS["pairs_written"]
         counts[row : row + 1].copy_(count)
-    return Part(_IN_A_ROOM, query, bodies, pairs, counts, capacity=capacity, find_pairs=find_pairs)
+    return Part(in_a_room, query, bodies, pairs, counts, rows, capacity=capacity, find_pairs=find_pairs)
 
 
 def _looks_ahead(bodies: MovingBodies) -> bool:

@@ -22,12 +22,12 @@ from pgccd.distributed.halo import Halo, Held, HeldExchange, centres_of
 from pgccd.distributed.halo_room import Room
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.side_stream import SideStream
+from pgccd.host_copy import HostCopy
 from pgccd.motion import RigidMotion
 from pgccd.parts import Part, find_part, pairs_of_step
 from pgccd.query import Query
 from pgccd.scene import FILTERS, Scene
 from pgccd.stages import StageClock
-from pgccd.within import counts_of_given
 
 #: From columns of bodies to their scene and motion: the same bits on every rank that holds a body.
 Build = Callable[[Columns], tuple[Scene, RigidMotion]]
@@ -152,26 +152,43 @@ class OwnSearch:
         with self._side, self._clock.stage("halo"):
             return _told(*self._build(self._held.ghosts))
 
+    @cached_property
+    def _near(self) -> tuple[Tensor, HostCopy]:
+        """Rows of own bodies near ghosts, and their number.
+
+        A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the
+        box around all ghosts.
+        """
+        separation, _, territory = self._where
+        own, ghosts = centres_of(self._bodies), centres_of(self._ghosts)
+        with self._side, self._clock.stage("halo"):
+            near, found = ops.near_ghosts(own, ghosts, separation, territory)
+            return near, HostCopy(found)
+
     def exchange(self) -> HeldExchange:
         """How ranks that hold a body agree about it. Waits for ghosts."""
         held, centres = self._held, centres_of(self._bodies if self._comm.size == 1 else self._ghosts)
+        if self._comm.size > 1:
+            _ = self._near  # first, so that their number is known when it is asked for
         with self._side, self._clock.stage("halo"):
             return HeldExchange(held, centres, self._where[0], self._partition)
 
     def with_ghosts(self) -> Share:
         """The whole share: waits for ghosts, and begins to search the pairs with them."""
-        separation, _, territory = self._where
+        separation, options = self._where[0], self._options
         if self._comm.size == 1:
             return Share(self._held, [self._part], None, self._side, separation)
-        held, ghosts = self._held, self._ghosts
+        held, ghosts, (near, near_count) = self._held, self._ghosts, self._near
         with self._side:
             with self._clock.stage("halo"):
-                rows = _near_ghosts(self._bodies, ghosts, separation, territory)
+                rows = _with_ghosts(near[: int(near_count.numpy()[0])], held)
                 at_border = _bodies(self._bodies, _taken(self._bodies, ghosts, rows))
-                crossing = broad.find_pairs(at_border, separation, self._options.broad_phase)
-                pairs, count = ops.owned_pairs(crossing, rows, held.id, centres_of(at_border), *self._where)
-                counts = counts_of_given(pairs, count)
-                with_ghosts = Part("with ghosts", self._options.query, at_border, pairs, counts, rows)
+
+                def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
+                    return ops.owned_pairs(pairs, rows, held.id, centres_of(at_border), *self._where)
+
+                find = options.query, options.broad_phase, owned
+                with_ghosts = find_part(at_border, *find, name="with ghosts", rows=rows)
             self._begin(with_ghosts)
         self._side.join()
         return Share(held, [self._part, with_ghosts], ghosts, self._side, separation)
@@ -186,15 +203,9 @@ def _sends_ahead(comm: Comm, side: SideStream) -> bool:
     return side.is_apart and comm.goes_with_the_stream
 
 
-def _near_ghosts(bodies: MovingBodies, ghosts: MovingBodies, separation: float, territory: ops.Territory) -> Tensor:
-    """(B,) int64: the rows of all own bodies near ghosts, and of ghosts.
-
-    A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the box
-    around all ghosts.
-    """
-    near, found = ops.near_ghosts(centres_of(bodies), centres_of(ghosts), separation, territory)
-    own_count, ghost_count = bodies.scene.body_count, ghosts.scene.body_count
-    return torch.cat([near[: int(found)], torch.arange(own_count, own_count + ghost_count, device=near.device)])
+def _with_ghosts(near: Tensor, held: Held) -> Tensor:
+    """(B,) int64: rows of own bodies near ghosts, and of all ghosts."""
+    return torch.cat([near, torch.arange(held.own_count, len(held), device=near.device)])
 
 
 def _taken(bodies: MovingBodies, ghosts: MovingBodies, rows: Tensor) -> Columns:
