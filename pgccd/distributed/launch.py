@@ -18,7 +18,6 @@ from pgccd.distributed.torch_comm import TorchComm
 Transport = Literal["auto", "nccl", "gloo", "torch-mpi", "mpi4py"]
 TRANSPORTS: tuple[str, ...] = get_args(Transport)
 DEFAULT_TIMEOUT = 300.0
-_NCCL_MARGIN = 60.0
 
 
 def choose_device(device: str | torch.device, placement: Placement | None = None) -> torch.device:
@@ -66,19 +65,12 @@ def connect(
     keeps = placement.rank == 0 and not agent_keeps_store()
     guard = Guard(_second_connection(store), placement.rank, placement.size, timeout, keeps)
     backend = _backend(transport, device, placement, store)
-    # NCCL's own watchdog names nobody: the guard gets the time to.
-    patience = timeout + _NCCL_MARGIN if backend == "nccl" else timeout
-    options = nccl.options(_delta(patience)) if backend == "nccl" else None
-    dist.init_process_group(
-        backend,
-        store=store,
-        rank=placement.rank,
-        world_size=placement.size,
-        timeout=_delta(patience),
-        pg_options=options,
-    )
     if backend == "nccl":
-        guard.is_broken = nccl.watch_errors()
+        guard.is_broken = nccl.make_default_group(store, placement.rank, placement.size, timeout)
+    else:
+        dist.init_process_group(
+            backend, store=store, rank=placement.rank, world_size=placement.size, timeout=_delta(timeout)
+        )
     control = dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=_delta(timeout))
     comm: Comm
     if transport == "mpi4py":

@@ -3,27 +3,50 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import timedelta
 from typing import Any
 
 import torch
 import torch.distributed as dist
 
+_ERROR_HANDLING = "TORCH_NCCL_ASYNC_ERROR_HANDLING"
+# Seconds that the guard has before torch's watchdog, which names nobody.
+_MARGIN = 60.0
 
-def options(timeout: timedelta) -> Any:
-    """For `torch.distributed.init_process_group`."""
-    # Else torch ends the process as soon as a message between machines is lost, before the guard knows who is to blame.
-    # torchrun sets it, too.
-    os.environ["TORCH_NCCL_ASYNC_ERROR_HANDLING"] = "0"
+
+def make_default_group(store: dist.Store, rank: int, size: int, timeout: float) -> Callable[[], bool]:
+    """Makes the default group of torch.distributed, with the guard's time-out in seconds.
+
+    Returns:
+        What tells whether torch has seen an error in it.
+    """
+    patience = timedelta(seconds=timeout + _MARGIN)
     # Messages go before what a GPU is doing meanwhile.
-    chosen = dist.ProcessGroupNCCL.Options(is_high_priority_stream=True)
-    chosen._timeout = timeout
-    return chosen
+    options = dist.ProcessGroupNCCL.Options(is_high_priority_stream=True)
+    options._timeout = patience
+    with _errors_left_to_the_guard():
+        dist.init_process_group("nccl", store=store, rank=rank, world_size=size, timeout=patience, pg_options=options)
+    return _watch(dist.group.WORLD)
 
 
-def watch_errors() -> Callable[[], bool]:
-    """Tells whether torch has seen an error in the default group."""
-    group: Any = dist.group.WORLD
+def _watch(group: Any) -> Callable[[], bool]:
     backend = group._get_backend(torch.device("cuda"))
     return lambda: bool(backend.get_error().name != "SUCCESS")
+
+
+@contextmanager
+def _errors_left_to_the_guard() -> Iterator[None]:
+    """Of groups made meanwhile, which remember it; others of the process are as they would be."""
+    # Else torch ends the process as soon as a message between machines is lost, before the guard knows who is to blame.
+    # torchrun asks for that.
+    before = os.environ.get(_ERROR_HANDLING)
+    os.environ[_ERROR_HANDLING] = "0"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_ERROR_HANDLING]
+        else:
+            os.environ[_ERROR_HANDLING] = before

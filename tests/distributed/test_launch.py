@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from datetime import timedelta
+from typing import Any
 
 import pytest
 import torch
@@ -61,9 +62,19 @@ def test_one_process_needs_no_launcher() -> None:
 
 
 @pytest.mark.skipif(not dist.is_nccl_available(), reason="this torch was built without NCCL")
-def test_the_guard_alone_ends_what_waits_for_nccl(monkeypatch: pytest.MonkeyPatch) -> None:
-    """torchrun tells torch to do it."""
-    monkeypatch.setenv("TORCH_NCCL_ASYNC_ERROR_HANDLING", "1")
-    chosen = nccl.options(timedelta(seconds=7))
-    assert os.environ["TORCH_NCCL_ASYNC_ERROR_HANDLING"] == "0"
-    assert chosen.is_high_priority_stream and chosen._timeout == timedelta(seconds=7)
+@pytest.mark.parametrize("before", [None, "1"])
+def test_the_guard_alone_ends_what_waits_for_nccl(monkeypatch: pytest.MonkeyPatch, before: str | None) -> None:
+    """torchrun asks torch to end it. Of groups that users make themselves nothing is changed."""
+    name, seen = "TORCH_NCCL_ASYNC_ERROR_HANDLING", {}
+    monkeypatch.delenv(name, raising=False) if before is None else monkeypatch.setenv(name, before)
+
+    def init(backend: str, **group: Any) -> None:
+        seen.update(group, backend=backend, handling=os.environ[name])
+
+    monkeypatch.setattr(dist, "init_process_group", init)
+    monkeypatch.setattr(nccl, "_watch", lambda group: lambda: False)
+    assert not nccl.make_default_group(dist.HashStore(), 1, 2, 7.0)()
+    assert (seen["backend"], seen["rank"], seen["world_size"], seen["handling"]) == ("nccl", 1, 2, "0")
+    # The guard comes first.
+    assert seen["pg_options"].is_high_priority_stream and seen["pg_options"]._timeout > timedelta(seconds=7)
+    assert os.environ.get(name) == before
