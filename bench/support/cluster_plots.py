@@ -32,7 +32,8 @@ def scaling(result: Result) -> Figure:
 
 
 def _stack(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    names = [f"{_size(row)} on {row['ranks']}" + (f"\n{row['transport']}" if row["ranks"] > 1 else "") for row in rows]
+    rows = sorted(rows, key=lambda row: (row["scaling"], row["scaling"] == "strong" and row["robots"], row["ranks"]))
+    names = [f"{_size(row)}\non {row['ranks']}" + (f"\n{row['transport']}" if row["ranks"] > 1 else "") for row in rows]
     below = [0.0] * len(rows)
     for part, colour in _PARTS.items():
         # What goes on at the same time adds up to more than the whole step.

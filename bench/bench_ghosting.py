@@ -1,0 +1,115 @@
+"""Two ways to find all contacts of the bodies of many ranks, counted on the standard world:
+
+  once   ghosts where CBVs reach; each pair is tested by one rank, the owner of its boxes' reference point; contacts are
+         told to the owners of both bodies (what `pgccd.distributed` does)
+  twice  ghosts where CBVs, grown by the largest extent of any, reach; every owner finds all contacts of its bodies by
+         itself, and pairs of two owners are tested by both
+
+Per body: ghosts, body pairs tested, rows of contacts told. "unseen": pairs that nobody would test if ghosts were where
+CBVs reach and owners tested pairs of their own bodies alone, since neither owner holds the other body. Robots have been
+moving for some steps; there is no GPU and no message in this, only numbers.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import torch
+from support import results, timing
+from torch import Tensor
+
+from pgccd import broad, ops, sim
+from pgccd.bodies import MovingBodies
+from pgccd.distributed import Partition
+
+_ROWS = 1 << 18  # of bodies by ranks at a time
+
+
+def main() -> None:
+    """Runs the benchmark."""
+    parser = results.parser(__doc__)
+    parser.add_argument("--robots", type=int, default=1_000_000, help="in all")
+    parser.add_argument("--ranks", type=int, nargs="+", default=[4, 16, 64])
+    parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
+    parser.add_argument("--steps", type=int, default=20, help="before the one that is looked at")
+    arguments = parser.parse_args()
+    world = sim.World(sim.WorldConfig(robots=arguments.robots))
+    state = world.start()
+    scene = world.scene(state.id)
+    for index in range(arguments.steps):
+        state = sim.make_step(world, scene, state, index).after
+    last = sim.make_step(world, scene, state, arguments.steps)
+    bodies = MovingBodies(scene, world.motion(last.before))
+    rows = [count(world, bodies, last.contacts.pairs, ranks, arguments) for ranks in arguments.ranks]
+    results.table(rows)
+    results.write(
+        "ghosting", "cpu", {"robots": arguments.robots, "steps": arguments.steps, "rows": rows}, arguments.out
+    )
+
+
+def count(
+    world: sim.World, bodies: MovingBodies, contacts: Tensor, ranks: int, arguments: argparse.Namespace
+) -> dict[str, Any]:
+    """One row."""
+    x, y, z = world.half_extent
+    partition = Partition.uniform((-x, -y, -z), (x, y, z), ranks, cells=arguments.cells)
+    centres = [bodies.position_t0, bodies.position_t1, bodies.radius]
+    lower, upper = ops.swept_boxes(*centres, 0.0)
+    # So far does any CBV reach from the centre that decides who owns the body.
+    extent = float(torch.maximum(upper - bodies.position_t0, bodies.position_t0 - lower).max())
+    owner, pairs = partition.owner_of(bodies.position_t0), broad.find_pairs(bodies)
+    owners = owner[pairs]
+    between = owners[:, 0] != owners[:, 1]
+    robots = len(owner)
+    return {
+        "ranks": ranks,
+        "ghosts once": timing.rounded(ghosts(partition, centres, owner, 0.0) / robots),
+        "ghosts twice": timing.rounded(ghosts(partition, centres, owner, 2.0 * extent) / robots),
+        "pairs once": timing.rounded(len(pairs) / robots),
+        "pairs twice": timing.rounded((len(pairs) + int(between.sum())) / robots),
+        "told once": timing.rounded(told(partition, lower, owner, contacts) / robots),
+        "contacts": timing.rounded(len(contacts) / robots),
+        "unseen": unseen(partition, centres, pairs[between], owners[between]),
+    }
+
+
+def ghosts(partition: Partition, centres: list[Tensor], owner: Tensor, separation: float) -> int:
+    """Bodies that reach cells of others with boxes grown by half the separation, once for each of these."""
+    total = 0
+    for rows in torch.arange(len(owner)).split(max(1, _ROWS // partition.ranks)):
+        reached = reach(partition, centres, rows, separation)
+        reached[torch.arange(len(rows)), owner[rows]] = 0
+        total += int(reached.sum())
+    return total
+
+
+def reach(partition: Partition, centres: list[Tensor], rows: Tensor, separation: float = 0.0) -> Tensor:
+    """(B, ranks) uint8: 1 where one of the rows (B,) reaches a cell of the rank."""
+    ranks = partition.ranks
+    reached, _ = ops.holders_of(centres, separation, partition.territory(0), rows, ranks)
+    # A rank is told of others alone.
+    reached[:, 0] = ops.holders_of(centres, separation, partition.territory(ranks - 1), rows, ranks)[0][:, 0]
+    return reached
+
+
+def unseen(partition: Partition, centres: list[Tensor], pairs: Tensor, owners: Tensor) -> int:
+    """Pairs (P, 2) of different owners (P, 2), neither of which holds the body that is not its own."""
+    seen = torch.zeros(len(pairs), dtype=torch.bool)
+    for side in range(2):
+        reached = reach(partition, centres, pairs[:, side].contiguous())
+        seen |= reached[torch.arange(len(pairs)), owners[:, 1 - side]] != 0
+    return int((~seen).sum())
+
+
+def told(partition: Partition, lower: Tensor, owner: Tensor, contacts: Tensor) -> int:
+    """Rows of contacts on their way to owners of their bodies that did not find them."""
+    tester = partition.owner_of(torch.maximum(lower[contacts[:, 0]], lower[contacts[:, 1]]))
+    owners = owner[contacts]
+    rows = owners != tester[:, None]
+    rows[:, 1] &= owners[:, 1] != owners[:, 0]
+    return int(rows.sum())
+
+
+if __name__ == "__main__":
+    main()
