@@ -12,6 +12,7 @@ from typing import NoReturn
 
 import torch
 
+from pgccd.distributed.agents import have_agents_here, note_agents
 from pgccd.distributed.agreement import on_first
 from pgccd.distributed.balance import POLICIES, BalanceOptions
 from pgccd.distributed.comm import Comm
@@ -60,18 +61,24 @@ def _give_up(error: RankFailureError) -> NoReturn:
 
 
 def folder_to_resume(comm: Comm, options: argparse.Namespace, out: Path) -> Path | None:
-    """The run to continue: the one asked for, or, once torchrun has started all ranks again, the one under way."""
+    """The run to continue: the one asked for, or, once torchrun has started all ranks again, since one was lost or a
+    machine has joined, the one under way."""
     if options.resume is not None:
         return options.resume
 
-    def has_checkpoint() -> bool:
+    def is_under_way() -> bool:
         try:
-            find_checkpoint(out)
+            header, _ = find_checkpoint(out)
         except FileNotFoundError:
             return False
-        return True
+        # One agent may start ranks for one run after another.
+        return comm.restarted or header.steps_made < header.steps_wanted
 
-    return out if comm.restarted and on_first(comm, has_checkpoint) else None
+    goes_on = comm.restarted or have_agents_here(comm, out)
+    if not (goes_on and on_first(comm, is_under_way)):
+        return None
+    note_agents(comm, out)
+    return out
 
 
 def needs_ranks(comm: Comm, folder: Path | None) -> bool:

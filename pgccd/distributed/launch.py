@@ -79,7 +79,8 @@ def connect(
         comm = MpiComm(control, guard, dist.destroy_process_group)
     else:
         comm = TorchComm(dist.group.WORLD, control, guard, dist.destroy_process_group)
-    comm.restarted = restarted
+    # Some agents may have counted a restart, others not.
+    comm.restarted = any(comm.gather_objects(restarted or placement.restarts > 0))
     return comm
 
 

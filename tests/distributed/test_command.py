@@ -137,15 +137,17 @@ def wait_for_checkpoint(folder: Path, processes: list[subprocess.Popen[str]]) ->
         time.sleep(0.02)
 
 
-def test_of_two_machines_one_loses_its_rank(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
+@pytest.mark.parametrize("who_keeps_the_store", ["agent", "rank"])
+def test_of_two_machines_one_loses_its_rank(
+    who_keeps_the_store: str, tmp_path: Path, expected: list[dict[str, Any]]
+) -> None:
     """Its agent counts a restart, the other does not."""
+    variables = environment(TORCH_DISABLE_SHARE_RDZV_TCP_STORE="0" if who_keeps_the_store == "agent" else "1")
     meeting = ["--nnodes", "2", "--rdzv-backend", "c10d", "--rdzv-endpoint", f"127.0.0.1:{free_port()}"]
     program = [*SIMULATE, *WORLD, "--steps", "60", "--checkpoint-every", "8", "--out", str(tmp_path)]
     command = torchrun(1, *meeting, "--rdzv-id", "two", "--max-restarts", "2", *program)
     agents = [
-        subprocess.Popen(
-            command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT
-        )
+        subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)
         for _ in range(2)
     ]
     wait_for_checkpoint(tmp_path, agents)

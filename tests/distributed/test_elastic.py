@@ -1,0 +1,99 @@
+"""Machines that join a job and leave it: agents of torchrun, each with a rank, all on this machine."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.launch import ROOT, environment, free_port, torchrun
+
+from pgccd import sim
+from pgccd.distributed import Alone, agents
+from pgccd.distributed.agents import AGENTS_FILE, agent_name, have_agents_here, note_agents
+
+pytestmark = pytest.mark.ranks
+
+ROBOTS, STEPS = 150, 4000
+
+
+def hashes(folder: Path) -> list[tuple[str, str]]:
+    return [(step["contacts_hash"], step["state_hash"]) for step in sim.read_log(folder)]
+
+
+def children(process: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+
+
+def ranks_of(step: dict[str, Any]) -> int:
+    return len(step["ranks"]["pcs"]) if "ranks" in step else 1
+
+
+@pytest.mark.slow
+def test_a_machine_joins_and_another_is_lost(tmp_path: Path) -> None:
+    """The ranks go on from where they were, one first, then two, then one again."""
+    meeting = ["--nnodes", "1:2", "--rdzv-backend", "c10d", "--rdzv-endpoint", f"127.0.0.1:{free_port()}"]
+    meeting += ["--rdzv-id", "some", "--max-restarts", "2"]
+    meeting += ["--rdzv-conf", "last_call_timeout=1,keep_alive_interval=1,keep_alive_max_attempt=3"]
+    out = tmp_path / "spread"
+    program = ["-m", "pgccd", "simulate", "--robots", str(ROBOTS), "--seed", "4", "--steps", str(STEPS)]
+    program += ["--no-pictures", "--checkpoint-every", "20", "--timeout", "20", "--out", str(out)]
+    command = torchrun(1, *meeting, *program)
+    # Else torch's agents wait in vain for one another when one joins.
+    variables = environment(TORCH_DISABLE_SHARE_RDZV_TCP_STORE="1")
+    started: list[subprocess.Popen[str]] = []
+
+    def start_agent() -> None:
+        pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        started.append(subprocess.Popen(command, env=variables, cwd=ROOT, **pipes))
+
+    def wait_for(reached: Callable[[list[dict[str, Any]]], bool]) -> None:
+        deadline = time.monotonic() + 100
+        while not (out.exists() and reached(sim.read_log(out))):
+            alive = all(agent.poll() is None for agent in started)
+            assert alive and time.monotonic() < deadline, [agent.communicate(timeout=10)[0] for agent in started]
+            time.sleep(0.1)
+
+    try:
+        start_agent()
+        wait_for(lambda steps: len(steps) > 100)
+        start_agent()
+        wait_for(lambda steps: sum(ranks_of(step) == 2 for step in steps) > 100)
+        for process in [started[1].pid, *children(started[1].pid)]:  # the agent, then its rank
+            os.kill(process, signal.SIGKILL)
+        output, _ = started[0].communicate(timeout=200)
+    finally:
+        for agent in started:
+            if agent.poll() is None:
+                agent.kill()
+    assert started[0].returncode == 0, output
+    counts = [count for count, _ in itertools.groupby(sim.read_log(out), ranks_of)]
+    assert counts == [1, 2, 1]
+    sim.run(sim.WorldConfig(robots=ROBOTS, seed=4), STEPS, tmp_path / "alone")
+    assert hashes(out) == hashes(tmp_path / "alone")
+
+
+def test_runs_are_known_by_their_agents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    comm, variable = Alone(), "TORCHELASTIC_RUN_ID"
+    monkeypatch.delenv(variable, raising=False)
+    note_agents(comm, tmp_path)
+    assert agent_name() is None and not have_agents_here(comm, tmp_path) and not any(tmp_path.iterdir())
+    monkeypatch.setenv(variable, "run 7")
+    name = agent_name()
+    assert name is not None and name == agent_name()
+    assert not have_agents_here(comm, tmp_path)
+    note_agents(comm, tmp_path)
+    assert have_agents_here(comm, tmp_path) and [path.name for path in tmp_path.iterdir()] == [AGENTS_FILE]
+    # Another run, and another process with the same number as the agent had.
+    monkeypatch.setenv(variable, "run 8")
+    assert not have_agents_here(comm, tmp_path)
+    monkeypatch.setenv(variable, "run 7")
+    monkeypatch.setattr(agents.Path, "read_text", lambda path: f"1 (a b) c) {' '.join(map(str, range(30)))}")
+    name = agent_name()
+    assert name is not None and name.endswith(f": {os.getppid()}, 19")
