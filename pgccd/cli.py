@@ -191,7 +191,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
             raise ArgumentError("--out", f"cannot write to {out}: {error.strerror}") from error
 
     distributed.on_first(comm, list_meshes)
-    command.note_agents(comm, out)
+    command.begin_run(comm, out)
     with _progress(comm, 0, steps) as progress:
         return start(config, steps, out, meshes=meshes, progress=progress, **settings), out
 

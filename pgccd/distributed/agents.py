@@ -41,15 +41,15 @@ def note_agents(comm: Comm, folder: Path) -> None:
         on_first(comm, write)
 
 
-def have_agents_here(comm: Comm, folder: Path) -> bool:
-    """Whether one of the agents of these ranks was noted there; the same on all ranks."""
+def have_agents_here(comm: Comm, folder: Path) -> bool | None:
+    """Whether one of the agents of these ranks was noted there; None where no rank knows its agent. The same on all."""
     names = _names(comm)
 
     def noted() -> list[str]:
         path = folder / AGENTS_FILE
         return json.loads(path.read_text()) if path.is_file() else []
 
-    return bool(names) and not set(on_first(comm, noted)).isdisjoint(names)
+    return not set(on_first(comm, noted)).isdisjoint(names) if names else None
 
 
 def _names(comm: Comm) -> list[str]:

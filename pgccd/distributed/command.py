@@ -20,6 +20,7 @@ from pgccd.distributed.guard import RankFailureError
 from pgccd.distributed.launch import DEFAULT_TIMEOUT, TRANSPORTS, connect
 from pgccd.distributed.placement import find_placement
 from pgccd.distributed.runner import FleetOptions, find_checkpoint
+from pgccd.sim.files import forget_checkpoints
 
 _FAILURE_CODE = 70
 
@@ -74,11 +75,19 @@ def folder_to_resume(comm: Comm, options: argparse.Namespace, out: Path) -> Path
         # One agent may start ranks for one run after another.
         return comm.restarted or header.steps_made < header.steps_wanted
 
-    goes_on = comm.restarted or have_agents_here(comm, out)
+    took_part = have_agents_here(comm, out)
+    goes_on = comm.restarted if took_part is None else took_part
     if not (goes_on and on_first(comm, is_under_way)):
         return None
     note_agents(comm, out)
     return out
+
+
+def begin_run(comm: Comm, out: Path) -> None:
+    """From now on ranks that are started anew go on with the run that begins in this folder. What an earlier one left
+    there goes first, lest it be continued should this one fail before its own first checkpoint."""
+    on_first(comm, lambda: forget_checkpoints(out))
+    note_agents(comm, out)
 
 
 def needs_ranks(comm: Comm, folder: Path | None) -> bool:

@@ -79,8 +79,7 @@ def connect(
         comm = MpiComm(control, guard, dist.destroy_process_group)
     else:
         comm = TorchComm(dist.group.WORLD, control, guard, dist.destroy_process_group)
-    # Some agents may have counted a restart, others not.
-    comm.restarted = any(comm.gather_objects(restarted or placement.restarts > 0))
+    comm.restarted = any(comm.gather_objects(restarted))
     return comm
 
 

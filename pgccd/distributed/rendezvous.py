@@ -19,7 +19,8 @@ _THIS_PROCESS = uuid.uuid4().hex
 
 
 def meet(placement: Placement, timeout: float) -> tuple[dist.Store, bool]:
-    """The store; and whether these ranks were started again, in the place of others.
+    """The store; and whether it seems to this rank that they were started again, in the place of others: agents count
+    restarts of their own ranks only.
 
     Raises:
         ValueError: naming a variable of the environment.
@@ -55,20 +56,19 @@ def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> t
     if placement.rank == 0:
         former = store.get("former").decode() if store.check(["former"]) else _THIS_PROCESS
         store.set("former", _THIS_PROCESS)
-        restarted = placement.restarts > 0 or former != _THIS_PROCESS
-        _welcome(store, placement.size, name, restarted, timeout)
-        return dist.PrefixStore(name, store), restarted
+        _welcome(store, placement.size, name, timeout)
+        return dist.PrefixStore(name, store), placement.restarts > 0 or former != _THIS_PROCESS
     store.set(f"asks/{placement.rank}", name)
     try:
-        start, flag = store.get(f"start for {name}").decode().split()
+        start = store.get(f"start for {name}").decode()
     except dist.DistError as error:
         raise RuntimeError(f"rank 0 did not come within {timeout:g} s ({error})") from error
     store.set(f"{start}/here/{placement.rank}", "")
-    return dist.PrefixStore(start, store), flag == "1"
+    return dist.PrefixStore(start, store), placement.restarts > 0
 
 
-def _welcome(store: dist.Store, size: int, start: str, restarted: bool, timeout: float) -> None:
-    """Tells all other ranks the start's name, and whether it follows another."""
+def _welcome(store: dist.Store, size: int, start: str, timeout: float) -> None:
+    """Tells all other ranks the start's name."""
     deadline = time.monotonic() + timeout
     missing, told = list(range(1, size)), set()
     while missing:
@@ -76,7 +76,7 @@ def _welcome(store: dist.Store, size: int, start: str, restarted: bool, timeout:
             if store.check([f"asks/{rank}"]):  # perhaps one that is no more: its successor asks by another name
                 asking = store.get(f"asks/{rank}").decode()
                 if asking not in told:
-                    store.set(f"start for {asking}", f"{start} {int(restarted)}")
+                    store.set(f"start for {asking}", start)
                     told.add(asking)
         missing = [rank for rank in missing if not store.check([f"{start}/here/{rank}"])]
         if missing and time.monotonic() > deadline:

@@ -13,7 +13,18 @@ from typing import Any
 
 import pytest
 import torch
-from support.launch import ROOT, SUPPORT, environment, finish, free_port, mpirun, over_nccl, start_ranks, torchrun
+from support.launch import (
+    ROOT,
+    SUPPORT,
+    children,
+    environment,
+    finish,
+    free_port,
+    mpirun,
+    over_nccl,
+    start_ranks,
+    torchrun,
+)
 
 from pgccd import sim
 from pgccd.cli import main
@@ -113,20 +124,13 @@ def test_killed_rank_torchrun_starts_all_again(where: str, tmp_path: Path, expec
         text=True,
     )
     wait_for_checkpoint(tmp_path, [process])
-    os.kill(workers(process.pid, 3)[-1], signal.SIGKILL)
+    os.kill(children(process.pid)[-1], signal.SIGKILL)
     output, _ = process.communicate(timeout=180)
     assert process.returncode == 0, output
     assert "Signal 9 (SIGKILL)" in output or "exitcode: -9" in output, "nobody was killed"
     assert hashes(log(tmp_path)) == hashes(expected)
     if where == "cpu":
         assert log(tmp_path) == expected
-
-
-def workers(parent: int, ranks: int) -> list[int]:
-    """Children of a process."""
-    children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
-    assert len(children) >= ranks
-    return [int(child) for child in children]
 
 
 def wait_for_checkpoint(folder: Path, processes: list[subprocess.Popen[str]]) -> None:
@@ -151,7 +155,7 @@ def test_of_two_machines_one_loses_its_rank(
         for _ in range(2)
     ]
     wait_for_checkpoint(tmp_path, agents)
-    os.kill(workers(agents[1].pid, 1)[-1], signal.SIGKILL)
+    os.kill(children(agents[1].pid)[-1], signal.SIGKILL)
     outputs = [agent.communicate(timeout=180)[0] for agent in agents]
     assert [agent.returncode for agent in agents] == [0, 0], outputs
     assert "exitcode: -9" in outputs[1], "nobody was killed"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import os
 import signal
@@ -12,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.launch import ROOT, environment, free_port, torchrun
+from support.launch import ROOT, children, environment, free_port, torchrun
 
 from pgccd import sim
-from pgccd.distributed import Alone, agents
+from pgccd.distributed import Alone, agents, command
 from pgccd.distributed.agents import AGENTS_FILE, agent_name, have_agents_here, note_agents
 
 pytestmark = pytest.mark.ranks
@@ -25,10 +26,6 @@ ROBOTS, STEPS = 150, 4000
 
 def hashes(folder: Path) -> list[tuple[str, str]]:
     return [(step["contacts_hash"], step["state_hash"]) for step in sim.read_log(folder)]
-
-
-def children(process: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
 
 
 def ranks_of(step: dict[str, Any]) -> int:
@@ -83,7 +80,7 @@ def test_runs_are_known_by_their_agents(tmp_path: Path, monkeypatch: pytest.Monk
     comm, variable = Alone(), "TORCHELASTIC_RUN_ID"
     monkeypatch.delenv(variable, raising=False)
     note_agents(comm, tmp_path)
-    assert agent_name() is None and not have_agents_here(comm, tmp_path) and not any(tmp_path.iterdir())
+    assert agent_name() is None and have_agents_here(comm, tmp_path) is None and not any(tmp_path.iterdir())
     monkeypatch.setenv(variable, "run 7")
     name = agent_name()
     assert name is not None and name == agent_name()
@@ -97,3 +94,24 @@ def test_runs_are_known_by_their_agents(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(agents.Path, "read_text", lambda path: f"1 (a b) c) {' '.join(map(str, range(30)))}")
     name = agent_name()
     assert name is not None and name.endswith(f": {os.getppid()}, 19")
+
+
+def test_another_run_s_checkpoint_is_not_continued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even by ranks that were started again, since those before failed before they had begun theirs."""
+    monkeypatch.setenv("TORCHELASTIC_RUN_ID", "run 7")
+    options, comm = argparse.Namespace(resume=None), Alone()
+    comm.restarted = True
+    sim.run(sim.WorldConfig(robots=20), 2, tmp_path)
+    assert command.folder_to_resume(comm, options, tmp_path) is None
+    command.begin_run(comm, tmp_path)
+    assert command.folder_to_resume(comm, options, tmp_path) is None
+    sim.run(sim.WorldConfig(robots=20), 2, tmp_path)
+    assert command.folder_to_resume(comm, options, tmp_path) == tmp_path
+    # No restart was counted: a machine has joined; but the run is over.
+    comm.restarted = False
+    assert command.folder_to_resume(comm, options, tmp_path) is None
+    # Where no rank knows its agent, the count of restarts decides.
+    monkeypatch.delenv("TORCHELASTIC_RUN_ID")
+    assert command.folder_to_resume(comm, options, tmp_path) is None
+    comm.restarted = True
+    assert command.folder_to_resume(comm, options, tmp_path) == tmp_path

@@ -73,6 +73,11 @@ def finish(command: list[str], **more: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def children(process: int) -> list[int]:
+    """Numbers of the processes that it has started."""
+    return [int(child) for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+
+
 def start_ranks(ranks: int, program: list[str]) -> list[subprocess.Popen[str]]:
     """Processes with the variables of torchrun, but no torchrun that would end them all with the first."""
     port = str(free_port())
