@@ -1,4 +1,7 @@
-"""A run of which one rank goes wrong in step 3, in the way and on the device named on the command line."""
+"""A run of which one rank goes wrong in step 3.
+
+Command line: the way it does, the device, and how many seconds a rank may be silent.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,8 @@ RANK, STEP = 1, 3
 guard._GRACE_SECONDS = 2.0  # so that the test need not wait long
 
 
-def main(fault: str, kind: str) -> None:
-    with connect(kind, "nccl" if kind == "cuda" else "gloo", timeout=8.0) as comm:
+def main(fault: str, kind: str, timeout: float) -> None:
+    with connect(kind, "nccl" if kind == "cuda" else "gloo", timeout=timeout) as comm:
         device = choose_device(kind)
         world = sim.World(sim.WorldConfig(robots=64), device=device)
         upper = world.half_extent
@@ -34,4 +37,4 @@ def main(fault: str, kind: str) -> None:
             fleet.step(index)
 
 
-main(sys.argv[1], sys.argv[2])
+main(sys.argv[1], sys.argv[2], float(sys.argv[3]))
