@@ -6,6 +6,7 @@
 
 #include "kernels/traverse/start_within.cuh"
 #include "kernels/traverse/words.cuh"
+#include "kernels/traverse/work_share.cuh"
 
 namespace pgccd {
 
@@ -41,17 +42,17 @@ struct Group {
   int32_t pair = 0;
 };
 
-// `task_at(item)` for items below `count`. All groups of a warp split one node pair a round, each of its own task.
+// `task_at(item)` for the items of the queue. All groups of a warp split one node pair a round, each of its own task.
 template <class Bodies, class TaskAt>
-__device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, TaskAt&& task_at, TaskList leaves,
-                        TaskList rest, unsigned long long* node_tests) {
+__device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue& queue, TaskAt&& task_at,
+                        TaskList leaves, TaskList rest, unsigned long long* node_tests) {
   using Sweep = typename SweepOf<Bodies>::type;
   __shared__ alignas(16) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
   __shared__ WarpBuffer<Task> buffers[kWarpsPerBlock];
+  __shared__ uint32_t taken_by_block;
   const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, shift = lane - slot;
-  const int most_rounds = rounds_of_launch(launch, count);
-  const uint32_t groups = gridDim.x * kGroupsPerBlock;
-  uint32_t item = (blockIdx.x * blockDim.x + threadIdx.x) / kBlockWidth;
+  const int most_rounds = rounds_of_launch(launch, queue.count);
+  WorkShare share(queue, kGroupsPerWarp, taken_by_block);
   auto& shared = reinterpret_cast<GroupShared<Sweep>*>(memory)[threadIdx.x / kBlockWidth];
   Group group;
   WarpBuffer<Task>& buffer = buffers[threadIdx.x / kWarp];
@@ -59,9 +60,12 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, 
   int waiting = 0;
   uint32_t splits = 0;
   for (;;) {
-    while (group.size == 0 && item < count) {
+    while (!share.is_over()) {
+      const uint32_t idle = __ballot_sync(kAllLanes, slot == 0 && group.size == 0);
+      if (idle == 0) break;
+      const uint32_t item = share.take(idle, shift);
+      if (group.size > 0 || item == kNoItem) continue;
       const Task task = task_at(item);
-      item += groups;
       const bool is_one_body = Sweep::may_be_one_body && pairs.sweeps[task.pair].is_one_body();
       if (is_one_body && task.nodes.first == task.nodes.second) continue;  // of which start_within takes care
       if (slot == 0) shared.stack[0] = task.nodes;
@@ -126,9 +130,13 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, uint32_t count, 
 // The first tasks: the roots of every body pair.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
-    descend_from_roots(Pairs<Bodies> pairs, TaskList leaves, TaskList rest, unsigned long long* node_tests) {
+    descend_from_roots(Pairs<Bodies> pairs, uint32_t* next, TaskList leaves, TaskList rest,
+                       unsigned long long* node_tests) {
+  const uint32_t count = pairs.count();
+  // A quarter more than its part: who is late leaves some to others.
+  const WorkQueue queue{next, count, count / gridDim.x + count / (4 * gridDim.x) + 1};
   const auto roots = [](uint32_t pair) { return Task{static_cast<int32_t>(pair), {0, 0}}; };
-  descend(pairs, 0, pairs.count(), roots, leaves, rest, node_tests);
+  descend(pairs, 0, queue, roots, leaves, rest, node_tests);
 }
 
 // What earlier launches left.
@@ -137,7 +145,8 @@ __global__ void __launch_bounds__(kBlockThreads) descend_further(Pairs<Bodies> p
                                                                  TaskList leaves, unsigned long long* node_tests) {
   rest.prepare_next();
   const TaskList from = rest.from;
-  descend(pairs, launch, from.size(), [&](uint32_t item) { return from.items[item]; }, leaves, rest.to, node_tests);
+  const WorkQueue queue{rest.taken, from.size(), kNoItem};
+  descend(pairs, launch, queue, [&](uint32_t item) { return from.items[item]; }, leaves, rest.to, node_tests);
 }
 
 // Follows the deepest overlap of each body pair down to one pair of leaves.

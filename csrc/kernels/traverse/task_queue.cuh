@@ -33,15 +33,16 @@ struct DeviceList {
 using TaskList = DeviceList<Task>;
 
 // Tasks from one launch to the next. Three counts take turns, so that none needs a launch of its own to be set to zero:
-// one is read, one is written, and one is made ready for the launch to come.
+// one is read, one is written, and one is made ready for the launch to come; likewise how many are taken.
 struct TaskHandover {
   TaskList from, to;
-  uint32_t* next_count;
+  uint32_t *taken, *next_count, *next_taken;
   uint32_t* most;  // tasks ever handed over at once
 
   __device__ void prepare_next() const {
     if (blockIdx.x != 0 || threadIdx.x != 0) return;
     *next_count = 0;
+    *next_taken = 0;
     *most = larger(*most, *from.count);
   }
 };

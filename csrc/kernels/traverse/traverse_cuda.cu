@@ -18,7 +18,7 @@ constexpr int kWaves = 4;
 constexpr int kLaunchesPerBatch = 4;
 
 struct Counters {
-  uint32_t rest[3];  // tasks handed back: launches take turns, see TaskHandover
+  uint32_t rest[3], taken[3];  // tasks handed back, and taken: launches take turns, see TaskHandover
   uint32_t most_rest;
   uint32_t leaves;
   uint32_t edge_edge, vertex_face;  // candidates
@@ -192,7 +192,7 @@ struct Traversal {
     const TaskList rest = rest_of(0);
     descend_from_roots<Bodies>
         <<<kWaves * resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
-            pairs_, leaves, rest, &counters_->node_tests);
+            pairs_, &counters_->taken[0], leaves, rest, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_from_roots");
     if constexpr (Sweep::may_be_one_body) {
       start_within<Bodies><<<resident_blocks_of(start_within<Bodies>), kBlockThreads, 0, context_.stream>>>(
@@ -203,8 +203,9 @@ struct Traversal {
 
   // `kind`: the launch, or kLastLaunch.
   void descend_rest(int launch, int kind, TaskList leaves) {
-    const TaskHandover rest{rest_of(launch - 1), rest_of(launch), &counters_->rest[(launch + 1) % 3],
-                            &counters_->most_rest};
+    const int next = (launch + 1) % 3;
+    const TaskHandover rest{rest_of(launch - 1),    rest_of(launch),         &counters_->taken[launch % 3],
+                            &counters_->rest[next], &counters_->taken[next], &counters_->most_rest};
     descend_further<Bodies><<<resident_blocks_of(descend_further<Bodies>), kBlockThreads, 0, context_.stream>>>(
         pairs_, kind, rest, leaves, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_further");

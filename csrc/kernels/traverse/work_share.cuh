@@ -1,0 +1,68 @@
+// How warps share out the items of a launch, whose costs differ widely: each takes some more when it has none left, so
+// that all of the device ends at about the same time.
+#pragma once
+
+#include "kernels/device.cuh"
+
+namespace pgccd {
+
+constexpr uint32_t kNoItem = ~0u;
+
+struct WorkQueue {
+  uint32_t* next;          // how many were taken from the queue: 0 when the launch begins
+  uint32_t count;          // items
+  uint32_t most_of_block;  // a block that took so many from the queue ends: others wait for its place
+};
+
+// A warp's part of the queue. All members are called by whole warps.
+class WorkShare {
+ public:
+  // The first items of each group are fixed, `groups_a_warp` for each warp of the launch: where items are few, nobody
+  // waits for the queue. `taken_by_block` is shared memory of the block.
+  __device__ WorkShare(const WorkQueue& queue, int groups_a_warp, uint32_t& taken_by_block)
+      : queue_(queue), taken_by_block_(taken_by_block) {
+    if (threadIdx.x == 0) taken_by_block_ = 0;
+    __syncthreads();
+    const uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / kLanes;
+    queued_from_ = gridDim.x * (blockDim.x / kLanes) * groups_a_warp;
+    give(warp * groups_a_warp, groups_a_warp);
+  }
+
+  // Nothing is left for this warp.
+  __device__ bool is_over() const { return is_over_; }
+
+  // Of the next items one for each of the lanes in `lanes`; kNoItem for some if few are at hand: ask again.
+  __device__ uint32_t take(uint32_t lanes, int lane) {
+    if (begin_ == end_) refill();
+    const uint32_t item = begin_ + __popc(lanes & ((1u << lane) - 1u)), end = end_;
+    begin_ = smaller(end_, begin_ + __popc(lanes));
+    return item < end ? item : kNoItem;
+  }
+
+ private:
+  static constexpr int kLanes = 32;
+  static constexpr uint32_t kAtATime = 8;
+
+  __device__ void refill() {
+    uint32_t first = queue_.count;
+    if (queued_from_ < queue_.count) {
+      if (threadIdx.x % kLanes == 0 && atomicAdd(&taken_by_block_, kAtATime) < queue_.most_of_block) {
+        first = queued_from_ + atomicAdd(queue_.next, kAtATime);
+      }
+      first = __shfl_sync(~0u, first, 0);
+    }
+    give(first, kAtATime);
+    is_over_ = begin_ == end_;
+  }
+  __device__ void give(uint32_t first, uint32_t some) {
+    begin_ = smaller(first, queue_.count);
+    end_ = smaller(first + some, queue_.count);
+  }
+
+  const WorkQueue& queue_;
+  uint32_t& taken_by_block_;
+  uint32_t queued_from_ = 0, begin_ = 0, end_ = 0;
+  bool is_over_ = false;
+};
+
+}  // namespace pgccd
