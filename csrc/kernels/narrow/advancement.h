@@ -35,14 +35,21 @@ struct Outcome {
   T u, v;
 };
 
+// How far a search has come: enough to go on as if it had never stopped.
+template <class T>
+struct Progress {
+  T t = T(0);      // free before it
+  T goal = T(-1);  // how near is near enough; negative where that is still to be decided
+};
+
 constexpr int kMaxAdvances = 1024;
 // Spent, once within tolerance, on telling a near miss from a touch.
 constexpr int kMaxRefinements = 64;
 
-// Starts at a time before which the pair is known to be free.
+// From `progress` on. Leaves there where it stopped, unless it is free; or nothing, where more would have to be known.
 template <bool kEdgeEdge, class T, class Path>
-PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, T begin = T(0),
-                                       int most_advances = kMaxAdvances) {
+PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress,
+                                       int most_advances) {
   constexpr T unit(Precision<T>::unit);
   const PairError<T> error = path.error();
   // Below the noise of the distance itself nothing can be told.
@@ -52,16 +59,24 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
   const T wanted = settings.tolerance * path.scale() * T(0.0625);
   T goal = larger(wanted, noise);
 
-  T t = begin;
+  T t = progress.t;
   FeaturePair<T> now = path.at(t);
   Nearest<T> nearest = nearest_points<kEdgeEdge>(now);
   T distance = norm(nearest.offset);
-  if (settings.nonzero_toi && !(t > T(0)) && distance > separation + noise) {
+  if (!(progress.goal < T(0))) {
+    goal = progress.goal;
+    noise = smaller(noise, goal);
+  } else if (settings.nonzero_toi && !(t > T(0)) && distance > separation + noise) {
     goal = smaller(goal, T(0.5) * (distance - separation));
     noise = smaller(noise, goal);
   }
   int advances_left = most_advances;
   Status if_spent = Status::kUnresolved;
+  bool is_first_goal = true;
+  const auto stop = [&](Status status) -> Outcome<T> {
+    progress = is_first_goal ? Progress<T>{t, goal} : Progress<T>{};
+    return {status, t, nearest.u, nearest.v};
+  };
   while (advances_left-- > 0) {
     if (if_spent == Status::kUndecided && distance > separation + T(16) * wanted) {
       // They have passed each other: what comes later is another matter.
@@ -74,13 +89,14 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
       if constexpr (Path::kStraight) {
         is_touch = !(goal > wanted) && certainly_touch<kEdgeEdge>(path, t, now, nearest, distance, separation, noise);
       }
-      if (is_touch) return {Status::kTouch, t, nearest.u, nearest.v};
-      if (!(distance > separation + noise)) return {Status::kUndecided, t, nearest.u, nearest.v};
+      if (is_touch) return stop(Status::kTouch);
+      if (!(distance > separation + noise)) return stop(Status::kUndecided);
+      is_first_goal = false;
       goal = noise;
       if_spent = Status::kUndecided;
       advances_left = kMaxRefinements;
     }
-    if (t > settings.latest) return {Status::kPruned, t, T(0), T(0)};
+    if (t > settings.latest) return stop(Status::kPruned);
 
     const T remaining = T(1) - t;
     const T window = path.window(distance - separation, remaining);
@@ -107,7 +123,14 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     nearest = nearest_points<kEdgeEdge>(now);
     distance = norm(nearest.offset);
   }
-  return {if_spent, t, nearest.u, nearest.v};
+  return stop(if_spent);
+}
+
+// From a time before which the pair is known to be free.
+template <bool kEdgeEdge, class T, class Path>
+PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, T begin = T(0)) {
+  Progress<T> progress{begin};
+  return advance_to_contact<kEdgeEdge>(path, settings, progress, kMaxAdvances);
 }
 
 }  // namespace pgccd

@@ -11,17 +11,22 @@ namespace pgccd {
 PGCCD_HD bool uses_arcs(const RigidBodies& bodies) { return !bodies.linear_path; }
 PGCCD_HD bool uses_arcs(const DeformingBodies&) { return false; }
 
+// Most candidates are free, and most of those are seen to be after so many advances.
+constexpr int kAdvancesAtAGlance = 2;
+
+// `progress`: none, or what a glance has left.
 template <bool kEdgeEdge, class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
-                                        const SearchSettings<double>& settings) {
+                                        const SearchSettings<double>& settings, Progress<double> progress) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
+    const int advances = progress.goal < 0.0 ? kMaxAdvances : kMaxAdvances - kAdvancesAtAGlance;
     if (uses_arcs(bodies)) {
-      return advance_to_contact<kEdgeEdge>(pair.template arc_path<kEdgeEdge>(bodies, f), settings);
+      return advance_to_contact<kEdgeEdge>(pair.template arc_path<kEdgeEdge>(bodies, f), settings, progress, advances);
     }
     Vec3<double> t0[4], t1[4];
     pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-    Outcome<double> outcome =
-        advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error), settings);
+    Outcome<double> outcome = advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error),
+                                                            settings, progress, advances);
     // What rounding did to the points themselves, no finer arithmetic would undo.
     if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
     return outcome;
@@ -32,22 +37,19 @@ PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, 
   }
 }
 
-// Most candidates are free, and most of those are seen to be after so many rounds.
-constexpr int kRoundsAtAGlance = 2;
-
 template <bool kEdgeEdge, class Bodies, class Pair>
 PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
-                               const SearchSettings<double>& settings) {
+                               const SearchSettings<double>& settings, Progress<double>& progress) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
     if (uses_arcs(bodies)) {
       const auto path = pair.template arc_path<kEdgeEdge>(bodies, f);
-      return advance_to_contact<kEdgeEdge>(path, settings, 0.0, kRoundsAtAGlance).status == Status::kFree;
+      return advance_to_contact<kEdgeEdge>(path, settings, progress, kAdvancesAtAGlance).status == Status::kFree;
     }
   }
   Vec3<double> t0[4], t1[4];
   pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
   const LinearPath<kEdgeEdge, double> path(t0, t1, pair.point_error);
-  return advance_to_contact<kEdgeEdge>(path, settings, 0.0, kRoundsAtAGlance).status == Status::kFree;
+  return advance_to_contact<kEdgeEdge>(path, settings, progress, kAdvancesAtAGlance).status == Status::kFree;
 }
 
 template <class Bodies, class Pair>
@@ -61,24 +63,25 @@ PGCCD_HD SearchSettings<double> search_settings(const Bodies& bodies, const Pair
 // would hold up the many short ones of their warp.
 template <class Bodies, class Pair>
 PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
-                               const NarrowSettings& settings) {
+                               const NarrowSettings& settings, Progress<double>& progress) {
   const SearchSettings<double> search = search_settings(bodies, pair, settings, static_cast<double>(INFINITY));
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    return free_at_a_glance<true>(bodies, pair, f, search);
+    return free_at_a_glance<true>(bodies, pair, f, search, progress);
   }
-  return free_at_a_glance<false>(bodies, pair, f, search);
+  return free_at_a_glance<false>(bodies, pair, f, search, progress);
 }
 
 template <class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_candidate(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
-                                         const NarrowSettings& settings, double latest) {
+                                         const NarrowSettings& settings, double latest,
+                                         Progress<double> progress = {}) {
   const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    return solve_features<true>(bodies, pair, f, search);
+    return solve_features<true>(bodies, pair, f, search, progress);
   }
-  return solve_features<false>(bodies, pair, f, search);
+  return solve_features<false>(bodies, pair, f, search, progress);
 }
 
 }  // namespace pgccd

@@ -1,50 +1,11 @@
 #include <cub/cub.cuh>
 
-#include "kernels/device.cuh"
 #include "kernels/narrow/contact_item.h"
 #include "kernels/narrow/narrow_cuda.h"
+#include "kernels/narrow/search_candidates.cuh"
 
 namespace pgccd {
 namespace {
-
-// Long searches, spread over many multiprocessors.
-constexpr int kSolveThreads = 64;
-
-struct FoundContact {
-  int32_t candidate;
-  int32_t status;
-  double toi, u, v;
-};
-
-struct Counters {
-  uint32_t open;        // candidates that are not free at a glance, those that did not fit included
-  uint32_t contacts;    // among them; of first toi: pairs that have one
-  uint32_t unresolved;  // of the rows written
-  uint32_t blocks_done;
-  int64_t rows;  // to report
-};
-
-// Contacts, in any order; and per pair the earliest toi so far, unless all are to be reported.
-struct Search {
-  NarrowInput input;
-  int32_t* open;  // rows of the candidates
-  uint32_t capacity;
-  FoundContact* contacts;        // or null, as the next three
-  unsigned long long* best;      // bits of the toi
-  unsigned long long* best_key;  // as the next, to choose among equal ones
-  int32_t* winner;               // the contact
-  Counters* counters;
-
-  __device__ bool has_contact(int64_t contact) const { return contact < static_cast<int64_t>(counters->contacts); }
-  __device__ const Candidate& candidate(uint32_t contact) const {
-    return input.candidates.items[contacts[contact].candidate];
-  }
-};
-
-// toi >= 0, so its bits are in order; all ones is later than any.
-__device__ unsigned long long toi_bits(double toi) {
-  return static_cast<unsigned long long>(__double_as_longlong(toi));
-}
 
 // Kind and features in canonical order.
 __device__ unsigned long long feature_key(const Candidate& c) {
@@ -52,56 +13,9 @@ __device__ unsigned long long feature_key(const Candidate& c) {
          static_cast<unsigned long long>(c.feature_j);
 }
 
-template <class Bodies>
-__device__ typename PairOf<Bodies>::type pair_of(const Bodies& bodies, const NarrowInput& input, const Candidate& c) {
-  return {bodies, input.pairs[2 * int64_t(c.pair)], input.pairs[2 * int64_t(c.pair) + 1]};
-}
-
-// One thread a candidate.
-template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads, 3) glance_at_candidates(Bodies bodies, Search search) {
-  const CandidateSpan candidates = search.input.candidates;
-  const int64_t count = candidates.count(), stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
-  for (int64_t k = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; k < count; k += stride) {
-    const int64_t c = candidates.place(k);
-    const Candidate candidate = candidates.items[c];
-    if (free_at_a_glance(bodies, pair_of(bodies, search.input, candidate), candidate, search.input.settings)) continue;
-    const uint32_t at = warp_append(&search.counters->open, 1);
-    if (at < search.capacity) search.open[at] = static_cast<int32_t>(c);
-  }
-}
-
-// One thread an open candidate. Those certainly later than the pair's best so far are cut short, which cannot change
-// the winner.
-template <class Bodies>
-__global__ void __launch_bounds__(kSolveThreads, 6) solve_candidates(Bodies bodies, Search search) {
-  const uint32_t count = smaller(search.counters->open, search.capacity);
-  const uint32_t stride = gridDim.x * blockDim.x;
-  for (uint32_t item = blockIdx.x * blockDim.x + threadIdx.x; item < count; item += stride) {
-    const int32_t c = search.open[item];
-    const Candidate candidate = search.input.candidates.items[c];
-    double latest = INFINITY;
-    if (search.best != nullptr) {
-      const unsigned long long seen = *static_cast<volatile unsigned long long*>(search.best + candidate.pair);
-      if (seen != ~0ull) {
-        if (search.input.report == Report::kAny) continue;
-        latest = __longlong_as_double(static_cast<long long>(seen));
-      }
-    }
-    const auto pair = pair_of(bodies, search.input, candidate);
-    const Outcome<double> outcome = solve_candidate(bodies, pair, candidate, search.input.settings, latest);
-    if (outcome.status != Status::kTouch && outcome.status != Status::kUnresolved) continue;
-    if (search.best != nullptr) atomicMin(search.best + candidate.pair, toi_bits(outcome.toi));
-    if (search.contacts == nullptr) continue;
-    // No more contacts than open candidates: there is room.
-    search.contacts[warp_append(&search.counters->contacts, 1)] = {c, static_cast<int32_t>(outcome.status), outcome.toi,
-                                                                   outcome.u, outcome.v};
-  }
-}
-
 // One thread a pair.
 __global__ void __launch_bounds__(kBlockThreads) lower_owners(Search search, FirstToi known, int64_t* counts) {
-  Counters& seen = *search.counters;
+  SearchCounters& seen = *search.counters;
   const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   const unsigned long long toi = pair < search.input.pair_count ? search.best[pair] : ~0ull;
   if (toi != ~0ull) {
@@ -195,45 +109,11 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Search
   });
 }
 
-// `most_open`: candidates that need more than a glance.
-Search make_search(const DeviceContext& context, const NarrowInput& input, int64_t most_open) {
-  Search search{};
-  search.input = input;
-  search.counters = context.allocate<Counters>(1);
-  search.capacity = static_cast<uint32_t>(smaller<int64_t>(most_open, 0x7ffffff0));
-  search.open = context.allocate<int32_t>(search.capacity);
-  return search;
-}
-
 Search make_search_for_contacts(const DeviceContext& context, const NarrowInput& input, int64_t most_open) {
   Search search = make_search(context, input, most_open);
-  if (input.report != Report::kAll) {
-    // In one piece, so that one launch fills all three.
-    search.best = context.allocate<unsigned long long>(2 * input.pair_count + (input.pair_count + 1) / 2);
-    search.best_key = search.best + input.pair_count;
-    search.winner = reinterpret_cast<int32_t*>(search.best_key + input.pair_count);
-  }
+  if (input.report != Report::kAll) tell_first(context, search, true);
   search.contacts = context.allocate<FoundContact>(search.capacity);
   return search;
-}
-
-template <class Bodies>
-void run_search(const DeviceContext& context, const Bodies& bodies, const Search& search) {
-  const int64_t pairs = search.input.pair_count;
-  // No toi, no key and no winner yet, as words of eight bytes.
-  const int64_t words = search.best == nullptr ? 0 : search.winner == nullptr ? pairs : 2 * pairs + (pairs + 1) / 2;
-  for_each_item(context, larger<int64_t>(1, words), [=] __device__(int64_t k) {
-    if (k == 0) *search.counters = {};
-    if (k < words) search.best[k] = ~0ull;
-  });
-  if (pairs == 0) return;
-  glance_at_candidates<Bodies>
-      <<<resident_blocks_of(glance_at_candidates<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
-  check_cuda(cudaGetLastError(), "glance_at_candidates");
-  solve_candidates<Bodies>
-      <<<resident_blocks_of(solve_candidates<Bodies>, kSolveThreads), kSolveThreads, 0, context.stream>>>(bodies,
-                                                                                                          search);
-  check_cuda(cudaGetLastError(), "solve_candidates");
 }
 
 }  // namespace
@@ -252,7 +132,7 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
     const Search search = make_search_for_contacts(context, input, capacity);
     run_search(context, bodies, search);
     const int32_t* selected = one_a_pair ? select_first(context, search) : nullptr;
-    const Counters seen = read(context, search.counters);
+    const SearchCounters seen = read(context, search.counters);
     if (seen.open > search.capacity) {
       capacity = seen.open;
       continue;
@@ -275,7 +155,7 @@ void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, con
     selected = search.best != nullptr ? select_first(context, search) : sort_all(context, search, search.capacity);
   }
   write_rows(context, bodies, search, selected, capacity.contacts, out);
-  const Counters* seen = search.counters;
+  const SearchCounters* seen = search.counters;
   for_each_item(context, 1, [=] __device__(int64_t) {
     counts[kOpenNeeded] = seen->open;
     counts[kContactsNeeded] = seen->rows;
@@ -289,7 +169,7 @@ template <class Bodies>
 void lower_first_toi(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, int64_t most_open,
                      const FirstToi& known, int64_t* counts) {
   Search search = make_search(context, input, most_open);
-  search.best = context.allocate<unsigned long long>(input.pair_count);
+  tell_first(context, search, false);
   run_search(context, bodies, search);
   const int64_t blocks = larger<int64_t>(1, (input.pair_count + kBlockThreads - 1) / kBlockThreads);
   lower_owners<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(search, known, counts);
