@@ -64,6 +64,20 @@ def sizes_over_octaves(large: int, small: int) -> Crowd:
     return Crowd(kinds, kind, [position, orientation, velocity, spin])
 
 
+def plates(stacks: int) -> Crowd:
+    """Uneven plates in stacks of two, that meet nearly everywhere in the step."""
+    rng = np.random.default_rng(22)
+    kinds = [height_field(rng, 40, 36) for _ in range(3)]
+    count = 2 * stacks
+    position = np.zeros((count, 3))
+    position[:, 0] = 60.0 * (np.arange(count) // 2)
+    position[1::2, 2] = 1.1
+    velocity, spin = np.zeros((count, 3)), 0.003 * directions(rng, count)
+    velocity[1::2, 2] = -1.5
+    orientation = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    return Crowd(kinds, rng.integers(0, 3, count), [position, orientation, velocity, spin])
+
+
 def assert_same_on_every_way(crowd: Crowd, device: torch.device) -> pgccd.Contacts:
     """First contacts: those of the CPU, one pair after the other, whatever the device, broad phase and chunks."""
     found = crowd.detect(device, "all")
@@ -109,3 +123,15 @@ def test_sizes_from_one_to_a_thousand(device: torch.device) -> None:
     for i, j in extreme[:2] + extreme[len(extreme) // 2 :][:2] + extreme[-3:]:
         contacts += assert_rigid_pair_agrees(found, crowd.bodies, i, j)
     assert contacts > 7
+
+
+def test_more_contacts_than_threads(device: torch.device) -> None:
+    """Of the candidates of one pair nearly all touch, most of them later than the first."""
+    crowd = plates(8)
+    found, first = crowd.detect(device, "all"), crowd.detect(device)
+    assert len(found) > 70_000 and len(first) == 8
+    for pair, toi in zip(first.pairs, first.toi, strict=True):
+        assert toi == found.toi[(found.pairs == pair).all(dim=1)].min()
+    reference = crowd.detect("cpu")
+    for column in COLUMNS:
+        assert torch.equal(getattr(first, column).cpu(), getattr(reference, column)), column
