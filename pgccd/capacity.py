@@ -9,13 +9,13 @@ from typing import Any
 
 # Bytes of each unit of room on a GPU, all that the operators keep of it together.
 _BYTES = {
-    "pairs": 176,
+    "pairs": 184,
     "overlaps": 8,
     "poses": 96,
     "tasks": 24,
     "leaf_pairs": 12,
     "candidates": 16,
-    "open": 60,
+    "open": 80,
     "contacts": 102,
 }
 # Kept free beyond what was needed, so that small scenes need not repeat a step when they change.
