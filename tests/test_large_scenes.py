@@ -78,6 +78,15 @@ def plates(stacks: int) -> Crowd:
     return Crowd(kinds, rng.integers(0, 3, count), [position, orientation, velocity, spin])
 
 
+def dust(count: int) -> Crowd:
+    """Small meshes all over a box, with some five near each."""
+    rng = np.random.default_rng(23)
+    kinds = [bumpy(rng, 0, size=0.5), bumpy(rng, 1, size=0.5)]
+    position = rng.uniform(0, 1, (count, 3)) * (count / 1.4) ** (1 / 3)
+    velocity, spin = 0.2 * directions(rng, count), 0.5 * directions(rng, count)
+    return Crowd(kinds, rng.integers(0, 2, count), [position, unit_quaternions(rng, count), velocity, spin])
+
+
 def assert_same_on_every_way(crowd: Crowd, device: torch.device) -> pgccd.Contacts:
     """First contacts: those of the CPU, one pair after the other, whatever the device, broad phase and chunks."""
     found = crowd.detect(device, "all")
@@ -123,6 +132,15 @@ def test_sizes_from_one_to_a_thousand(device: torch.device) -> None:
     for i, j in extreme[:2] + extreme[len(extreme) // 2 :][:2] + extreme[-3:]:
         contacts += assert_rigid_pair_agrees(found, crowd.bodies, i, j)
     assert contacts > 7
+
+
+def test_more_pairs_than_threads(device: torch.device) -> None:
+    """None is left out where a device shares them out as it gets done."""
+    crowd = dust(20_000)
+    found, reference = crowd.detect(device), crowd.detect("cpu", memory_budget=1 << 22)
+    assert found.stats.pcs == reference.stats.pcs > 90_000 and len(found) > 20_000
+    for column in COLUMNS:
+        assert torch.equal(getattr(found, column).cpu(), getattr(reference, column)), column
 
 
 def test_more_contacts_than_threads(device: torch.device) -> None:
