@@ -47,7 +47,10 @@ void run_cub(const DeviceContext& context, Call&& call) {
   check_cuda(call(scratch, bytes), "cub");
 }
 
+constexpr int kWarp = 32;
+constexpr unsigned kAllLanes = ~0u;
 constexpr int kBlockThreads = 128;
+constexpr int kWarpsPerBlock = kBlockThreads / kWarp;
 
 namespace device_detail {
 
@@ -135,10 +138,12 @@ __device__ inline bool is_last_block(uint32_t* blocks_done) {
   return atomicAdd(blocks_done, 1u) + 1 == gridDim.x;
 }
 
+__device__ inline uint32_t lanes_below(int lane) { return (1u << lane) - 1u; }
+
 // Threads of a warp that append to one list share one atomic. Returns this thread's position.
 __device__ inline uint32_t warp_append(uint32_t* counter, uint32_t count) {
   const unsigned active = __activemask();
-  const int lane = threadIdx.x & 31;
+  const int lane = threadIdx.x % kWarp;
   uint32_t before = 0, total = 0;
   for (unsigned rest = active; rest != 0; rest &= rest - 1) {
     const int source = __ffs(rest) - 1;

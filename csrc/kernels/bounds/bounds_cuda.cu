@@ -5,10 +5,6 @@
 namespace pgccd {
 namespace {
 
-constexpr int kWarp = 32;
-constexpr int kWarpsPerBlock = kBlockThreads / kWarp;
-constexpr unsigned kAllLanes = ~0u;
-
 // Work is shared out by the rows of all bodies' node blocks: a large body has many, small ones few.
 struct Refit {
   DeformingInput input;

@@ -111,7 +111,7 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Search
 
 Search make_search_for_contacts(const DeviceContext& context, const NarrowInput& input, int64_t most_open) {
   Search search = make_search(context, input, most_open);
-  if (input.report != Report::kAll) tell_first(context, search, true);
+  if (input.report != Report::kAll) allocate_first(context, search, true);
   search.contacts = context.allocate<FoundContact>(search.capacity);
   return search;
 }
@@ -169,7 +169,7 @@ template <class Bodies>
 void lower_first_toi(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, int64_t most_open,
                      const FirstToi& known, int64_t* counts) {
   Search search = make_search(context, input, most_open);
-  tell_first(context, search, false);
+  allocate_first(context, search, false);
   run_search(context, bodies, search);
   const int64_t blocks = larger<int64_t>(1, (input.pair_count + kBlockThreads - 1) / kBlockThreads);
   lower_owners<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(search, known, counts);

@@ -10,7 +10,6 @@ namespace pgccd {
 
 // Long searches, spread over many multiprocessors.
 constexpr int kSolveThreads = 64;
-constexpr int kSolveLanes = 32;
 
 // toi >= 0, so its bits are in order; all ones is later than any.
 __device__ inline unsigned long long toi_bits(double toi) {
@@ -108,9 +107,9 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, const Ope
 // second what may still come before. A warp collects what it is to solve, so that its lanes are full.
 template <class Bodies>
 __global__ void __launch_bounds__(kSolveThreads, 6) solve_candidates(Bodies bodies, Search search, bool is_first) {
-  __shared__ uint32_t all_waiting[kSolveThreads / kSolveLanes][2 * kSolveLanes];
-  const int lane = threadIdx.x % kSolveLanes;
-  uint32_t* const waiting = all_waiting[threadIdx.x / kSolveLanes];
+  __shared__ uint32_t all_waiting[kSolveThreads / kWarp][2 * kWarp];
+  const int lane = threadIdx.x % kWarp;
+  uint32_t* const waiting = all_waiting[threadIdx.x / kWarp];
   const uint32_t count = smaller(search.counters->open, search.capacity), threads = gridDim.x * blockDim.x;
   const bool all_at_once = search.least == nullptr || count <= threads;
   if (all_at_once && !is_first) return;
@@ -127,13 +126,13 @@ __global__ void __launch_bounds__(kSolveThreads, 6) solve_candidates(Bodies bodi
     if (!is_last) {
       const uint32_t item = base + lane;
       const bool wanted = item < count && is_wanted(item);
-      const uint32_t lanes = __ballot_sync(~0u, wanted);
-      if (wanted) waiting[collected + __popc(lanes & ((1u << lane) - 1u))] = item;
+      const uint32_t lanes = __ballot_sync(kAllLanes, wanted);
+      if (wanted) waiting[collected + __popc(lanes & lanes_below(lane))] = item;
       collected += __popc(lanes);
-      if (collected < kSolveLanes) continue;
+      if (collected < kWarp) continue;
     }
     __syncwarp();
-    const uint32_t some = smaller<uint32_t>(collected, kSolveLanes);
+    const uint32_t some = smaller<uint32_t>(collected, kWarp);
     collected -= some;
     const uint32_t mine = lane < some ? waiting[collected + lane] : 0u;
     __syncwarp();  // others may be written over them
@@ -154,12 +153,12 @@ inline Search make_search(const DeviceContext& context, const NarrowInput& input
 
 // Room for what is known of each pair's first contact, and which one it is where that is asked for. In one piece, so
 // that one launch fills all.
-inline void tell_first(const DeviceContext& context, Search& search, bool tell_winner) {
+inline void allocate_first(const DeviceContext& context, Search& search, bool with_winner) {
   const int64_t pairs = search.input.pair_count;
-  search.words = tell_winner ? 3 * pairs + (pairs + 1) / 2 : 2 * pairs;
+  search.words = with_winner ? 3 * pairs + (pairs + 1) / 2 : 2 * pairs;
   search.best = context.allocate<unsigned long long>(search.words);
   search.least = search.best + pairs;
-  if (!tell_winner) return;
+  if (!with_winner) return;
   search.best_key = search.least + pairs;
   search.winner = reinterpret_cast<int32_t*>(search.best_key + pairs);
 }

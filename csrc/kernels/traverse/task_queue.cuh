@@ -8,10 +8,6 @@
 
 namespace pgccd {
 
-constexpr int kWarp = 32;
-constexpr int kWarpsPerBlock = kBlockThreads / kWarp;
-constexpr unsigned kAllLanes = ~0u;
-
 // A node pair of one row of the body pairs.
 struct Task {
   int32_t pair;
@@ -77,8 +73,6 @@ struct Pairs {
   __device__ uint32_t count() const { return *pose_count <= pose_capacity ? static_cast<uint32_t>(*given_count) : 0u; }
   __device__ PairTree<Bodies> tree(int32_t pair) const { return {bodies, sweeps[pair], poses + pose_begin[pair]}; }
 };
-
-__device__ inline uint32_t lanes_below(int lane) { return (1u << lane) - 1u; }
 
 // One atomic for all lanes whose bit is set; returns the position of the first.
 __device__ inline uint32_t reserve(uint32_t* count, uint32_t wanted, int lane) {

@@ -23,8 +23,8 @@ class WorkShare {
       : queue_(queue), taken_by_block_(taken_by_block) {
     if (threadIdx.x == 0) taken_by_block_ = 0;
     __syncthreads();
-    const uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / kLanes;
-    queued_from_ = gridDim.x * (blockDim.x / kLanes) * groups_a_warp;
+    const uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / kWarp;
+    queued_from_ = gridDim.x * (blockDim.x / kWarp) * groups_a_warp;
     give(warp * groups_a_warp, groups_a_warp);
   }
 
@@ -34,22 +34,21 @@ class WorkShare {
   // Of the next items one for each of the lanes in `lanes`; kNoItem for some if few are at hand: ask again.
   __device__ uint32_t take(uint32_t lanes, int lane) {
     if (begin_ == end_) refill();
-    const uint32_t item = begin_ + __popc(lanes & ((1u << lane) - 1u)), end = end_;
+    const uint32_t item = begin_ + __popc(lanes & lanes_below(lane)), end = end_;
     begin_ = smaller(end_, begin_ + __popc(lanes));
     return item < end ? item : kNoItem;
   }
 
  private:
-  static constexpr int kLanes = 32;
   static constexpr uint32_t kAtATime = 8;
 
   __device__ void refill() {
     uint32_t first = queue_.count;
     if (queued_from_ < queue_.count) {
-      if (threadIdx.x % kLanes == 0 && atomicAdd(&taken_by_block_, kAtATime) < queue_.most_of_block) {
+      if (threadIdx.x % kWarp == 0 && atomicAdd(&taken_by_block_, kAtATime) < queue_.most_of_block) {
         first = queued_from_ + atomicAdd(queue_.next, kAtATime);
       }
-      first = __shfl_sync(~0u, first, 0);
+      first = __shfl_sync(kAllLanes, first, 0);
     }
     give(first, kAtATime);
     is_over_ = begin_ == end_;
