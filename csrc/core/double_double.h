@@ -73,6 +73,7 @@ PGCCD_HD bool operator<(DoubleDouble a, DoubleDouble b) {
 }
 PGCCD_HD bool operator>(DoubleDouble a, DoubleDouble b) { return b < a; }
 PGCCD_HD bool operator==(DoubleDouble a, DoubleDouble b) { return a.high == b.high && a.low == b.low; }
+PGCCD_HD bool operator>=(DoubleDouble a, DoubleDouble b) { return b < a || a == b; }
 
 PGCCD_HD DoubleDouble magnitude(DoubleDouble x) { return x.high < 0.0 ? -x : x; }
 

@@ -9,19 +9,24 @@
 
 namespace pgccd {
 
+// `unit`: relative rounding of one operation. `smallest_square`: sums of squares above it are as accurate as that,
+// since what underflowed in them is far below one rounding.
 template <class T>
 struct Precision;
 template <>
 struct Precision<double> {
   static constexpr double unit = 0x1p-53;
+  static constexpr double smallest_square = 0x1p-900;
 };
 template <>
 struct Precision<float> {
   static constexpr float unit = 0x1p-24f;
+  static constexpr float smallest_square = 0x1p-100f;
 };
 template <>
 struct Precision<DoubleDouble> {
   static constexpr double unit = 0x1p-101;
+  static constexpr double smallest_square = 0x1p-900;
 };
 
 // Computed offsets of mesh points from their body's centre differ from the exact path by at most this many units of the

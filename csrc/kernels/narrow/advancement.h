@@ -23,7 +23,7 @@ template <class T>
 struct SearchSettings {
   T separation;
   T tolerance;       // a contact comes at least this close, beyond the separation
-  T latest;          // give up (kPruned) once free beyond this time
+  T prune_at;        // give up (kPruned) once free until this time
   bool nonzero_toi;  // shrink the tolerance rather than answer toi = 0 for a pair that starts further apart than the
                      // separation
 };
@@ -42,14 +42,24 @@ struct Progress {
   T goal = T(-1);  // how near is near enough; negative where that is still to be decided
 };
 
+// How long to go on.
+enum class Effort {
+  kQuickReject,  // kQuickAdvances: most candidates are free, and most of those are seen to be by then
+  kFull,         // to the end, from the start or from where a quick rejection stopped
+};
+
+constexpr int kQuickAdvances = 2;
 constexpr int kMaxAdvances = 1024;
 // Spent, once within tolerance, on telling a near miss from a touch.
 constexpr int kMaxRefinements = 64;
+// From then on strides are taken along turning directions too: nearly all searches have ended before.
+constexpr int kPlainAdvances = 8;
+// After so many advances each, whole turns of spinning bodies are tried to be cleared at once.
+constexpr int kSpinPeriod = 32;
 
 // From `progress` on. Leaves there where it stopped, unless it is free; or nothing, where more would have to be known.
-template <bool kEdgeEdge, class T, class Path>
-PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress,
-                                       int most_advances) {
+template <bool kEdgeEdge, Effort kEffort, class T, class Path>
+PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
   constexpr T unit(Precision<T>::unit);
   const PairError<T> error = path.error();
   // Below the noise of the distance itself nothing can be told.
@@ -63,6 +73,9 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
   FeaturePair<T> now = path.at(t);
   Nearest<T> nearest = nearest_points<kEdgeEdge>(now);
   T distance = norm(nearest.offset);
+  // Advances made, as if the search had never stopped.
+  int advances = progress.goal < T(0) ? 0 : kQuickAdvances;
+  int most_advances = kEffort == Effort::kQuickReject ? kQuickAdvances : kMaxAdvances + path.more_advances();
   if (!(progress.goal < T(0))) {
     goal = progress.goal;
     noise = smaller(noise, goal);
@@ -70,19 +83,20 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     goal = smaller(goal, T(0.5) * (distance - separation));
     noise = smaller(noise, goal);
   }
-  int advances_left = most_advances;
   Status if_spent = Status::kUnresolved;
   bool is_first_goal = true;
+  T stride = T(0);
   const auto stop = [&](Status status) -> Outcome<T> {
     progress = is_first_goal ? Progress<T>{t, goal} : Progress<T>{};
     return {status, t, nearest.u, nearest.v};
   };
-  while (advances_left-- > 0) {
+  const auto free = []() -> Outcome<T> { return {Status::kFree, static_cast<T>(INFINITY), T(0), T(0)}; };
+  for (; advances < most_advances; ++advances) {
     if (if_spent == Status::kUndecided && distance > separation + T(16) * wanted) {
       // They have passed each other: what comes later is another matter.
       goal = larger(wanted, noise);
       if_spent = Status::kUnresolved;
-      advances_left = most_advances;
+      most_advances = advances + 1 + kMaxAdvances;
     }
     if (!(distance > separation + goal)) {
       bool is_touch = true;
@@ -94,9 +108,9 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
       is_first_goal = false;
       goal = noise;
       if_spent = Status::kUndecided;
-      advances_left = kMaxRefinements;
+      most_advances = advances + 1 + kMaxRefinements;
     }
-    if (t > settings.latest) return stop(Status::kPruned);
+    if (!(t < settings.prune_at)) return stop(Status::kPruned);
 
     const T remaining = T(1) - t;
     const T window = path.window(distance - separation, remaining);
@@ -105,21 +119,39 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     const FeaturePair<T> end = path.at(t_end);
     const T duration = t_end - t;
     const T keep_apart = separation + path.deviation(duration) * (T(1) + T(16) * unit);
-    const T length = norm(nearest.direction);
-    const Vec3<T> direction = length > T(0) ? (T(1) / length) * nearest.direction : (T(1) / distance) * nearest.offset;
+    const Vec3<T> direction = direction_of(nearest);
     T prefix = fixed_direction<kEdgeEdge>(now, end, direction, keep_apart, error);
     if (prefix < T(1)) prefix = larger(prefix, moving_normal(now, end, keep_apart, error));
+    T next = t_end;
+    if (!(prefix >= T(1))) next = add_down(t, prefix * duration * (T(1) - T(4) * unit));
 
-    if (!(prefix < T(1))) {
-      if (!(t_end < T(1))) return {Status::kFree, static_cast<T>(INFINITY), T(0), T(0)};
-      t = t_end;
-      now = end;
-    } else {
-      const T next = add_down(t, prefix * duration * (T(1) - T(4) * unit));
-      if (!(next > t)) break;
-      t = next;
-      now = path.at(t);
+    if constexpr (kEffort == Effort::kFull) {
+      if (next < T(1) && advances % kSpinPeriod == kQuickAdvances) {
+        next = larger(next, path.free_while_spinning(t, direction, separation));
+      }
+      if (next < t_end && advances >= kPlainAdvances) {
+        // Longer strides while they succeed.
+        stride = T(4) * larger(stride, next - t);
+        const T far_time = t + stride < t_end ? t + stride : t_end;
+        const FeaturePair<T> far = path.at(far_time);
+        const Nearest<T> far_nearest = nearest_points<kEdgeEdge>(far);
+        const T far_duration = far_time - t;
+        const T far_apart = separation + path.deviation(far_duration) * (T(1) + T(16) * unit);
+        const T turned =
+            turning_direction<kEdgeEdge>(now, far, direction, direction_of(far_nearest), far_apart, error);
+        if (turned >= T(1)) {
+          next = far_time;
+        } else {
+          next = larger(next, add_down(t, turned * far_duration * (T(1) - T(4) * unit)));
+        }
+        stride = next - t;
+      }
     }
+
+    if (!(next > t)) break;
+    if (!(next < T(1))) return free();
+    t = next;
+    now = t == t_end ? end : path.at(t);
     nearest = nearest_points<kEdgeEdge>(now);
     distance = norm(nearest.offset);
   }
@@ -130,7 +162,7 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
 template <bool kEdgeEdge, class T, class Path>
 PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, T begin = T(0)) {
   Progress<T> progress{begin};
-  return advance_to_contact<kEdgeEdge>(path, settings, progress, kMaxAdvances);
+  return advance_to_contact<kEdgeEdge, Effort::kFull>(path, settings, progress);
 }
 
 }  // namespace pgccd

@@ -11,22 +11,19 @@ namespace pgccd {
 PGCCD_HD bool uses_arcs(const RigidBodies& bodies) { return !bodies.linear_path; }
 PGCCD_HD bool uses_arcs(const DeformingBodies&) { return false; }
 
-// Most candidates are free, and most of those are seen to be after so many advances.
-constexpr int kAdvancesAtAGlance = 2;
-
-// `progress`: none, or what a glance has left.
+// `progress`: none, or what a quick rejection has left.
 template <bool kEdgeEdge, class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
                                         const SearchSettings<double>& settings, Progress<double> progress) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
-    const int advances = progress.goal < 0.0 ? kMaxAdvances : kMaxAdvances - kAdvancesAtAGlance;
     if (uses_arcs(bodies)) {
-      return advance_to_contact<kEdgeEdge>(pair.template arc_path<kEdgeEdge>(bodies, f), settings, progress, advances);
+      return advance_to_contact<kEdgeEdge, Effort::kFull>(pair.template arc_path<kEdgeEdge>(bodies, f), settings,
+                                                          progress);
     }
     Vec3<double> t0[4], t1[4];
     pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-    Outcome<double> outcome = advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error),
-                                                            settings, progress, advances);
+    Outcome<double> outcome = advance_to_contact<kEdgeEdge, Effort::kFull>(
+        LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error), settings, progress);
     // What rounding did to the points themselves, no finer arithmetic would undo.
     if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
     return outcome;
@@ -43,20 +40,25 @@ PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const Fea
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
     if (uses_arcs(bodies)) {
       const auto path = pair.template arc_path<kEdgeEdge>(bodies, f);
-      return advance_to_contact<kEdgeEdge>(path, settings, progress, kAdvancesAtAGlance).status == Status::kFree;
+      return advance_to_contact<kEdgeEdge, Effort::kQuickReject>(path, settings, progress).status == Status::kFree;
     }
   }
   Vec3<double> t0[4], t1[4];
   pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
   const LinearPath<kEdgeEdge, double> path(t0, t1, pair.point_error);
-  return advance_to_contact<kEdgeEdge>(path, settings, progress, kAdvancesAtAGlance).status == Status::kFree;
+  return advance_to_contact<kEdgeEdge, Effort::kQuickReject>(path, settings, progress).status == Status::kFree;
 }
+
+// A candidate is dropped only if the toi that it would report, a double, is later than `latest`. A finer arithmetic rounds
+// its toi down to a double: until the next double is reached, that toi could still be equal to `latest`, and among equal
+// ones the smallest features win.
+PGCCD_HD double prune_time(double latest) { return std::nextafter(latest, static_cast<double>(INFINITY)); }
 
 template <class Bodies, class Pair>
 PGCCD_HD SearchSettings<double> search_settings(const Bodies& bodies, const Pair& pair, const NarrowSettings& settings,
                                                 double latest) {
   const double tolerance = pair_tolerance(bodies.centres, pair.body[0], pair.body[1], settings.tolerance);
-  return {settings.separation, tolerance, latest, settings.nonzero_toi};
+  return {settings.separation, tolerance, prune_time(latest), settings.nonzero_toi};
 }
 
 // The same answer as solve_candidate if that is free; false may still be free. For devices, where the few long searches

@@ -44,10 +44,12 @@ PGCCD_HD T determinant_rounding(FeatureLengths<T> length, PairError<T> error) {
 
 namespace certificate_detail {
 
+// Where a line from `from` above the threshold falls to it; 0 for what is not a number.
 template <class T>
 PGCCD_HD T prefix_of_line(T from, T to, T threshold) {
   if (to > threshold) return T(1);
-  return (from - threshold) / (from - to);
+  const T prefix = (from - threshold) / (from - to);
+  return prefix > T(0) ? prefix : T(0);
 }
 
 }  // namespace certificate_detail
@@ -87,6 +89,47 @@ PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& en
   return prefix;
 }
 
+// A direction that turns from `direction0` to `direction1` (unit vectors, the directions of the nearest points at the
+// window's ends): n(s) = (1 - s) direction0 + s direction1. It follows features that turn, so that what it loses of the
+// gap is of second order in the window's length, where a fixed direction loses in proportion to it. Each vertex pair's
+// projection is a quadratic, as is the bound |n(s)| <= (1 + |n(s)|^2) / 2 = 1 - s (1 - s) (1 - direction0 . direction1).
+template <bool kEdgeEdge, class T>
+PGCCD_HD T turning_direction(const FeaturePair<T>& start, const FeaturePair<T>& end, Vec3<T> direction0,
+                             Vec3<T> direction1, T distance, PairError<T> error) {
+  constexpr T u(Precision<T>::unit);
+  // As for a fixed direction; the middle control points are means of two such projections.
+  const T rounding = T(2) * error.point + T(32) * u * error.extent;
+  const T at_ends = distance * (T(1) + T(16) * u) + rounding;
+  const T in_middle = distance * (T(0.5) * (T(1) + dot(direction0, direction1)) + T(16) * u) + rounding;
+  const T r0 = dot(direction0, start.r), a0 = dot(direction0, start.a), b0 = dot(direction0, start.b);
+  const T r1 = T(0.5) * (dot(direction0, end.r) + dot(direction1, start.r));
+  const T a1 = T(0.5) * (dot(direction0, end.a) + dot(direction1, start.a));
+  const T b1 = T(0.5) * (dot(direction0, end.b) + dot(direction1, start.b));
+  const T r2 = dot(direction1, end.r), a2 = dot(direction1, end.a), b2 = dot(direction1, end.b);
+  T prefix = T(1);
+  // Of a quadratic with control points (0, c0), (1/2, c1), (1, c2), all lie above the steepest line from the first to
+  // one of the others, hence so does the curve.
+  const auto limit = [&](T p0, T p1, T p2) {
+    const T c0 = p0 - at_ends, c1 = p1 - in_middle, c2 = p2 - at_ends;
+    const T steepest = smaller(T(2) * (c1 - c0), c2 - c0);
+    const bool is_finite = magnitude(c1) + magnitude(c2) < T(INFINITY);
+    if (!(c0 > T(0)) || !is_finite) {
+      prefix = T(0);
+    } else if (!(c0 + steepest > T(0))) {
+      prefix = smaller(prefix, c0 / -steepest);
+    }
+  };
+  limit(r0, r1, r2);
+  limit(r0 + b0, r1 + b1, r2 + b2);
+  if constexpr (kEdgeEdge) {
+    limit(r0 - a0, r1 - a1, r2 - a2);
+    limit((r0 - a0) + b0, (r1 - a1) + b1, (r2 - a2) + b2);
+  } else {
+    limit(r0 + a0, r1 + a1, r2 + a2);
+  }
+  return prefix;
+}
+
 // The direction that moves with the features, n(s) = a(s) x b(s): the gap along it is the coplanarity cubic r . (a x
 // b), taken in Bernstein form, where the control polygon bounds it. Its first root is bracketed from the left by
 // repeated clipping.
@@ -106,10 +149,13 @@ PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end,
     c2 = -c2;
     c3 = -c3;
   }
-  const T longest = square_root(larger(larger(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2)));
+  const T longest_squared = larger(larger(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2));
+  if (!(longest_squared > T(Precision<T>::smallest_square))) return T(0);  // lengths would lose to underflow
+  const T longest = square_root(longest_squared);
   const T rounding = determinant_rounding(lengths_of(start, end), error);
   const T threshold = distance * longest * (T(1) + T(16) * u) + rounding;
-  if (!(c0 > threshold)) return T(0);
+  const bool is_finite = c0 + ((magnitude(c1) + magnitude(c2)) + magnitude(c3)) < T(INFINITY);
+  if (!(c0 > threshold) || !is_finite) return T(0);
 
   T prefix = T(0);
   constexpr int kMaxClips = 8;

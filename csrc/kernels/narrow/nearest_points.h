@@ -37,6 +37,34 @@ PGCCD_HD SegmentCase<T> nearest_on_segment(Vec3<T> origin, Vec3<T> edge) {
   return {origin, edge, s, offset, norm_squared(offset)};
 }
 
+// Interior solution for edges, or two sides of a face, that are nearly parallel. Their normal is accurate only to
+// u / sin(angle), and so would be a distance taken along it. Instead the longer one is projected out (Gram-Schmidt with
+// pivoting): the distance left is that of two points of the features to within a few u of the extent, whatever the angle.
+template <bool kEdgeEdge, class T>
+PGCCD_HD_RARE bool nearest_of_slender(const FeaturePair<T>& p, Vec3<T> normal, Nearest<T>& out) {
+  const bool a_is_longer = norm_squared(p.a) > norm_squared(p.b);
+  const Vec3<T> longer = a_is_longer ? p.a : p.b, shorter = a_is_longer ? p.b : p.a;
+  const T length_squared = norm_squared(longer);
+  const auto without_longer = [&](Vec3<T> x) { return x - (dot(x, longer) / length_squared) * longer; };
+  const Vec3<T> r = without_longer(p.r), across = without_longer(shorter);
+  // The face point (or, with the sign of u reversed, the offset between edge points) is r + along * longer + aside *
+  // shorter.
+  const T aside = -dot(r, across) / norm_squared(across);
+  const T along = -dot(p.r + aside * shorter, longer) / length_squared;
+  const T of_a = a_is_longer ? along : aside;
+  out.u = kEdgeEdge ? -of_a : of_a;
+  out.v = a_is_longer ? aside : along;
+  const bool inside =
+      out.u > T(0) && out.v > T(0) && (kEdgeEdge ? out.u < T(1) && out.v < T(1) : out.u + out.v < T(1));
+  if (!inside) return false;
+  out.offset = r + aside * across;
+  // Perpendicular to the longer one to within rounding, which is what counts: along the shorter one's remainder the
+  // features extend by sin(angle) only.
+  const Vec3<T> direction = without_longer(normal);
+  out.direction = dot(direction, r) < T(0) ? -direction : direction;
+  return true;
+}
+
 // e x (o x e) = |e|^2 (o - its part along e): exact zeros where they belong, however small the result.
 template <class T>
 PGCCD_HD Nearest<T> from_segment(const SegmentCase<T>& c, T u, T v) {
@@ -46,26 +74,35 @@ PGCCD_HD Nearest<T> from_segment(const SegmentCase<T>& c, T u, T v) {
 
 }  // namespace nearest_detail
 
-// The result steers the search and bounds the distance from above; no certificate of freedom rests on its accuracy.
+// The offset joins two points of the features to within 64 u of the extent: its length bounds the distance from above.
+// No certificate of freedom rests on its accuracy.
 template <bool kEdgeEdge, class T>
 PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
   using nearest_detail::from_segment;
   using nearest_detail::nearest_on_segment;
   const Vec3<T> normal = cross(p.a, p.b);
   const T normal_squared = norm_squared(normal);
-  // A face or an angle too slender for its normal to mean anything: its border, at most this slenderness away, stands
-  // for it.
+  // A face or an angle too slender for its normal to mean anything, or too small for its square: its border, less than
+  // the rounding of coordinates away, stands for it.
   constexpr T slender(64 * Precision<T>::unit);
-  const bool has_normal = normal_squared > (slender * slender) * (norm_squared(p.a) * norm_squared(p.b));
+  const T parallel_squared = norm_squared(p.a) * norm_squared(p.b);  // times sin^2 of the angle: normal_squared
+  const bool has_normal = normal_squared > (slender * slender) * parallel_squared &&
+                          normal_squared > T(Precision<T>::smallest_square);
   // Edges' lines: u |n|^2 = det(r, b, n), v |n|^2 = det(r, a, n). Projection onto the face: u |n|^2 = det(b, r, n),
   // same v.
   const T u = kEdgeEdge ? dot(cross(p.r, p.b), normal) : dot(cross(p.b, p.r), normal);
   const T v = dot(cross(p.r, p.a), normal);
-  const bool inside = has_normal && u > T(0) && v > T(0) &&
+  // Below an eighth, the distance along the normal is off by more than `distance_noise` allows for.
+  const bool is_slender = !(normal_squared > T(0x1p-6) * parallel_squared);
+  const bool inside = has_normal && !is_slender && u > T(0) && v > T(0) &&
                       (kEdgeEdge ? u < normal_squared && v < normal_squared : u + v < normal_squared);
   if (inside) {
     const T along = dot(normal, p.r);
     return {(along / normal_squared) * normal, along < T(0) ? -normal : normal, u / normal_squared, v / normal_squared};
+  }
+  if (has_normal && is_slender) {
+    Nearest<T> interior;
+    if (nearest_detail::nearest_of_slender<kEdgeEdge>(p, normal, interior)) return interior;
   }
 
   auto best = nearest_on_segment(p.r, p.b);
@@ -96,6 +133,26 @@ PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
     if (which == 1) return from_segment(best, best.s, T(0));
     return from_segment(best, T(1) - best.s, best.s);
   }
+}
+
+// `v` with length 1 to within 4 roundings, however small it is; zero if it is zero.
+template <class T>
+PGCCD_HD Vec3<T> unit_vector(Vec3<T> v) {
+  T squared = norm_squared(v);
+  if (!(squared > T(Precision<T>::smallest_square))) {
+    const T largest = max_abs(v);
+    if (!(largest > T(0))) return v;
+    // Powers of two: exact.
+    for (T size = largest; size < T(0x1p-40f); size = size * T(0x1p+40f)) v = T(0x1p+40f) * v;
+    squared = norm_squared(v);
+  }
+  return (T(1) / square_root(squared)) * v;
+}
+
+// Unit vector of the direction along which the features are nearest.
+template <class T>
+PGCCD_HD Vec3<T> direction_of(const Nearest<T>& nearest) {
+  return unit_vector(max_abs(nearest.direction) > T(0) ? nearest.direction : nearest.offset);
 }
 
 }  // namespace pgccd

@@ -44,7 +44,7 @@ struct Rung<DoubleDouble> {
 // Never less strict than what the caller asked for.
 template <class T>
 PGCCD_HD SearchSettings<T> in_precision(const SearchSettings<double>& settings) {
-  return {round_up<T>(settings.separation), round_down<T>(settings.tolerance), round_up<T>(settings.latest),
+  return {round_up<T>(settings.separation), round_down<T>(settings.tolerance), round_up<T>(settings.prune_at),
           settings.nonzero_toi};
 }
 
