@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstdint>
+#include <type_traits>
 
 #include "kernels/narrow/touching.h"
 
@@ -17,6 +18,7 @@ enum class Status : int8_t {
   kUnresolved = 2,  // iteration budget spent: counts as a contact
   kPruned = 3,      // certainly later than the limit given; never leaves the kernels
   kUndecided = 4,   // within tolerance, but this arithmetic cannot tell a touch from a miss; never leaves the kernels
+  kOpen = 5,        // a later phase has to go on; never leaves the kernels
 };
 
 template <class T>
@@ -40,26 +42,26 @@ template <class T>
 struct Progress {
   T t = T(0);      // free before it
   T goal = T(-1);  // how near is near enough; negative where that is still to be decided
+  int advances = 0;
 };
 
-// How long to go on.
-enum class Effort {
-  kQuickReject,  // kQuickAdvances: most candidates are free, and most of those are seen to be by then
-  kFull,         // to the end, from the start or from where a quick rejection stopped
-};
-
+// A search goes through up to three phases. Most candidates are free, and most of those are seen to be in the first;
+// nearly all others end in the second. Only the third treats slender and tiny features with care, takes long strides
+// past grazing ones, clears whole turns of spinning bodies, and tells near misses from touches: all that would slow the
+// others down.
+enum class Phase { kQuick, kPlain, kPatient };
 constexpr int kQuickAdvances = 2;
+constexpr int kPlainAdvances = 8;
 constexpr int kMaxAdvances = 1024;
 // Spent, once within tolerance, on telling a near miss from a touch.
 constexpr int kMaxRefinements = 64;
-// From then on strides are taken along turning directions too: nearly all searches have ended before.
-constexpr int kPlainAdvances = 8;
 // After so many advances each, whole turns of spinning bodies are tried to be cleared at once.
 constexpr int kSpinPeriod = 32;
 
 // From `progress` on. Leaves there where it stopped, unless it is free; or nothing, where more would have to be known.
-template <bool kEdgeEdge, Effort kEffort, class T, class Path>
-PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
+template <bool kEdgeEdge, Phase kPhase, class T, class Path>
+PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
+  constexpr bool kIsPatient = kPhase == Phase::kPatient;
   constexpr T unit(Precision<T>::unit);
   const PairError<T> error = path.error();
   // Below the noise of the distance itself nothing can be told.
@@ -71,11 +73,8 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
 
   T t = progress.t;
   FeaturePair<T> now = path.at(t);
-  Nearest<T> nearest = nearest_points<kEdgeEdge>(now);
+  Nearest<T> nearest = nearest_points<kEdgeEdge, kIsPatient>(now);
   T distance = norm(nearest.offset);
-  // Advances made, as if the search had never stopped.
-  int advances = progress.goal < T(0) ? 0 : kQuickAdvances;
-  int most_advances = kEffort == Effort::kQuickReject ? kQuickAdvances : kMaxAdvances + path.more_advances();
   if (!(progress.goal < T(0))) {
     goal = progress.goal;
     noise = smaller(noise, goal);
@@ -83,27 +82,39 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     goal = smaller(goal, T(0.5) * (distance - separation));
     noise = smaller(noise, goal);
   }
-  Status if_spent = Status::kUnresolved;
+  int advances = progress.advances;
+  int most_advances = kPhase == Phase::kQuick ? kQuickAdvances : kPlainAdvances;
+  if constexpr (kIsPatient) most_advances = kMaxAdvances + path.more_advances();
+  Status if_spent = kIsPatient ? Status::kUnresolved : Status::kOpen;
   bool is_first_goal = true;
   T stride = T(0);
   const auto stop = [&](Status status) -> Outcome<T> {
-    progress = is_first_goal ? Progress<T>{t, goal} : Progress<T>{};
+    progress = is_first_goal ? Progress<T>{t, goal, advances} : Progress<T>{};
     return {status, t, nearest.u, nearest.v};
+  };
+  const auto leave_open = [&]() -> Outcome<T> {
+    const Outcome<T> open = stop(Status::kOpen);
+    if constexpr (kPhase == Phase::kQuick) progress = {};  // only complete quick phases are gone on from
+    return open;
   };
   const auto free = []() -> Outcome<T> { return {Status::kFree, static_cast<T>(INFINITY), T(0), T(0)}; };
   for (; advances < most_advances; ++advances) {
-    if (if_spent == Status::kUndecided && distance > separation + T(16) * wanted) {
-      // They have passed each other: what comes later is another matter.
-      goal = larger(wanted, noise);
-      if_spent = Status::kUnresolved;
-      most_advances = advances + 1 + kMaxAdvances;
+    if constexpr (kIsPatient) {
+      if (if_spent == Status::kUndecided && distance > separation + T(16) * wanted) {
+        // They have passed each other: what comes later is another matter.
+        goal = larger(wanted, noise);
+        if_spent = Status::kUnresolved;
+        most_advances = advances + 1 + kMaxAdvances;
+      }
     }
     if (!(distance > separation + goal)) {
       bool is_touch = true;
       if constexpr (Path::kStraight) {
-        is_touch = !(goal > wanted) && certainly_touch<kEdgeEdge>(path, t, now, nearest, distance, separation, noise);
+        is_touch = !(goal > wanted) &&
+                   certainly_touch<kEdgeEdge, kIsPatient>(path, t, now, nearest, distance, separation, noise);
       }
       if (is_touch) return stop(Status::kTouch);
+      if constexpr (!kIsPatient) return leave_open();
       if (!(distance > separation + noise)) return stop(Status::kUndecided);
       is_first_goal = false;
       goal = noise;
@@ -112,6 +123,14 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     }
     if (!(t < settings.prune_at)) return stop(Status::kPruned);
 
+    Vec3<T> direction;
+    if constexpr (kIsPatient) {
+      direction = direction_of(nearest);
+    } else {
+      const T squared = norm_squared(nearest.direction);
+      if (!(squared > T(Precision<T>::smallest_square))) return leave_open();
+      direction = (T(1) / square_root(squared)) * nearest.direction;
+    }
     const T remaining = T(1) - t;
     const T window = path.window(distance - separation, remaining);
     T t_end = t + window;
@@ -119,22 +138,21 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
     const FeaturePair<T> end = path.at(t_end);
     const T duration = t_end - t;
     const T keep_apart = separation + path.deviation(duration) * (T(1) + T(16) * unit);
-    const Vec3<T> direction = direction_of(nearest);
     T prefix = fixed_direction<kEdgeEdge>(now, end, direction, keep_apart, error);
     if (prefix < T(1)) prefix = larger(prefix, moving_normal(now, end, keep_apart, error));
     T next = t_end;
     if (!(prefix >= T(1))) next = add_down(t, prefix * duration * (T(1) - T(4) * unit));
 
-    if constexpr (kEffort == Effort::kFull) {
-      if (next < T(1) && advances % kSpinPeriod == kQuickAdvances) {
+    if constexpr (kIsPatient) {
+      if (next < T(1) && advances % kSpinPeriod == kPlainAdvances) {
         next = larger(next, path.free_while_spinning(t, direction, separation));
       }
-      if (next < t_end && advances >= kPlainAdvances) {
+      if (next < t_end) {
         // Longer strides while they succeed.
         stride = T(4) * larger(stride, next - t);
         const T far_time = t + stride < t_end ? t + stride : t_end;
         const FeaturePair<T> far = path.at(far_time);
-        const Nearest<T> far_nearest = nearest_points<kEdgeEdge>(far);
+        const Nearest<T> far_nearest = nearest_points<kEdgeEdge, true>(far);
         const T far_duration = far_time - t;
         const T far_apart = separation + path.deviation(far_duration) * (T(1) + T(16) * unit);
         const T turned =
@@ -148,21 +166,46 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
       }
     }
 
-    if (!(next > t)) break;
+    if (!(next > t)) {
+      if constexpr (!kIsPatient) return leave_open();
+      break;
+    }
     if (!(next < T(1))) return free();
     t = next;
     now = t == t_end ? end : path.at(t);
-    nearest = nearest_points<kEdgeEdge>(now);
+    nearest = nearest_points<kEdgeEdge, kIsPatient>(now);
     distance = norm(nearest.offset);
   }
   return stop(if_spent);
 }
 
+// Kept apart from the phases that most searches end in: its registers and its stack would be theirs too.
+template <bool kEdgeEdge, class T, class Path>
+PGCCD_HD_RARE Outcome<T> advance_patiently(const Path& path, const SearchSettings<T>& settings, Progress<T> progress) {
+  return advance_in_phase<kEdgeEdge, Phase::kPatient>(path, settings, progress);
+}
+
+// True if the first phase shows that the pair is free. Otherwise `progress` is where to go on from.
+template <bool kEdgeEdge, class T, class Path>
+PGCCD_HD bool is_quickly_free(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
+  return advance_in_phase<kEdgeEdge, Phase::kQuick>(path, settings, progress).status == Status::kFree;
+}
+
+// To the end, from the start of the step or from what `is_quickly_free` has left.
+template <bool kEdgeEdge, class T, class Path>
+PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, Progress<T> progress) {
+  if constexpr (!std::is_same_v<T, DoubleDouble>) {  // for which few searches are left
+    const Outcome<T> outcome = advance_in_phase<kEdgeEdge, Phase::kPlain>(path, settings, progress);
+    if (outcome.status != Status::kOpen) return outcome;
+  }
+  const Path copy = path;  // so that the other phases may keep the path in registers
+  return advance_patiently<kEdgeEdge>(copy, settings, progress);
+}
+
 // From a time before which the pair is known to be free.
 template <bool kEdgeEdge, class T, class Path>
 PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, T begin = T(0)) {
-  Progress<T> progress{begin};
-  return advance_to_contact<kEdgeEdge, Effort::kFull>(path, settings, progress);
+  return advance_to_contact<kEdgeEdge>(path, settings, Progress<T>{begin});
 }
 
 }  // namespace pgccd

@@ -17,13 +17,12 @@ PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, 
                                         const SearchSettings<double>& settings, Progress<double> progress) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
     if (uses_arcs(bodies)) {
-      return advance_to_contact<kEdgeEdge, Effort::kFull>(pair.template arc_path<kEdgeEdge>(bodies, f), settings,
-                                                          progress);
+      return advance_to_contact<kEdgeEdge>(pair.template arc_path<kEdgeEdge>(bodies, f), settings, progress);
     }
     Vec3<double> t0[4], t1[4];
     pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-    Outcome<double> outcome = advance_to_contact<kEdgeEdge, Effort::kFull>(
-        LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error), settings, progress);
+    Outcome<double> outcome = advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error),
+                                                            settings, progress);
     // What rounding did to the points themselves, no finer arithmetic would undo.
     if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
     return outcome;
@@ -40,13 +39,13 @@ PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const Fea
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
     if (uses_arcs(bodies)) {
       const auto path = pair.template arc_path<kEdgeEdge>(bodies, f);
-      return advance_to_contact<kEdgeEdge, Effort::kQuickReject>(path, settings, progress).status == Status::kFree;
+      return is_quickly_free<kEdgeEdge>(path, settings, progress);
     }
   }
   Vec3<double> t0[4], t1[4];
   pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
   const LinearPath<kEdgeEdge, double> path(t0, t1, pair.point_error);
-  return advance_to_contact<kEdgeEdge, Effort::kQuickReject>(path, settings, progress).status == Status::kFree;
+  return is_quickly_free<kEdgeEdge>(path, settings, progress);
 }
 
 // A candidate is dropped only if the toi that it would report, a double, is later than `latest`. A finer arithmetic rounds

@@ -51,7 +51,7 @@ PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const Featur
 
   // The gap gives the normal unless rounding drowns it; then the features' own normal does, turned to lead from centre
   // to centre.
-  Vec3<double> normal = nearest_points<kEdgeEdge>(features).offset;
+  Vec3<double> normal = nearest_points<kEdgeEdge, true>(features).offset;
   if (!(norm(normal) > 0x1p-40 * extent(features))) {
     normal = cross(features.a, features.b);
     const RelativeCentre centre = relative_centre(bodies.centres, pair.body[0], pair.body[1]);

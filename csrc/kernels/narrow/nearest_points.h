@@ -41,7 +41,7 @@ PGCCD_HD SegmentCase<T> nearest_on_segment(Vec3<T> origin, Vec3<T> edge) {
 // u / sin(angle), and so would be a distance taken along it. Instead the longer one is projected out (Gram-Schmidt with
 // pivoting): the distance left is that of two points of the features to within a few u of the extent, whatever the angle.
 template <bool kEdgeEdge, class T>
-PGCCD_HD_RARE bool nearest_of_slender(const FeaturePair<T>& p, Vec3<T> normal, Nearest<T>& out) {
+PGCCD_HD bool nearest_of_slender(const FeaturePair<T>& p, Vec3<T> normal, Nearest<T>& out) {
   const bool a_is_longer = norm_squared(p.a) > norm_squared(p.b);
   const Vec3<T> longer = a_is_longer ? p.a : p.b, shorter = a_is_longer ? p.b : p.a;
   const T length_squared = norm_squared(longer);
@@ -76,7 +76,9 @@ PGCCD_HD Nearest<T> from_segment(const SegmentCase<T>& c, T u, T v) {
 
 // The offset joins two points of the features to within 64 u of the extent: its length bounds the distance from above.
 // No certificate of freedom rests on its accuracy.
-template <bool kEdgeEdge, class T>
+// `kWithSlender`: features whose normal is inaccurate are looked at inside too, not only along their borders, which may
+// be further apart.
+template <bool kEdgeEdge, bool kWithSlender, class T>
 PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
   using nearest_detail::from_segment;
   using nearest_detail::nearest_on_segment;
@@ -100,9 +102,9 @@ PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
     const T along = dot(normal, p.r);
     return {(along / normal_squared) * normal, along < T(0) ? -normal : normal, u / normal_squared, v / normal_squared};
   }
-  if (has_normal && is_slender) {
+  if constexpr (kWithSlender) {
     Nearest<T> interior;
-    if (nearest_detail::nearest_of_slender<kEdgeEdge>(p, normal, interior)) return interior;
+    if (has_normal && is_slender && nearest_detail::nearest_of_slender<kEdgeEdge>(p, normal, interior)) return interior;
   }
 
   auto best = nearest_on_segment(p.r, p.b);

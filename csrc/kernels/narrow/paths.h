@@ -125,21 +125,22 @@ class ArcPath {
 
   // A body that spins fast is replaced by all places that it takes in a turn: along a direction n, a point reaches as
   // far as the centre of its circle and the circle's extent, |n x axis| times its radius. Returns a time until which
-  // the features stay apart by that; `t` itself, or less, if nothing is gained. Tried are the direction given, that
-  // between the nearest circles' centres, and the axes.
-  PGCCD_HD_RARE double free_while_spinning(double t, Vec3<double> direction, double separation) const {
+  // the features stay apart by that, or `t` itself if nothing is gained. Directions tried: the one given; those between
+  // the nearest points where spinning features are shrunk to the centres of their circles, or to the centre of the body;
+  // and the axes.
+  PGCCD_HD double free_while_spinning(double t, Vec3<double> direction, double separation) const {
     const double remaining = 1.0 - t;
     const bool spins[2] = {first_angle_ * remaining > kFastSpin, second_angle_ * remaining > kFastSpin};
     if (!spins[0] && !spins[1]) return t;
+    const Vec3<double> between_circles = direction_of(nearest_points<kEdgeEdge, true>(hubs_at(t, spins, 1.0)));
     double until = larger(t, free_along(t, direction, separation, spins));
-    const FeaturePair<double> hubs = hubs_at(t, spins);
-    const Nearest<double> nearest = nearest_points<kEdgeEdge>(hubs);
-    until = larger(until, free_along(t, direction_of(nearest), separation, spins));
+    until = larger(until, free_along(t, between_circles, separation, spins));
+    const Vec3<double> from_centre = direction_of(nearest_points<kEdgeEdge, true>(hubs_at(t, spins, 0.0)));
+    until = larger(until, free_along(t, from_centre, separation, spins));
     for (int k = 0; k < 4; ++k) {
-      if (!spins[is_second(k)] || until >= 1.0) continue;
+      if (!spins[side_of(k)]) continue;
       const Vec3<double> axis = unit_vector(cross(points_[k].quarter, points_[k].inward));
-      const double along = dot(axis, nearest.offset);
-      until = larger(until, free_along(t, along < 0.0 ? -axis : axis, separation, spins));
+      until = larger(until, free_along(t, dot(axis, between_circles) < 0.0 ? -axis : axis, separation, spins));
     }
     return until;
   }
@@ -148,17 +149,17 @@ class ArcPath {
   // Radians from which on a body counts as spinning fast: a window of chords would be cut into many.
   static constexpr double kFastSpin = 4.0;
 
-  PGCCD_HD static int is_second(int k) { return k < PointSplit<kEdgeEdge>::first_count ? 0 : 1; }
+  PGCCD_HD static int side_of(int k) { return k < PointSplit<kEdgeEdge>::first_count ? 0 : 1; }
 
-  // The features at t, points of spinning bodies replaced by the centres of their circles.
-  PGCCD_HD FeaturePair<double> hubs_at(double t, const bool spins[2]) const {
+  // The features at t, points of spinning bodies replaced by the centres of their circles, or (`height` 0) of the body.
+  PGCCD_HD FeaturePair<double> hubs_at(double t, const bool spins[2], double height) const {
     Vec3<double> x[4];
     positions(t, x);
     const Vec3<double> shift = shift_at(t);
     for (int k = 0; k < 4; ++k) {
-      if (!spins[is_second(k)]) continue;
-      x[k] = points_[k].base + points_[k].inward;
-      if (is_second(k)) x[k] = shift + x[k];
+      if (!spins[side_of(k)]) continue;
+      x[k] = height * (points_[k].base + points_[k].inward);
+      if (side_of(k) == 1) x[k] = shift + x[k];
     }
     return feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
   }
@@ -189,7 +190,7 @@ class ArcPath {
     const Vec3<double> shift = shift_at(t);
     double high = -INFINITY, low = INFINITY;
     for (int k = 0; k < 4; ++k) {
-      const int side = is_second(k);
+      const int side = side_of(k);
       double projection = dot(n, x[k]), reach = 0.0;
       if (spins[side]) {
         const Vec3<double> hub = points_[k].base + points_[k].inward;
@@ -209,7 +210,7 @@ class ArcPath {
   PGCCD_HD double side_curvature(int side) const {
     double radius = 0.0;
     for (int k = 0; k < 4; ++k) {
-      if (is_second(k) == side) radius = larger(radius, norm(points_[k].quarter));
+      if (side_of(k) == side) radius = larger(radius, norm(points_[k].quarter));
     }
     const double angle = side == 0 ? first_angle_ : second_angle_;
     return (1.0 + 0x1p-40) * (angle * angle * radius);

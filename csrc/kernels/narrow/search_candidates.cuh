@@ -31,9 +31,11 @@ struct SearchCounters {
 };
 
 struct OpenCandidate {
-  Progress<double> progress;
-  int32_t row;  // of the candidates
+  double t, goal;  // of the progress
+  int32_t row;     // of the candidates
   int32_t pair;
+
+  PGCCD_HD Progress<double> progress() const { return {t, goal, goal < 0.0 ? 0 : kQuickAdvances}; }
 };
 
 // Contacts, in any order; and per pair the earliest toi so far, unless all are to be reported.
@@ -75,7 +77,7 @@ __global__ void __launch_bounds__(kBlockThreads, 3) glance_at_candidates(Bodies 
     Progress<double> progress;
     if (free_at_a_glance(bodies, pair, candidate, search.input.settings, progress)) continue;
     const uint32_t at = warp_append(&search.counters->open, 1);
-    if (at < search.capacity) search.open[at] = {progress, static_cast<int32_t>(c), candidate.pair};
+    if (at < search.capacity) search.open[at] = {progress.t, progress.goal, static_cast<int32_t>(c), candidate.pair};
     if (search.least != nullptr) atomicMin(search.least + candidate.pair, toi_bits(progress.t));
   }
 }
@@ -94,7 +96,7 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, const Ope
   }
   const auto pair = pair_of(bodies, search.input, candidate);
   const Outcome<double> outcome =
-      solve_candidate(bodies, pair, candidate, search.input.settings, latest, open.progress);
+      solve_candidate(bodies, pair, candidate, search.input.settings, latest, open.progress());
   if (outcome.status != Status::kTouch && outcome.status != Status::kUnresolved) return;
   if (search.best != nullptr) atomicMin(search.best + open.pair, toi_bits(outcome.toi));
   if (search.contacts == nullptr) return;
@@ -116,7 +118,7 @@ __global__ void __launch_bounds__(kSolveThreads, 6) solve_candidates(Bodies bodi
   const auto is_wanted = [&](uint32_t item) {
     if (all_at_once) return true;
     const OpenCandidate& open = search.open[item];
-    const unsigned long long begin = toi_bits(open.progress.t);
+    const unsigned long long begin = toi_bits(open.t);
     if (begin == search.least[open.pair]) return is_first;
     return !is_first && begin <= search.best_of(open.pair);
   };

@@ -79,7 +79,8 @@ PGCCD_HD bool pass_through(const FeaturePair<T>& start, const FeaturePair<T>& en
 }
 
 // Looks for such a proof just after a time at which the primitives are `distance` apart, by one Newton step.
-template <bool kEdgeEdge, class T, class Path>
+// `kWithSlender` as for `nearest_points`.
+template <bool kEdgeEdge, bool kWithSlender, class T, class Path>
 PGCCD_HD bool certainly_touch(const Path& path, T t, const FeaturePair<T>& now, const Nearest<T>& nearest, T distance,
                               T separation, T noise) {
   using touching_detail::determinant;
@@ -90,7 +91,7 @@ PGCCD_HD bool certainly_touch(const Path& path, T t, const FeaturePair<T>& now, 
     const T speed = -dot(nearest.offset, closing) / distance;
     const T until = smaller(t + T(4) * ((distance - separation) + noise) / speed, T(1));
     if (!(until > t)) return false;
-    return norm(nearest_points<kEdgeEdge>(path.at(until)).offset) + noise < separation;
+    return norm(nearest_points<kEdgeEdge, kWithSlender>(path.at(until)).offset) + noise < separation;
   }
   const PairError<T> error = path.error();
   const Vec3<T> normal = cross(now.a, now.b);
