@@ -25,6 +25,7 @@ class Plan:
     border: bool = False  # meet on a border of both features
     graze: bool = False  # without a speed along the common normal
     off: tuple[float, float] | None = None  # and then miss by 10^-a .. 10^-b, either way
+    pass_by: bool = False  # instead of meeting, at the distance that the caller names
     aimed: bool = True
     shift: float = 0.0  # of both bodies, from the world's origin
 
@@ -39,6 +40,7 @@ PLANS = {
     "borders": Plan(_up_to(1.0), border=True, off=(10.0, 1.0)),
     "grazing": Plan(_up_to(2.0), graze=True, off=(9.0, 2.0)),
     "small turns": Plan(lambda rng, n: 10.0 ** -rng.uniform(2, 12, n), off=(10.0, 1.0)),
+    "passing": Plan(_up_to(2.0), graze=True, pass_by=True),
     "half turns": Plan(lambda rng, n: np.pi + rng.choice([0.0, 1e-15, -1e-9, 1e-3], n)),
     "many turns": Plan(_up_to(40.0)),
     "no turn": Plan(lambda rng, n: np.zeros(n)),
@@ -79,9 +81,12 @@ def _turned(points: np.ndarray, body: Turning, t: np.ndarray) -> tuple[np.ndarra
 
 
 def motions(
-    rng: np.random.Generator, plan: Plan, points: np.ndarray, is_face: bool, size: float
+    rng: np.random.Generator, plan: Plan, points: np.ndarray, is_face: bool, size: float, clearance: float = 0.0
 ) -> tuple[Turning, Turning]:
-    """Of the bodies that have the first and the second primitive, points (n, 4, 3) in their frames."""
+    """Of the bodies that have the first and the second primitive, points (n, 4, 3) in their frames.
+
+    `clearance`: the distance at which they pass, if the plan is to pass by.
+    """
     n, count = len(points), first_count(is_face)
     quaternions = rng.normal(size=(2, n, 4))
     quaternions /= np.linalg.norm(quaternions, axis=2, keepdims=True)
@@ -103,6 +108,8 @@ def motions(
     if plan.off is not None:
         miss = size * 10.0 ** -rng.uniform(plan.off[1], plan.off[0], (n, 1)) * rng.choice([-1.0, 1.0], (n, 1))
         apart = apart + miss * (normal if plan.graze else _directions(rng, n))
+    if plan.pass_by:
+        apart = apart + clearance * normal
     if not plan.aimed:
         apart = 2 * size * rng.normal(size=(n, 3))
     first = size * (rng.normal(size=(n, 3)) + plan.shift)

@@ -19,13 +19,14 @@ from .constructed import dyadic, touching_points
 class Family:
     """points (n, 4, 3) at both ends; toi (n,): the first touch, infinite if there is none, nan where not known.
 
-    Touching means a distance of at most `separation`.
+    Touching means a distance of at most `separation`. Where the family depends on the tolerance, it names it.
     """
 
     points_t0: np.ndarray
     points_t1: np.ndarray
     toi: np.ndarray
     separation: float = 0.0
+    tolerance: float | None = None
 
 
 Maker = Callable[[np.random.Generator, int, bool, int], Family]
@@ -307,6 +308,44 @@ def near_border(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> F
     return _unknown(points - t * velocity, points + (1 - t) * velocity)
 
 
+def passing(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
+    """Pass one another at a separation and 1.1 to 10 tolerances more, or a hundredth of one less, all four points in
+    motion: the distance has a minimum there, or another extremum, at a random time. Half of them are nearest at an end
+    of the first edge, or at a side of the face.
+    """
+    points, velocity = rng.normal(size=(2, n, 4, 3))
+    separation = 10.0 ** -rng.uniform(0.5, 3)
+    tolerance = separation * 10.0 ** -rng.uniform(3, 8 if bits > 24 else 3.5)
+    clearance = separation + tolerance * rng.choice([-0.01, 1.1, 2.0, 10.0], (n, 1))
+    t, u, v = rng.random((n, 1, 1)), *rng.uniform(0.02, 0.98, (2, n, 1))
+    at_end = (np.arange(n) % 2 == 0)[:, None]
+    u = np.where(at_end, 0.0, u)
+    one, zero = np.ones((n, 1)), np.zeros((n, 1))
+    weights = np.stack([one, 1 - v, zero, v] if is_face else [1 - u, u, 1 - v, v], axis=1)
+    if is_face:
+        inside = np.stack([one, 1 - u - v * (1 - u), u, v * (1 - u)], axis=1)
+        weights = np.where(at_end[:, None], weights, inside)
+    first = slice(0, 1) if is_face else slice(0, 2)
+    second = slice(1, 4) if is_face else slice(2, 4)
+    edge = points[:, 3] - points[:, 1 if is_face else 2]
+    other = points[:, 2] - points[:, 1] if is_face else points[:, 0] - points[:, 1]
+    # From the first primitive to the second: the common normal, or at an end a normal of the second one's edge on which
+    # the rest of both lies further away.
+    normal = np.cross(other, edge)
+    aside = np.cross(edge, np.cross(rng.normal(size=(n, 3)), edge))
+    aside *= np.where((aside * other).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+    normal = np.where(at_end, aside, normal)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+
+    def gap(x: np.ndarray) -> np.ndarray:
+        return (weights[:, second] * x[:, second]).sum(axis=1) - (weights[:, first] * x[:, first]).sum(axis=1)
+
+    points[:, second] += (clearance * normal - gap(points))[:, None]
+    velocity[:, second] -= (normal * (gap(velocity) * normal).sum(axis=1, keepdims=True))[:, None]
+    unknown = _unknown(points - t * velocity, points + (1 - t) * velocity)
+    return Family(unknown.points_t0, unknown.points_t1, unknown.toi, separation, tolerance)
+
+
 KNOWN: tuple[Maker, ...] = (
     crossing,
     fast,
@@ -329,6 +368,7 @@ UNKNOWN: dict[str, Maker] = {
     "random fast": random_fast,
     "far away": far_away,
     "near border": near_border,
+    "passing": passing,
 }
 # Degenerate ones of which most are beyond the batch oracle, for small numbers.
 EXACT: dict[str, Maker] = {

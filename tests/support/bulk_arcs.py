@@ -45,7 +45,7 @@ FEATURES = {
 }
 
 
-def _solve(
+def solve_candidates(
     meshes: list[pgccd.Mesh],
     bodies: tuple[Turning, Turning],
     kind: int,
@@ -89,10 +89,11 @@ def check_arcs(
     parts = [_corners(m, features[:, k], what[k]) for k, m in enumerate(meshes)]
     swapped, is_face = kind == pgccd.VF_BA, kind != pgccd.EE
     points = np.concatenate(parts[::-1] if swapped else parts, axis=1)
-    first, second = arcs.motions(rng, plan, points, is_face, size)
+    clearance = separation + tolerance * float(rng.choice([-0.01, 1.1, 2.0, 10.0]))
+    first, second = arcs.motions(rng, plan, points, is_face, size, clearance)
     truth, _ = arcs.decide(points, first, second, is_face, separation)
     bodies = (second, first) if swapped else (first, second)
-    status, toi, coordinates = _solve(meshes, bodies, kind, features, separation, tolerance, device)
+    status, toi, coordinates = solve_candidates(meshes, bodies, kind, features, separation, tolerance, device)
     paths = ArcPaths(points, first, second, is_face)
     centres = [np.abs(second.position_t0 - first.position_t0), np.abs(second.position_t1 - first.position_t1)]
     turned = np.maximum(*(np.linalg.norm(b.rotation, axis=1) for b in bodies))

@@ -1,0 +1,75 @@
+"""Bodies that turn many times in a step, beside what they nearly or just touch."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from support.shapes import bumpy
+
+import pgccd
+
+TURNS = [30.0, 300.0, 1e4]
+
+
+def wall(distance: float, normal: tuple[float, float, float]) -> pgccd.Mesh:
+    """A large square of a few triangles, perpendicular to `normal`, at a distance from the origin."""
+    n = np.array(normal) / np.linalg.norm(normal)
+    e = np.linalg.svd(n[None])[2][1:]
+    corners = np.array([[-3, -3], [4, -3], [4, 5], [-3, 5], [0.3, 0.2]]) @ e + distance * n
+    return pgccd.Mesh(corners, [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+
+
+def spinning(
+    mesh: pgccd.Mesh, obstacle: pgccd.Mesh, rotation: tuple[float, float, float], device: torch.device
+) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
+    """The mesh's frame turns about the world's origin, where the obstacle's coordinates are as given."""
+    position = torch.stack([torch.zeros(3, dtype=torch.float64), obstacle.centre]).to(device)
+    orientation = torch.tensor([[1.0, 0, 0, 0]] * 2, dtype=torch.float64, device=device)
+    turn = torch.tensor([rotation, (0.0, 0.0, 0.0)], dtype=torch.float64, device=device)
+    motion = pgccd.RigidMotion.from_rotation(position, orientation, position, turn)
+    return pgccd.Scene([mesh, obstacle], device=device), motion
+
+
+@pytest.mark.parametrize("angle", TURNS)
+@pytest.mark.parametrize("gap", [0.01, 0.5])
+@pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (1, 2, -1)])
+def test_beside_a_wall(device: torch.device, angle: float, gap: float, axis: tuple[int, int, int]) -> None:
+    """Whatever the axis, the wall stays out of reach: no contact, and none left open."""
+    mesh = bumpy(np.random.default_rng(3), 1, 0.2)
+    reach = float(mesh.vertices.norm(dim=1).max())
+    unit = np.array(axis) / np.linalg.norm(axis)
+    scene, motion = spinning(mesh, wall(reach * (1 + gap), (1, 0, 0)), tuple(angle * unit), device)
+    found = pgccd.detect(scene, motion, "all", pairs=torch.tensor([[0, 1]], device=device))
+    assert len(found) == 0 and found.stats.unresolved == 0
+
+
+@pytest.mark.parametrize("angle", TURNS)
+@pytest.mark.parametrize("gap", [0.002, 0.1])
+def test_flat_side_to_the_wall(device: torch.device, angle: float, gap: float) -> None:
+    """A square that turns in its own plane, close to a parallel wall: much closer than its corners reach sideways."""
+    plate = pgccd.Mesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    scene, motion = spinning(plate, wall(gap, (0, 0, 1)), (0.0, 0.0, angle), device)
+    found = pgccd.detect(scene, motion, "all", pairs=torch.tensor([[0, 1]], device=device))
+    assert len(found) == 0 and found.stats.unresolved == 0
+
+
+@pytest.mark.parametrize("angle", TURNS)
+@pytest.mark.parametrize("depth", [1e-5, 1e-2])
+def test_tip_just_reaches_the_wall(device: torch.device, angle: float, depth: float) -> None:
+    """A long spike turns from pointing away; its tip passes the wall's plane by `depth` once a turn."""
+    spike = pgccd.Mesh(
+        [[0, 0, 0], [0.1, 0.02, 0.01], [0.1, -0.02, 0.01], [1, 0, 0]], [[0, 2, 1], [1, 2, 3], [0, 1, 3], [0, 3, 2]]
+    )
+    tip = spike.vertices[3].numpy()
+    radius = math.hypot(tip[0], tip[1])
+    start = math.atan2(tip[1], tip[0])
+    scene, motion = spinning(spike, wall(radius - depth, (-1, 0, 0)), (0.0, 0.0, angle), device)
+    found = pgccd.detect(scene, motion, "first", pairs=torch.tensor([[0, 1]], device=device))
+    turned = math.pi - start - math.acos((radius - depth) / radius)
+    assert len(found) == 1
+    assert float(found.toi) <= turned / angle * (1 + 1e-12)
+    assert float(found.toi) >= turned / angle - 2e-3 * math.sqrt(1e-6 / depth) / angle
+    assert found.status.tolist() == [pgccd.TOUCH]
