@@ -70,7 +70,7 @@ def broken(fault: str, status: np.ndarray, toi: np.ndarray, coordinates: np.ndar
 @pytest.mark.parametrize("path", ["straight", "arcs"])
 @pytest.mark.parametrize("fault", ["missed", "late", "invented", "misplaced"])
 def test_every_fault_is_seen(fault: str, path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    module, solve = (bulk, "solve") if path == "straight" else (bulk_arcs, "_solve")
+    module, solve = (bulk, "solve") if path == "straight" else (bulk_arcs, "solve_candidates")
     true = getattr(module, solve)
     monkeypatch.setattr(module, solve, lambda *given, **named: broken(fault, *true(*given, **named)))
     rng = np.random.default_rng(3)

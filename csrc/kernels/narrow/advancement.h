@@ -51,7 +51,7 @@ struct Progress {
 // others down.
 enum class Phase { kQuick, kPlain, kPatient };
 constexpr int kQuickAdvances = 2;
-constexpr int kPlainAdvances = 8;
+constexpr int kPlainAdvances = 24;
 constexpr int kMaxAdvances = 1024;
 // Spent, once within tolerance, on telling a near miss from a touch.
 constexpr int kMaxRefinements = 64;
