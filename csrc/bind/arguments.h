@@ -117,10 +117,34 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
   return view;
 }
 
+// Lengths that a caller gave. Larger ones would overflow when they are squared.
+constexpr double kLargestLength = 1e150;
+
+inline void check_separation(double separation) {
+  STD_TORCH_CHECK(separation >= 0.0 && separation <= kLargestLength,
+                  "min_separation: expected a length in [0, 1e150], got ", separation);
+}
+
+// A negative tolerance is relative to a radius.
+inline void check_tolerance(double tolerance) {
+  STD_TORCH_CHECK(tolerance >= -1.0 && tolerance <= kLargestLength,
+                  "tolerance: expected a length in [0, 1e150], or a part of a radius in [-1, 0), got ", tolerance);
+}
+
+// The distance up to which a pair may be reported.
+struct KeptDistance {
+  double separation, tolerance;
+
+  KeptDistance(double min_separation, double given_tolerance) : separation(min_separation), tolerance(given_tolerance) {
+    check_separation(separation);
+    check_tolerance(tolerance);
+  }
+};
+
 inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                               const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                               const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                              double separation) {
+                              const KeptDistance& kept) {
   const int64_t count = radius.size(0);
   STD_TORCH_CHECK(count < (int64_t{1} << 31), "radius: more than 2^31 - 1 bodies on one device");
   BroadBodies view;
@@ -131,7 +155,8 @@ inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_
   view.mask = optional_column<int64_t>(mask, "mask", count);
   view.world = optional_column<int32_t>(world, "world", count);
   view.is_static = optional_column<uint8_t>(is_static, "is_static", count);
-  view.separation = separation;
+  view.separation = kept.separation;
+  view.tolerance = kept.tolerance;
   return view;
 }
 

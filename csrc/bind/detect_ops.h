@@ -68,9 +68,10 @@ struct DetectOps {
   static Tensor sweep(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                       const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                       const std::optional<Tensor>& world, const std::optional<Tensor>& is_static, double min_separation,
-                      int64_t axis) {
+                      double tolerance, int64_t axis) {
+    STD_TORCH_CHECK(axis >= -1 && axis <= 2, "axis: expected 0, 1, 2 or -1 (any), got ", axis);
     const BroadBodies bodies =
-        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
+        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
     return collect_pairs(radius, [&](const PairOutput& make_output) {
       Backend(radius).sweep(bodies, static_cast<int>(axis), make_output);
     });
@@ -81,9 +82,9 @@ struct DetectOps {
   static Tensor find_pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                            const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                            const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                           double min_separation) {
+                           double min_separation, double tolerance) {
     const BroadBodies bodies =
-        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
+        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
     const Backend backend(radius);
     return collect_pairs(radius, [&](const PairOutput& make_output) { (backend.*kFind)(bodies, make_output); });
   }

@@ -23,9 +23,9 @@ inline Territory territory_view(const std::vector<double>& frame, const Tensor& 
 }
 
 // centres = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
-inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, double separation) {
+inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, const KeptDistance& kept) {
   STD_TORCH_CHECK(centres.size() == 3, name, ": expected 3 tensors, got ", centres.size());
-  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, separation);
+  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, kept);
 }
 
 using FrameList = std::vector<double>;
@@ -33,8 +33,9 @@ using FrameList = std::vector<double>;
 template <class Backend>
 struct TerritoryOps {
   static std::tuple<Tensor, Tensor, Tensor> border_bodies(const TensorList& centres, double min_separation,
-                                                          FrameList frame, const Tensor& owner, int64_t rank) {
-    const BroadBodies bodies = centres_view(centres, "centres", min_separation);
+                                                          double tolerance, FrameList frame, const Tensor& owner,
+                                                          int64_t rank) {
+    const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
     Tensor reach = new_tensor<uint8_t>(owner, {bodies.count});
     Tensor border = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
     Backend(owner).border_bodies(bodies, territory_view(frame, owner, rank), data<uint8_t>(reach),
@@ -42,11 +43,12 @@ struct TerritoryOps {
     return {reach, border, found};
   }
 
-  static std::tuple<Tensor, Tensor> holders_of(const TensorList& centres, double min_separation, FrameList frame,
-                                               const Tensor& owner, int64_t rank, const Tensor& bodies,
+  static std::tuple<Tensor, Tensor> holders_of(const TensorList& centres, double min_separation, double tolerance,
+                                               FrameList frame, const Tensor& owner, int64_t rank, const Tensor& bodies,
                                                std::vector<int64_t> received, int64_t ranks) {
-    const HoldersInput input{centres_view(centres, "centres", min_separation), territory_view(frame, owner, rank),
-                             rows<int64_t>(bodies, "bodies", {kAnySize}), bodies.size(0), received};
+    const HoldersInput input{centres_view(centres, "centres", {min_separation, tolerance}),
+                             territory_view(frame, owner, rank), rows<int64_t>(bodies, "bodies", {kAnySize}),
+                             bodies.size(0), received};
     STD_TORCH_CHECK(rank >= 0 && rank < ranks, "rank: expected a number below ", ranks, ", got ", rank);
     const bool sums_up = std::accumulate(received.begin(), received.end(), int64_t{0}) == bodies.size(0);
     STD_TORCH_CHECK(received.empty() || (static_cast<int64_t>(received.size()) == ranks && sums_up),
@@ -78,10 +80,10 @@ struct TerritoryOps {
 
   static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const std::optional<Tensor>& held,
                                                 const Tensor& id, const TensorList& centres, double min_separation,
-                                                const Tensor& reach, FrameList frame, const Tensor& owner,
-                                                int64_t rank) {
+                                                double tolerance, const Tensor& reach, FrameList frame,
+                                                const Tensor& owner, int64_t rank) {
     OwnedPairs input;
-    input.bodies = centres_view(centres, "centres", min_separation);
+    input.bodies = centres_view(centres, "centres", {min_separation, tolerance});
     input.territory = territory_view(frame, owner, rank);
     input.reach = rows<uint8_t>(reach, "reach", {kAnySize});
     input.own_count = reach.size(0);
@@ -97,11 +99,11 @@ struct TerritoryOps {
   }
 
   static std::tuple<Tensor, Tensor> near_ghosts(const TensorList& centres, const TensorList& ghosts,
-                                                double min_separation, FrameList frame, const Tensor& owner,
-                                                int64_t rank) {
-    const BroadBodies bodies = centres_view(centres, "centres", min_separation);
+                                                double min_separation, double tolerance, FrameList frame,
+                                                const Tensor& owner, int64_t rank) {
+    const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
     Tensor near = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
-    Backend(owner).near_ghosts(bodies, centres_view(ghosts, "ghosts", min_separation),
+    Backend(owner).near_ghosts(bodies, centres_view(ghosts, "ghosts", {min_separation, tolerance}),
                                territory_view(frame, owner, rank), {data<int64_t>(near), data<int64_t>(found)});
     return {near, found};
   }

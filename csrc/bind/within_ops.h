@@ -22,8 +22,9 @@ struct WithinOps {
                                           const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                                           const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
                                           const std::optional<Tensor>& is_invalid, double min_separation,
-                                          int64_t broad_phase, const std::vector<int64_t>& capacity) {
-    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
+                                          double tolerance, int64_t broad_phase, const std::vector<int64_t>& capacity) {
+    BroadBodies bodies =
+        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
     bodies.is_invalid = optional_column<int64_t>(is_invalid, "is_invalid", 1);
     STD_TORCH_CHECK(broad_phase >= 0 && broad_phase <= 2, "broad_phase: expected 0 (sweep), 1 (grid) or 2 (lbvh), got ",
                     broad_phase);
