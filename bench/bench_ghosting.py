@@ -55,7 +55,7 @@ def count(
     x, y, z = world.half_extent
     partition = Partition.uniform((-x, -y, -z), (x, y, z), ranks, cells=arguments.cells)
     centres = [bodies.position_t0, bodies.position_t1, bodies.radius]
-    lower, upper = ops.swept_boxes(*centres, 0.0)
+    lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
     # So far does any CBV reach from the centre that decides who owns the body.
     extent = float(torch.maximum(upper - bodies.position_t0, bodies.position_t0 - lower).max())
     owner, pairs = partition.owner_of(bodies.position_t0), broad.find_pairs(bodies)
@@ -87,9 +87,9 @@ def ghosts(partition: Partition, centres: list[Tensor], owner: Tensor, separatio
 def reach(partition: Partition, centres: list[Tensor], rows: Tensor, separation: float = 0.0) -> Tensor:
     """(B, ranks) uint8: 1 where one of the rows (B,) reaches a cell of the rank."""
     ranks = partition.ranks
-    reached, _ = ops.holders_of(centres, separation, partition.territory(0), rows, ranks)
+    reached, _ = ops.holders_of(centres, separation, 0.0, partition.territory(0), rows, ranks)
     # A rank is told of others alone.
-    reached[:, 0] = ops.holders_of(centres, separation, partition.territory(ranks - 1), rows, ranks)[0][:, 0]
+    reached[:, 0] = ops.holders_of(centres, separation, 0.0, partition.territory(ranks - 1), rows, ranks)[0][:, 0]
     return reached
 
 

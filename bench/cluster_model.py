@@ -167,11 +167,11 @@ class Counts:
         centre = partition.cell_of(motion.position_t0)
         self.bodies += torch.bincount(centre, minlength=partition.cell_count)
         owner = partition.owner[centre]
-        first, last = (partition.cell_of(corner) for corner in ops.swept_boxes(*centres, 0.0))
+        first, last = (partition.cell_of(corner) for corner in ops.swept_boxes(*centres, 0.0, 0.0))
         for rows in torch.nonzero(first != last)[:, 0].split(max(1, _BLOCK // ranks)):
-            reached, _ = ops.holders_of(centres, 0.0, partition.territory(0), rows, ranks)
+            reached, _ = ops.holders_of(centres, 0.0, 0.0, partition.territory(0), rows, ranks)
             if ranks > 1:  # a rank is told of others alone
-                reached[:, 0] = ops.holders_of(centres, 0.0, partition.territory(1), rows, ranks)[0][:, 0]
+                reached[:, 0] = ops.holders_of(centres, 0.0, 0.0, partition.territory(1), rows, ranks)[0][:, 0]
             row, destination = torch.nonzero(reached).unbind(dim=1)
             source = owner[rows[row]]
             away = source != destination

@@ -22,32 +22,43 @@ BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
 _FEW_BODIES = 2_000
 _GRID_OCTAVES = 3
 _MANY_BODIES = 150_000
+#: The default tolerance, relative to the smaller SBV radius of a pair.
+RELATIVE_TOLERANCE = 1e-6
+# Squares of longer ones overflow.
+_LONGEST = 1e150
 _AXES = {"auto": -1, "x": 0, "y": 1, "z": 2}
 
 
-def sweep(bodies: MovingBodies, min_separation: float = 0.0, axis: Literal["auto", "x", "y", "z"] = "auto") -> Tensor:
+def sweep(
+    bodies: MovingBodies,
+    min_separation: float = 0.0,
+    axis: Literal["auto", "x", "y", "z"] = "auto",
+    tolerance: float | None = None,
+) -> Tensor:
     """Sweep and prune along one axis by radix sort, then a test of moving spheres (Du, Liu & Suzumura 2017, 3.3).
 
     Args:
         bodies: the scene in motion.
         min_separation: length; bodies this close count as colliding.
         axis: the axis swept; "auto" takes that with the largest variance of centres. The result does not depend on it.
+        tolerance: length; contacts up to min_separation + tolerance may be reported. Default: 1e-6 of the smaller SBV
+            radius of each pair.
 
     Returns:
-        (P, 2) int64: every pair i < j that the scene's filters allow and whose swept spheres come within the separation
-        (and, by rounding outward, perhaps a few that miss it by about 1e-14 of their distance), and (i, i) for every
-        body that collides with itself; sorted.
+        (P, 2) int64: every pair i < j that the scene's filters allow and whose swept spheres come within
+        min_separation + tolerance (and, by rounding outward, perhaps a few that miss it by some 1e-13 of their size),
+        and (i, i) for every body that collides with itself; sorted.
 
     Example:
         >>> pairs = pgccd.broad.sweep(bodies)
     """
     if axis not in _AXES:
         raise ValueError(f"axis: expected one of {list(_AXES)}, got {axis!r}")
-    pairs = ops.sweep(*_columns(bodies), check_separation(min_separation), _AXES[axis])
+    pairs = ops.sweep(*_columns(bodies), *_kept(min_separation, tolerance), _AXES[axis])
     return with_self_pairs(bodies, pairs)
 
 
-def grid(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
+def grid(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | None = None) -> Tensor:
     """A hashed uniform grid with a level for each octave of body sizes (Ericson 2005, Real-Time Collision Detection,
     7.2), then the same test as `sweep`.
 
@@ -55,7 +66,7 @@ def grid(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
 
     Args:
         bodies: the scene in motion.
-        min_separation: length; bodies this close count as colliding.
+        min_separation, tolerance: as for `sweep`.
 
     Returns:
         (P, 2) int64: the pairs of `sweep`, bit for bit.
@@ -63,10 +74,10 @@ def grid(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
     Example:
         >>> pairs = pgccd.broad.grid(bodies)
     """
-    return with_self_pairs(bodies, ops.grid(*_columns(bodies), check_separation(min_separation)))
+    return with_self_pairs(bodies, ops.grid(*_columns(bodies), *_kept(min_separation, tolerance)))
 
 
-def lbvh(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
+def lbvh(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | None = None) -> Tensor:
     """A bounding volume hierarchy over the bodies in Morton order (Karras 2012, Maximizing parallelism in the
     construction of BVHs, octrees, and k-d trees), then the same test as `sweep`.
 
@@ -74,7 +85,7 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
 
     Args:
         bodies: the scene in motion.
-        min_separation: length; bodies this close count as colliding.
+        min_separation, tolerance: as for `sweep`.
 
     Returns:
         (P, 2) int64: the pairs of `sweep`, bit for bit.
@@ -82,7 +93,7 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
     Example:
         >>> pairs = pgccd.broad.lbvh(bodies)
     """
-    return with_self_pairs(bodies, ops.lbvh(*_columns(bodies), check_separation(min_separation)))
+    return with_self_pairs(bodies, ops.lbvh(*_columns(bodies), *_kept(min_separation, tolerance)))
 
 
 def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase:
@@ -112,12 +123,17 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
 
 
 def find_pairs_within(
-    bodies: MovingBodies, min_separation: float, broad_phase: BroadPhase, capacity: Capacity, invalid: Tensor
+    bodies: MovingBodies,
+    min_separation: float,
+    broad_phase: BroadPhase,
+    capacity: Capacity,
+    invalid: Tensor,
+    tolerance: float | None = None,
 ) -> tuple[Tensor, Tensor]:
     """The PCS without waiting for its size.
 
     Args:
-        bodies, min_separation, broad_phase: as for `find_pairs`.
+        bodies, min_separation, broad_phase, tolerance: as for `find_pairs`.
         capacity: room.
         invalid: (1,) int64; unless it is 0, there are none.
 
@@ -131,7 +147,7 @@ def find_pairs_within(
     pairs, counts = ops.pairs_within(
         *_columns(bodies),
         invalid,
-        check_separation(min_separation),
+        *_kept(min_separation, tolerance),
         number,
         [max(0, room - own), *rest],
     )
@@ -144,16 +160,22 @@ def find_pairs_within(
     return with_self_pairs(bodies, pairs), counts
 
 
-def find_pairs(bodies: MovingBodies, min_separation: float = 0.0, broad_phase: BroadPhase = "auto") -> Tensor:
-    """The PCS by the broad phase named, or by the one that `choose` thinks fastest. All of them give the same pairs.
+def find_pairs(
+    bodies: MovingBodies,
+    min_separation: float = 0.0,
+    broad_phase: BroadPhase = "auto",
+    tolerance: float | None = None,
+) -> Tensor:
+    """The PCS by the broad phase named, or by the one that `choose` thinks fastest. All of them give the same pairs;
+    the other arguments are those of `sweep`.
 
     Example:
         >>> pairs = pgccd.broad.find_pairs(bodies, min_separation=0.01)
     """
-    return _FINDERS[choose(bodies, broad_phase)](bodies, min_separation)
+    return _FINDERS[choose(bodies, broad_phase)](bodies, min_separation, tolerance=tolerance)
 
 
-_FINDERS: dict[str, Callable[[MovingBodies, float], Tensor]] = {"sweep": sweep, "grid": grid, "lbvh": lbvh}
+_FINDERS: dict[str, Callable[..., Tensor]] = {"sweep": sweep, "grid": grid, "lbvh": lbvh}
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
@@ -186,7 +208,20 @@ def _columns(
 
 
 def check_separation(min_separation: float) -> float:
-    """The value, if it is a finite length >= 0."""
-    if not 0.0 <= min_separation < float("inf"):
-        raise ValueError(f"min_separation: expected a finite length >= 0, got {min_separation}")
+    """The value, if it is a length in [0, 1e150]."""
+    if not 0.0 <= min_separation <= _LONGEST:
+        raise ValueError(f"min_separation: expected a finite length >= 0, at most {_LONGEST:g}, got {min_separation}")
     return float(min_separation)
+
+
+def operator_tolerance(tolerance: float | None) -> float:
+    """The operators take a negative tolerance as relative to the smaller radius of each pair."""
+    if tolerance is None:
+        return -RELATIVE_TOLERANCE
+    if not 0.0 <= tolerance <= _LONGEST:
+        raise ValueError(f"tolerance: expected a finite length >= 0, at most {_LONGEST:g}, got {tolerance}")
+    return float(tolerance)
+
+
+def _kept(min_separation: float, tolerance: float | None) -> tuple[float, float]:
+    return check_separation(min_separation), operator_tolerance(tolerance)

@@ -64,6 +64,7 @@ def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, ...]:
 def _(
     centres: list[Tensor],
     min_separation: float,
+    tolerance: float,
     frame: list[float],
     owner: Tensor,
     rank: int,

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.bodies import MovingBodies
-from pgccd.broad import check_separation
+from pgccd.broad import check_separation, operator_tolerance
 from pgccd.contacts import ContactRows
-from pgccd.traverse import check_pairs, operator_tolerance, require
+from pgccd.traverse import check_pairs, require
 
 Report = Literal["any", "first", "all", "earliest"]
 # What the operators are asked for; "earliest" is then chosen from the first contacts.

@@ -152,10 +152,10 @@ def find_part(
     Raises:
         ValueError: the bodies are invalid, and that had to be known.
     """
-    separation = query.min_separation
+    separation, tolerance = query.min_separation, query.tolerance
 
     def find_pairs() -> Tensor:
-        pairs = broad.find_pairs(bodies, separation, broad_phase)
+        pairs = broad.find_pairs(bodies, separation, broad_phase, tolerance)
         if select is None:
             return pairs
         pairs, count = select(pairs)
@@ -170,7 +170,7 @@ def find_part(
     invalid = bodies.first_faults()[-1:]
     if in_vain is not None:
         invalid = torch.maximum(invalid, in_vain)
-    pairs, counts = broad.find_pairs_within(bodies, separation, broad_phase, capacity, invalid)
+    pairs, counts = broad.find_pairs_within(bodies, separation, broad_phase, capacity, invalid, tolerance)
     if select is not None:
         pairs, count = select(pairs)
         row = COUNT_ROWS["pairs_written"]

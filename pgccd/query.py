@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pgccd import broad, narrow
-from pgccd.traverse import operator_tolerance
 
 
 @dataclass(frozen=True)
@@ -25,4 +24,4 @@ class Query:
         if self.report not in narrow.REPORTS:
             raise ValueError(f"report: expected one of {list(narrow.REPORTS)}, got {self.report!r}")
         broad.check_separation(self.min_separation)
-        operator_tolerance(self.tolerance)
+        broad.operator_tolerance(self.tolerance)

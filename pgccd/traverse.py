@@ -7,10 +7,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.bodies import MovingBodies
-from pgccd.broad import check_separation
-
-#: The default tolerance, relative to the smaller SBV radius of a pair.
-RELATIVE_TOLERANCE = 1e-6
+from pgccd.broad import check_separation, operator_tolerance
 
 
 def bvtt(
@@ -52,15 +49,6 @@ def bvtt(
     if bodies.deforming:
         return ops.traverse_deforming(bodies.mesh_set, bodies.tensors, *rest)
     return ops.traverse_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
-
-
-def operator_tolerance(tolerance: float | None) -> float:
-    """The operators take a negative tolerance as relative to the smaller radius of each pair."""
-    if tolerance is None:
-        return -RELATIVE_TOLERANCE
-    if not 0.0 <= tolerance < float("inf"):
-        raise ValueError(f"tolerance: expected a finite length >= 0, got {tolerance}")
-    return float(tolerance)
 
 
 def check_pairs(pairs: Tensor, bodies: MovingBodies) -> Tensor:

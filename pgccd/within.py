@@ -13,7 +13,6 @@ from pgccd.bodies import MovingBodies
 from pgccd.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts
 from pgccd.contacts import ContactRows, Contacts, PaddedContacts, Stats
 from pgccd.query import Query
-from pgccd.traverse import operator_tolerance
 
 
 class CapacityError(RuntimeError):
@@ -138,7 +137,9 @@ def search_within(
     faults = bodies.first_faults()
     if pairs is None:
         chosen = broad.choose(bodies, broad_phase)
-        pairs, pair_counts = broad.find_pairs_within(bodies, query.min_separation, chosen, capacity, faults[-1:])
+        pairs, pair_counts = broad.find_pairs_within(
+            bodies, query.min_separation, chosen, capacity, faults[-1:], query.tolerance
+        )
     else:
         chosen = None
         pair_counts = counts_of_given(pairs) if pair_counts is None else pair_counts
@@ -175,7 +176,7 @@ def contacts_within(
     Returns:
         Contacts with padding, the first column being body pairs; and counts (21 + F,).
     """
-    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
+    settings = (query.min_separation, broad.operator_tolerance(query.tolerance), query.nonzero_toi)
     rest = (pairs, pair_counts, faults, *settings, _REPORTS[query.report], capacity.of_contacts)
     if linear_path is None:
         *rows, counts = ops.contacts_within_deforming(mesh_set, tensors, *rest)
@@ -204,7 +205,7 @@ def lower_first_toi(
     Returns:
         Counts (21,), of which `contacts` is the number of pairs that have one.
     """
-    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
+    settings = (query.min_separation, broad.operator_tolerance(query.tolerance), query.nonzero_toi)
     room = capacity.of_contacts[:-1]  # none for contacts
     return ops.lower_first_toi_rigid(first, owners, mesh_set, tensors, linear_path, pairs, pair_counts, *settings, room)
 

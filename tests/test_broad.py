@@ -29,14 +29,14 @@ ROUNDING = 1e-12
 def found_by(way: Any, start: Any, end: Any, radius: Any, separation: float = 0.0, **filters: Any) -> torch.Tensor:
     """The operator on arrays (on the device of `filters["device"]`)."""
     operator, settings = way
-    device = filters.pop("device", "cpu")
+    device, tolerance = filters.pop("device", "cpu"), filters.pop("tolerance", 0.0)
     columns = tensors(*(np.asarray(a, dtype=np.float64) for a in (start, end, radius)), device=device)
     types = {"group": torch.int64, "mask": torch.int64, "world": torch.int32, "static": torch.uint8}
     bits = [
         torch.as_tensor(filters[k], dtype=t, device=device) if filters.get(k) is not None else None
         for k, t in types.items()
     ]
-    return operator(*columns, *bits, separation, *settings).cpu()
+    return operator(*columns, *bits, separation, tolerance, *settings).cpu()
 
 
 def check(start: Any, end: Any, radius: Any, separation: float = 0.0, **filters: Any) -> np.ndarray:
@@ -188,9 +188,10 @@ def test_scene_filters_and_separation(device: torch.device) -> None:
         truth = sphere_pairs(start, end, radius, separation, **filters)
         assert len(truth) > 10
         for axis in ("auto", "x", "y", "z"):
-            assert np.array_equal(pgccd.broad.sweep(bodies, separation, axis).cpu().numpy(), truth)
+            assert np.array_equal(pgccd.broad.sweep(bodies, separation, axis, tolerance=0.0).cpu().numpy(), truth)
         for broad_phase in pgccd.broad.BROAD_PHASES:
-            assert np.array_equal(pgccd.broad.find_pairs(bodies, separation, broad_phase).cpu().numpy(), truth)
+            found = pgccd.broad.find_pairs(bodies, separation, broad_phase, tolerance=0.0)
+            assert np.array_equal(found.cpu().numpy(), truth)
 
 
 def test_group_alone_means_all_mask_bits() -> None:

@@ -38,15 +38,15 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     partition = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 2, cells=2, device=moving.device)
     centres = [moving.position_t0, moving.position_t1, moving.radius]
     territory = partition.territory(1)
-    reach, border, _ = ops.border_bodies(centres, 0.01, territory)
+    reach, border, _ = ops.border_bodies(centres, 0.01, -1e-6, territory)
     rows = torch.arange(len(border), device=moving.device)
-    holders, counts = ops.holders_of(centres, 0.01, territory, rows, 2, [2, len(border) - 2])
+    holders, counts = ops.holders_of(centres, 0.01, -1e-6, territory, rows, 2, [2, len(border) - 2])
     ops.rows_by_rank(holders, rows, counts, [3, 0])
     ops.counts_to_tell(counts, [3, 0], counts[:1], 4)
     pairs = torch.combinations(rows)
     for held in (None, rows):
-        ops.owned_pairs(pairs, held, rows, centres, 0.01, reach, territory)
-    ops.near_ghosts(centres, [column[:1] for column in centres], 0.01, territory)
+        ops.owned_pairs(pairs, held, rows, centres, 0.01, -1e-6, reach, territory)
+    ops.near_ghosts(centres, [column[:1] for column in centres], 0.01, -1e-6, territory)
     ops.leaving_bodies(moving.position_t0, territory, 2)
 
 
@@ -108,7 +108,7 @@ def recorded(device: torch.device) -> list[Call]:
             stages_alone(pgccd.MovingBodies(scene, bodies.motion(device=device)))
             stages_alone(pgccd.MovingBodies(scene, moved))
             moving = pgccd.MovingBodies(scene, bodies.motion(device=device))
-            ops.swept_boxes(moving.position_t0, moving.position_t1, moving.radius, 0.01)
+            ops.swept_boxes(moving.position_t0, moving.position_t1, moving.radius, 0.01, -1e-6)
             share_out(moving)
             pairs = pgccd.broad.sweep(moving)
             first = torch.full((scene.body_count,), torch.inf, dtype=torch.float64, device=device)
@@ -166,7 +166,7 @@ def test_fake_kernels_have_the_right_shapes(device: torch.device) -> None:
 def test_compile_the_sweep(device: torch.device) -> None:
     @torch.compile(fullgraph=True, dynamic=True, backend="aot_eager")
     def pairs_of(start: torch.Tensor, end: torch.Tensor, radius: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        pairs = ops.sweep(start, end, 1.5 * radius, None, None, None, None, 0.0, -1)
+        pairs = ops.sweep(start, end, 1.5 * radius, None, None, None, None, 0.0, 0.0, -1)
         offset = start[pairs[:, 1]] - start[pairs[:, 0]]
         return pairs, offset.norm(dim=1)
 
@@ -175,7 +175,7 @@ def test_compile_the_sweep(device: torch.device) -> None:
         start = spread * rng.uniform(-1, 1, (count, 3))
         columns = tensors(start, start + 0.1, np.full(count, 0.5), device=device)
         pairs, distance = pairs_of(*columns)
-        expected = ops.sweep(columns[0], columns[1], 1.5 * columns[2], None, None, None, None, 0.0, -1)
+        expected = ops.sweep(columns[0], columns[1], 1.5 * columns[2], None, None, None, None, 0.0, 0.0, -1)
         assert torch.equal(pairs, expected) and distance.shape == (len(pairs),)
         assert (len(pairs) == 0) == (spread == 1e6)
 
@@ -209,11 +209,11 @@ def test_compile_with_the_default_backend(device: torch.device) -> None:
 def test_operators_complain_themselves(device: torch.device) -> None:
     columns = tensors(*np.zeros((2, 5, 3)), np.ones(5), device=device)
     with pytest.raises(RuntimeError, match="position_t0: wrong dtype"):
-        ops.sweep(columns[0].float(), *columns[1:], None, None, None, None, 0.0, -1)
+        ops.sweep(columns[0].float(), *columns[1:], None, None, None, None, 0.0, 0.0, -1)
     with pytest.raises(RuntimeError, match="expected size 5 in dimension 0, got 4"):
-        ops.lbvh(columns[0], columns[1][:4], columns[2], None, None, None, None, 0.0)
+        ops.lbvh(columns[0], columns[1][:4], columns[2], None, None, None, None, 0.0, 0.0)
     with pytest.raises(RuntimeError, match="capacity: expected 3 numbers, got 1"):
-        ops.pairs_within(*columns, None, None, None, None, None, 0.0, 1, [8])
+        ops.pairs_within(*columns, None, None, None, None, None, 0.0, 0.0, 1, [8])
 
 
 @pytest.mark.cuda
@@ -226,10 +226,10 @@ def test_out_of_memory_is_an_exception() -> None:
     torch.cuda.set_per_process_memory_fraction(0.005)
     try:
         with pytest.raises(RuntimeError, match=r"(?i)memory"):
-            ops.sweep(*columns, None, None, None, None, 0.0, -1)  # 800 million pairs
+            ops.sweep(*columns, None, None, None, None, 0.0, 0.0, -1)  # 800 million pairs
     finally:
         torch.cuda.set_per_process_memory_fraction(1.0)
-    assert ops.sweep(*(column[:50] for column in columns), None, None, None, None, 0.0, -1).shape == (1225, 2)
+    assert ops.sweep(*(column[:50] for column in columns), None, None, None, None, 0.0, 0.0, -1).shape == (1225, 2)
 
 
 def test_layout_does_not_matter(device: torch.device) -> None:

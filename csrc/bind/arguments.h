@@ -11,6 +11,7 @@
 #include <optional>
 #include <vector>
 
+#include "bind/one_device.h"
 #include "core/bodies.h"
 #include "kernels/bounds/bounds.h"
 #include "kernels/broad/body_volumes.h"
@@ -52,6 +53,7 @@ constexpr ScalarType scalar_type_of<uint8_t>() {
 // Data of a contiguous tensor of that element type and shape, seen as rows of `Row`.
 template <class Element, class Row = Element>
 const Row* rows(const Tensor& tensor, const char* name, std::initializer_list<int64_t> shape) {
+  check_device(tensor, name);
   STD_TORCH_CHECK(tensor.scalar_type() == scalar_type_of<Element>(), name, ": wrong dtype");
   STD_TORCH_CHECK(tensor.dim() == static_cast<int64_t>(shape.size()), name, ": expected ", shape.size(),
                   " dimensions, got ", tensor.dim());
@@ -70,6 +72,19 @@ const Element* optional_column(const std::optional<Tensor>& tensor, const char* 
   return tensor ? rows<Element>(*tensor, name, {count}) : nullptr;
 }
 
+// Rows of meshes follow one another and end within the columns. What else the columns say (corners of faces, children
+// of nodes) is taken as the mesh set was made: looking at all of it would cost more than most operators do.
+inline void check_offsets(const MeshSetView& view, const MeshOffsets& sizes) {
+  for (int64_t mesh = 0; mesh <= view.mesh_count; ++mesh) {
+    const MeshOffsets from = mesh == 0 ? MeshOffsets{} : view.offsets[mesh - 1], at = view.offsets[mesh];
+    const bool ascend =
+        at.vertex >= from.vertex && at.face >= from.face && at.edge >= from.edge && at.block >= from.block;
+    const bool end =
+        at.vertex <= sizes.vertex && at.face <= sizes.face && at.edge <= sizes.edge && at.block <= sizes.block;
+    STD_TORCH_CHECK(ascend && end, "mesh_set.offsets: row ", mesh, ": expected ascending rows of the other tensors");
+  }
+}
+
 inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   STD_TORCH_CHECK(t.size() == 8, "mesh_set: expected 8 tensors, got ", t.size());
   MeshSetView view;
@@ -82,6 +97,9 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   view.corners = {rows<float>(t[6], "mesh_set.corners", {9, kAnySize}), t[6].size(1)};
   STD_TORCH_CHECK(t[6].size(1) >= t[1].size(0) + kMaxLeafTriangles, "mesh_set.corners: columns are not padded");
   view.offsets = rows<int64_t, MeshOffsets>(t[7], "mesh_set.offsets", {kAnySize, 4});
+  view.mesh_count = t[7].size(0) - 1;
+  STD_TORCH_CHECK(view.mesh_count >= 0, "mesh_set.offsets: expected at least one row");
+  if (!t[7].is_cuda()) check_offsets(view, {t[0].size(0), t[1].size(0), t[2].size(0), t[4].size(0)});
   return view;
 }
 
@@ -92,7 +110,8 @@ inline RigidBodies rigid_view(const std::vector<Tensor>& mesh_set, const std::ve
   view.mesh_index = rows<int32_t>(t[0], "bodies.mesh_index", {kAnySize});
   const int64_t count = t[0].size(0);
   view.centres = {rows<double>(t[1], "bodies.position_t0", {count, 3}),
-                  rows<double>(t[2], "bodies.position_t1", {count, 3}), rows<double>(t[3], "bodies.radius", {count})};
+                  rows<double>(t[2], "bodies.position_t1", {count, 3}), rows<double>(t[3], "bodies.radius", {count}),
+                  count};
   view.orientation = rows<double>(t[4], "bodies.orientation", {count, 4});
   view.rotation = rows<double>(t[5], "bodies.rotation", {count, 3});
   view.linear_path = linear_path;
@@ -106,7 +125,8 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
   view.mesh_index = rows<int32_t>(t[0], "bodies.mesh_index", {kAnySize});
   const int64_t count = t[0].size(0);
   view.centres = {rows<double>(t[1], "bodies.position_t0", {count, 3}),
-                  rows<double>(t[2], "bodies.position_t1", {count, 3}), rows<double>(t[3], "bodies.radius", {count})};
+                  rows<double>(t[2], "bodies.position_t1", {count, 3}), rows<double>(t[3], "bodies.radius", {count}),
+                  count};
   view.vertex_count = t[4].size(0);
   view.vertices_t0 = rows<double>(t[4], "bodies.vertices_t0", {kAnySize, 3});
   view.vertices_t1 = rows<double>(t[5], "bodies.vertices_t1", {t[4].size(0), 3});
@@ -114,24 +134,51 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
   view.blocks_t1 = rows<float, NodeBlock>(t[7], "bodies.blocks_t1", {t[6].size(0), kBlockColumns, kBlockWidth});
   view.vertex_begin = rows<int64_t>(t[8], "bodies.vertex_begin", {count});
   view.block_begin = rows<int64_t>(t[9], "bodies.block_begin", {count});
+  view.block_count = t[6].size(0);
   return view;
 }
+
+// Lengths that a caller gave. Larger ones would overflow when they are squared.
+constexpr double kLargestLength = 1e150;
+
+inline void check_separation(double separation) {
+  STD_TORCH_CHECK(separation >= 0.0 && separation <= kLargestLength,
+                  "min_separation: expected a length in [0, 1e150], got ", separation);
+}
+
+// A negative tolerance is relative to a radius.
+inline void check_tolerance(double tolerance) {
+  STD_TORCH_CHECK(tolerance >= -1.0 && tolerance <= kLargestLength,
+                  "tolerance: expected a length in [0, 1e150], or a part of a radius in [-1, 0), got ", tolerance);
+}
+
+// The distance up to which a pair may be reported.
+struct KeptDistance {
+  double separation, tolerance;
+
+  KeptDistance(double min_separation, double given_tolerance) : separation(min_separation), tolerance(given_tolerance) {
+    check_separation(separation);
+    check_tolerance(tolerance);
+  }
+};
 
 inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                               const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                               const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                              double separation) {
+                              const KeptDistance& kept) {
+  const double* radii = rows<double>(radius, "radius", {kAnySize});
   const int64_t count = radius.size(0);
   STD_TORCH_CHECK(count < (int64_t{1} << 31), "radius: more than 2^31 - 1 bodies on one device");
   BroadBodies view;
   view.count = count;
   view.centres = {rows<double>(position_t0, "position_t0", {count, 3}),
-                  rows<double>(position_t1, "position_t1", {count, 3}), rows<double>(radius, "radius", {count})};
+                  rows<double>(position_t1, "position_t1", {count, 3}), radii, count};
   view.group = optional_column<int64_t>(group, "group", count);
   view.mask = optional_column<int64_t>(mask, "mask", count);
   view.world = optional_column<int32_t>(world, "world", count);
   view.is_static = optional_column<uint8_t>(is_static, "is_static", count);
-  view.separation = separation;
+  view.separation = kept.separation;
+  view.tolerance = kept.tolerance;
   return view;
 }
 

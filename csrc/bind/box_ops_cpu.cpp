@@ -20,6 +20,8 @@ class BoxesOnCpu {
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) { library.impl("swept_boxes", TORCH_BOX(&swept_boxes<BoxesOnCpu>)); }
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
+  library.impl("swept_boxes", TORCH_BOX(&OnOneDevice<&swept_boxes<BoxesOnCpu>>::call));
+}
 
 }  // namespace pgccd::bind

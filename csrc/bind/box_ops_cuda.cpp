@@ -22,7 +22,9 @@ class BoxesOnCuda {
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) { library.impl("swept_boxes", TORCH_BOX(&swept_boxes<BoxesOnCuda>)); }
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
+  library.impl("swept_boxes", TORCH_BOX(&OnOneDevice<&swept_boxes<BoxesOnCuda>>::call));
+}
 
 }  // namespace pgccd::bind
 

@@ -3,6 +3,6 @@
 
 STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
   library.def(
-      "swept_boxes(Tensor position_t0, Tensor position_t1, Tensor radius, float min_separation) -> (Tensor lower, "
-      "Tensor upper)");
+      "swept_boxes(Tensor position_t0, Tensor position_t1, Tensor radius, float min_separation, float tolerance) -> "
+      "(Tensor lower, Tensor upper)");
 }

@@ -25,6 +25,8 @@ struct DetectOps {
     for (size_t k = 0; k < columns.size(); ++k) {
       const double* values = rows<double>(columns[k], "columns", {kAnySize, kAnySize});
       const auto width = static_cast<int32_t>(columns[k].size(1));
+      STD_TORCH_CHECK(checks[k] >= 0 && checks[k] <= 2,
+                      "checks: expected 0 (magnitude), 1 (unit length) or 2 (length), got ", checks[k]);
       views.push_back({values, columns[k].size(0), width, static_cast<RowCheck>(checks[k]), limits[k]});
     }
     Tensor first = new_tensor<int64_t>(columns[0], {static_cast<int64_t>(columns.size()) + 1});
@@ -50,9 +52,12 @@ struct DetectOps {
     input.mesh_index = rows<int32_t>(mesh_index, "mesh_index", {kAnySize});
     input.body_count = mesh_index.size(0);
     input.vertices_t0 = rows<double>(vertices_t0, "vertices_t0", {kAnySize, 3});
+    input.vertex_count = vertices_t0.size(0);
     input.vertices_t1 = rows<double>(vertices_t1, "vertices_t1", {vertices_t0.size(0), 3});
     input.vertex_begin = rows<int64_t>(vertex_begin, "vertex_begin", {input.body_count});
     input.block_begin = rows<int64_t>(block_begin, "block_begin", {input.body_count});
+    STD_TORCH_CHECK(block_count >= 0 && block_count < (int64_t{1} << 31),
+                    "block_count: expected a number in [0, 2^31), got ", block_count);
     input.block_count = block_count;
     Tensor position_t0 = new_tensor<double>(vertices_t0, {input.body_count, 3});
     Tensor position_t1 = new_tensor<double>(vertices_t0, {input.body_count, 3});
@@ -68,9 +73,10 @@ struct DetectOps {
   static Tensor sweep(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                       const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                       const std::optional<Tensor>& world, const std::optional<Tensor>& is_static, double min_separation,
-                      int64_t axis) {
+                      double tolerance, int64_t axis) {
+    STD_TORCH_CHECK(axis >= -1 && axis <= 2, "axis: expected 0, 1, 2 or -1 (any), got ", axis);
     const BroadBodies bodies =
-        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
+        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
     return collect_pairs(radius, [&](const PairOutput& make_output) {
       Backend(radius).sweep(bodies, static_cast<int>(axis), make_output);
     });
@@ -81,9 +87,9 @@ struct DetectOps {
   static Tensor find_pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                            const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                            const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                           double min_separation) {
+                           double min_separation, double tolerance) {
     const BroadBodies bodies =
-        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
+        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
     const Backend backend(radius);
     return collect_pairs(radius, [&](const PairOutput& make_output) { (backend.*kFind)(bodies, make_output); });
   }
@@ -92,13 +98,14 @@ struct DetectOps {
                                                    bool linear_path, const Tensor& pairs,
                                                    const std::optional<Tensor>& horizon, double min_separation,
                                                    double tolerance, bool leading) {
-    return traverse(rigid_view(mesh_set, bodies, linear_path), pairs, horizon, {min_separation, tolerance}, leading);
+    return traverse(rigid_view(mesh_set, bodies, linear_path), pairs, horizon, checked(min_separation, tolerance),
+                    leading);
   }
 
   static std::tuple<Tensor, Tensor> traverse_deforming(const TensorList& mesh_set, const TensorList& bodies,
                                                        const Tensor& pairs, const std::optional<Tensor>& horizon,
                                                        double min_separation, double tolerance, bool leading) {
-    return traverse(deforming_view(mesh_set, bodies), pairs, horizon, {min_separation, tolerance}, leading);
+    return traverse(deforming_view(mesh_set, bodies), pairs, horizon, checked(min_separation, tolerance), leading);
   }
 
   static ContactTensors narrow_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
@@ -116,6 +123,11 @@ struct DetectOps {
   }
 
  private:
+  static SweepSettings checked(double min_separation, double tolerance) {
+    const KeptDistance kept(min_separation, tolerance);
+    return {kept.separation, kept.tolerance};
+  }
+
   template <class Bodies>
   static std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs,
                                              const std::optional<Tensor>& horizon, const SweepSettings& settings,
@@ -148,6 +160,7 @@ struct DetectOps {
   static ContactTensors narrow(const Bodies& bodies, const Tensor& pairs, const Tensor& candidates,
                                const NarrowSettings& settings, int64_t report) {
     NarrowInput input;
+    checked(settings.separation, settings.tolerance);
     input.candidates.items = rows<int32_t, Candidate>(candidates, "candidates", {kAnySize, 4});
     input.candidates.size = candidates.size(0);
     STD_TORCH_CHECK(input.candidates.size < (int64_t{1} << 31), "candidates: more than 2^31 - 1 rows in one call");
@@ -165,16 +178,16 @@ struct DetectOps {
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_DETECT_OPS(library, Backend)                                       \
-  library.impl("first_faults", TORCH_BOX(&DetectOps<Backend>::first_faults));             \
-  library.impl("rotations_between", TORCH_BOX(&DetectOps<Backend>::rotations_between));   \
-  library.impl("refit", TORCH_BOX(&DetectOps<Backend>::refit));                           \
-  library.impl("sweep", TORCH_BOX(&DetectOps<Backend>::sweep));                           \
-  library.impl("grid", TORCH_BOX(&DetectOps<Backend>::find_pairs<&Backend::grid>));       \
-  library.impl("lbvh", TORCH_BOX(&DetectOps<Backend>::find_pairs<&Backend::lbvh>));       \
-  library.impl("traverse_rigid", TORCH_BOX(&DetectOps<Backend>::traverse_rigid));         \
-  library.impl("traverse_deforming", TORCH_BOX(&DetectOps<Backend>::traverse_deforming)); \
-  library.impl("narrow_rigid", TORCH_BOX(&DetectOps<Backend>::narrow_rigid));             \
-  library.impl("narrow_deforming", TORCH_BOX(&DetectOps<Backend>::narrow_deforming))
+#define PGCCD_REGISTER_DETECT_OPS(library, Backend)                                                           \
+  library.impl("first_faults", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::first_faults>::call));             \
+  library.impl("rotations_between", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::rotations_between>::call));   \
+  library.impl("refit", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::refit>::call));                           \
+  library.impl("sweep", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::sweep>::call));                           \
+  library.impl("grid", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::find_pairs<&Backend::grid>>::call));       \
+  library.impl("lbvh", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::find_pairs<&Backend::lbvh>>::call));       \
+  library.impl("traverse_rigid", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::traverse_rigid>::call));         \
+  library.impl("traverse_deforming", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::traverse_deforming>::call)); \
+  library.impl("narrow_rigid", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::narrow_rigid>::call));             \
+  library.impl("narrow_deforming", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::narrow_deforming>::call))
 
 }  // namespace pgccd::bind

@@ -15,6 +15,9 @@ struct ElementaryOps {
   template <bool kEdgeEdge>
   static ElementaryTensors elementary(const Tensor& points_t0, const Tensor& points_t1, double min_separation,
                                       double tolerance, bool nonzero_toi) {
+    check_separation(min_separation);
+    check_tolerance(tolerance);
+    STD_TORCH_CHECK(tolerance >= 0.0, "tolerance: expected a length >= 0, got ", tolerance);
     const NarrowSettings settings{min_separation, tolerance, nonzero_toi};
     if (points_t0.scalar_type() == ScalarType::Float) {
       return elementary_in<kEdgeEdge, float>(points_t0, points_t1, settings);
@@ -41,8 +44,8 @@ struct ElementaryOps {
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_ELEMENTARY_OPS(library, Backend)                               \
-  library.impl("vertex_face", TORCH_BOX(&ElementaryOps<Backend>::elementary<false>)); \
-  library.impl("edge_edge", TORCH_BOX(&ElementaryOps<Backend>::elementary<true>))
+#define PGCCD_REGISTER_ELEMENTARY_OPS(library, Backend)                                                   \
+  library.impl("vertex_face", TORCH_BOX(&OnOneDevice<&ElementaryOps<Backend>::elementary<false>>::call)); \
+  library.impl("edge_edge", TORCH_BOX(&OnOneDevice<&ElementaryOps<Backend>::elementary<true>>::call))
 
 }  // namespace pgccd::bind

@@ -8,6 +8,7 @@
 #include "bind/within_ops.h"
 #include "kernels/bounds/bounds.h"
 #include "kernels/broad/broad.h"
+#include "kernels/row_checks.h"
 
 namespace pgccd::bind {
 namespace {
@@ -41,6 +42,9 @@ class CpuBackend {
 
   template <class Bodies, class Output>
   void narrow(const Bodies& bodies, const NarrowInput& input, Output&& make_output) const {
+    require_rows(
+        executor_, input.candidates.size, "candidates", "name pairs, kinds and features that are there",
+        [&](int64_t k) { return names_features(bodies, {input.pairs, input.pair_count}, input.candidates.items[k]); });
     const ContactRows found = narrow_phase_cpu(executor_, bodies, input);
     const int64_t rows = static_cast<int64_t>(found.pair.size());
     copy_rows(found, make_output(rows), rows);
@@ -73,6 +77,11 @@ class CpuBackend {
     out.counts[kPairsWritten] = written;
     out.counts[kPairsOverflow] = count > room;
     out.counts[kBroadEnded] = nanoseconds();
+  }
+
+  void require_owners(const int64_t* owners, const int64_t* given, int64_t most, int64_t limit) const {
+    require_rows(executor_, std::clamp<int64_t>(*given, 0, most), "owners", "name rows of first",
+                 [&](int64_t k) { return is_within(owners[2 * k], limit) && is_within(owners[2 * k + 1], limit); });
   }
 
   // Takes the memory it needs: only rows can be too many.
@@ -130,7 +139,7 @@ class CpuBackend {
     std::fill_n(traverse_counts, int64_t{kTraverseCounts}, int64_t{0});
     std::fill_n(contact_counts, int64_t{kContactCounts}, int64_t{0});
     traverse_counts[kTraverseBegan] = began;
-    traversal.pair_count = narrow.pair_count = std::min(traversal.pair_count, *pair_count);
+    traversal.pair_count = narrow.pair_count = std::clamp<int64_t>(*pair_count, 0, traversal.pair_count);
     std::vector<double> horizon;
     if (narrow.report == Report::kFirst) {
       // A good guess at each pair's first contact bounds how far the search for an earlier one need look. A GPU has

@@ -9,6 +9,7 @@
 #include "kernels/bounds/faults_cuda.h"
 #include "kernels/broad/broad_cuda.h"
 #include "kernels/narrow/narrow_cuda.h"
+#include "kernels/row_checks_cuda.h"
 #include "kernels/traverse/traverse_cuda.h"
 
 namespace pgccd::bind {
@@ -40,6 +41,8 @@ class CudaBackend {
   }
   template <class Bodies>
   void narrow(const Bodies& bodies, const NarrowInput& input, const ContactOutput& make_output) const {
+    require_candidates_cuda(session_.context(), bodies, {input.pairs, input.pair_count}, input.candidates.items,
+                            input.candidates.size);
     narrow_phase_cuda(session_.context(), bodies, input, make_output);
   }
   void pairs_within(const BroadBodies& bodies, BroadPhase phase, const PaddedPairs& out) const {
@@ -57,6 +60,9 @@ class CudaBackend {
   }
   void first_faults(const std::vector<RowColumn>& columns, int64_t* first) const {
     first_faults_cuda(session_.context(), columns, first);
+  }
+  void require_owners(const int64_t* owners, const int64_t* given, int64_t most, int64_t limit) const {
+    require_owners_cuda(session_.context(), owners, given, most, limit);
   }
   template <class Bodies>
   void contacts_within(const Bodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,

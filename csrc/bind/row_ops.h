@@ -96,9 +96,9 @@ std::vector<ColumnCopy> column_copies(const ColumnViews& views, const Make& make
 template <class Backend>
 struct RowOps {
   static Tensor pack_rows(const TensorList& columns, const Tensor& rows) {
-    const ChosenRows chosen = chosen_rows(rows);
+    ChosenRows chosen = chosen_rows(rows);
     const ColumnViews views(columns, "columns", rows);
-    views.require_rows();
+    chosen.source_count = columns.empty() ? INT64_MAX : views.require_rows();
     Tensor packed = new_tensor<uint8_t>(rows, {chosen.count, views.row_bytes()});
     uint8_t* target = data<uint8_t>(packed);
     const auto copies = column_copies(views, [&](size_t k, int64_t offset) {
@@ -116,17 +116,17 @@ struct RowOps {
     const auto copies = column_copies(views, [&](size_t k, int64_t offset) {
       return ColumnCopy{source + offset, nullptr, data<uint8_t>(columns[k]), views.row_bytes(), 0, views.width(k), 0};
     });
-    Backend(packed).copy_rows(copies, {nullptr, count, count});
+    Backend(packed).copy_rows(copies, {nullptr, count, count, count});
     return columns;
   }
 
   static TensorList take_rows(const TensorList& columns, const TensorList& more, const Tensor& rows) {
     ChosenRows chosen = chosen_rows(rows);
     const ColumnViews views(columns, "columns", rows), following(more, "more", rows);
-    chosen.first_count = views.require_rows();
+    chosen.first_count = chosen.source_count = columns.empty() ? INT64_MAX : views.require_rows();
     if (!more.empty()) {
       following.require_like(views);
-      following.require_rows();
+      chosen.source_count += following.require_rows();
     } else {
       chosen.first_count = INT64_MAX;
     }
@@ -166,15 +166,15 @@ struct RowOps {
 
  private:
   static ChosenRows chosen_rows(const Tensor& rows) {
-    return {bind::rows<int64_t>(rows, "rows", {kAnySize}), rows.size(0), INT64_MAX};
+    return {bind::rows<int64_t>(rows, "rows", {kAnySize}), rows.size(0), INT64_MAX, 0};
   }
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_ROW_OPS(library, Backend)                         \
-  library.impl("pack_rows", TORCH_BOX(&RowOps<Backend>::pack_rows));     \
-  library.impl("unpack_rows", TORCH_BOX(&RowOps<Backend>::unpack_rows)); \
-  library.impl("take_rows", TORCH_BOX(&RowOps<Backend>::take_rows));     \
-  library.impl("merge_rows", TORCH_BOX(&RowOps<Backend>::merge_rows))
+#define PGCCD_REGISTER_ROW_OPS(library, Backend)                                             \
+  library.impl("pack_rows", TORCH_BOX(&OnOneDevice<&RowOps<Backend>::pack_rows>::call));     \
+  library.impl("unpack_rows", TORCH_BOX(&OnOneDevice<&RowOps<Backend>::unpack_rows>::call)); \
+  library.impl("take_rows", TORCH_BOX(&OnOneDevice<&RowOps<Backend>::take_rows>::call));     \
+  library.impl("merge_rows", TORCH_BOX(&OnOneDevice<&RowOps<Backend>::merge_rows>::call))
 
 }  // namespace pgccd::bind

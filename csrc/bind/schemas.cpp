@@ -27,13 +27,13 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "Tensor blocks_t1)");
   library.def(
       "sweep(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, float min_separation, int axis) -> Tensor");
+      "Tensor? is_static, float min_separation, float tolerance, int axis) -> Tensor");
   library.def(
       "grid(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, float min_separation) -> Tensor");
+      "Tensor? is_static, float min_separation, float tolerance) -> Tensor");
   library.def(
       "lbvh(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, float min_separation) -> Tensor");
+      "Tensor? is_static, float min_separation, float tolerance) -> Tensor");
   library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
       "float min_separation, float tolerance, bool leading) "
@@ -54,7 +54,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // 0 (sweep), 1 (grid) or 2 (lbvh).
   library.def(
       "pairs_within(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, Tensor? is_invalid, float min_separation, int broad_phase, int[] capacity) "
+      "Tensor? is_static, Tensor? is_invalid, float min_separation, float tolerance, int broad_phase, int[] capacity) "
       "-> (Tensor pairs, Tensor counts)");
   // Columns of contacts, of which the first is body pairs (., 2) i64; all counts together, and the faults after them.
   // capacity = [poses, tasks, leaf_pairs, candidates, launches, open, contacts], see kernels/traverse/traverse.h and

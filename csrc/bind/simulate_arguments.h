@@ -64,6 +64,10 @@ inline HashColumns hash_columns(const std::vector<Tensor>& t) {
                   " tensors, got ", t.size());
   HashColumns view;
   view.columns = static_cast<int>(t.size());
+  for (const Tensor& column : t) {
+    check_device(column, "columns");
+    STD_TORCH_CHECK(column.dim() == 1 || column.dim() == 2, "columns: expected 1 or 2 dimensions, got ", column.dim());
+  }
   view.count = t[0].size(0);
   for (size_t k = 0; k < t.size(); ++k) {
     const bool has_eight_bytes = t[k].scalar_type() == ScalarType::Long || t[k].scalar_type() == ScalarType::Double;

@@ -64,10 +64,14 @@ struct SimulateOps {
 
   static std::tuple<Tensor, Tensor> simulate_slow_down(const Tensor& robots, const Tensor& first,
                                                        const Tensor& fraction, double approach, double smallest) {
-    const int64_t robot_count = first.size(0), count = robots.size(0);
-    const SlowDownInput input{
-        rows<int64_t>(robots, "robots", {kAnySize}),       count,    rows<double>(first, "first", {kAnySize}),
-        rows<double>(fraction, "fraction", {robot_count}), approach, smallest};
+    SlowDownInput input;
+    input.rows = rows<int64_t>(robots, "robots", {kAnySize});
+    input.first = rows<double>(first, "first", {kAnySize});
+    const int64_t count = input.count = robots.size(0);
+    input.robot_count = first.size(0);
+    input.fraction = rows<double>(fraction, "fraction", {input.robot_count});
+    input.approach = approach;
+    input.smallest = smallest;
     Tensor made = new_tensor<double>(first, {count}), changes = new_tensor<uint8_t>(first, {count});
     Backend(first).slow_down(input, data<double>(made), data<uint8_t>(changes));
     return {made, changes};
@@ -75,8 +79,8 @@ struct SimulateOps {
 
   static void simulate_slow_all_down(Tensor first, Tensor fraction, Tensor changed, Tensor changes, double approach,
                                      double smallest) {
+    rows<double>(first, "first", {kAnySize});
     const int64_t count = first.size(0);
-    rows<double>(first, "first", {count});
     rows<double>(fraction, "fraction", {count});
     rows<uint8_t>(changed, "changed", {count});
     rows<int64_t>(changes, "changes", {1});
@@ -88,10 +92,14 @@ struct SimulateOps {
   static void simulate_first_toi(Tensor first, const std::optional<Tensor>& robots, const Tensor& pairs,
                                  const Tensor& toi) {
     rows<double>(first, "first", {kAnySize});
-    const int64_t count = toi.size(0);
-    Backend(first).first_toi({robots ? rows<int64_t>(*robots, "robots", {kAnySize}) : nullptr,
-                              rows<int64_t>(pairs, "pairs", {count, 2}), rows<double>(toi, "toi", {count}), count},
-                             data<double>(first));
+    FirstToiInput input;
+    input.robots = robots ? rows<int64_t>(*robots, "robots", {kAnySize}) : nullptr;
+    input.toi = rows<double>(toi, "toi", {kAnySize});
+    input.count = toi.size(0);
+    input.pairs = rows<int64_t>(pairs, "pairs", {input.count, 2});
+    input.robot_count = first.size(0);
+    input.copy_count = robots ? robots->size(0) : input.robot_count;
+    Backend(first).first_toi(input, data<double>(first));
   }
 
   // Pairs, what `MovingBodies.tensors` are of their robots, counts.
@@ -106,8 +114,9 @@ struct SimulateOps {
     given.ghosts = moving_robots(ghosts, "ghosts");
     const int64_t held = given.own.count + given.ghosts.count;
     given.fraction = rows<double>(fraction, "fraction", {held});
-    given.concerned = {rows<int64_t>(pairs, "pairs", {kAnySize, 2}), rows<uint8_t>(changed, "changed", {held})};
+    given.concerned = {rows<int64_t>(pairs, "pairs", {kAnySize, 2}), rows<uint8_t>(changed, "changed", {held}), held};
     given.pair_count = pairs.size(0);
+    STD_TORCH_CHECK(given.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
     given.mesh_radius = rows<double>(mesh_radius, "mesh_radius", {kAnySize});
     given.mesh_count = mesh_radius.size(0);
     STD_TORCH_CHECK(given.mesh_count > 0, "mesh_radius: expected at least one mesh");
@@ -129,18 +138,20 @@ struct SimulateOps {
     StepOutcome outcome;
     outcome.state = hash_columns(state);
     outcome.fraction = rows<double>(fraction, "fraction", {outcome.state.count});
+    outcome.toi = rows<double>(toi, "toi", {kAnySize});
     outcome.contact_count = toi.size(0);
     outcome.id = rows<int64_t>(id, "id", {kAnySize});
+    outcome.id_count = id.size(0);
     outcome.pairs = rows<int64_t>(pairs, "pairs", {outcome.contact_count, 2});
-    outcome.toi = rows<double>(toi, "toi", {outcome.contact_count});
     Tensor tally = new_integers(fraction, kTallyCounts);
     Backend(fraction).tally_step(outcome, reinterpret_cast<StepTally*>(data<int64_t>(tally)));
     return tally;
   }
 
   static Tensor simulate_hash(const TensorList& columns) {
-    Tensor sum = new_integers(columns.at(0), 1);
-    Backend(sum).hash_rows(hash_columns(columns), data<uint64_t>(sum));
+    const HashColumns views = hash_columns(columns);
+    Tensor sum = new_integers(columns[0], 1);
+    Backend(sum).hash_rows(views, data<uint64_t>(sum));
     return sum;
   }
 
@@ -155,16 +166,18 @@ struct SimulateOps {
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_SIMULATE_OPS(library, Backend)                                                     \
-  library.impl("simulate_start", TORCH_BOX(&SimulateOps<Backend>::simulate_start));                       \
-  library.impl("simulate_plan", TORCH_BOX(&SimulateOps<Backend>::simulate_plan));                         \
-  library.impl("simulate_respond", TORCH_BOX(&SimulateOps<Backend>::simulate_respond));                   \
-  library.impl("simulate_slow_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_down));               \
-  library.impl("simulate_slow_all_down", TORCH_BOX(&SimulateOps<Backend>::simulate_slow_all_down));       \
-  library.impl("simulate_first_toi", TORCH_BOX(&SimulateOps<Backend>::simulate_first_toi));               \
-  library.impl("simulate_concerned_motion", TORCH_BOX(&SimulateOps<Backend>::simulate_concerned_motion)); \
-  library.impl("simulate_tally", TORCH_BOX(&SimulateOps<Backend>::simulate_tally));                       \
-  library.impl("simulate_hash", TORCH_BOX(&SimulateOps<Backend>::simulate_hash));                         \
-  library.impl("random_uniforms", TORCH_BOX(&SimulateOps<Backend>::random_uniforms))
+#define PGCCD_REGISTER_SIMULATE_OPS(library, Backend)                                                           \
+  library.impl("simulate_start", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_start>::call));         \
+  library.impl("simulate_plan", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_plan>::call));           \
+  library.impl("simulate_respond", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_respond>::call));     \
+  library.impl("simulate_slow_down", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_slow_down>::call)); \
+  library.impl("simulate_slow_all_down",                                                                        \
+               TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_slow_all_down>::call));                   \
+  library.impl("simulate_first_toi", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_first_toi>::call)); \
+  library.impl("simulate_concerned_motion",                                                                     \
+               TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_concerned_motion>::call));                \
+  library.impl("simulate_tally", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_tally>::call));         \
+  library.impl("simulate_hash", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_hash>::call));           \
+  library.impl("random_uniforms", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::random_uniforms>::call))
 
 }  // namespace pgccd::bind

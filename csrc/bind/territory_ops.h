@@ -8,6 +8,8 @@
 
 namespace pgccd::bind {
 
+constexpr int64_t kMostCells = int64_t{1} << 31;
+
 // frame: lower corner, cells a length unit, number of cells; along x, y, z each.
 inline Territory territory_view(const std::vector<double>& frame, const Tensor& owner, int64_t rank) {
   STD_TORCH_CHECK(frame.size() == 9, "frame: expected 9 numbers, got ", frame.size());
@@ -15,17 +17,23 @@ inline Territory territory_view(const std::vector<double>& frame, const Tensor& 
   for (size_t axis = 0; axis < 3; ++axis) {
     view.frame.lower[axis] = frame[axis];
     view.frame.per_length[axis] = frame[3 + axis];
-    view.frame.count[axis] = static_cast<int64_t>(frame[6 + axis]);
+    const bool is_count = frame[6 + axis] >= 1.0 && frame[6 + axis] <= static_cast<double>(kMostCells);
+    view.frame.count[axis] = is_count ? static_cast<int64_t>(frame[6 + axis]) : 0;
   }
+  for (const int64_t count : view.frame.count) {
+    STD_TORCH_CHECK(count >= 1 && count <= kMostCells, "frame: expected 1 to 2^31 cells along each axis");
+  }
+  STD_TORCH_CHECK(view.frame.count[0] * view.frame.count[1] <= kMostCells && view.frame.cell_count() <= kMostCells,
+                  "frame: expected at most 2^31 cells");
   view.owner = rows<int64_t>(owner, "owner", {view.frame.cell_count()});
   view.rank = rank;
   return view;
 }
 
 // centres = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
-inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, double separation) {
+inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, const KeptDistance& kept) {
   STD_TORCH_CHECK(centres.size() == 3, name, ": expected 3 tensors, got ", centres.size());
-  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, separation);
+  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, kept);
 }
 
 using FrameList = std::vector<double>;
@@ -33,8 +41,9 @@ using FrameList = std::vector<double>;
 template <class Backend>
 struct TerritoryOps {
   static std::tuple<Tensor, Tensor, Tensor> border_bodies(const TensorList& centres, double min_separation,
-                                                          FrameList frame, const Tensor& owner, int64_t rank) {
-    const BroadBodies bodies = centres_view(centres, "centres", min_separation);
+                                                          double tolerance, FrameList frame, const Tensor& owner,
+                                                          int64_t rank) {
+    const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
     Tensor reach = new_tensor<uint8_t>(owner, {bodies.count});
     Tensor border = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
     Backend(owner).border_bodies(bodies, territory_view(frame, owner, rank), data<uint8_t>(reach),
@@ -42,11 +51,15 @@ struct TerritoryOps {
     return {reach, border, found};
   }
 
-  static std::tuple<Tensor, Tensor> holders_of(const TensorList& centres, double min_separation, FrameList frame,
-                                               const Tensor& owner, int64_t rank, const Tensor& bodies,
+  static std::tuple<Tensor, Tensor> holders_of(const TensorList& centres, double min_separation, double tolerance,
+                                               FrameList frame, const Tensor& owner, int64_t rank, const Tensor& bodies,
                                                std::vector<int64_t> received, int64_t ranks) {
-    const HoldersInput input{centres_view(centres, "centres", min_separation), territory_view(frame, owner, rank),
-                             rows<int64_t>(bodies, "bodies", {kAnySize}), bodies.size(0), received};
+    const HoldersInput input{centres_view(centres, "centres", {min_separation, tolerance}),
+                             territory_view(frame, owner, rank), rows<int64_t>(bodies, "bodies", {kAnySize}),
+                             bodies.size(0), received};
+    for (const int64_t count : received) {
+      STD_TORCH_CHECK(count >= 0, "received: expected numbers >= 0, got ", count);
+    }
     STD_TORCH_CHECK(rank >= 0 && rank < ranks, "rank: expected a number below ", ranks, ", got ", rank);
     const bool sums_up = std::accumulate(received.begin(), received.end(), int64_t{0}) == bodies.size(0);
     STD_TORCH_CHECK(received.empty() || (static_cast<int64_t>(received.size()) == ranks && sums_up),
@@ -58,9 +71,9 @@ struct TerritoryOps {
 
   static Tensor rows_by_rank(const Tensor& holders, const Tensor& bodies, const Tensor& counts,
                              std::vector<int64_t> rooms) {
+    const int64_t* numbers = rows<int64_t>(bodies, "rows", {kAnySize});
     const int64_t row_count = bodies.size(0), ranks = static_cast<int64_t>(rooms.size());
-    const HeldRows held{rows<uint8_t>(holders, "holders", {row_count, ranks}),
-                        rows<int64_t>(bodies, "rows", {kAnySize}), row_count, ranks,
+    const HeldRows held{rows<uint8_t>(holders, "holders", {row_count, ranks}), numbers, row_count, ranks,
                         rows<int64_t>(counts, "counts", {ranks})};
     for (const int64_t room : rooms) STD_TORCH_CHECK(room >= 0, "rooms: expected numbers >= 0, got ", room);
     Tensor by_rank = new_tensor<int64_t>(bodies, {std::accumulate(rooms.begin(), rooms.end(), int64_t{0})});
@@ -78,15 +91,16 @@ struct TerritoryOps {
 
   static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const std::optional<Tensor>& held,
                                                 const Tensor& id, const TensorList& centres, double min_separation,
-                                                const Tensor& reach, FrameList frame, const Tensor& owner,
-                                                int64_t rank) {
+                                                double tolerance, const Tensor& reach, FrameList frame,
+                                                const Tensor& owner, int64_t rank) {
     OwnedPairs input;
-    input.bodies = centres_view(centres, "centres", min_separation);
+    input.bodies = centres_view(centres, "centres", {min_separation, tolerance});
     input.territory = territory_view(frame, owner, rank);
     input.reach = rows<uint8_t>(reach, "reach", {kAnySize});
     input.own_count = reach.size(0);
     input.rows = optional_column<int64_t>(held, "rows", input.bodies.count);
     input.id = rows<int64_t>(id, "id", {kAnySize});
+    input.held_count = id.size(0);
     STD_TORCH_CHECK(held || input.own_count == input.bodies.count, "reach: expected ", input.bodies.count, " rows");
     STD_TORCH_CHECK(id.size(0) >= input.own_count, "id: expected at least ", input.own_count, " rows");
     input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
@@ -97,11 +111,11 @@ struct TerritoryOps {
   }
 
   static std::tuple<Tensor, Tensor> near_ghosts(const TensorList& centres, const TensorList& ghosts,
-                                                double min_separation, FrameList frame, const Tensor& owner,
-                                                int64_t rank) {
-    const BroadBodies bodies = centres_view(centres, "centres", min_separation);
+                                                double min_separation, double tolerance, FrameList frame,
+                                                const Tensor& owner, int64_t rank) {
+    const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
     Tensor near = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
-    Backend(owner).near_ghosts(bodies, centres_view(ghosts, "ghosts", min_separation),
+    Backend(owner).near_ghosts(bodies, centres_view(ghosts, "ghosts", {min_separation, tolerance}),
                                territory_view(frame, owner, rank), {data<int64_t>(near), data<int64_t>(found)});
     return {near, found};
   }
@@ -110,6 +124,7 @@ struct TerritoryOps {
                                                            int64_t rank, int64_t ranks) {
     const double* centres = rows<double>(position, "position", {kAnySize, 3});
     const int64_t count = position.size(0);
+    STD_TORCH_CHECK(ranks >= 1 && ranks <= kMostCells, "ranks: expected a number in [1, 2^31], got ", ranks);
     Tensor leaving = new_tensor<int64_t>(owner, {count}), by_destination = new_tensor<int64_t>(owner, {count});
     Tensor counts = new_tensor<int64_t>(owner, {ranks});
     Backend(owner).leaving_bodies(centres, count, territory_view(frame, owner, rank), ranks,
@@ -119,13 +134,13 @@ struct TerritoryOps {
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_TERRITORY_OPS(library, Backend)                               \
-  library.impl("border_bodies", TORCH_BOX(&TerritoryOps<Backend>::border_bodies));   \
-  library.impl("holders_of", TORCH_BOX(&TerritoryOps<Backend>::holders_of));         \
-  library.impl("rows_by_rank", TORCH_BOX(&TerritoryOps<Backend>::rows_by_rank));     \
-  library.impl("counts_to_tell", TORCH_BOX(&TerritoryOps<Backend>::counts_to_tell)); \
-  library.impl("owned_pairs", TORCH_BOX(&TerritoryOps<Backend>::owned_pairs));       \
-  library.impl("near_ghosts", TORCH_BOX(&TerritoryOps<Backend>::near_ghosts));       \
-  library.impl("leaving_bodies", TORCH_BOX(&TerritoryOps<Backend>::leaving_bodies))
+#define PGCCD_REGISTER_TERRITORY_OPS(library, Backend)                                                   \
+  library.impl("border_bodies", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::border_bodies>::call));   \
+  library.impl("holders_of", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::holders_of>::call));         \
+  library.impl("rows_by_rank", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::rows_by_rank>::call));     \
+  library.impl("counts_to_tell", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::counts_to_tell>::call)); \
+  library.impl("owned_pairs", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::owned_pairs>::call));       \
+  library.impl("near_ghosts", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::near_ghosts>::call));       \
+  library.impl("leaving_bodies", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::leaving_bodies>::call))
 
 }  // namespace pgccd::bind

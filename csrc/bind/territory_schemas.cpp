@@ -6,18 +6,22 @@
 
 STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
   library.def(
-      "border_bodies(Tensor[] centres, float min_separation, float[] frame, Tensor owner, int rank) -> (Tensor reach, "
+      "border_bodies(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank) "
+      "-> (Tensor reach, "
       "Tensor border, Tensor found)");
   library.def(
-      "holders_of(Tensor[] centres, float min_separation, float[] frame, Tensor owner, int rank, Tensor bodies, "
+      "holders_of(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank, "
+      "Tensor bodies, "
       "int[] received, int ranks) -> (Tensor holders, Tensor counts)");
   library.def("rows_by_rank(Tensor holders, Tensor rows, Tensor counts, int[] rooms) -> Tensor");
   library.def("counts_to_tell(Tensor counts, int[] rooms, Tensor found, int room) -> Tensor");
   library.def(
-      "owned_pairs(Tensor pairs, Tensor? rows, Tensor id, Tensor[] centres, float min_separation, Tensor reach, "
+      "owned_pairs(Tensor pairs, Tensor? rows, Tensor id, Tensor[] centres, float min_separation, float tolerance, "
+      "Tensor reach, "
       "float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
   library.def(
-      "near_ghosts(Tensor[] centres, Tensor[] ghosts, float min_separation, float[] frame, Tensor owner, int rank) -> "
+      "near_ghosts(Tensor[] centres, Tensor[] ghosts, float min_separation, float tolerance, float[] frame, Tensor "
+      "owner, int rank) -> "
       "(Tensor near, Tensor found)");
   library.def(
       "leaving_bodies(Tensor position, float[] frame, Tensor owner, int rank, int ranks) -> (Tensor leaving, "

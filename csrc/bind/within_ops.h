@@ -22,8 +22,9 @@ struct WithinOps {
                                           const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                                           const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
                                           const std::optional<Tensor>& is_invalid, double min_separation,
-                                          int64_t broad_phase, const std::vector<int64_t>& capacity) {
-    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, min_separation);
+                                          double tolerance, int64_t broad_phase, const std::vector<int64_t>& capacity) {
+    BroadBodies bodies =
+        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
     bodies.is_invalid = optional_column<int64_t>(is_invalid, "is_invalid", 1);
     STD_TORCH_CHECK(broad_phase >= 0 && broad_phase <= 2, "broad_phase: expected 0 (sweep), 1 (grid) or 2 (lbvh), got ",
                     broad_phase);
@@ -62,6 +63,7 @@ struct WithinOps {
     const FirstToi known{rows<int64_t>(owners, "owners", {pairs.size(0), 2}), data<double>(first)};
     CountColumn counts(pairs, 0);
     const Backend backend(pairs);
+    backend.require_owners(known.owners, task.of_pairs + kPairsWritten, pairs.size(0), first.size(0));
     counts.begin(backend, task.of_pairs, {nullptr, 0, counts.end()});
     backend.lower_first_toi(rigid_view(mesh_set, bodies, linear_path), task.traversal, task.of_pairs + kPairsWritten,
                             traverse_room(capacity), task.narrow, capacity[5], known, counts.of_traverse(),
@@ -74,9 +76,11 @@ struct WithinOps {
   struct Task {
     Task(const Tensor& pairs, const Tensor& pair_counts, const NarrowSettings& settings, Report report)
         : of_pairs(rows<int64_t>(pair_counts, "pair_counts", {kPairCounts})) {
+      const KeptDistance kept(settings.separation, settings.tolerance);
       traversal.pairs = narrow.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
       traversal.pair_count = narrow.pair_count = pairs.size(0);
-      traversal.settings = {settings.separation, settings.tolerance};
+      STD_TORCH_CHECK(traversal.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
+      traversal.settings = {kept.separation, kept.tolerance};
       narrow.settings = settings;
       narrow.report = report;
     }
@@ -106,9 +110,11 @@ struct WithinOps {
   // Rows are numbered by 32 bits.
   static void check_capacity(const std::vector<int64_t>& capacity, size_t count) {
     STD_TORCH_CHECK(capacity.size() == count, "capacity: expected ", count, " numbers, got ", capacity.size());
-    for (const int64_t room : capacity) {
-      STD_TORCH_CHECK(room >= kExactly && room < (int64_t{1} << 31), "capacity: expected numbers in [0, 2^31), got ",
-                      room);
+    constexpr size_t kWithContacts = 7;
+    for (size_t k = 0; k < count; ++k) {
+      const int64_t least = count == kWithContacts && k + 1 == count ? kExactly : 0;
+      STD_TORCH_CHECK(capacity[k] >= least && capacity[k] < (int64_t{1} << 31),
+                      "capacity: expected numbers in [0, 2^31), got ", capacity[k]);
     }
   }
 
@@ -129,9 +135,10 @@ struct WithinOps {
       std::get<0>(found) = body_pairs;
       return columns;
     };
+    const int64_t* handed_on = rows<int64_t>(faults, "faults", {kAnySize});
     CountColumn counts(pairs, faults.size(0));
     const Backend backend(pairs);
-    counts.begin(backend, task.of_pairs, {rows<int64_t>(faults, "faults", {kAnySize}), faults.size(0), counts.end()});
+    counts.begin(backend, task.of_pairs, {handed_on, faults.size(0), counts.end()});
     backend.contacts_within(bodies, task.traversal, task.of_pairs + kPairsWritten, traverse_room(capacity), task.narrow,
                             report == kOnlyEarliest, {capacity[5], capacity[6]}, make_output, counts.of_traverse(),
                             counts.of_contacts());
@@ -140,10 +147,10 @@ struct WithinOps {
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_WITHIN_OPS(library, Backend)                                              \
-  library.impl("pairs_within", TORCH_BOX(&WithinOps<Backend>::pairs));                           \
-  library.impl("contacts_within_rigid", TORCH_BOX(&WithinOps<Backend>::contacts_rigid));         \
-  library.impl("contacts_within_deforming", TORCH_BOX(&WithinOps<Backend>::contacts_deforming)); \
-  library.impl("lower_first_toi_rigid", TORCH_BOX(&WithinOps<Backend>::lower_first_toi_rigid))
+#define PGCCD_REGISTER_WITHIN_OPS(library, Backend)                                                                  \
+  library.impl("pairs_within", TORCH_BOX(&OnOneDevice<&WithinOps<Backend>::pairs>::call));                           \
+  library.impl("contacts_within_rigid", TORCH_BOX(&OnOneDevice<&WithinOps<Backend>::contacts_rigid>::call));         \
+  library.impl("contacts_within_deforming", TORCH_BOX(&OnOneDevice<&WithinOps<Backend>::contacts_deforming>::call)); \
+  library.impl("lower_first_toi_rigid", TORCH_BOX(&OnOneDevice<&WithinOps<Backend>::lower_first_toi_rigid>::call))
 
 }  // namespace pgccd::bind

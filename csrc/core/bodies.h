@@ -14,6 +14,7 @@ struct BodyCentres {
   const double* position_t0;  // (bodies, 3), world
   const double* position_t1;  // (bodies, 3), world
   const double* radius;       // (bodies,) SBV radius
+  int64_t count;              // bodies
 };
 
 struct RigidBodies {
@@ -37,7 +38,24 @@ struct DeformingBodies {
   const NodeBlock* blocks_t1;   // (all blocks) relative to the body's centre at t1, same radii
   const int64_t* vertex_begin;  // (bodies,)
   const int64_t* block_begin;   // (bodies,)
+  int64_t block_count;          // of all bodies
 };
+
+// Is that a body, whose mesh and rows are there? The mesh set itself is taken as it was made.
+PGCCD_HD bool is_within(int64_t row, int64_t count) { return row >= 0 && row < count; }
+template <class Bodies>
+PGCCD_HD bool names_mesh(const Bodies& bodies, int64_t body) {
+  return is_within(body, bodies.centres.count) && is_within(bodies.mesh_index[body], bodies.meshes.mesh_count);
+}
+PGCCD_HD bool is_sound(const RigidBodies& bodies, int64_t body) { return names_mesh(bodies, body); }
+// Rows [begin, begin + size) of `count`.
+PGCCD_HD bool are_within(int64_t begin, int64_t size, int64_t count) { return begin >= 0 && begin <= count - size; }
+PGCCD_HD bool is_sound(const DeformingBodies& bodies, int64_t body) {
+  if (!names_mesh(bodies, body)) return false;
+  const MeshOffsets* rows = bodies.meshes.offsets + bodies.mesh_index[body];
+  return are_within(bodies.vertex_begin[body], rows[1].vertex - rows[0].vertex, bodies.vertex_count) &&
+         are_within(bodies.block_begin[body], rows[1].block - rows[0].block, bodies.block_count);
+}
 
 // A negative tolerance is relative to the smaller SBV radius of the pair.
 PGCCD_HD double pair_tolerance(const BodyCentres& centres, int64_t i, int64_t j, double tolerance) {

@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "core/platform.h"
+#include "core/counter.h"
 
 namespace pgccd {
 
@@ -26,14 +26,14 @@ struct Candidate {
 struct CandidateSpan {
   const Candidate* items = nullptr;
   int64_t size = 0;
-  const uint32_t* front = nullptr;  // null: all are given
-  const uint32_t* back = nullptr;
+  const Counter* front = nullptr;  // null: all are given
+  const Counter* back = nullptr;
 
   // None where there was no room for all: what lies there may be of two candidates.
   PGCCD_HD int64_t count() const {
     if (front == nullptr) return size;
-    const int64_t counted = static_cast<int64_t>(*front) + *back;
-    return counted <= size ? counted : 0;
+    const Counter counted = *front + *back;
+    return fits(counted, size) ? static_cast<int64_t>(counted) : 0;
   }
   // Where the k-th of `count()` is.
   PGCCD_HD int64_t place(int64_t k) const {

@@ -25,7 +25,8 @@ constexpr int kBlockWidth = 8;
 
 // What bounds all vertices of each node's triangles: a sphere, and a slab low <= normal . (vertex - centre) <= high
 // about the same centre. Neighbouring triangles of a surface make a thin slab, and two surfaces that face each other
-// are told apart by it. Empty slots hold NaN, which meets nothing.
+// are told apart by it. Empty slots hold NaN: what has such a radius meets
+// nothing.
 struct NodeBlock {
   float x[kBlockWidth], y[kBlockWidth], z[kBlockWidth], radius[kBlockWidth];
   float normal_x[kBlockWidth], normal_y[kBlockWidth], normal_z[kBlockWidth];  // unit, to within float32 rounding
@@ -58,6 +59,7 @@ struct MeshSetView {
   const NodeLink* node_links;    // (blocks, 8)
   CornerColumns corners;         // (9, stride), column entries in the order of `triangles`
   const MeshOffsets* offsets;    // (meshes + 1): the next row ends a mesh's rows
+  int64_t mesh_count;
 };
 
 // Triangles a leaf holds at most: as many as there are lanes.

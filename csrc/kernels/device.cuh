@@ -3,6 +3,7 @@
 
 #include <cuda_runtime.h>
 
+#include <cassert>
 #include <cstdint>
 #include <map>
 #include <stdexcept>
@@ -11,6 +12,16 @@
 
 #include "core/scalar.h"
 #include "kernels/device_context.h"
+
+#if defined(NDEBUG)  // else <cassert> declares it
+extern "C" {
+#if defined(__CUDA_ARCH__)
+__host__ __device__
+#endif
+    void __assert_fail(const char* assertion, const char* file, unsigned int line, const char* function) noexcept
+    __attribute__((__noreturn__));
+}
+#endif
 
 namespace pgccd {
 
@@ -45,6 +56,12 @@ void run_cub(const DeviceContext& context, Call&& call) {
   check_cuda(call(nullptr, bytes), "cub (size)");
   void* scratch = context.memory.allocate_bytes(static_cast<int64_t>(bytes));
   check_cuda(call(scratch, bytes), "cub");
+}
+
+// An assertion that is there in every build, for indices that nobody waits to be told of: the launch fails, as torch's
+// own do, before anything is read by them.
+__device__ inline void require_on_device(bool is_so, const char* what) {
+  if (!is_so) __assert_fail(what, __FILE__, __LINE__, "pgccd");
 }
 
 constexpr int kWarp = 32;
@@ -141,7 +158,8 @@ __device__ inline bool is_last_block(uint32_t* blocks_done) {
 __device__ inline uint32_t lanes_below(int lane) { return (1u << lane) - 1u; }
 
 // Threads of a warp that append to one list share one atomic. Returns this thread's position.
-__device__ inline uint32_t warp_append(uint32_t* counter, uint32_t count) {
+template <class Count>
+__device__ Count warp_append(Count* counter, uint32_t count) {
   const unsigned active = __activemask();
   const int lane = threadIdx.x % kWarp;
   uint32_t before = 0, total = 0;
@@ -151,9 +169,9 @@ __device__ inline uint32_t warp_append(uint32_t* counter, uint32_t count) {
     if (source < lane) before += other;
     total += other;
   }
-  uint32_t base = 0;
+  Count base = 0;
   const int leader = __ffs(active) - 1;
-  if (lane == leader && total != 0) base = atomicAdd(counter, total);
+  if (lane == leader && total != 0) base = atomicAdd(counter, static_cast<Count>(total));
   return __shfl_sync(active, base, leader) + before;
 }
 

@@ -5,6 +5,8 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <stdexcept>
+#include <string>
 
 namespace pgccd {
 
@@ -30,6 +32,24 @@ void parallel_chunks(const Executor& executor, int64_t count, int64_t grain, Fn&
       fn(worker, chunk * grain, std::min(count, (chunk + 1) * grain));
     }
   });
+}
+
+// Throws an error that names the argument and its first row for which `is_sound` is false.
+template <class IsSound>
+void require_rows(const Executor& executor, int64_t count, const char* name, const char* expected, IsSound&& is_sound) {
+  std::atomic<int64_t> first{count};
+  parallel_chunks(executor, count, 8192, [&](int, int64_t begin, int64_t end) {
+    for (int64_t row = begin; row < end; ++row) {
+      if (is_sound(row)) continue;
+      int64_t seen = first.load();
+      while (row < seen && !first.compare_exchange_weak(seen, row)) {
+      }
+      return;
+    }
+  });
+  if (first == count) return;
+  throw std::invalid_argument(std::string(name) + ": row " + std::to_string(first.load()) + ": expected rows that " +
+                              expected);
 }
 
 // Adds to a counter that other workers may add to at the same time, unless there are none; returns what it was.

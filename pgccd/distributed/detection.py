@@ -40,7 +40,7 @@ class Detection:
         """(P,) and (K,) int64: the cells of the lower corners of the intersections of the boxes of pairs, and of those
         that collide."""
         parts = self.share.parts
-        lower = [ops.swept_boxes(*centres_of(part.bodies), self.share.min_separation)[0] for part in parts]
+        lower = [ops.swept_boxes(*centres_of(part.bodies), *self.share.kept)[0] for part in parts]
         of_pairs = [_cells(partition, corner, _pairs_of(part)) for part, corner in zip(parts, lower, strict=True)]
         of_contacts = [_cells(partition, at, part.find().pairs) for part, at in zip(parts, lower, strict=True)]
         return torch.cat(of_pairs), torch.cat(of_contacts)

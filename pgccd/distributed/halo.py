@@ -79,14 +79,19 @@ class Halo:
         partition: the same on all of them.
         own: columns of this rank's own bodies that others need, "id" ascending.
         bodies: these, moving; not checked yet.
-        min_separation: length.
+        kept: min_separation and tolerance, as the operators take them.
     """
 
     def __init__(
-        self, comm: Comm, partition: Partition, own: Mapping[str, Tensor], bodies: MovingBodies, min_separation: float
+        self,
+        comm: Comm,
+        partition: Partition,
+        own: Mapping[str, Tensor],
+        bodies: MovingBodies,
+        kept: tuple[float, float],
     ) -> None:
         self._comm, self._own, self._bodies = comm, dict(own), bodies
-        self._where = centres_of(bodies), min_separation, partition.territory(comm.rank)
+        self._where = centres_of(bodies), *kept, partition.territory(comm.rank)
         nobody = own["id"][:0]
         #: (N,) uint8: 1 for own bodies that reach cells of others.
         self.reach = nobody.to(torch.uint8)
@@ -155,18 +160,18 @@ class HeldExchange:
     Args:
         held: the bodies.
         ghosts: centres of those among them that others own.
-        min_separation: length.
+        kept: min_separation and tolerance, as the operators take them.
         partition: that the halo was made with.
     """
 
-    def __init__(self, held: Held, ghosts: Centres, min_separation: float, partition: Partition) -> None:
+    def __init__(self, held: Held, ghosts: Centres, kept: tuple[float, float], partition: Partition) -> None:
         self._comm = comm = held.route.comm
         if comm.size == 1:
             self._shared = held.own_id[:0], [0]
             return
         received, ghost = held.route.received, torch.arange(held.ghost_count, device=held.own_id.device)
         territory, row = partition.territory(comm.rank), ghost + held.own_count
-        holders, counts = ops.holders_of(ghosts, min_separation, territory, ghost, comm.size, received)
+        holders, counts = ops.holders_of(ghosts, *kept, territory, ghost, comm.size, received)
         before = sum(received[: comm.rank])
         self._holders = torch.cat([holders[:before], held.holders, holders[before:]])
         self._rows = torch.cat([row[:before], held.border, row[before:]])

@@ -57,7 +57,7 @@ class SentWithin:
         comm: between the ranks.
         room: what fits.
         own: columns of this rank's own bodies.
-        where: centres of these, the separation, and the territory, as for `pgccd.ops.holders_of`.
+        where: centres of these, separation, tolerance, and the territory, as for `pgccd.ops.holders_of`.
         border: (N,) int64: rows of those that others need, then rows of -1.
         count: (1,) int64, left on the device: how many these are.
     """
@@ -67,7 +67,7 @@ class SentWithin:
         comm: Comm,
         room: Room,
         own: Columns,
-        where: tuple[tuple[Tensor, Tensor, Tensor], float, ops.Territory],
+        where: tuple[tuple[Tensor, Tensor, Tensor], float, float, ops.Territory],
         border: Tensor,
         count: Tensor,
     ) -> None:

@@ -61,7 +61,7 @@ class Share:
     parts: list[Part]
     ghosts: MovingBodies | None  #: if there are other ranks
     side: SideStream  #: on which ghosts came
-    min_separation: float
+    kept: tuple[float, float]  #: min_separation and tolerance, as the operators take them
 
     @property
     def pairs(self) -> Tensor:
@@ -117,12 +117,12 @@ class OwnSearch:
     ) -> None:
         self._comm, self._partition, self._build, self._options = comm, partition, build, options
         self._clock, self._begin = clock, begin
-        separation = broad.check_separation(options.min_separation)
+        self._kept = broad.check_separation(options.min_separation), broad.operator_tolerance(options.tolerance)
         with clock.stage("plan"):
             self._bodies = bodies = MovingBodies(*build(own), wait=False)
         with clock.stage("halo"):
-            self._halo = halo = Halo(comm, partition, own, bodies, separation)
-        self._where = separation, halo.reach, partition.territory(comm.rank)
+            self._halo = halo = Halo(comm, partition, own, bodies, self._kept)
+        self._where = *self._kept, halo.reach, partition.territory(comm.rank)
         self._side = SideStream(bodies.device, options.overlap and comm.size > 1)
         if comm.size > 1:
             with self._side, clock.stage("halo"):
@@ -159,10 +159,10 @@ class OwnSearch:
         A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the
         box around all ghosts.
         """
-        separation, _, territory = self._where
+        territory = self._where[-1]
         own, ghosts = centres_of(self._bodies), centres_of(self._ghosts)
         with self._side, self._clock.stage("halo"):
-            near, found = ops.near_ghosts(own, ghosts, separation, territory)
+            near, found = ops.near_ghosts(own, ghosts, *self._kept, territory)
             return near, HostCopy(found)
 
     def exchange(self) -> HeldExchange:
@@ -171,13 +171,13 @@ class OwnSearch:
         if self._comm.size > 1:
             _ = self._near  # first, so that their number is known when it is asked for
         with self._side, self._clock.stage("halo"):
-            return HeldExchange(held, centres, self._where[0], self._partition)
+            return HeldExchange(held, centres, self._kept, self._partition)
 
     def with_ghosts(self) -> Share:
         """The whole share: waits for ghosts, and begins to search the pairs with them."""
-        separation, options = self._where[0], self._options
+        options = self._options
         if self._comm.size == 1:
-            return Share(self._held, [self._part], None, self._side, separation)
+            return Share(self._held, [self._part], None, self._side, self._kept)
         held, ghosts, (near, near_count) = self._held, self._ghosts, self._near
         with self._side:
             with self._clock.stage("halo"):
@@ -191,7 +191,7 @@ class OwnSearch:
                 with_ghosts = find_part(at_border, *find, name="with ghosts", rows=rows)
             self._begin(with_ghosts)
         self._side.join()
-        return Share(held, [self._part, with_ghosts], ghosts, self._side, separation)
+        return Share(held, [self._part, with_ghosts], ghosts, self._side, self._kept)
 
     def give_up(self) -> None:
         """For those who will not ask for the share: what follows on the current stream may use its memory again."""

@@ -45,11 +45,13 @@ def sweep(
     world: Tensor | None,
     is_static: Tensor | None,
     min_separation: float,
+    tolerance: float,
     axis: int,
 ) -> Tensor:
-    """Sorted pairs (P, 2) int64 of swept spheres that meet."""
+    """Sorted pairs (P, 2) int64 of swept spheres that come within min_separation + tolerance; a negative tolerance is
+    relative to the smaller radius of a pair."""
     return library.operators.sweep(
-        position_t0, position_t1, radius, group, mask, world, is_static, min_separation, axis
+        position_t0, position_t1, radius, group, mask, world, is_static, min_separation, tolerance, axis
     )
 
 
@@ -62,9 +64,11 @@ def grid(
     world: Tensor | None,
     is_static: Tensor | None,
     min_separation: float,
+    tolerance: float,
 ) -> Tensor:
     """As `sweep`, by a hashed grid."""
-    return library.operators.grid(position_t0, position_t1, radius, group, mask, world, is_static, min_separation)
+    columns = position_t0, position_t1, radius, group, mask, world, is_static
+    return library.operators.grid(*columns, min_separation, tolerance)
 
 
 def lbvh(
@@ -76,16 +80,19 @@ def lbvh(
     world: Tensor | None,
     is_static: Tensor | None,
     min_separation: float,
+    tolerance: float,
 ) -> Tensor:
     """As `sweep`, by a linear bounding volume hierarchy."""
-    return library.operators.lbvh(position_t0, position_t1, radius, group, mask, world, is_static, min_separation)
+    columns = position_t0, position_t1, radius, group, mask, world, is_static
+    return library.operators.lbvh(*columns, min_separation, tolerance)
 
 
 def swept_boxes(
-    position_t0: Tensor, position_t1: Tensor, radius: Tensor, min_separation: float
+    position_t0: Tensor, position_t1: Tensor, radius: Tensor, min_separation: float, tolerance: float
 ) -> tuple[Tensor, Tensor]:
-    """Lower and upper corners (N, 3) of the boxes of swept spheres with half the separation, rounded outward."""
-    return library.operators.swept_boxes(position_t0, position_t1, radius, min_separation)
+    """Lower and upper corners (N, 3) of the boxes of swept spheres with half of separation and tolerance; of pairs that
+    `sweep` finds they overlap."""
+    return library.operators.swept_boxes(position_t0, position_t1, radius, min_separation, tolerance)
 
 
 def traverse_rigid(
@@ -141,12 +148,13 @@ def pairs_within(
     is_static: Tensor | None,
     is_invalid: Tensor | None,
     min_separation: float,
+    tolerance: float,
     broad_phase: int,
     capacity: Sequence[int],
 ) -> tuple[Tensor, Tensor]:
     """Pairs padded with -1, and counts (7,): see `pgccd.capacity`. Waits for nothing on a GPU."""
     columns = position_t0, position_t1, radius, group, mask, world, is_static, is_invalid
-    return library.operators.pairs_within(*columns, min_separation, broad_phase, list(capacity))
+    return library.operators.pairs_within(*columns, min_separation, tolerance, broad_phase, list(capacity))
 
 
 def contacts_within_rigid(

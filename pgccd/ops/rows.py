@@ -1,6 +1,6 @@
 """Rows of columns: tensors of any dtype and width with as many rows each, of which only the bytes matter.
 
-A row of -1 is zeros. Other row numbers are trusted: one out of range reads memory that is not the columns'.
+A row of -1 is zeros. Other row numbers must be those of rows: a CPU raises RuntimeError, a GPU's launch fails.
 """
 
 from collections.abc import Sequence

@@ -11,15 +11,18 @@ Territory = tuple[list[float], Tensor, int]
 Centres = Sequence[Tensor]
 
 
-def border_bodies(centres: Centres, min_separation: float, territory: Territory) -> tuple[Tensor, Tensor, Tensor]:
+def border_bodies(
+    centres: Centres, min_separation: float, tolerance: float, territory: Territory
+) -> tuple[Tensor, Tensor, Tensor]:
     """Bodies that reach cells of others: reach (N,) uint8, 1 for them; their rows, ascending, in the first `found` (1,)
     places of (N,), then rows of -1. centres: at t0 and t1 (N, 3), and radius (N,)."""
-    return library.operators.border_bodies(list(centres), min_separation, *territory)
+    return library.operators.border_bodies(list(centres), min_separation, tolerance, *territory)
 
 
 def holders_of(
     centres: Centres,
     min_separation: float,
+    tolerance: float,
     territory: Territory,
     bodies: Tensor,
     ranks: int,
@@ -28,7 +31,7 @@ def holders_of(
     """(B, ranks) uint8: 1 for other ranks of which one of the rows `bodies` (B,) reaches a cell (a row of -1 none); and
     for the rank that it came from, if these are ghosts, of which so many were `received` from each. And how many bodies
     of each, (ranks,) int64."""
-    arguments = (list(centres), min_separation, *territory, bodies, list(received), ranks)
+    arguments = (list(centres), min_separation, tolerance, *territory, bodies, list(received), ranks)
     return library.operators.holders_of(*arguments)
 
 
@@ -50,6 +53,7 @@ def owned_pairs(
     id: Tensor,
     centres: Centres,
     min_separation: float,
+    tolerance: float,
     reach: Tensor,
     territory: Territory,
 ) -> tuple[Tensor, Tensor]:
@@ -57,14 +61,14 @@ def owned_pairs(
     rank, that of the smaller id first, in the first `found` (1,) places of (P, 2), then rows of -1. Of the bodies that
     the rank holds, own ones come first, then ghosts: reach (N,) of own ones is as above, id (N + G,) is of all. rows
     (B,): which of them each of the bodies is, and only pairs with a ghost count; None: they are the own ones."""
-    return library.operators.owned_pairs(pairs, rows, id, list(centres), min_separation, reach, *territory)
+    return library.operators.owned_pairs(pairs, rows, id, list(centres), min_separation, tolerance, reach, *territory)
 
 
 def near_ghosts(
-    centres: Centres, ghosts: Centres, min_separation: float, territory: Territory
+    centres: Centres, ghosts: Centres, min_separation: float, tolerance: float, territory: Territory
 ) -> tuple[Tensor, Tensor]:
     """Rows of bodies that overlap the box around all ghosts in a cell of the rank which they reach; found as above."""
-    return library.operators.near_ghosts(list(centres), list(ghosts), min_separation, *territory)
+    return library.operators.near_ghosts(list(centres), list(ghosts), min_separation, tolerance, *territory)
 
 
 def leaving_bodies(position: Tensor, territory: Territory, ranks: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -29,7 +29,7 @@ def bodies(partition: Partition, count: int, generator: torch.Generator) -> list
 
 def cells_of_boxes(partition: Partition, centres: list[torch.Tensor]) -> list[set[int]]:
     """The cells that each body's box reaches, one by one."""
-    lower, upper = ops.swept_boxes(*centres, SEPARATION)
+    lower, upper = ops.swept_boxes(*centres, SEPARATION, 0.0)
     found = []
     for first, last in zip(partition.coordinates(lower).tolist(), partition.coordinates(upper).tolist(), strict=True):
         axes = [range(a, b + 1) for a, b in zip(first, last, strict=True)]
@@ -52,8 +52,8 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     cells, ghost_cells = cells_of_boxes(partition, centres), cells_of_boxes(partition, ghosts)
     crossing = [any(owner[cell] != rank for cell in reached) for reached in cells]
 
-    lower, upper = ops.swept_boxes(*centres, SEPARATION)
-    ghost_lower, ghost_upper = ops.swept_boxes(*ghosts, SEPARATION)
+    lower, upper = ops.swept_boxes(*centres, SEPARATION, 0.0)
+    ghost_lower, ghost_upper = ops.swept_boxes(*ghosts, SEPARATION, 0.0)
     near = []
     for body, reached in enumerate(cells):
         for cell in (cell for cell in reached if owner[cell] == rank):
@@ -81,13 +81,13 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     for device in DEVICES:
         territory = (partition.frame, partition.owner.to(device), rank)
         here, there = ([column.to(device) for column in columns] for columns in (centres, ghosts))
-        reach, at_edge, found = ops.border_bodies(here, SEPARATION, territory)
+        reach, at_edge, found = ops.border_bodies(here, SEPARATION, 0.0, territory)
         assert reach.tolist() == [int(crosses) for crosses in crossing]
         assert kept(at_edge, found) == [body for body, crosses in enumerate(crossing) if crosses]
         assert bool((at_edge[int(found) :] == -1).all()) and len(at_edge) == len(cells)
         rows = torch.arange(len(cells), device=device).flip(0)
         for came_from in ([], received):
-            holders, counts = ops.holders_of(here, SEPARATION, territory, rows, ranks, came_from)
+            holders, counts = ops.holders_of(here, SEPARATION, 0.0, territory, rows, ranks, came_from)
             expected = [{owner[cell] for cell in each} - {rank} for each in reversed(cells)]
             if came_from:
                 expected = [each | {source} for each, source in zip(expected, sources.tolist(), strict=True)]
@@ -106,18 +106,18 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
                     assert told.tolist() == [[len(each), int(short)] for each in by_rank]
         # Among the rows there may be some of nobody.
         padded = torch.where(rows % 3 == 1, -1, rows)
-        holders, counts = ops.holders_of(here, SEPARATION, territory, padded, ranks)
+        holders, counts = ops.holders_of(here, SEPARATION, 0.0, territory, padded, ranks)
         expected = [set() if row < 0 else {owner[cell] for cell in cells[row]} - {rank} for row in padded.tolist()]
         assert [set(torch.nonzero(row)[:, 0].tolist()) for row in holders] == expected
         assert counts.tolist() == [sum(r in each for each in expected) for r in range(ranks)]
-        assert kept(*ops.near_ghosts(here, there, SEPARATION, territory)) == near
+        assert kept(*ops.near_ghosts(here, there, SEPARATION, 0.0, territory)) == near
         mine = [column[:own_count] for column in here]
         at_edge = [column[border.to(device)] for column in here]
         for candidates, rows, those, expected in (
             (pairs[is_own], None, mine, turned[is_own & is_here]),
             (at_border, border.to(device), at_edge, torch.argsort(border)[turned[~is_own & is_here]]),
         ):
-            where = (those, SEPARATION, reach[:own_count], territory)
+            where = (those, SEPARATION, 0.0, reach[:own_count], territory)
             owned, found = ops.owned_pairs(candidates.to(device), rows, id.to(device), *where)
             assert kept(owned, found) == expected.tolist()
             assert bool((owned[int(found) :] == -1).all()) and len(owned) == len(candidates)

@@ -16,12 +16,22 @@ struct DeformingInput {
   MeshSetView meshes;
   const int32_t* mesh_index;  // (bodies,)
   int64_t body_count;
+  int64_t vertex_count;  // of all bodies
   const double* vertices_t0;
   const double* vertices_t1;
   const int64_t* vertex_begin;  // (bodies,)
   int64_t block_count;          // of all bodies
   const int64_t* block_begin;   // (bodies,)
 };
+
+// Is the mesh of a body there, with rows for its vertices and node blocks?
+PGCCD_HD bool is_sound(const DeformingInput& input, int64_t body) {
+  const int32_t mesh = input.mesh_index[body];
+  if (!is_within(mesh, input.meshes.mesh_count)) return false;
+  const MeshOffsets* rows = input.meshes.offsets + mesh;
+  return are_within(input.vertex_begin[body], rows[1].vertex - rows[0].vertex, input.vertex_count) &&
+         are_within(input.block_begin[body], rows[1].block - rows[0].block, input.block_count);
+}
 
 // Everything of DeformingBodies that depends on where the vertices are.
 struct DeformingBounds {

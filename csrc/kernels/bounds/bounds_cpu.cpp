@@ -59,6 +59,9 @@ void rotations_between_cpu(const Executor& executor, const double* orientation_t
 }
 
 void refit_cpu(const Executor& executor, const DeformingInput& input, const DeformingBounds& bounds) {
+  require_rows(executor, input.body_count, "mesh_index, vertex_begin, block_begin",
+               "name a mesh, and where all its vertices and node blocks are",
+               [&](int64_t body) { return is_sound(input, body); });
   parallel_chunks(executor, input.body_count, 1, [&](int, int64_t begin, int64_t end) {
     for (int64_t body = begin; body < end; ++body) refit_body(input, bounds, body);
   });

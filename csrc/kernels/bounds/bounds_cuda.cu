@@ -17,6 +17,8 @@ struct Refit {
   int32_t* pending;                     // (blocks) children's blocks not done yet
 };
 
+constexpr int32_t kNobody = -1;
+
 // A body's mesh and its rows.
 struct RefitBody {
   int64_t index;
@@ -81,9 +83,12 @@ __device__ Vec3<double> sum_in_order(int64_t count, double (&staged)[kStaged][3]
 __global__ void __launch_bounds__(kBlockThreads) name_bodies(Refit refit) {
   const int64_t index = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
   if (index >= refit.input.body_count) return;
+  require_on_device(is_sound(refit.input, index),
+                    "mesh_index, vertex_begin, block_begin: expected rows that are there");
   const RefitBody body = refit_body(refit.input, index);
   for (int64_t block = threadIdx.x % kWarp; block < body.block_count; block += kWarp) {
-    refit.body_of_block[body.first_block + block] = static_cast<int32_t>(index);
+    const int32_t other = atomicExch(refit.body_of_block + body.first_block + block, static_cast<int32_t>(index));
+    require_on_device(other == kNobody, "block_begin: expected blocks of one body each");
   }
 }
 
@@ -94,6 +99,7 @@ __global__ void __launch_bounds__(kBlockThreads) sum_chunks(Refit refit) {
   if (task >= 2 * refit.input.block_count) return;
   const int end = static_cast<int>(task % 2);
   const int64_t row = task / 2;
+  if (refit.body_of_block[row] == kNobody) return;
   const RefitBody body = body_of_block(refit, row);
   const int64_t first = (row - body.first_block) * kMeanChunk;
   if (first >= body.face_count) return;
@@ -124,7 +130,7 @@ __global__ void __launch_bounds__(kBlockThreads) place_centres(Refit refit) {
 __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
   const int lane = threadIdx.x % kWarp;
   const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
-  if (row >= refit.input.block_count) return;
+  if (row >= refit.input.block_count || refit.body_of_block[row] == kNobody) return;
   const RefitBody body = body_of_block(refit, row);
   const int64_t block = row - body.first_block;
   const BodyShape shape = body_shape(refit, body.index);
@@ -155,7 +161,7 @@ __global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
   const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, leader = lane - slot;
   const unsigned members = 0xffu << leader;
   const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kBlockWidth;
-  if (row >= refit.input.block_count) return;
+  if (row >= refit.input.block_count || refit.body_of_block[row] == kNobody) return;
   const RefitBody body = body_of_block(refit, row);
   const BodyShape shape = body_shape(refit, body.index);
   const int64_t first = body.first_block;
@@ -206,6 +212,7 @@ void refit_cuda(const DeviceContext& context, const DeformingInput& input, const
   refit.parent = context.allocate<int32_t>(input.block_count);
   refit.pending = context.allocate<int32_t>(input.block_count);
   fill_bytes(context, refit.largest_squared, 0, input.body_count);
+  fill_bytes(context, refit.body_of_block, 0xff, input.block_count);
   name_bodies<<<blocks_for(kWarp * input.body_count), kBlockThreads, 0, context.stream>>>(refit);
   check_cuda(cudaGetLastError(), "name_bodies");
   sum_chunks<<<blocks_for(2 * kWarp * input.block_count), kBlockThreads, 0, context.stream>>>(refit);

@@ -18,6 +18,7 @@ struct BroadBodies {
   const int32_t* world;      // (count,) or null: one world
   const uint8_t* is_static;  // (count,) 0 or 1, or null: none
   double separation;
+  double tolerance;  // as in pair_tolerance
   // Not 0 if something is wrong with the input, which nobody has waited to be told: then there are no pairs. Or null.
   const int64_t* is_invalid = nullptr;
 
@@ -33,8 +34,11 @@ PGCCD_HD bool may_collide(const BroadBodies& bodies, int64_t i, int64_t j) {
   return (group_i & mask_j) != 0 && (group_j & mask_i) != 0;
 }
 
-// Do the capsules' moving spheres come within the separation at some time of the step? Never false when they do in
-// exact arithmetic. Order matters to the last bit: i < j.
+// Distances below this may vanish when they are squared. They count as zero.
+constexpr double kVanishing = 0x1p-500;
+
+// Do the capsules' moving spheres come within separation + tolerance, what the narrow phase may report, at some time of
+// the step? Never false when they do in exact arithmetic. Order matters to the last bit: i < j.
 PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int64_t j) {
   if (!may_collide(bodies, i, j)) return false;
   const RelativeCentre offset = relative_centre(bodies.centres, i, j);
@@ -44,21 +48,33 @@ PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int
   if (length_squared > 0.0) nearest = unit_clamp(-dot(offset.at_t0, travel) / length_squared);
   // Offsets, travel and the point at `nearest` are each off by a few roundings of the larger offset; a wrong `nearest`
   // by second order only.
-  const double rounding = 0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1));
-  const double reach =
-      (bodies.centres.radius[i] + bodies.centres.radius[j] + bodies.separation) * (1.0 + 0x1p-48) + rounding;
-  return norm_squared(offset.at_t0 + nearest * travel) <= reach * reach;
+  const double rounding = 0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1)) + kVanishing;
+  const double kept = bodies.separation + pair_tolerance(bodies.centres, i, j, bodies.tolerance);
+  // 2^-42: the narrow phase computes points of the bodies to within kRigidPointUnits.
+  const double reach = (bodies.centres.radius[i] + bodies.centres.radius[j] + kept) * (1.0 + 0x1p-42) + rounding;
+  return !(norm_squared(offset.at_t0 + nearest * travel) > reach * reach);
 }
 
-// Radius of a CBV with half the separation, wide enough for the roundings of the predicate.
+// Radius of a CBV with half of what may be kept between it and any other body, wide enough for the roundings of the
+// predicate: a tolerance relative to the smaller radius is at most that of this one.
 PGCCD_HD double swept_reach(const BroadBodies& bodies, int64_t body, Vec3<double> travel) {
-  return (bodies.centres.radius[body] + 0.5 * bodies.separation) * (1.0 + 0x1p-40) + 0x1p-40 * max_abs(travel);
+  const double radius = bodies.centres.radius[body];
+  const double kept = bodies.separation + (bodies.tolerance < 0.0 ? -bodies.tolerance * radius : bodies.tolerance);
+  return (radius + 0.5 * kept) * (1.0 + 0x1p-40) + 0x1p-40 * max_abs(travel) + kVanishing;
 }
 
-// Its box.
+// Its box. Ends are rounded where the world's coordinates are coarse, but all alike: boxes that overlap before do so
+// afterwards, and every test that compares ends keeps them.
 struct SweptBox {
   Vec3<double> lower, upper;
 };
+
+// The middle of a computed box is off that of the exact one by at most a quarter of a unit in the last place of its
+// largest end on each of three axes, where the body is less than 2^-20 of that end. For the centres then are multiples
+// of the spacing S of doubles at the outer end or, across a power of two, of S / 2. With one spacing, both ends are
+// rounded outward by as much, or inward. With S at one end and S / 2 at the other, they are not, but centre + reach
+// rounded to S and centre - reach rounded to S / 2 differ from mirror images by at most S / 2.
+constexpr double kBoxRounding = 1.7320508075688774 * 0x1p-54;
 
 PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
   if (bodies.invalid()) return {};  // rather than anything that is not a number

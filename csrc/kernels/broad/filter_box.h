@@ -21,8 +21,10 @@ PGCCD_HD FilterBox filter_box(const BroadBodies& bodies, Vec3<double> origin, in
   const Vec3<double> lower = box.lower - origin, upper = box.upper - origin;
   const double radius = (swept_reach(bodies, body, travel) + 0.5 * norm(travel)) * (1.0 + 0x1p-20);
   // `balls_meet` forms the middle of the rounded box, which is off by up to 2^-21 of the largest coordinate an axis,
-  // and the difference of two middles; 2^-19 is twice as much in all.
-  const double rounding = 0x1p-19 * larger(max_abs(lower), max_abs(upper));
+  // and the difference of two middles; 2^-19 is twice as much in all. The middle of the box itself is off by the
+  // rounding of the world's coordinates, which may be far larger; for large bodies 2^-20 covers it.
+  const double rounding =
+      0x1p-19 * larger(max_abs(lower), max_abs(upper)) + kBoxRounding * larger(max_abs(box.lower), max_abs(box.upper));
   return {{float_below(lower.x), float_below(lower.y), float_below(lower.z)},
           float_above(radius + rounding),
           {-float_above(upper.x), -float_above(upper.y), -float_above(upper.z)},

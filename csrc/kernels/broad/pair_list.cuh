@@ -38,7 +38,9 @@ class PairBuffer {
   }
 
   __device__ void append(const PairList& list, uint64_t pair) {
-    const unsigned at = atomicAdd(&count_, 1u);
+    // Once it is full it is counted no further: there may be more than 2^32.
+    const bool is_full = *static_cast<volatile unsigned*>(&count_) >= kCapacity;
+    const unsigned at = is_full ? kCapacity : atomicAdd(&count_, 1u);
     if (at < kCapacity) {
       pairs_[at] = pair;
     } else {

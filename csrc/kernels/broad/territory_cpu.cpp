@@ -6,6 +6,15 @@
 #include "kernels/find_rows.h"
 
 namespace pgccd {
+namespace {
+
+void require_owners(const Executor& executor, const Territory& territory, int64_t ranks) {
+  require_rows(executor, territory.frame.cell_count(), "owner", "name ranks",
+               [&](int64_t cell) { return is_within(territory.owner[cell], ranks); });
+}
+
+}  // namespace
+
 void border_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Territory& territory, uint8_t* reach,
                        const FoundRows& border) {
   find_rows(executor, bodies.count, border.rows, border.found, [&](int64_t body) {
@@ -17,6 +26,9 @@ void border_bodies_cpu(const Executor& executor, const BroadBodies& bodies, cons
 
 void holders_of_cpu(const Executor& executor, const HoldersInput& input, const Holders& out) {
   const Territory& territory = input.territory;
+  require_rows(executor, input.row_count, "bodies", "are -1, or those of bodies",
+               [&](int64_t k) { return input.rows[k] < input.bodies.count; });
+  require_owners(executor, territory, out.ranks);
   std::fill_n(out.holders, input.row_count * out.ranks, uint8_t{0});
   parallel_chunks(executor, input.row_count, 256, [&](int, int64_t begin, int64_t end) {
     for (int64_t k = begin; k < end; ++k) {
@@ -59,6 +71,8 @@ void counts_to_tell_cpu(const RoomInput& input, const std::vector<int64_t>& room
 }
 
 void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found) {
+  require_rows(executor, input.pair_count, "pairs, rows", "are padding, or name bodies held",
+               [&](int64_t k) { return is_sound(input, k); });
   std::vector<int64_t> kept(static_cast<size_t>(input.pair_count));
   find_rows(executor, input.pair_count, kept.data(), found, [&](int64_t k) { return is_owned(input, k); });
   for (int64_t k = 0; k < input.pair_count; ++k) store_owned_pair(input, kept.data(), *found, k, owned);
@@ -89,6 +103,7 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
 
 void leaving_bodies_cpu(const Executor& executor, const double* position, int64_t count, const Territory& territory,
                         int64_t ranks, const LeavingRows& leaving) {
+  require_owners(executor, territory, ranks);
   int64_t found = 0;
   find_rows(executor, count, leaving.rows, &found,
             [&](int64_t body) { return owner_of(territory, position, body) != territory.rank; });

@@ -84,10 +84,12 @@ void holders_of_cuda(const DeviceContext& context, const HoldersInput& input, co
   for_each_item(context, kBodyThreads * input.row_count, [=] __device__(int64_t item) {
     const int64_t k = item / kBodyThreads, thread = item % kBodyThreads;
     if (rows[k] < 0) return;
+    require_on_device(rows[k] < bodies.count, "bodies: expected -1 or rows of bodies");
     const CellRange range(territory.frame, swept_box(bodies, rows[k]));
     const int64_t count = range.count();
     for (int64_t cell = thread; cell < count; cell += kBodyThreads) {
       const int64_t rank = territory.owner[territory.frame.index(range[cell])];
+      require_on_device(is_within(rank, ranks), "owner: expected ranks");
       if (rank != territory.rank) holders[k * ranks + rank] = 1;
     }
     if (thread != 0 || sources == 0) return;
@@ -107,7 +109,8 @@ void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const
   const int64_t places = std::accumulate(rooms.begin(), rooms.end(), int64_t{0});
   if (places == 0) return;
   int64_t* items = context.allocate<int64_t>(all);
-  find_rows(context, all, items, context.allocate<int64_t>(1), IsHolder{held});
+  int64_t* found = context.allocate<int64_t>(1);
+  find_rows(context, all, items, found, IsHolder{held});
   const int64_t* room_end = ends_of(context, rooms);
   int64_t* begin = context.allocate<int64_t>(ranks);
   run_cub(context, [&](void* scratch, size_t& bytes) {
@@ -116,7 +119,9 @@ void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const
   for_each_item(context, places, [=] __device__(int64_t place) {
     const int64_t rank = count_leading(ranks, [&](int64_t r) { return room_end[r] <= place; });
     const int64_t k = place - (rank == 0 ? 0 : room_end[rank - 1]);
-    by_rank[place] = k < held.counts[rank] ? held.rows[items[begin[rank] + k] % held.row_count] : -1;
+    const bool is_held = k < held.counts[rank];
+    require_on_device(!is_held || is_within(begin[rank] + k, *found), "counts: expected those of holders");
+    by_rank[place] = is_held ? held.rows[items[begin[rank] + k] % held.row_count] : -1;
   });
 }
 
@@ -132,7 +137,10 @@ void counts_to_tell_cuda(const DeviceContext& context, const RoomInput& input, c
 
 void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found) {
   int64_t* kept = context.allocate<int64_t>(input.pair_count);
-  find_rows(context, input.pair_count, kept, found, [=] __device__(int64_t k) { return is_owned(input, k); });
+  find_rows(context, input.pair_count, kept, found, [=] __device__(int64_t k) {
+    require_on_device(is_sound(input, k), "pairs, rows: expected padding, or bodies held");
+    return is_owned(input, k);
+  });
   for_each_item(context, input.pair_count,
                 [=] __device__(int64_t k) { store_owned_pair(input, kept, *found, k, owned); });
 }
@@ -168,8 +176,11 @@ void leaving_bodies_cuda(const DeviceContext& context, const double* position, i
   const int64_t shares = smaller(count, kMostShares), slots = ranks * shares;
   if (slots == 0) return fill_bytes(context, leaving.counts, 0, ranks);
   int64_t* found = context.allocate<int64_t>(1);
-  find_rows(context, count, leaving.rows, found,
-            [=] __device__(int64_t body) { return owner_of(territory, position, body) != territory.rank; });
+  find_rows(context, count, leaving.rows, found, [=] __device__(int64_t body) {
+    const int64_t owner = owner_of(territory, position, body);
+    require_on_device(is_within(owner, ranks), "owner: expected ranks");
+    return owner != territory.rank;
+  });
   // A counting sort, since the device alone knows how many there are. Each share goes through its rows in order, so
   // that those to one rank stay in order. next (ranks, shares): where a share's next row to a rank comes.
   int64_t* next = context.allocate<int64_t>(slots);

@@ -64,12 +64,23 @@ struct OwnedPairs {
   const int64_t* rows;   // which of the bodies held each is; null: these are the own ones, all of them
   const uint8_t* reach;  // (own_count,) bits
   int64_t own_count;     // of bodies held
-  const int64_t* id;     // of bodies held
+  const int64_t* id;     // (held_count,) of bodies held
+  int64_t held_count;
   const int64_t* pairs;  // (pair_count, 2) of `bodies`, padding negative
   int64_t pair_count;
 
   PGCCD_HD int64_t held(int64_t body) const { return rows != nullptr ? rows[body] : body; }
 };
+
+// Padding, or a pair of bodies that are there?
+PGCCD_HD bool is_sound(const OwnedPairs& input, int64_t k) {
+  if (input.pairs[2 * k] < 0) return true;
+  for (int side = 0; side < 2; ++side) {
+    const int64_t body = input.pairs[2 * k + side];
+    if (!is_within(body, input.bodies.count) || !is_within(input.held(body), input.held_count)) return false;
+  }
+  return true;
+}
 
 // The reference point of two boxes that overlap is the lower corner of their intersection. It lies in both, so it is in
 // a cell of this rank for certain if one of them reaches no other. Where bodies are named by rows, pairs of own bodies

@@ -1,4 +1,5 @@
-// Rows of columns: chosen, packed side by side, merged. Columns are bytes; indices are trusted.
+// Rows of columns: chosen, packed side by side, merged. Columns are bytes. Throws for rows that are not
+// there.
 #pragma once
 
 #include <vector>

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <array>
 #include <numeric>
+#include <stdexcept>
 
 #include "kernels/rows/rows.h"
 
@@ -43,12 +44,16 @@ auto copy_column_of(uint32_t width) {
 }
 
 // find_sources(begin, end, sources): where the rows [begin, end) come from.
-template <class FindSources>
-void copy_chunks(const Executor& executor, const std::vector<ColumnCopy>& columns, int64_t row_count,
-                 int64_t first_count, const FindSources& find_sources) {
-  parallel_chunks(executor, row_count, kChunkRows, [&](int, int64_t begin, int64_t end) {
+template <class Rows, class FindSources>
+void copy_chunks(const Executor& executor, const std::vector<ColumnCopy>& columns, const Rows& rows,
+                 const char* expected, const FindSources& find_sources) {
+  const int64_t first_count = rows.first_count;
+  parallel_chunks(executor, rows.count, kChunkRows, [&](int, int64_t begin, int64_t end) {
     Sources sources;
     find_sources(begin, end, sources);
+    for (int64_t row = begin; row < end; ++row) {
+      if (!rows.is_source(sources[static_cast<size_t>(row - begin)])) throw std::invalid_argument(expected);
+    }
     for (const ColumnCopy& column : columns) {
       copy_column_of(column.width)(column, first_count, sources, begin, end);
     }
@@ -58,9 +63,10 @@ void copy_chunks(const Executor& executor, const std::vector<ColumnCopy>& column
 }  // namespace
 
 void copy_rows_cpu(const Executor& executor, const std::vector<ColumnCopy>& columns, const ChosenRows& rows) {
-  copy_chunks(executor, columns, rows.count, rows.first_count, [&](int64_t begin, int64_t end, Sources& sources) {
-    for (int64_t row = begin; row < end; ++row) sources[static_cast<size_t>(row - begin)] = rows(row);
-  });
+  copy_chunks(executor, columns, rows, "rows: expected -1 or rows of the columns",
+              [&](int64_t begin, int64_t end, Sources& sources) {
+                for (int64_t row = begin; row < end; ++row) sources[static_cast<size_t>(row - begin)] = rows(row);
+              });
 }
 
 void merge_rows_cpu(const Executor& executor, const std::vector<ColumnCopy>& columns, const RowChange& change) {
@@ -74,13 +80,14 @@ void merge_rows_cpu(const Executor& executor, const std::vector<ColumnCopy>& col
     }
   });
   const MergedRows rows{change, places.data(), order.data(), change.merged_count(), change.count};
-  copy_chunks(executor, columns, rows.count, rows.first_count, [&](int64_t begin, int64_t end, Sources& sources) {
-    MergedRows::Before known = rows.before(begin);
-    for (int64_t row = begin; row < end; ++row) {
-      rows.advance(known, row);
-      sources[static_cast<size_t>(row - begin)] = rows.source(known, row);
-    }
-  });
+  copy_chunks(executor, columns, rows, "columns[0], removed: expected ids and rows in ascending order",
+              [&](int64_t begin, int64_t end, Sources& sources) {
+                MergedRows::Before known = rows.before(begin);
+                for (int64_t row = begin; row < end; ++row) {
+                  rows.advance(known, row);
+                  sources[static_cast<size_t>(row - begin)] = rows.source(known, row);
+                }
+              });
 }
 
 }  // namespace pgccd

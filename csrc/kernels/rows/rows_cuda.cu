@@ -53,7 +53,11 @@ __global__ void __launch_bounds__(kBlockThreads)
   const int64_t stride = kTileRows * static_cast<int64_t>(gridDim.x);
   for (int64_t begin = kTileRows * static_cast<int64_t>(blockIdx.x); begin < rows.count; begin += stride) {
     const auto tile_rows = static_cast<uint32_t>(smaller(kTileRows, rows.count - begin));
-    if (threadIdx.x < tile_rows) sources[threadIdx.x] = rows(begin + threadIdx.x);
+    if (threadIdx.x < tile_rows) {
+      const int64_t source = rows(begin + threadIdx.x);
+      require_on_device(rows.is_source(source), "rows, or ids and rows removed: expected rows of the columns");
+      sources[threadIdx.x] = source;
+    }
     __syncthreads();
     uint32_t k = 0;  // a thread's words ascend, and so do their columns
     for (uint32_t item = threadIdx.x; item < tile_rows * row_words; item += kBlockThreads) {

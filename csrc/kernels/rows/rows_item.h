@@ -27,9 +27,11 @@ struct ColumnCopy {
 // Row k of the target is row rows[k] of the source; row k itself if `rows` is null.
 struct ChosenRows {
   const int64_t* rows;
-  int64_t count, first_count;
+  int64_t count, first_count, source_count;
 
   PGCCD_HD int64_t operator()(int64_t row) const { return rows == nullptr ? row : rows[row]; }
+  // -1 is no row.
+  PGCCD_HD bool is_source(int64_t row) const { return row >= -1 && row < source_count; }
 };
 
 // Rows by ascending id, of which some go and others come.
@@ -61,6 +63,9 @@ struct MergedRows {
   const int64_t* places;  // (added_count,) of rows added, ascending
   const int64_t* order;   // (added_count,) which of the rows added each is
   int64_t count, first_count;
+
+  // Not so if ids do not ascend, or rows removed.
+  PGCCD_HD bool is_source(int64_t row) const { return row >= 0 && row < change.count + change.added_count; }
 
   // How many rows were added before a row, and how many removed before it if it is one of those kept.
   struct Before {

@@ -50,11 +50,16 @@ constexpr int kTallyCounts = sizeof(StepTally) / sizeof(int64_t);
 struct StepOutcome {
   HashColumns state;       // the first column: ids
   const double* fraction;  // (state.count,)
-  const int64_t* id;       // of the robots that pairs name
-  const int64_t* pairs;    // (contact_count, 2)
-  const double* toi;       // (contact_count,)
+  const int64_t* id;       // (id_count,) of the robots that pairs name
+  int64_t id_count;
+  const int64_t* pairs;  // (contact_count, 2)
+  const double* toi;     // (contact_count,)
   int64_t contact_count;
 
+  PGCCD_HD bool is_sound(int64_t contact) const {
+    const int64_t i = pairs[2 * contact], j = pairs[2 * contact + 1];
+    return i < 0 || (i < id_count && j >= 0 && j < id_count);
+  }
   PGCCD_HD void add_robot(int64_t row, StepTally& tally) const {
     ++tally.robots;
     tally.state_hash += row_hash(state, row);

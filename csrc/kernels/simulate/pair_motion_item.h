@@ -49,7 +49,7 @@ struct ConcernedMotion {
     const int64_t robot = is_ghost ? held - own.count : held;
     const Vec3<double> start = load_vec3(robots.position + 3 * robot);
     const Quaternion orientation = load_quaternion(robots.orientation + 4 * robot);
-    const int64_t kind = robots.id[robot] % mesh_count;
+    const auto kind = static_cast<int64_t>(static_cast<uint64_t>(robots.id[robot]) % static_cast<uint64_t>(mesh_count));
     motion.mesh_index[row] = static_cast<int32_t>(kind);
     motion.radius[row] = mesh_radius[kind];
     robot_detail::store_row(motion.position_t0 + 3 * row, start);

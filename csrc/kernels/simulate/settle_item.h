@@ -14,10 +14,13 @@ constexpr double kNever = std::numeric_limits<double>::infinity();
 struct SlowDownInput {
   const int64_t* rows;  // (count,) robots looked at; any may be named several times
   int64_t count;
+  int64_t robot_count;
   const double* first;     // first toi of each robot in what it was to make of the step; infinite: none
   const double* fraction;  // what each robot was to make of the step
   double approach;         // part of the way to the toi that it goes
   double smallest;         // who could make less of the step stays
+
+  PGCCD_HD bool is_sound(int64_t k) const { return rows[k] >= 0 && rows[k] < robot_count; }
 };
 
 struct SlowedDown {
@@ -65,6 +68,14 @@ struct FirstToiInput {
   const int64_t* pairs;   // (count, 2) copies
   const double* toi;      // (count,) >= 0
   int64_t count;
+  int64_t copy_count, robot_count;
+
+  // One side of a pair, of 2 count: padding, or a copy of a robot?
+  PGCCD_HD bool is_sound(int64_t side) const {
+    const int64_t copy = pairs[side];
+    if (copy < 0) return true;
+    return copy < copy_count && robot(copy) >= 0 && robot(copy) < robot_count;
+  }
 
   PGCCD_HD int64_t robot(int64_t copy) const { return robots != nullptr ? robots[copy] : copy; }
 };
@@ -72,7 +83,13 @@ struct FirstToiInput {
 // Pairs of which at least one robot has changed.
 struct ConcernedPairs {
   const int64_t* pairs;    // (pair_count, 2), padding negative
-  const uint8_t* changed;  // (robots,)
+  const uint8_t* changed;  // (robot_count,)
+  int64_t robot_count;
+
+  PGCCD_HD bool is_sound(int64_t pair) const {
+    const int64_t i = pairs[2 * pair], j = pairs[2 * pair + 1];
+    return i < 0 || (i < robot_count && j >= 0 && j < robot_count);
+  }
 
   PGCCD_HD bool operator()(int64_t pair) const {
     const int64_t i = pairs[2 * pair];

@@ -48,6 +48,7 @@ void random_uniforms_cpu(const Executor& executor, uint64_t seed, const int64_t*
 }
 
 void slow_down_cpu(const Executor& executor, const SlowDownInput& input, double* fraction, uint8_t* changes) {
+  require_rows(executor, input.count, "robots", "name robots", [&](int64_t k) { return input.is_sound(k); });
   for_each_row(executor, input.count, [&](int64_t k) { slow_down(input, k, fraction, changes); });
 }
 
@@ -61,7 +62,9 @@ void slow_all_down_cpu(const Executor& executor, const SlowAllDown& robots, int6
   if (chunks != 0) *changes = 1;
 }
 
-void first_toi_cpu(const Executor&, const FirstToiInput& contacts, double* first) {
+void first_toi_cpu(const Executor& executor, const FirstToiInput& contacts, double* first) {
+  require_rows(executor, contacts.count, "pairs, robots", "are padding, or name robots",
+               [&](int64_t contact) { return contacts.is_sound(2 * contact) && contacts.is_sound(2 * contact + 1); });
   for (int64_t side = 0; side < 2 * contacts.count; ++side) {
     const int64_t copy = contacts.pairs[side];
     if (copy < 0) continue;
@@ -71,6 +74,8 @@ void first_toi_cpu(const Executor&, const FirstToiInput& contacts, double* first
 }
 
 void concerned_motion_cpu(const Executor& executor, const ConcernedMotion& given) {
+  require_rows(executor, given.pair_count, "pairs", "are padding, or name robots",
+               [&](int64_t pair) { return given.concerned.is_sound(pair); });
   std::vector<int64_t> rows(static_cast<size_t>(given.pair_count));
   int64_t found = 0;
   find_rows(executor, given.pair_count, rows.data(), &found, given.concerned);
@@ -81,6 +86,8 @@ void concerned_motion_cpu(const Executor& executor, const ConcernedMotion& given
 }
 
 void tally_step_cpu(const Executor& executor, const StepOutcome& outcome, StepTally* tally) {
+  require_rows(executor, outcome.contact_count, "pairs", "are padding, or name robots",
+               [&](int64_t contact) { return outcome.is_sound(contact); });
   *tally = {};
   const auto add = [&](int64_t count, const auto& add_row) {
     parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {

@@ -26,7 +26,10 @@ __global__ void __launch_bounds__(kBlockThreads) tally_step(StepOutcome outcome,
   const int64_t first = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   StepTally part{};
   for (int64_t row = first; row < outcome.state.count; row += stride) outcome.add_robot(row, part);
-  for (int64_t row = first; row < outcome.contact_count; row += stride) outcome.add_contact(row, part);
+  for (int64_t row = first; row < outcome.contact_count; row += stride) {
+    require_on_device(outcome.is_sound(row), "pairs: expected padding, or robots");
+    outcome.add_contact(row, part);
+  }
   const uint64_t* own = reinterpret_cast<const uint64_t*>(&part);
   for (int k = 0; k < kTallyCounts; ++k) {
     __syncthreads();  // the storage is free again
@@ -55,6 +58,7 @@ __global__ void __launch_bounds__(kBlockThreads) concerned_motion(ConcernedMotio
     __syncthreads();
     const int pairs = static_cast<int>(smaller<int64_t>(kTilePairs, given.pair_count - begin));
     for (int k = threadIdx.x; k < pairs; k += kBlockThreads) {
+      require_on_device(given.concerned.is_sound(begin + k), "pairs: expected padding, or robots");
       if (given.concerned(begin + k)) tile[warp_append(&count, 1)] = k;
     }
     __syncthreads();
@@ -110,7 +114,10 @@ void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int
 }
 
 void slow_down_cuda(const DeviceContext& context, const SlowDownInput& input, double* fraction, uint8_t* changes) {
-  for_each_item(context, input.count, [=] __device__(int64_t k) { slow_down(input, k, fraction, changes); });
+  for_each_item(context, input.count, [=] __device__(int64_t k) {
+    require_on_device(input.is_sound(k), "robots: expected rows of robots");
+    slow_down(input, k, fraction, changes);
+  });
 }
 
 void slow_all_down_cuda(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes) {
@@ -124,6 +131,7 @@ void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts,
   static_assert(sizeof(long long) == sizeof(double));
   for_each_item(context, 2 * contacts.count, [=] __device__(int64_t side) {
     const int64_t copy = contacts.pairs[side];
+    require_on_device(contacts.is_sound(side), "pairs, robots: expected padding, or robots");
     if (copy < 0) return;
     atomicMin(reinterpret_cast<long long*>(first + contacts.robot(copy)), __double_as_longlong(contacts.toi[side / 2]));
   });

@@ -45,7 +45,7 @@ struct Group {
 // `task_at(item)` for the items of the queue. All groups of a warp split one node pair a round, each of its own task.
 template <class Bodies, class TaskAt>
 __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue& queue, TaskAt&& task_at,
-                        TaskList leaves, TaskList rest, unsigned long long* node_tests) {
+                        TaskList leaves, TaskList rest, Counter* node_tests) {
   using Sweep = typename SweepOf<Bodies>::type;
   __shared__ alignas(16) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
   __shared__ WarpBuffer<Task> buffers[kWarpsPerBlock];
@@ -56,7 +56,7 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
   auto& shared = reinterpret_cast<GroupShared<Sweep>*>(memory)[threadIdx.x / kBlockWidth];
   Group group;
   WarpBuffer<Task>& buffer = buffers[threadIdx.x / kWarp];
-  const auto put_leaf = [&](uint32_t at, const Task& leaf) { leaves.put(at, leaf); };
+  const auto put_leaf = [&](Counter at, const Task& leaf) { leaves.put(at, leaf); };
   int waiting = 0;
   uint32_t splits = 0;
   for (;;) {
@@ -91,7 +91,7 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       } else {
         const SplitPair split = tree.split(nodes);
         for (int k = 1; k <= tree.sweep().segment_count && !meets; ++k) {
-          meets = tree.clearance(split, tree.other_node(split, k), k, slot) <= 0.0f;
+          meets = may_meet(tree.clearance(split, tree.other_node(split, k), k, slot));
         }
         child.nodes = split.child(slot);
         is_leaf = meets && tree.is_leaf_pair(child.nodes);
@@ -113,8 +113,8 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
     if (__ballot_sync(kAllLanes, hands_back) == 0) continue;
     if (hands_back) {
       const unsigned members = 0xffu << shift;
-      uint32_t first = 0;
-      if (slot == 0) first = atomicAdd(rest.count, static_cast<uint32_t>(group.size));
+      Counter first = 0;
+      if (slot == 0) first = atomicAdd(rest.count, static_cast<Counter>(group.size));
       first = __shfl_sync(members, first, shift);
       __syncwarp(members);
       for (int k = slot; k < group.size; k += kBlockWidth) rest.put(first + k, {group.pair, shared.stack[k]});
@@ -124,14 +124,13 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
   }
   buffer.flush(waiting, lane, leaves.count, put_leaf);
   for (int step = kWarp / 2; step > 0; step /= 2) splits += __shfl_down_sync(kAllLanes, splits, step);
-  if (lane == 0 && splits > 0) atomicAdd(node_tests, static_cast<unsigned long long>(splits) * kBlockWidth);
+  if (lane == 0 && splits > 0) atomicAdd(node_tests, static_cast<Counter>(splits) * kBlockWidth);
 }
 
 // The first tasks: the roots of every body pair.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
-    descend_from_roots(Pairs<Bodies> pairs, uint32_t* next, TaskList leaves, TaskList rest,
-                       unsigned long long* node_tests) {
+    descend_from_roots(Pairs<Bodies> pairs, uint32_t* next, TaskList leaves, TaskList rest, Counter* node_tests) {
   const uint32_t count = pairs.count();
   // A quarter more than its part: who is late leaves some to others.
   const WorkQueue queue{next, count, count / gridDim.x + count / (4 * gridDim.x) + 1};
@@ -141,8 +140,8 @@ __global__ void __launch_bounds__(kBlockThreads)
 
 // What earlier launches left.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads) descend_further(Pairs<Bodies> pairs, int launch, TaskHandover rest,
-                                                                 TaskList leaves, unsigned long long* node_tests) {
+__global__ void __launch_bounds__(kBlockThreads)
+    descend_further(Pairs<Bodies> pairs, int launch, TaskHandover rest, TaskList leaves, Counter* node_tests) {
   rest.prepare_next();
   const TaskList from = rest.from;
   const WorkQueue queue{rest.taken, from.size(), kNoItem};
@@ -152,12 +151,12 @@ __global__ void __launch_bounds__(kBlockThreads) descend_further(Pairs<Bodies> p
 // Follows the deepest overlap of each body pair down to one pair of leaves.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
-    descend_greedily(Pairs<Bodies> pairs, TaskList leaves, unsigned long long* node_tests) {
+    descend_greedily(Pairs<Bodies> pairs, TaskList leaves, Counter* node_tests) {
   const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   if (pair >= pairs.count()) return;
   const PairTree<Bodies> tree = pairs.tree(static_cast<int32_t>(pair));
   NodePair nodes{0, 0};
-  unsigned long long tests = 0;
+  Counter tests = 0;
   bool reached = !tree.sweep().is_one_body();
   while (reached && !tree.is_leaf_pair(nodes)) {
     const SplitPair split = tree.split(nodes);

@@ -79,7 +79,7 @@ struct CandidateBuffers {
 
 class CandidateWriter {
   __device__ auto put(bool is_edge_edge) const {
-    return [out = out_, is_edge_edge](uint32_t at, const Candidate& c) { out.put(is_edge_edge, at, c); };
+    return [out = out_, is_edge_edge](Counter at, const Candidate& c) { out.put(is_edge_edge, at, c); };
   }
 
  public:

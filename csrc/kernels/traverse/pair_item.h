@@ -28,6 +28,9 @@ struct SplitPair {
 constexpr int kPairsInBlock = kBlockWidth * (kBlockWidth - 1) / 2;
 PGCCD_HD SplitPair with_siblings(int32_t block, int slot) { return {block, block * kBlockWidth + slot, false}; }
 
+// What the clearance of two nodes says; keeps them if it is not a number.
+PGCCD_HD bool may_meet(float clearance) { return !(clearance > 0.0f); }
+
 // Poses at all segment boundaries of a pair are kept by the caller: segment_count + 1 of them.
 template <class Bodies>
 class PairTree {
@@ -66,7 +69,7 @@ class PairTree {
     for (int k = 1; k <= sweep_.segment_count; ++k) {
       float clearance[kBlockWidth];
       clearances(split, k, clearance);
-      for (int slot = 0; slot < kBlockWidth; ++slot) mask |= clearance[slot] <= 0.0f ? 1u << slot : 0u;
+      for (int slot = 0; slot < kBlockWidth; ++slot) mask |= may_meet(clearance[slot]) ? 1u << slot : 0u;
     }
     return mask;
   }
@@ -101,7 +104,8 @@ class PairTree {
   }
 
   // Not positive if a child and the other node may meet over segment k: squared distance of the spheres less their
-  // squared reach, at the nearest moment, unless the slab of one keeps the other's sphere out. NaN for an empty slot.
+  // squared reach, at the nearest moment, unless the slab of one keeps the other's sphere out. Positive for an empty
+  // slot, the only one whose radius is not a number.
   PGCCD_HD float clearance(const SplitPair& split, const OtherNode& other, int k, int slot) const {
     const int side = split.first_is_split ? 0 : 1;
     const NodeBlock& b = sweep_.block(bodies_, side, split.block);
@@ -113,7 +117,7 @@ class PairTree {
     const bool apart = slab_separates(other.slab, start, end, radius + sweep_.inflation) |
                        slab_separates(turning_slab(side, b, slot, k), -start, -end, other.radius + sweep_.inflation);
     const float reach = (radius + other.radius) + sweep_.inflation;
-    return apart ? 1.0f : norm_squared(nearest_offset(start, end)) - reach * reach;
+    return apart | (b.radius[slot] != b.radius[slot]) ? 1.0f : norm_squared(nearest_offset(start, end)) - reach * reach;
   }
 
   // Centre over segment k, and local radius.

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "kernels/traverse/task_queue.cuh"
+#include "kernels/traverse/traverse_room.h"
 
 namespace pgccd {
 
@@ -11,28 +12,34 @@ constexpr int kRoundsWithin = 8;
 
 // The rows of the body pairs that are a body and itself, and the blocks of their hierarchies one after the other.
 struct PairsWithin {
-  unsigned long long* reserved;  // the number of rows in the upper half, of blocks in the lower
-  uint32_t* begin;               // (rows) first of its blocks
-  int32_t* pair;                 // (rows)
+  Counter* reserved;  // the number of rows in the upper half, of blocks in the lower
+  Counter* blocks;    // all of them: the lower half may not hold them
+  uint32_t* begin;    // (rows) first of its blocks
+  int32_t* pair;      // (rows)
+  int64_t most;       // rows there is room for
 
   template <class Bodies>
   __device__ void add_if_one_body(const Bodies& bodies, const typename SweepOf<Bodies>::type& sweep,
                                   int32_t row) const {
     if constexpr (SweepOf<Bodies>::type::may_be_one_body) {
       if (!sweep.is_one_body()) return;
-      const int32_t blocks = PairTree<Bodies>(bodies, sweep, nullptr).block_count();
-      const unsigned long long at = atomicAdd(reserved, (1ull << 32) | static_cast<uint32_t>(blocks));
-      begin[at >> 32] = static_cast<uint32_t>(at);
-      pair[at >> 32] = row;
+      const int32_t count = PairTree<Bodies>(bodies, sweep, nullptr).block_count();
+      atomicAdd(this->blocks, static_cast<Counter>(count));
+      const Counter at = atomicAdd(reserved, (Counter{1} << 32) + static_cast<uint32_t>(count));
+      // A carry moves rows on, but then nobody looks; none of them is past the last row given.
+      const Counter place = at >> 32;
+      if (!has_place(place, most)) return;
+      begin[place] = static_cast<uint32_t>(at);
+      pair[place] = row;
     }
   }
 };
 
 // One warp a block.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads) start_within(Pairs<Bodies> pairs, PairsWithin within, TaskList leaves,
-                                                              TaskList rest, unsigned long long* node_tests) {
-  if (pairs.count() == 0) return;
+__global__ void __launch_bounds__(kBlockThreads)
+    start_within(Pairs<Bodies> pairs, PairsWithin within, TaskList leaves, TaskList rest, Counter* node_tests) {
+  if (pairs.count() == 0 || !fits(*within.blocks, kMostBlocksWithin)) return;
   const uint32_t row_count = static_cast<uint32_t>(*within.reserved >> 32);
   const uint32_t block_count = static_cast<uint32_t>(*within.reserved);
   const uint32_t warps = gridDim.x * kWarpsPerBlock;
@@ -54,7 +61,7 @@ __global__ void __launch_bounds__(kBlockThreads) start_within(Pairs<Bodies> pair
       const SplitPair siblings = with_siblings(block, slot);
       bool meets = false;
       for (int k = 1; k <= tree.sweep().segment_count && !meets; ++k) {
-        meets = tree.clearance(siblings, tree.other_node(siblings, k), k, other) <= 0.0f;
+        meets = may_meet(tree.clearance(siblings, tree.other_node(siblings, k), k, other));
       }
       const Task task{pair, siblings.child(other)};
       const bool is_leaf = meets && tree.is_leaf_pair(task.nodes);
@@ -65,7 +72,7 @@ __global__ void __launch_bounds__(kBlockThreads) start_within(Pairs<Bodies> pair
     if (lane < kBlockWidth && tree.is_leaf(0, node)) leaves.put(warp_append(leaves.count, 1), {pair, {node, node}});
     ++visited;
   }
-  if (lane == 0 && visited > 0) atomicAdd(node_tests, static_cast<unsigned long long>(visited) * kPairsInBlock);
+  if (lane == 0 && visited > 0) atomicAdd(node_tests, static_cast<Counter>(visited) * kPairsInBlock);
 }
 
 }  // namespace pgccd

@@ -39,10 +39,16 @@ struct Corners {
 
 namespace sweep_detail {
 
+// Scales that float holds, and their inverses. Of smaller pairs everything lies within the rounding that is allowed for
+// in the local frame, so that nothing of them is dropped. Of pairs so far apart that the scale is smaller, the bodies
+// themselves vanish in the local frame (their radii are 1e30 at most), and slabs are left out.
+constexpr double kSmallestSize = 0x1p-126;
+constexpr double kSmallestScale = 0x1p-126;
+
 PGCCD_HD double local_scale(const BodyCentres& centres, int64_t i, int64_t j, const RelativeCentre& centre) {
   const double size =
       2.0 * ((centres.radius[i] + centres.radius[j]) + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)));
-  return inverse_power_of_two(size);
+  return inverse_power_of_two(larger(size, kSmallestSize));
 }
 
 PGCCD_HD double kept_distance(const BodyCentres& centres, int64_t i, int64_t j, const SweepSettings& settings) {
@@ -78,13 +84,13 @@ struct PairFrame {
   int64_t first_face[2], first_block[2];  // rows of the bodies' meshes in the mesh set
   double scale;                           // a power of two
   double horizon;
-  float local_scale, inverse_scale;  // the same in float, and 1 / scale
+  float local_scale, inverse_scale;  // the same in float, perhaps 0; and 1 / scale, or 0 beyond the range of float
 
   template <class Bodies>
   PGCCD_HD PairFrame(const Bodies& bodies, int64_t i, int64_t j, double until) : body{i, j}, horizon(until) {
     scale = sweep_detail::local_scale(bodies.centres, i, j, relative_centre(bodies.centres, i, j));
     local_scale = static_cast<float>(scale);
-    inverse_scale = static_cast<float>(1.0 / scale);
+    inverse_scale = scale < sweep_detail::kSmallestScale ? 0.0f : static_cast<float>(1.0 / scale);
     for (int side = 0; side < 2; ++side) {
       const MeshOffsets& offsets = bodies.meshes.offsets[bodies.mesh_index[body[side]]];
       first_face[side] = offsets.face;

@@ -17,12 +17,12 @@ struct Task {
 template <class T>
 struct DeviceList {
   T* items;
-  uint32_t* count;
+  Counter* count;
   uint32_t capacity;
 
-  __device__ uint32_t size() const { return *count < capacity ? *count : capacity; }
-  __device__ void put(uint32_t at, const T& item) const {
-    if (at < capacity) items[at] = item;
+  __device__ uint32_t size() const { return fits(*count, capacity) ? static_cast<uint32_t>(*count) : capacity; }
+  __device__ void put(Counter at, const T& item) const {
+    if (has_place(at, capacity)) items[at] = item;
   }
 };
 
@@ -32,8 +32,10 @@ using TaskList = DeviceList<Task>;
 // one is read, one is written, and one is made ready for the launch to come; likewise how many are taken.
 struct TaskHandover {
   TaskList from, to;
-  uint32_t *taken, *next_count, *next_taken;
-  uint32_t* most;  // tasks ever handed over at once
+  uint32_t* taken;
+  Counter* next_count;
+  uint32_t* next_taken;
+  Counter* most;  // tasks ever handed over at once
 
   __device__ void prepare_next() const {
     if (blockIdx.x != 0 || threadIdx.x != 0) return;
@@ -47,13 +49,13 @@ struct TaskHandover {
 // list from its start, vertex-face pairs from its end.
 struct CandidateSink {
   Candidate* items;
-  uint32_t* edge_edge_count;
-  uint32_t* vertex_face_count;
+  Counter* edge_edge_count;
+  Counter* vertex_face_count;
   uint32_t capacity;
 
   // The ends may write over each other where there is no room; the counts then tell.
-  __device__ void put(bool is_edge_edge, uint32_t at, const Candidate& candidate) const {
-    if (at < capacity) items[is_edge_edge ? at : capacity - 1 - at] = candidate;
+  __device__ void put(bool is_edge_edge, Counter at, const Candidate& candidate) const {
+    if (has_place(at, capacity)) items[is_edge_edge ? at : capacity - 1 - at] = candidate;
   }
 };
 
@@ -65,19 +67,24 @@ struct Pairs {
   const Sweep* sweeps;
   const LocalPose* poses;
   const uint32_t* pose_begin;
-  const int64_t* given_count;  // on the device, as the next
-  const uint32_t* pose_count;
+  const int64_t* given_count;  // on the device
+  int64_t most;                // rows given; no more are counted
+  const Counter* pose_count;   // on the device, as the next
+  const Counter* unsound;
   uint32_t pose_capacity;
 
-  // None where poses did not fit: all is repeated with more room anyway.
-  __device__ uint32_t count() const { return *pose_count <= pose_capacity ? static_cast<uint32_t>(*given_count) : 0u; }
+  // None where poses did not fit: all is repeated with more room anyway. None where a row names what is not there.
+  __device__ uint32_t count() const {
+    if (!fits(*pose_count, pose_capacity) || *unsound != 0) return 0;
+    return static_cast<uint32_t>(smaller(larger<int64_t>(*given_count, 0), most));
+  }
   __device__ PairTree<Bodies> tree(int32_t pair) const { return {bodies, sweeps[pair], poses + pose_begin[pair]}; }
 };
 
 // One atomic for all lanes whose bit is set; returns the position of the first.
-__device__ inline uint32_t reserve(uint32_t* count, uint32_t wanted, int lane) {
-  uint32_t first = 0;
-  if (lane == 0 && wanted != 0) first = atomicAdd(count, wanted);
+__device__ inline Counter reserve(Counter* count, uint32_t wanted, int lane) {
+  Counter first = 0;
+  if (lane == 0 && wanted != 0) first = atomicAdd(count, static_cast<Counter>(wanted));
   return __shfl_sync(kAllLanes, first, 0);
 }
 
@@ -91,16 +98,16 @@ struct WarpBuffer {
   // Adds the items of the lanes in `lanes`, of which this lane may be one. Returns how many wait now; `put` and
   // `reserve` are those of the list.
   template <class Put>
-  __device__ int add(int waiting, uint32_t lanes, const T& item, int lane, uint32_t* count, Put&& put) {
+  __device__ int add(int waiting, uint32_t lanes, const T& item, int lane, Counter* count, Put&& put) {
     if (lanes >> lane & 1u) items[waiting + __popc(lanes & lanes_below(lane))] = item;
     waiting += __popc(lanes);
     return waiting >= kFlushAt ? flush(waiting, lane, count, put) : waiting;
   }
   template <class Put>
-  __device__ int flush(int waiting, int lane, uint32_t* count, Put&& put) {
+  __device__ int flush(int waiting, int lane, Counter* count, Put&& put) {
     if (waiting == 0) return 0;
     __syncwarp();
-    const uint32_t first = reserve(count, static_cast<uint32_t>(waiting), lane);
+    const Counter first = reserve(count, static_cast<uint32_t>(waiting), lane);
     for (int k = lane; k < waiting; k += kWarp) put(first + k, items[k]);
     __syncwarp();
     return 0;

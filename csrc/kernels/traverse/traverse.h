@@ -19,6 +19,12 @@ struct TraverseInput {
                  // of a body and itself
 };
 
+// Of a body pair. What is no time of the step means all of it.
+PGCCD_HD double horizon_of(const TraverseInput& input, int64_t pair) {
+  const double horizon = input.horizon != nullptr ? input.horizon[pair] : 1.0;
+  return horizon >= 0.0 && horizon <= 1.0 ? horizon : 1.0;
+}
+
 // Room for a traversal that nobody waits for.
 struct TraverseCapacity {
   int64_t poses;  // at all segment boundaries of all body pairs

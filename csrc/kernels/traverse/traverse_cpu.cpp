@@ -33,7 +33,7 @@ class PairCache {
  private:
   Sweep make_sweep(int64_t pair) const {
     return Sweep(bodies_, input_.pairs[2 * pair], input_.pairs[2 * pair + 1], input_.settings,
-                 input_.horizon ? input_.horizon[pair] : 1.0);
+                 horizon_of(input_, pair));
   }
 
   const Bodies& bodies_;
@@ -209,6 +209,14 @@ template <class Bodies>
 CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
   CandidateList list;
   if (input.pair_count == 0) return list;
+  const auto both = [&](int64_t pair, const auto& is_so) {
+    return is_so(input.pairs[2 * pair]) && is_so(input.pairs[2 * pair + 1]);
+  };
+  require_rows(executor, input.pair_count, "pairs", "name bodies that are there", [&](int64_t pair) {
+    return both(pair, [&](int64_t body) { return is_within(body, bodies.centres.count); });
+  });
+  require_rows(executor, input.pair_count, "pairs", "name bodies of which meshes, vertices and node blocks are there",
+               [&](int64_t pair) { return both(pair, [&](int64_t body) { return is_sound(bodies, body); }); });
   const std::vector<Task> tasks = make_tasks(bodies, input, executor.worker_count(), list.node_tests);
   const int64_t count = static_cast<int64_t>(tasks.size());
   list.parts.resize((count + kTaskGrain - 1) / kTaskGrain);

@@ -4,6 +4,7 @@
 
 #include "kernels/traverse/descend.cuh"
 #include "kernels/traverse/traverse_cuda.h"
+#include "kernels/traverse/traverse_room.h"
 #include "kernels/traverse/visit_leaves.cuh"
 
 namespace pgccd {
@@ -17,50 +18,24 @@ constexpr int kWaves = 4;
 // two orders of magnitude with each, until the device is full.
 constexpr int kLaunchesPerBatch = 4;
 
-struct Counters {
-  uint32_t rest[3], taken[3];  // tasks handed back, and taken: launches take turns, see TaskHandover
-  uint32_t most_rest;
-  uint32_t leaves;
-  uint32_t edge_edge, vertex_face;  // candidates
-  uint32_t poses;
-  unsigned long long node_tests;
-  unsigned long long within;  // see PairsWithin
-};
+constexpr const char* kUnsoundPairs =
+    "pairs: a row names a body that is not there; or the body a mesh, vertices or node blocks that are not there";
+constexpr const char* kTooMuchForOneCall = "pairs: need more than 2^31 rows on the way; give fewer in one call";
 
 // Of bodies that may be tested against themselves.
 int64_t deforming_vertices(const RigidBodies&) { return 0; }
 int64_t deforming_vertices(const DeformingBodies& bodies) { return bodies.vertex_count; }
 
-PGCCD_HD int64_t candidates_of(const Counters& seen) { return int64_t{seen.edge_edge} + seen.vertex_face; }
-
-uint32_t bounded(int64_t count) { return static_cast<uint32_t>(smaller<int64_t>(count, 0xfffffff0)); }
-
-struct Capacity {
-  uint32_t poses, tasks, leaves, candidates;
-
-  static uint32_t grown(uint32_t needed, uint32_t capacity) {
-    return needed <= capacity ? capacity : bounded(needed + int64_t{needed} / 4);
-  }
-  // What the standard scene needs, twice over; and bodies that are tested against themselves, up to a size: each vertex
-  // of folded cloth stands for some ten pairs of leaves, and as many candidates.
-  static Capacity guess(const TraverseInput& input, int64_t vertex_count) {
-    const auto sum = [&](int64_t each_pair, int64_t each_vertex = 0) {
-      return bounded(each_pair * input.pair_count + 65536 +
-                     smaller<int64_t>(each_vertex * vertex_count, int64_t{1} << 22));
-    };
-    if (input.leading) return {sum(3), sum(1), sum(1), sum(4)};
-    return {sum(3), sum(1, 4), sum(16, 16), sum(12, 24)};
-  }
-  PGCCD_HD bool holds(const Counters& seen) const {
-    return seen.poses <= poses && seen.most_rest <= tasks && seen.leaves <= leaves && candidates_of(seen) <= candidates;
-  }
-  void grow(const Counters& seen) {
-    poses = grown(seen.poses, poses);
-    tasks = grown(seen.most_rest, tasks);
-    leaves = grown(seen.leaves, leaves);
-    candidates = grown(bounded(candidates_of(seen)), candidates);
-  }
-};
+// What the standard scene needs, twice over; and bodies that are tested against themselves, up to a size: each vertex
+// of folded cloth stands for some ten pairs of leaves, and as many candidates.
+TraverseRoom guess_room(const TraverseInput& input, int64_t vertex_count) {
+  const auto sum = [&](int64_t each_pair, int64_t each_vertex = 0) {
+    return rows_of(each_pair * input.pair_count + 65536 +
+                   smaller<int64_t>(each_vertex * vertex_count, int64_t{1} << 22));
+  };
+  if (input.leading) return {sum(3), sum(1), sum(1), sum(4)};
+  return {sum(3), sum(1, 4), sum(16, 16), sum(12, 24)};
+}
 
 // All public: device lambdas may not be made in private members.
 template <class Bodies>
@@ -69,16 +44,19 @@ struct Traversal {
 
   // `count`: of the pairs, on the device; null if that is all of the input's.
   Traversal(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input, const int64_t* count)
-      : context_(context), bodies_(bodies), input_(input), counters_(context.allocate<Counters>(1)) {
+      : context_(context), bodies_(bodies), input_(input), counters_(context.allocate<TraverseCounters>(1)) {
     pairs_ = {bodies,
               context.allocate<Sweep>(input.pair_count),
               nullptr,
               context.allocate<uint32_t>(input.pair_count),
               count != nullptr ? count : count_on_device(),
+              input.pair_count,
               &counters_->poses,
+              &counters_->unsound,
               0};
     const int64_t most_within = Sweep::may_be_one_body ? input.pair_count : 0;
-    within_ = {&counters_->within, context.allocate<uint32_t>(most_within), context.allocate<int32_t>(most_within)};
+    within_ = {&counters_->within, &counters_->blocks_within, context.allocate<uint32_t>(most_within),
+               context.allocate<int32_t>(most_within), most_within};
   }
 
   int64_t* count_on_device() {
@@ -89,20 +67,22 @@ struct Traversal {
   }
 
   // Until everything fits: overflow is counted, never dropped.
-  Counters run(CandidateSink& out) {
-    Capacity capacity = Capacity::guess(input_, deforming_vertices(bodies_));
+  TraverseCounters run(CandidateSink& out) {
+    TraverseRoom capacity = guess_room(input_, deforming_vertices(bodies_));
     for (;;) {
       const TaskList leaves = start(capacity, out);
-      Counters seen = input_.leading ? lead(leaves, out) : descend_all(leaves, out);
+      const TraverseCounters seen = input_.leading ? lead(leaves, out) : descend_all(leaves, out);
+      if (seen.unsound != 0) throw std::runtime_error(kUnsoundPairs);
       if (capacity.holds(seen)) return seen;
+      if (!capacity.can_grow(seen)) throw std::runtime_error(kTooMuchForOneCall);
       capacity.grow(seen);
     }
   }
 
   // Without waiting.
   CandidateSpan run_within(const TraverseCapacity& given, int64_t* counts) {
-    const Capacity capacity{bounded(larger<int64_t>(given.poses, kMaxSegments + 1)), bounded(given.tasks),
-                            bounded(given.leaf_pairs), bounded(given.candidates)};
+    const TraverseRoom capacity{rows_of(larger<int64_t>(given.poses, kMaxSegments + 1)), rows_of(given.tasks),
+                                rows_of(given.leaf_pairs), rows_of(given.candidates)};
     CandidateSink out;
     const TaskList leaves = start(capacity, out);
     descend_roots(leaves);
@@ -110,23 +90,16 @@ struct Traversal {
       descend_rest(launch, launch == given.launches ? kLastLaunch : launch, leaves);
     }
     visit(leaves, 0, out);
-    const Counters* seen = counters_;
+    const TraverseCounters* seen = counters_;
     const int last = static_cast<int>(given.launches % 3);
     for_each_item(context_, 1, [=] __device__(int64_t) {
-      counts[kPosesNeeded] = seen->poses;
-      counts[kTasksNeeded] = larger(seen->most_rest, seen->rest[last]);
-      counts[kLeafPairsNeeded] = seen->leaves;
-      counts[kCandidatesNeeded] = candidates_of(*seen);
-      counts[kTasksLeft] = seen->rest[last];
-      counts[kNodeTests] = static_cast<int64_t>(seen->node_tests);
-      counts[kTraverseOverflow] =
-          counts[kTasksLeft] != 0 || counts[kTasksNeeded] > capacity.tasks || !capacity.holds(*seen);
+      store_traverse_counts(*seen, capacity, last, counts);
       counts[kTraverseEnded] = nanoseconds();
     });
     return {out.items, capacity.candidates, out.edge_edge_count, out.vertex_face_count};
   }
 
-  TaskList start(const Capacity& capacity, CandidateSink& out) {
+  TaskList start(const TraverseRoom& capacity, CandidateSink& out) {
     fill_bytes(context_, counters_, 0, 1);
     out = {context_.allocate<Candidate>(capacity.candidates), &counters_->edge_edge, &counters_->vertex_face,
            capacity.candidates};
@@ -140,7 +113,7 @@ struct Traversal {
   void place_pairs(uint32_t capacity) {
     const Bodies bodies = bodies_;
     const TraverseInput input = input_;
-    Counters* counters = counters_;
+    TraverseCounters* counters = counters_;
     const PairsWithin within = within_;
     auto* sweeps = const_cast<Sweep*>(pairs_.sweeps);
     auto* pose_begin = const_cast<uint32_t*>(pairs_.pose_begin);
@@ -148,10 +121,15 @@ struct Traversal {
     pairs_.poses = poses;
     pairs_.pose_capacity = capacity;
     for_each_counted(context_, pairs_.given_count, input.pair_count, [=] __device__(int64_t pair) {
-      const double horizon = input.horizon ? input.horizon[pair] : 1.0;
-      const Sweep sweep(bodies, input.pairs[2 * pair], input.pairs[2 * pair + 1], input.settings, horizon);
-      uint32_t begin = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
-      if (begin + sweep.segment_count >= capacity) begin = 0;  // somebody else's: nobody will look
+      const int64_t i = input.pairs[2 * pair], j = input.pairs[2 * pair + 1];
+      if (!is_sound(bodies, i) || !is_sound(bodies, j)) {
+        counters->unsound = 1;  // then there are no pairs at all
+        return;
+      }
+      const Sweep sweep(bodies, i, j, input.settings, horizon_of(input, pair));
+      const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
+      // Where they do not fit they are written over others: nobody will look.
+      const uint32_t begin = has_place(place + sweep.segment_count, capacity) ? static_cast<uint32_t>(place) : 0u;
       for (int k = 0; k <= sweep.segment_count; ++k) store_words(sweep.pose(bodies, k), poses[begin + k]);
       store_words(sweep, sweeps[pair]);
       within.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
@@ -159,7 +137,7 @@ struct Traversal {
     });
   }
 
-  Counters lead(TaskList leaves, CandidateSink out) {
+  TraverseCounters lead(TaskList leaves, CandidateSink out) {
     const int64_t blocks = (input_.pair_count + kBlockThreads - 1) / kBlockThreads;
     descend_greedily<Bodies>
         <<<static_cast<unsigned>(blocks), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, &counters_->node_tests);
@@ -168,7 +146,7 @@ struct Traversal {
     return read(context_, counters_);
   }
 
-  Counters descend_all(TaskList leaves, CandidateSink out) {
+  TraverseCounters descend_all(TaskList leaves, CandidateSink out) {
     descend_roots(leaves);
     uint32_t visited = 0;
     for (int launch = 0;;) {
@@ -178,11 +156,17 @@ struct Traversal {
       }
       // Leaves are visited at once in the hope that none are to come.
       visit(leaves, visited, out);
-      const Counters seen = read(context_, counters_);
-      const uint32_t left = seen.rest[launch % 3];
-      if (left == 0 || larger(seen.most_rest, left) > task_capacity_) return seen;
-      visited = smaller(seen.leaves, leaves.capacity);
+      const TraverseCounters seen = read(context_, counters_);
+      const Counter left = seen.rest[launch % 3];
+      if (left == 0 || !fits(larger(seen.most_rest, left), task_capacity_)) return with_rest(seen, left);
+      visited = static_cast<uint32_t>(smaller<Counter>(seen.leaves, leaves.capacity));
     }
+  }
+
+  // Tasks that did not fit when the last launch ended count too.
+  static TraverseCounters with_rest(TraverseCounters seen, Counter left) {
+    seen.most_rest = larger(seen.most_rest, left);
+    return seen;
   }
 
   // What the launch leaves.
@@ -220,7 +204,7 @@ struct Traversal {
   const DeviceContext& context_;
   const Bodies& bodies_;
   const TraverseInput& input_;
-  Counters* counters_;
+  TraverseCounters* counters_;
   Pairs<Bodies> pairs_;
   PairsWithin within_;
   Task* tasks_[2] = {};
@@ -238,10 +222,11 @@ void traverse_cuda(const DeviceContext& context, const Bodies& bodies, const Tra
     return;
   }
   CandidateSink found;
-  const Counters seen = Traversal<Bodies>(context, bodies, input, nullptr).run(found);
-  Candidate* out = make_output(candidates_of(seen));
-  copy(context, found.items, seen.edge_edge, out);
-  copy(context, found.items + found.capacity - seen.vertex_face, seen.vertex_face, out + seen.edge_edge);
+  const TraverseCounters seen = Traversal<Bodies>(context, bodies, input, nullptr).run(found);
+  const auto edge_edge = static_cast<int64_t>(seen.edge_edge), vertex_face = static_cast<int64_t>(seen.vertex_face);
+  Candidate* out = make_output(edge_edge + vertex_face);
+  copy(context, found.items, edge_edge, out);
+  copy(context, found.items + found.capacity - vertex_face, vertex_face, out + edge_edge);
   const int64_t tests = static_cast<int64_t>(seen.node_tests);
   for_each_item(context, 1, [=] __device__(int64_t) { *node_tests = tests; });
 }

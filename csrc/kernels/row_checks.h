@@ -1,0 +1,34 @@
+// Rows that name other rows: are those there? What operators are given is looked at before anything is read by it.
+#pragma once
+
+#include "core/bodies.h"
+#include "core/candidate.h"
+
+namespace pgccd {
+
+struct NamedPairs {
+  const int64_t* pairs;  // (count, 2) bodies
+  int64_t count;
+};
+
+// Does a candidate name a pair, a kind, and features of the pair's bodies?
+template <class Bodies>
+PGCCD_HD bool names_features(const Bodies& bodies, const NamedPairs& pairs, const Candidate& candidate) {
+  if (!is_within(candidate.pair, pairs.count)) return false;
+  const auto kind = static_cast<FeatureKind>(candidate.kind);
+  const bool is_known =
+      kind == FeatureKind::kVertexFace || kind == FeatureKind::kFaceVertex || kind == FeatureKind::kEdgeEdge;
+  if (!is_known) return false;
+  for (int side = 0; side < 2; ++side) {
+    const int64_t body = pairs.pairs[2 * int64_t{candidate.pair} + side];
+    if (!is_sound(bodies, body)) return false;
+    const MeshOffsets* rows = bodies.meshes.offsets + bodies.mesh_index[body];
+    const bool is_vertex = kind == (side == 0 ? FeatureKind::kVertexFace : FeatureKind::kFaceVertex);
+    const int64_t faces_or_vertices = is_vertex ? rows[1].vertex - rows[0].vertex : rows[1].face - rows[0].face;
+    const int64_t count = kind == FeatureKind::kEdgeEdge ? rows[1].edge - rows[0].edge : faces_or_vertices;
+    if (!is_within(side == 0 ? candidate.feature_i : candidate.feature_j, count)) return false;
+  }
+  return true;
+}
+
+}  // namespace pgccd

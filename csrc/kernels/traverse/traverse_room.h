@@ -1,0 +1,68 @@
+// What a traversal counts on a device, and the room it has. Whether all fitted is decided here, by the counts alone.
+#pragma once
+
+#include "core/counter.h"
+#include "core/scalar.h"
+#include "kernels/traverse/traverse.h"
+
+namespace pgccd {
+
+struct TraverseCounters {
+  Counter rest[3];  // tasks handed back: launches take turns, see TaskHandover
+  Counter most_rest;
+  Counter leaves;
+  Counter edge_edge, vertex_face;  // candidates
+  Counter poses;
+  Counter node_tests;
+  Counter within;         // see PairsWithin
+  Counter blocks_within;  // of all of these pairs
+  Counter unsound;        // rows that name bodies, or bodies that name meshes, that are not there
+  uint32_t taken[3];      // tasks, of those that fitted
+};
+
+PGCCD_HD Counter candidates_of(const TraverseCounters& seen) { return seen.edge_edge + seen.vertex_face; }
+
+// Blocks of all bodies that are tested against themselves are numbered by 32 bits.
+constexpr int64_t kMostBlocksWithin = 0xffffffff;
+
+struct TraverseRoom {
+  uint32_t poses, tasks, leaves, candidates;
+
+  // Of tasks, only those that launches took over are told.
+  PGCCD_HD bool holds(const TraverseCounters& seen) const {
+    return fits(seen.poses, poses) && fits(seen.most_rest, tasks) && fits(seen.leaves, leaves) &&
+           fits(candidates_of(seen), candidates) && fits(seen.blocks_within, kMostBlocksWithin);
+  }
+
+  // Can more room help?
+  bool can_grow(const TraverseCounters& seen) const {
+    return fits(seen.poses, kMostRows) && fits(seen.most_rest, kMostRows) && fits(seen.leaves, kMostRows) &&
+           fits(candidates_of(seen), kMostRows) && fits(seen.blocks_within, kMostBlocksWithin);
+  }
+  void grow(const TraverseCounters& seen) {
+    poses = grown(seen.poses, poses);
+    tasks = grown(seen.most_rest, tasks);
+    leaves = grown(seen.leaves, leaves);
+    candidates = grown(candidates_of(seen), candidates);
+  }
+
+ private:
+  static uint32_t grown(Counter needed, uint32_t capacity) {
+    if (fits(needed, capacity)) return capacity;
+    return rows_of(fits(needed, kMostRows) ? static_cast<int64_t>(needed + needed / 4) : kMostRows);
+  }
+};
+
+// To the counts (kTraverseCounts) but for times; `last`: which of `rest` the last launch left.
+PGCCD_HD void store_traverse_counts(const TraverseCounters& seen, const TraverseRoom& room, int last, int64_t* counts) {
+  const Counter left = seen.rest[last];
+  counts[kPosesNeeded] = static_cast<int64_t>(seen.poses);
+  counts[kTasksNeeded] = static_cast<int64_t>(larger(seen.most_rest, left));
+  counts[kLeafPairsNeeded] = static_cast<int64_t>(seen.leaves);
+  counts[kCandidatesNeeded] = static_cast<int64_t>(candidates_of(seen));
+  counts[kTasksLeft] = static_cast<int64_t>(left);
+  counts[kNodeTests] = static_cast<int64_t>(seen.node_tests);
+  counts[kTraverseOverflow] = left != 0 || !room.holds(seen) || seen.unsound != 0 ? 1 : 0;
+}
+
+}  // namespace pgccd

@@ -1,0 +1,114 @@
+"""Counts of a device's lists beyond 32 bits never look like counts that fit."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.shapes import bumpy, tensors, unit_quaternions
+
+import pgccd
+
+CSRC = Path(__file__).resolve().parents[1] / "csrc"
+
+# What decides on a device whether lists were long enough, as compiled for the host.
+PROGRAM = """
+#include <cstdio>
+#include <cstdlib>
+#include "core/candidate.h"
+#include "kernels/traverse/traverse_room.h"
+
+using namespace pgccd;
+
+#define EXPECT(what) if (!(what)) { std::printf("line %d: %s\\n", __LINE__, #what); failed = 1; }
+
+int main() {
+  int failed = 0;
+  const long long most = 0xffffffffll;
+  Counter TraverseCounters::* lists[] = {&TraverseCounters::poses, &TraverseCounters::most_rest,
+                                         &TraverseCounters::leaves, &TraverseCounters::edge_edge,
+                                         &TraverseCounters::vertex_face, &TraverseCounters::blocks_within};
+  for (auto list : lists) {
+    TraverseCounters seen{};
+    TraverseRoom room{1000, 1000, 1000, 1000};
+    const bool is_blocks = list == &TraverseCounters::blocks_within;
+    seen.*list = is_blocks ? most : 1000;
+    EXPECT(room.holds(seen) && room.can_grow(seen));
+    // As warps add to it: past 2^32, where 32 bits begin again.
+    seen.*list = most - 31;
+    for (int warp = 0; warp < 4; ++warp) {
+      const Counter place = seen.*list;
+      seen.*list += 32;
+      EXPECT(!has_place(place, 1000) && !has_place(place, kMostRows));
+    }
+    EXPECT(seen.*list == static_cast<Counter>(most) + 97);
+    EXPECT(!room.holds(seen) && !room.can_grow(seen));
+    room.grow(seen);
+    EXPECT(!room.holds(seen));
+    int64_t counts[kTraverseCounts] = {};
+    store_traverse_counts(seen, room, 0, counts);
+    EXPECT(counts[kTraverseOverflow] == 1);
+    int64_t told = 0;
+    for (const int count : {kPosesNeeded, kTasksNeeded, kLeafPairsNeeded, kCandidatesNeeded}) told += counts[count];
+    EXPECT(is_blocks || told == most + 97);
+  }
+  // Tasks that the last launch left, and rows that name nothing.
+  const TraverseRoom room{1, 1, 1, 1};
+  for (int what = 0; what < 2; ++what) {
+    TraverseCounters seen{};
+    (what == 0 ? seen.rest[2] : seen.unsound) = Counter{1} << (32 * (1 - what));
+    int64_t counts[kTraverseCounts] = {};
+    store_traverse_counts(seen, room, 2, counts);
+    EXPECT(counts[kTraverseOverflow] == 1);
+  }
+  // Candidates from both ends, each count below 2^32.
+  const Counter front = 0x80000000u, back = 0x80000010u;
+  CandidateSpan span;
+  span.size = 1000;
+  span.front = &front;
+  span.back = &back;
+  EXPECT(span.count() == 0);
+  EXPECT(rows_of(-1) == 0 && rows_of(7) == 7 && rows_of(most + 8) == kMostRows);
+  return failed;
+}
+"""
+
+
+def test_counts_beyond_32_bits(tmp_path: Path) -> None:
+    compiler = shutil.which("c++") or shutil.which("g++")
+    if compiler is None:
+        pytest.skip("no C++ compiler")
+    source, program = tmp_path / "counters.cpp", tmp_path / "counters"
+    source.write_text(PROGRAM)
+    flags = ["-std=c++20", "-O0", "-march=x86-64-v3"]
+    subprocess.run([compiler, *flags, f"-I{CSRC}", str(source), "-o", str(program)], check=True)
+    done = subprocess.run([str(program)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.cuda
+def test_more_candidates_than_32_bits_count() -> None:
+    """A separation that keeps everything: so many feature pairs that a count of 32 bits would begin again, and end
+    below the room there is."""
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    rng = np.random.default_rng(0)
+    mesh = bumpy(rng, 3)
+    vertices, faces = mesh.vertices.shape[0], mesh.faces.shape[0]
+    edges = vertices + faces - 2
+    each = 2 * vertices * faces + edges**2  # closed meshes
+    pairs = 2**32 // each + 1
+    count = 2 * pairs
+    position = np.arange(count)[:, None] * np.array([1e-3, 0.0, 0.0])
+    pose = tensors(position, unit_quaternions(rng, count), position, unit_quaternions(rng, count), device="cuda")
+    scene = pgccd.Scene([mesh], [0] * count, "cuda")
+    given = torch.arange(count, device="cuda").reshape(-1, 2)
+    room = pgccd.Capacity(pairs=pairs, contacts=64, poses=64 * pairs, tasks=2**22, leaf_pairs=2**28, candidates=2**22)
+    found = pgccd.detect(scene, pgccd.RigidMotion(*pose, path="linear"), "any", 1e6, pairs=given, capacity=room)
+    assert bool(found.overflow)
+    with pytest.raises(pgccd.CapacityError, match="candidates"):
+        found.trim()

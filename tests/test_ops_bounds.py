@@ -1,0 +1,173 @@
+"""Operators called directly with arguments that make no sense: an error, or an answer, but never memory of others.
+
+In a process of its own, so that a crash is a failure.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+TESTS = Path(__file__).resolve().parent
+
+# Operator, argument (and element of a list), what its error names: indices that must be looked at.
+INDICES = [
+    ("refit", (1,), "mesh_index"),
+    ("refit", (4,), "vertex_begin"),
+    ("refit", (5,), "block_begin"),
+    ("traverse_rigid", (1, 0), "mesh"),
+    ("traverse_rigid", (3,), "pairs"),
+    ("traverse_deforming", (1, 0), "mesh"),
+    ("traverse_deforming", (1, 8), "vertices"),
+    ("traverse_deforming", (1, 9), "node blocks"),
+    ("traverse_deforming", (2,), "pairs"),
+    ("narrow_rigid", (1, 0), "candidates"),
+    ("narrow_rigid", (3,), "candidates"),
+    ("narrow_rigid", (4,), "candidates"),
+    ("narrow_deforming", (3,), "candidates"),
+    ("contacts_within_rigid", (1, 0), "mesh"),
+    ("contacts_within_rigid", (3,), "pairs"),
+    ("contacts_within_deforming", (1, 8), "vertices"),
+    ("contacts_within_deforming", (2,), "pairs"),
+    ("lower_first_toi_rigid", (1,), "owners"),
+    ("lower_first_toi_rigid", (5,), "pairs"),
+    ("pack_rows", (1,), "rows"),
+    ("take_rows", (2,), "rows"),
+    ("holders_of", (4,), "owner"),
+    ("holders_of", (6,), "bodies"),
+    ("owned_pairs", (0,), "pairs"),
+    ("owned_pairs", (1,), "rows"),
+    ("leaving_bodies", (2,), "owner"),
+    ("simulate_slow_down", (0,), "robots"),
+    ("simulate_first_toi", (2,), "pairs"),
+    ("simulate_concerned_motion", (4,), "pairs"),
+    ("simulate_tally", (3,), "pairs"),
+    *((name, (0, 7), "mesh_set.offsets") for name in ("refit", "traverse_rigid", "narrow_deforming")),
+]
+LENGTHS = ("sweep", "grid", "lbvh", "pairs_within", "swept_boxes", "border_bodies", "near_ghosts", "owned_pairs")
+LENGTHS += ("holders_of", "traverse_rigid", "narrow_rigid", "contacts_within_rigid", "lower_first_toi_rigid")
+LENGTHS += ("vertex_face", "edge_edge")
+PROGRAM = "import sys; sys.path.insert(0, {tests!r}); import test_ops_bounds; test_ops_bounds.{function}()"
+
+
+def calls() -> dict[str, tuple[Any, ...]]:
+    """One call of each operator, that with the most data."""
+    from test_ops import Recorder, recorded
+
+    from pgccd import ops, sim
+
+    every = recorded(torch.device("cpu"))
+    recorder = Recorder(ops.library.operators)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ops.library, "operators", recorder)
+        world = sim.World(sim.WorldConfig(robots=60))
+        scene, state = world.scene(torch.arange(60)), world.start()
+        for ahead in (True, False):
+            for index in range(3):
+                state = sim.make_step(world, scene, state, index, ahead=ahead).after
+        ops.simulate_hash([state.id, state.position])
+        ops.random_uniforms(state.id, 1, 2, 3)
+        robots = torch.arange(5)
+        ops.simulate_slow_down(robots, torch.ones(5).double(), torch.ones(5).double(), 0.5, 0.1)
+    most: dict[str, tuple[tuple[int, int], tuple[Any, ...]]] = {}
+    for name, arguments in every + recorder.calls:
+        tensors = [a for a in torch.utils._pytree.tree_leaves(arguments) if isinstance(a, torch.Tensor)]
+        size = min((t.numel() for t in tensors), default=0), sum(t.numel() for t in tensors)
+        if name not in most or size > most[name][0]:
+            most[name] = size, arguments
+    return {name: arguments for name, (_, arguments) in most.items()}
+
+
+def attempt(name: str, arguments: tuple[Any, ...]) -> str | None:
+    """The error that a call ends with. It works on copies."""
+    copies = torch.utils._pytree.tree_map_only(torch.Tensor, torch.clone, arguments)
+    sys.stderr.write(f"{name}\n")
+    try:
+        getattr(torch.ops.pgccd, name)(*copies)
+    except (RuntimeError, IndexError, TypeError, ValueError) as error:
+        return str(error)
+    return None
+
+
+def with_changed(arguments: tuple[Any, ...], at: tuple[int, ...], value: Any) -> tuple[Any, ...]:
+    changed = list(arguments)
+    if len(at) == 2:
+        changed[at[0]] = list(changed[at[0]])
+        changed[at[0]][at[1]] = value
+    else:
+        changed[at[0]] = value
+    return tuple(changed)
+
+
+def replacements(value: Any) -> Iterator[Any]:
+    """For one argument: other types, shapes, dtypes and numbers."""
+    if isinstance(value, torch.Tensor):
+        yield from (value[:0], value.reshape(-1)[:0], value.reshape(-1), value.unsqueeze(0), value[:-1])
+        yield torch.cat([value, value])
+        yield value.to(torch.float32 if value.dtype == torch.float64 else torch.float64)
+        yield torch.empty((), dtype=value.dtype)
+        if value.is_floating_point():
+            yield from (torch.full_like(value, x) for x in (torch.nan, torch.inf, -torch.inf, -1.0, 1e300))
+        else:
+            info = torch.iinfo(value.dtype)
+            yield from (torch.full_like(value, x) for x in (info.min, info.max, 2, info.max // 2, 100))
+            yield from (torch.full_like(value, x) for x in (-1, -2) if info.min < 0)
+    elif isinstance(value, bool):
+        yield not value
+    elif isinstance(value, float):
+        yield from (float("nan"), float("inf"), -1.0, -2.0, 1e300)
+    elif isinstance(value, int):
+        yield from (-1, -(2**40), 2**62)
+    elif isinstance(value, list):
+        yield from ([], value[:-1], [*value, *value[:1]])
+
+
+def change_everything() -> None:
+    """Each argument of each operator, and each element of lists."""
+    for name, arguments in calls().items():
+        for k, value in enumerate(arguments):
+            for other in replacements(value):
+                attempt(name, with_changed(arguments, (k,), other))
+            for m, element in enumerate(value if isinstance(value, list) else []):
+                # A mesh set is made by the package; of its columns shapes are looked at, and of offsets the numbers.
+                is_content = k == 0 and len(value) == 8 and m < 7
+                for other in replacements(element):
+                    is_same_shape = isinstance(other, torch.Tensor) and other.shape == element.shape
+                    if is_content and is_same_shape and other.dtype == element.dtype:
+                        continue
+                    attempt(name, with_changed(arguments, (k, m), other))
+
+
+def change_indices() -> None:
+    """Errors name the argument whose indices are out of range, or whose length is none."""
+    known = calls()
+    wrong = []
+    for name, at, named in INDICES:
+        value = known[name][at[0]] if len(at) == 1 else known[name][at[0]][at[1]]
+        assert value.numel() > 0, (name, at)
+        for number in (torch.iinfo(value.dtype).max, 2**30):
+            error = attempt(name, with_changed(known[name], at, torch.full_like(value, number)))
+            if error is None or named not in error:
+                wrong.append((name, at, number, error))
+    for name in LENGTHS:
+        schema = getattr(torch.ops.pgccd, name).default._schema.arguments
+        for k, argument in enumerate(schema):
+            if argument.name in ("min_separation", "tolerance"):
+                for number in (float("nan"), -2.0, 1e200):
+                    error = attempt(name, with_changed(known[name], (k,), number))
+                    if error is None or argument.name not in error:
+                        wrong.append((name, argument.name, number, error))
+    assert wrong == [], wrong
+
+
+@pytest.mark.parametrize("function", ["change_everything", "change_indices"])
+def test_in_a_process_of_its_own(function: str) -> None:
+    program = PROGRAM.format(tests=str(TESTS), function=function)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
