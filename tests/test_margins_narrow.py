@@ -115,6 +115,24 @@ def test_growing_features(is_face: bool) -> None:
     assert_found_at_its_own_distance(start, end, 1.0, is_face)
 
 
+@KINDS
+def test_corners_so_small_that_products_underflow(is_face: bool) -> None:
+    """Corners closer than the separation, of features whose sizes float32 holds, but not the squares of them."""
+    rng = np.random.default_rng(15)
+    n = 300_000
+    size, separation = (2.0**-74, 2.0**-74 * 0.1) if is_face else (2.0**-76, 2.0**-76)
+    way = rng.normal(size=(n, 3)) * 10.0 ** rng.uniform(-3, 0, (n, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    points = np.zeros((n, 4, 3))
+    points[:, 1 if is_face else 2] = corner = separation * (1 - 1e-7) * way
+    if is_face:
+        points[:, 2:] = corner[:, None] + size * (way[:, None] + 0.5 * rng.normal(size=(n, 2, 3)))
+    else:
+        points[:, 1] = -size * (way + 0.3 * rng.normal(size=(n, 3)))
+        points[:, 3] = corner + size * (way + 0.3 * rng.normal(size=(n, 3)))
+    assert bool((ask(points, points, is_face, separation).toi == 0.0).all())
+
+
 def four_squares(rng: np.random.Generator) -> tuple[np.ndarray, float]:
     """An integer vector of 53 bits whose length is an integer too."""
     m, n, p, q = (int(x) for x in rng.integers(2**24, 2**25, 4))
@@ -152,9 +170,10 @@ def hardly(rng: np.random.Generator, n: int, is_face: bool, border: bool) -> tup
     turn = unit_quaternions(rng, n)
     v, w = turn[:, None, 1:], turn[:, None, :1]
     flat = flat + 2 * np.cross(v, np.cross(v, flat) + w * flat)
-    # Half of them along the normal, so that what passes a border stays on it.
-    upright = turned(turn, np.tile([0.0, 0.0, 1.0], (n, 1)))[:, None]
-    travel = np.where(rng.random((n, 1, 1)) < 0.5, rng.normal(size=(n, 1, 3)), upright)
+    # Half of them along the axis that the plane is seen along, so that what passes a border stays on it.
+    normal = turned(turn, np.tile([0.0, 0.0, 1.0], (n, 1)))
+    axis = np.eye(3)[np.abs(normal).argmax(axis=1)][:, None]
+    travel = np.where(rng.random((n, 1, 1)) < 0.5, rng.normal(size=(n, 1, 3)), axis)
     moved = slice(0, 1) if is_face else slice(0, 2)
     t = rng.uniform(0.2, 0.8, (n, 1, 1)) if border else 1.0
     start, end = flat.copy(), flat.copy()
@@ -250,16 +269,14 @@ def specks(rng: np.random.Generator, n: int, turns: int, size: float) -> Meeting
     turns, it was further away by as much as the triangles are large.
     """
     frame = contacts.spindle(0.5, 1)
-    tip = np.array([[0.0, 0.0, 0.0], [1.0, 0.25, -0.5], [1.0, -0.5, 0.25]]) * size + [1.5, 0.0, 0.0]
-    flat = np.array([[0.0, -1.0, -1.0], [0.0, 2.0, -1.0], [0.0, -1.0, 2.0]]) * size + [1.5, 0.0, 0.0]
-    tip[1:, 0] = 1.5 - size
+    tip = np.array([[0.0, 0.0, 0.0], [0.25, -1.0, -0.5], [-0.5, -1.0, 0.25]]) * size + [1.5, 0.0, 0.0]
+    flat = np.array([[-1.0, 0.0, -1.0], [2.0, 0.0, -1.0], [-1.0, 0.0, 2.0]]) * size + [1.5, 0.0, 0.0]
     meshes = [
         pgccd.Mesh(np.concatenate([frame.vertices.numpy(), x]), np.concatenate([frame.faces.numpy(), [[6, 7, 8]]]))
         for x in (tip, flat)
     ]
-    normal = directions(rng, n)
-    orientation = np.array([contacts.leading(x, rng.uniform(0, 6)) for x in normal for _ in (0, 1)])
-    # The centre of the frame has moved; all else is as drawn.
+    orientation = np.repeat(unit_quaternions(rng, n), 2, axis=0)
+    normal = turned(orientation[::2], np.tile([0.0, 1.0, 0.0], (n, 1)))
     rotation = 2 * np.pi * turns * directions(rng, 2 * n) + 1e-3 * size * rng.normal(size=(2 * n, 3))
     velocity = np.zeros((n, 2, 3))
     velocity[:, 0] = size * normal
