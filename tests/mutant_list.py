@@ -428,6 +428,20 @@ _CERTIFICATES = [
         ON_NARROW,
     ),
     Mutant(
+        "difference-error-extent-zero",
+        NARROW + "certificates.h",
+        "T(2) * error.point + T(8) * T(Precision<T>::unit) * error.extent",
+        "T(2) * error.point",
+        ON_NARROW,
+    ),
+    Mutant(
+        "lengths-without-root",
+        NARROW + "certificates.h",
+        "T(1.7320509)",
+        "T(1)",
+        ON_NARROW,
+    ),
+    Mutant(
         "difference-error-1.01",
         NARROW + "certificates.h",
         "T(1.01) * difference_error(error)",
@@ -552,6 +566,13 @@ _CERTIFICATES = [
         ON_NARROW,
     ),
     Mutant(
+        "noise-zero",
+        NARROW + "advancement.h",
+        "T(4) * error.point + T(64) * unit * error.extent",
+        "T(0)",
+        ("test_narrow_elementary.py::test_tight_tolerance_is_resolved", *ON_NARROW),
+    ),
+    Mutant(
         "touch-side-rounding-zero",
         NARROW + "touching.h",
         "determinant_rounding(length, error)",
@@ -618,6 +639,33 @@ _CERTIFICATES = [
         ON_NARROW,
         equivalent="one unit of the separation: " + _SPARE,
         switched=False,
+    ),
+    Mutant(
+        "tolerance-rounded-to-nearest",
+        NARROW + "precision_ladder.h",
+        "round_down<T>(settings.tolerance)",
+        "static_cast<T>(settings.tolerance)",
+        ON_NARROW,
+        equivalent="a sixteenth of the tolerance is used, and a contact must be proven or be at the noise besides",
+        switched=False,
+    ),
+    Mutant(
+        "latest-rounded-to-nearest",
+        NARROW + "precision_ladder.h",
+        "round_up<T>(settings.latest)",
+        "static_cast<T>(settings.latest)",
+        ON_NARROW,
+        equivalent="single precision is asked by elementary queries only, which have no latest time",
+        switched=False,
+    ),
+    Mutant(
+        "double-double-advance-not-rounded-down",
+        CORE + "rounding.h",
+        "sum - magnitude(sum) * DoubleDouble(4.0 * Precision<DoubleDouble>::unit)",
+        "sum",
+        ON_NARROW,
+        equivalent="4 units of t, of the 16 that the threshold's 32 units of the extent leave (see"
+        " fixed-direction-step-rounding)",
     ),
     Mutant(
         "double-double-unit",
@@ -824,8 +872,8 @@ _BROAD = [
         "0x1p-22 * std::fabs(x) + 0x1p-130",
         "0.0 * x",
         ON_BROAD,
-        equivalent="rounding to nearest keeps the order of bounds that are measured from one origin, so that those which"
-        " overlap still do; the balls have their own 2^-19",
+        equivalent="rounding to nearest keeps the order of bounds measured from one origin, so that those which overlap"
+        " still do; the balls have their own 2^-19",
     ),
     Mutant(
         "outward-tiny-zero",
@@ -833,8 +881,8 @@ _BROAD = [
         "0x1p-22 * std::fabs(x) + 0x1p-130",
         "0x1p-22 * std::fabs(x)",
         ON_BROAD,
-        equivalent="rounding to nearest keeps the order of bounds that are measured from one origin, so that those which"
-        " overlap still do; the balls have their own 2^-19",
+        equivalent="rounding to nearest keeps the order of bounds measured from one origin, so that those which overlap"
+        " still do; the balls have their own 2^-19",
     ),
     Mutant(
         "ball-rounding-zero",

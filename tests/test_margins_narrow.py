@@ -227,6 +227,31 @@ def test_toi_is_rounded_down(is_face: bool, dtype: torch.dtype) -> None:
 
 
 @KINDS
+@pytest.mark.parametrize("speed", [2.0**10, 2.0**20, 2.0**30])
+def test_fast_features_are_not_late(is_face: bool, speed: float) -> None:
+    """From so far away that the digits of their place are few, and those of the time of contact too."""
+    rng = np.random.default_rng(16)
+    n = 200
+    flat = touching_points(rng, n, is_face, False)
+    turn = unit_quaternions(rng, n)
+    v, w = turn[:, None, 1:], turn[:, None, :1]
+    flat = flat + 2 * np.cross(v, np.cross(v, flat) + w * flat)
+    travel, t = speed * rng.normal(size=(n, 1, 3)), rng.uniform(0.1, 0.9, (n, 1, 1))
+    start, end = flat.copy(), flat.copy()
+    moved = slice(0, 1) if is_face else slice(0, 2)
+    start[:, moved] -= t * travel
+    end[:, moved] += (1.0 - t) * travel
+    hits = (linear.vertex_face_many if is_face else linear.edge_edge_many)(start, end)
+    assert sum(hit is not None for hit in hits) > n // 2
+    for tolerance in (0.0, 1e-6):
+        found = ask(start, end, is_face, tolerance=tolerance)
+        for k, hit in enumerate(hits):
+            if hit is not None:
+                assert int(found.status[k]) != pgccd.FREE, f"query {k} is missed"
+                assert Fraction(float(found.toi[k])) <= hit.toi_upper, f"query {k} is late"
+
+
+@KINDS
 def test_slender_features_are_measured_by_their_borders(is_face: bool) -> None:
     """Corners nearly in one line, edges nearly parallel: rounding makes up their normal, which is not used."""
     rng = np.random.default_rng(8)
