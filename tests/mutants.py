@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -28,6 +27,7 @@ ROOT = Path(__file__).resolve().parents[1]
 VARIABLE = "PGCCD_MUTANT"
 # A mutant whose tests take longer is taken for an endless loop.
 SECONDS = 900
+_LEFT_OUT = {".git", ".venv", "build", "out", "results", "__pycache__", ".mypy_cache", ".ruff_cache", ".pytest_cache"}
 _SWITCH = f"""
 #include <cstdlib>
 namespace pgccd {{
@@ -99,15 +99,15 @@ class Copy:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._originals: dict[str, str] = {}
-        ignored = shutil.ignore_patterns(".git", ".venv", "build", "out", "*.so", "__pycache__", ".*_cache", "results")
-        for source in sorted(ROOT.iterdir()):
-            target = folder / source.name
-            if source.name in ignored(str(ROOT), [source.name]):
+        for source in sorted(ROOT.rglob("*")):
+            name = source.relative_to(ROOT)
+            if _LEFT_OUT.intersection(name.parts) or source.suffix in (".so", ".pyc") or not source.is_file():
                 continue
-            if source.is_dir():
-                shutil.copytree(source, target, ignore=ignored, dirs_exist_ok=True)  # keeps times
-            else:
-                shutil.copy2(source, target)
+            target = folder / name
+            # What is there already keeps its time, for the build; what a former run has changed gets a new one.
+            if not target.exists() or target.read_bytes() != source.read_bytes():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(source.read_bytes())
 
     def write(self, texts: dict[str, str]) -> None:
         """Files with these texts, all others as they are in the project; what does not change is not touched."""
