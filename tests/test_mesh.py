@@ -144,11 +144,12 @@ def test_refit_encloses_the_whole_step(shape: strategies.TriMesh, seed: int, sca
     for x, centre in zip(ends, (centre_t0, centre_t1), strict=True):
         assert np.abs(sphere_bound(x, shape.faces).center - centre[0]).max() <= 1e-13 * np.abs(x).max()
     for t in (0.0, 0.3, 0.5, 1.0):
-        x = (1 - t) * local[0] + t * local[1]
-        assert np.linalg.norm(x[used], axis=1).max() <= radius[0] * (1 + 1e-14)
-        blend = (1 - t) * blocks[0] + t * blocks[1]
-        # Blending rounds in float64 here, the inflation of the traversal covers that and more.
-        blend[:, 3] = blocks[0][:, 3] * np.float32(1 + 1e-6)
+        s = np.longdouble(t)
+        x = (1 - s) * local[0] + s * local[1]
+        assert np.sqrt((x[used] ** 2).sum(axis=1)).max() <= radius[0]
+        blend = (1 - s) * blocks[0].astype(np.longdouble) + s * blocks[1].astype(np.longdouble)
+        blend[:, 3:] = blocks[0][:, 3:]  # one radius and one slab
+        assert np.array_equal(blocks[0][:, 3:], blocks[1][:, 3:], equal_nan=True)
         assert_encloses(blend, links, triangles, x)
 
 

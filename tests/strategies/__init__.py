@@ -1,4 +1,7 @@
-"""Hypothesis strategies for meshes, motions and degenerate features."""
+"""Hypothesis strategies for meshes, motions and degenerate features.
+
+`contacts`, not imported here, constructs pairs of bodies that graze, rest or meet tip to tip at a chosen time.
+"""
 
 from .features import degenerate_features, feature_motions
 from .meshes import (

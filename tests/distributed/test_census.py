@@ -1,0 +1,85 @@
+"""Bodies that are lost, doubled or exchanged on their way between ranks are noticed by the worlds themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from support.shapes import tetrahedron
+from torch import Tensor
+
+from pgccd import sim
+from pgccd.distributed import Alone, Fleet, Partition, World, migrate, starting_share
+from pgccd.distributed import world as world_module
+from pgccd.distributed.exchange import Columns, take_rows
+from pgccd.distributed.migrate import Census
+
+COUNT = 12
+
+
+def small_world() -> World:
+    """One rank, of which bodies cannot go elsewhere."""
+    position = torch.rand((COUNT, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    return World([tetrahedron(0.1)], (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), position)
+
+
+def losing(rows: Tensor) -> Callable[..., tuple[Columns, int]]:
+    """A migration after which there are only these rows of those there should be."""
+
+    def lossy(comm: Any, partition: Any, columns: Columns, *rest: Any) -> tuple[Columns, int]:
+        arrived, count = migrate.migrate(comm, partition, columns, *rest)
+        return {name: column[rows] for name, column in arrived.items()}, count
+
+    return lossy
+
+
+EVERY = torch.arange(COUNT)
+FAULTS = {
+    "lost": EVERY[:-1],
+    "all lost": EVERY[:0],
+    "doubled": torch.cat([EVERY, EVERY[-1:]]),
+    "one lost, another doubled": torch.cat([EVERY[1:], EVERY[-1:]]).sort().values,
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_world_notices(monkeypatch: pytest.MonkeyPatch, fault: str) -> None:
+    world = small_world()
+    world.move(world.position)
+    monkeypatch.setattr(world_module, "migrate", losing(FAULTS[fault]))
+    with pytest.raises(RuntimeError, match="bodies with id hash"):
+        world.move(world.position)
+
+
+def test_a_count_is_not_enough_and_neither_is_a_hash() -> None:
+    expected = Census.of(EVERY)
+    for wrong in (Census(expected.count, expected.ids + 1), Census(expected.count + 1, expected.ids)):
+        with pytest.raises(RuntimeError, match=f"expected {COUNT} bodies"):
+            wrong.require(expected)
+
+
+def test_a_body_with_another_id(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = small_world()
+
+    def renaming(comm: Any, partition: Any, columns: Columns, *rest: Any) -> tuple[Columns, int]:
+        return {**columns, "id": torch.cat([columns["id"][:-1], columns["id"][-1:] + 1])}, 0
+
+    monkeypatch.setattr(world_module, "migrate", renaming)
+    with pytest.raises(RuntimeError, match="bodies with id hash"):
+        world.move(world.position)
+
+
+def test_a_fleet_notices() -> None:
+    """Robots that are gone or there twice when a step begins."""
+    world = sim.World(sim.WorldConfig(robots=40, seed=1))
+    upper = world.half_extent
+    for rows in (torch.arange(39), torch.cat([torch.arange(40), torch.tensor([39])])):
+        comm = Alone()
+        partition = Partition.uniform(tuple(-x for x in upper), upper, 1, cells=2)
+        fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
+        fleet.step(0)
+        fleet.state = sim.RobotState(**take_rows(fleet.state.columns, rows))
+        with pytest.raises(RuntimeError, match="expected 40 bodies"):
+            fleet.step(1)

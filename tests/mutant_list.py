@@ -1,0 +1,1080 @@
+"""The mutants: what each replaces, and which test modules notice it; or why none can. See mutants.py."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One fault.
+
+    `old`, which occurs once in `file` (or once in `within`, which occurs once in the file), is replaced by `new`.
+    `killed_by` are modules below tests/, or nodes of them. `equivalent` says why nothing can notice it. Where
+    `switched`, both texts are expressions of one type in ordinary code.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    killed_by: tuple[str, ...]
+    within: str = ""
+    equivalent: str = ""
+    switched: bool = True
+
+
+CORE = "csrc/core/"
+TRAVERSE = "csrc/kernels/traverse/"
+NARROW = "csrc/kernels/narrow/"
+BROAD = "csrc/kernels/broad/"
+BOUNDS = "csrc/kernels/bounds/"
+
+ON_TRAVERSE = ("test_margins_traverse.py",)
+ON_NARROW = ("test_margins_narrow.py",)
+ON_BROAD = ("test_margins_broad.py",)
+ON_BOUNDS = ("test_margins_bounds.py",)
+ON_CORE = ("test_margins_core.py",)
+
+_LOCAL_ROUNDING = "kLocalRounding, 64 units of the whole local frame, includes it"
+_SPARE = "the 32 units of the extent have room for it: the projected gap itself needs at most 12"
+
+_RIGID = [
+    Mutant(
+        "arc-deviation-zero",
+        TRAVERSE + "rigid_sweep.h",
+        "sweep_detail::kept_distance(centres, i, j, settings) + deviation",
+        "sweep_detail::kept_distance(centres, i, j, settings)",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "arc-deviation-half",
+        TRAVERSE + "rigid_sweep.h",
+        "sweep_detail::kept_distance(centres, i, j, settings) + deviation",
+        "sweep_detail::kept_distance(centres, i, j, settings) + 0.5 * deviation",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "arc-deviation-0.98",
+        TRAVERSE + "rigid_sweep.h",
+        "sweep_detail::kept_distance(centres, i, j, settings) + deviation",
+        "sweep_detail::kept_distance(centres, i, j, settings) + 0.98 * deviation",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "arc-deviation-0.999",
+        TRAVERSE + "rigid_sweep.h",
+        "sweep_detail::kept_distance(centres, i, j, settings) + deviation",
+        "sweep_detail::kept_distance(centres, i, j, settings) + 0.999 * deviation",
+        ON_TRAVERSE,
+        equivalent="an arc of angle a strays by 1 - a^2/48 of the bound, and kLocalRounding is added: together at least"
+        " 0.3 % for every a",
+    ),
+    Mutant(
+        "arc-deviation-first-body-only",
+        TRAVERSE + "rigid_sweep.h",
+        "(turn_i * ri + turn_j * rj)",
+        "(turn_i * ri)",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "arc-deviation-of-wanted-segments",
+        TRAVERSE + "rigid_sweep.h",
+        "bend / (static_cast<double>(segment_count) * segment_count)",
+        "smaller(bend / (static_cast<double>(segment_count) * segment_count), 0.02 * smaller(ri, rj))",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "arc-segments-horizon",
+        TRAVERSE + "rigid_sweep.h",
+        "horizon * (static_cast<double>(k) / segment_count)",
+        "horizon * horizon * (static_cast<double>(k) / segment_count)",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "arc-tilt-zero",
+        TRAVERSE + "rigid_sweep.h",
+        "bodies.linear_path ? 1.5f : 0.5f",
+        "bodies.linear_path ? 1.5f : 0.0f",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "arc-tilt-0.9",
+        TRAVERSE + "rigid_sweep.h",
+        "bodies.linear_path ? 1.5f : 0.5f",
+        "bodies.linear_path ? 1.5f : 0.45f",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "arc-tilt-0.999",
+        TRAVERSE + "rigid_sweep.h",
+        "bodies.linear_path ? 1.5f : 0.5f",
+        "bodies.linear_path ? 1.5f : 0.4995f",
+        ON_TRAVERSE,
+        equivalent="for an angle a between the normals the tilt is r a/2 and the arcs' deviation r a^2/8; with what"
+        " kLocalRounding adds, the two never let a thousandth of the tilt show",
+    ),
+    Mutant(
+        "straight-tilt-as-arcs",
+        TRAVERSE + "rigid_sweep.h",
+        "bodies.linear_path ? 1.5f : 0.5f",
+        "bodies.linear_path ? 0.5f : 0.5f",
+        ("test_traverse_slabs.py",),
+    ),
+    Mutant(
+        "rigid-local-rounding-zero",
+        TRAVERSE + "rigid_sweep.h",
+        "sweep_detail::rounded_up(scale * distance) + kLocalRounding",
+        "sweep_detail::rounded_up(scale * distance)",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "straight-rigid-blend",
+        TRAVERSE + "rigid_sweep.h",
+        "sweep_detail::blend(at_t0, spun(spin, at_t0, 1.0), t)",
+        "spun(spin, at_t0, t)",
+        ("test_traverse_slabs.py", "test_traverse.py::test_linear_paths"),
+    ),
+]
+
+_DEFORMING = [
+    Mutant(
+        "deforming-local-rounding-zero",
+        TRAVERSE + "deforming_sweep.h",
+        "sweep_detail::rounded_up(scale * distance) + kLocalRounding",
+        "sweep_detail::rounded_up(scale * distance)",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "node-horizon-squared",
+        TRAVERSE + "deforming_sweep.h",
+        "static_cast<float>(horizon) * (at_t1 - at_t0)",
+        "static_cast<float>(horizon * horizon) * (at_t1 - at_t0)",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "vertex-horizon-squared",
+        TRAVERSE + "deforming_sweep.h",
+        "(1.0 - horizon) * local_t0 + horizon * local_t1",
+        "(1.0 - horizon * horizon) * local_t0 + (horizon * horizon) * local_t1",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "centre-horizon-squared",
+        TRAVERSE + "deforming_sweep.h",
+        "k == 0 ? 0.0 : horizon",
+        "k == 0 ? 0.0 : horizon * horizon",
+        ON_TRAVERSE,
+    ),
+]
+
+_TREE = [
+    Mutant(
+        "kept-distance-0.999",
+        TRAVERSE + "sweep_frame.h",
+        "settings.separation + pair_tolerance(centres, i, j, settings.tolerance)",
+        "0.999 * (settings.separation + pair_tolerance(centres, i, j, settings.tolerance))",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "kept-distance-without-tolerance",
+        TRAVERSE + "sweep_frame.h",
+        "settings.separation + pair_tolerance(centres, i, j, settings.tolerance)",
+        "settings.separation",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "kept-distance-not-rounded-up",
+        TRAVERSE + "sweep_frame.h",
+        "static_cast<float>(x) * (1.0f + 2.0f * Precision<float>::unit)",
+        "static_cast<float>(x)",
+        ON_TRAVERSE,
+        equivalent=_LOCAL_ROUNDING,
+    ),
+    Mutant(
+        "sphere-reach-0.999",
+        TRAVERSE + "pair_item.h",
+        "(radius + other.radius) + sweep_.inflation",
+        "0.999f * ((radius + other.radius) + sweep_.inflation)",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "sphere-reach-without-inflation",
+        TRAVERSE + "pair_item.h",
+        "(radius + other.radius) + sweep_.inflation",
+        "(radius + other.radius)",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "slab-reach-0.999",
+        TRAVERSE + "pair_item.h",
+        "radius + sweep_.inflation",
+        "0.999f * (radius + sweep_.inflation)",
+        ON_TRAVERSE,
+        within="slab_separates(other.slab, start, end, radius + sweep_.inflation)",
+    ),
+    Mutant(
+        "other-slab-reach-0.999",
+        TRAVERSE + "pair_item.h",
+        "other.radius + sweep_.inflation",
+        "0.999f * (other.radius + sweep_.inflation)",
+        ON_TRAVERSE,
+        within="-start, -end, other.radius + sweep_.inflation)",
+    ),
+    Mutant(
+        "slab-high-0.999",
+        TRAVERSE + "pair_item.h",
+        "scale * b.high[slot]",
+        "0.999f * (scale * b.high[slot])",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "slab-low-0.999",
+        TRAVERSE + "pair_item.h",
+        "scale * b.low[slot]",
+        "0.999f * (scale * b.low[slot])",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "first-segments-only",
+        TRAVERSE + "pair_item.h",
+        "sweep_.segment_count",
+        "larger(1, sweep_.segment_count - 1)",
+        ON_TRAVERSE,
+        within="uint32_t mask = 0;\n    for (int k = 1; k <= sweep_.segment_count; ++k)",
+    ),
+    Mutant(
+        "leaf-ball-0.999",
+        TRAVERSE + "traverse_cpu.cpp",
+        "tree.local_radius(1 - side, other_leaf) + tree.sweep().inflation",
+        "0.999f * (tree.local_radius(1 - side, other_leaf) + tree.sweep().inflation)",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "leaf-distance-0.999",
+        TRAVERSE + "traverse_cpu.cpp",
+        "tree.sweep().inflation",
+        "0.999f * tree.sweep().inflation",
+        ON_TRAVERSE,
+        within="const float distance = tree.sweep().inflation;",
+    ),
+    Mutant(
+        "triangles-distance-rounding",
+        TRAVERSE + "overlap_item.h",
+        "distance * (1.0f + 8.0f * Precision<float>::unit)",
+        "distance * 1.0f",
+        ON_TRAVERSE,
+        equivalent=_LOCAL_ROUNDING + ", which is part of the distance: 8 units of it, below 1, are among those 64",
+    ),
+    Mutant(
+        "triangles-distance-0.999",
+        TRAVERSE + "overlap_item.h",
+        "distance * (1.0f + 8.0f * Precision<float>::unit)",
+        "distance * 0.999f",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "triangles-direction-of-no-length",
+        TRAVERSE + "overlap_item.h",
+        "length_squared > 1e-30f",
+        "length_squared >= 0.0f",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "node-pair-radius",
+        TRAVERSE + "pair_item.h",
+        "sweep_.local_scale * radius(side, node)",
+        "0.999f * (sweep_.local_scale * radius(side, node))",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "slab-tilt-not-counted-above",
+        TRAVERSE + "overlap_item.h",
+        "slab.high + grown",
+        "slab.high",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "slab-tilt-not-counted-below",
+        TRAVERSE + "overlap_item.h",
+        "slab.low - grown",
+        "slab.low",
+        ON_TRAVERSE,
+    ),
+]
+
+_DIRECTIONS = [
+    Mutant(
+        "cull-extent-zero",
+        CORE + "fixed_directions.h",
+        "distance * (1.0f + 8.0f * unit) + (20.0f * unit) * extent",
+        "distance * (1.0f + 8.0f * unit) + 0.0f * extent",
+        ON_NARROW,
+    ),
+    Mutant(
+        "cull-distance-0.999",
+        CORE + "fixed_directions.h",
+        "distance * (1.0f + 8.0f * unit) + (20.0f * unit) * extent",
+        "distance * 0.999f + (20.0f * unit) * extent",
+        ON_NARROW,
+    ),
+    Mutant(
+        "cull-distance-rounding",
+        CORE + "fixed_directions.h",
+        "distance * (1.0f + 8.0f * unit) + (20.0f * unit) * extent",
+        "distance * 1.0f + (20.0f * unit) * extent",
+        ON_NARROW,
+        equivalent="a distance above 2 x the extent is never separated, and below that the threshold's own roundings, 3"
+        " units of it, fit into the doubled 20 units of the extent",
+    ),
+    Mutant(
+        "cull-small-extents",
+        CORE + "fixed_directions.h",
+        "extent > 0x1p-40f",
+        "extent > 0.0f * extent",
+        ON_NARROW,
+    ),
+    Mutant(
+        "cull-large-extents",
+        CORE + "fixed_directions.h",
+        "extent < 0x1p40f",
+        "extent < 0x1p127f",
+        ON_NARROW,
+    ),
+    Mutant(
+        "cull-not-a-number",
+        CORE + "fixed_directions.h",
+        "(sum == sum)",
+        "((sum == sum) | (extent > 0.0f * extent))",
+        ("test_narrow_elementary.py::test_no_number_is_never_free", *ON_NARROW),
+    ),
+    Mutant(
+        "cull-direction-of-no-length",
+        CORE + "fixed_directions.h",
+        "length > 1e-24f",
+        "length > -1.0f + 0.0f * length",
+        ON_NARROW,
+        equivalent="extents are at least 2^-40: a direction shorter than 1e-24 is one of two crossed vectors, whose"
+        " projections underflow only below 1e-38 of their length",
+    ),
+    Mutant(
+        "cull-distance-not-rounded-up",
+        NARROW + "elementary_item.h",
+        "round_up<float>((settings.separation + settings.tolerance) * (1.0 + 0x1p-50))",
+        "static_cast<float>(settings.separation + settings.tolerance)",
+        ON_NARROW,
+        equivalent="half a unit of the distance, of which `stays_apart` adds eight",
+    ),
+]
+
+_CERTIFICATES = [
+    Mutant(
+        "fixed-direction-extent-zero",
+        NARROW + "certificates.h",
+        "(T(2) * error.point + T(32) * u * error.extent)",
+        "(T(2) * error.point)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "fixed-direction-point-zero",
+        NARROW + "certificates.h",
+        "(T(2) * error.point + T(32) * u * error.extent)",
+        "(T(32) * u * error.extent)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "fixed-direction-distance-rounding",
+        NARROW + "certificates.h",
+        "distance * (T(1) + T(16) * u)",
+        "distance",
+        ON_NARROW,
+        within="distance * (T(1) + T(16) * u) + (T(2)",
+        equivalent=_SPARE,
+    ),
+    Mutant(
+        "fixed-direction-distance-0.999",
+        NARROW + "certificates.h",
+        "distance * (T(1) + T(16) * u)",
+        "distance * T(0.999)",
+        ON_NARROW,
+        within="distance * (T(1) + T(16) * u) + (T(2)",
+    ),
+    Mutant(
+        "determinant-rounding-zero",
+        NARROW + "certificates.h",
+        "distance * longest * (T(1) + T(16) * u) + rounding",
+        "distance * longest * (T(1) + T(16) * u)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "moving-normal-distance-0.999",
+        NARROW + "certificates.h",
+        "distance * longest * (T(1) + T(16) * u) + rounding",
+        "distance * longest * T(0.999) + rounding",
+        ON_NARROW,
+    ),
+    Mutant(
+        "moving-normal-length-at-start",
+        NARROW + "certificates.h",
+        "square_root(larger(larger(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2)))",
+        "square_root(norm_squared(n0))",
+        ON_NARROW,
+    ),
+    Mutant(
+        "difference-error-point-zero",
+        NARROW + "certificates.h",
+        "T(2) * error.point + T(8) * T(Precision<T>::unit) * error.extent",
+        "T(8) * T(Precision<T>::unit) * error.extent",
+        ON_NARROW,
+    ),
+    Mutant(
+        "difference-error-extent-zero",
+        NARROW + "certificates.h",
+        "T(2) * error.point + T(8) * T(Precision<T>::unit) * error.extent",
+        "T(2) * error.point",
+        ON_NARROW,
+    ),
+    Mutant(
+        "lengths-without-root",
+        NARROW + "certificates.h",
+        "T(1.7320509)",
+        "T(1)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "difference-error-1.01",
+        NARROW + "certificates.h",
+        "T(1.01) * difference_error(error)",
+        "difference_error(error)",
+        ON_NARROW,
+        equivalent="products of two errors, a hundredth of the points' error, fit into the 128 units of the lengths",
+    ),
+    Mutant(
+        "fixed-direction-step-rounding",
+        NARROW + "advancement.h",
+        "prefix * duration * (T(1) - T(4) * unit)",
+        "prefix * duration",
+        ON_NARROW,
+        equivalent="the threshold lies 32 units of the extent further out, and no gap closes by more than twice the"
+        " extent in a step: 16 units of the step, of which the product's rounding takes 4",
+    ),
+    Mutant(
+        "advance-not-rounded-down",
+        NARROW + "advancement.h",
+        "add_down(t, prefix * duration * (T(1) - T(4) * unit))",
+        "(t + prefix * duration * (T(1) - T(4) * unit))",
+        ON_NARROW,
+        equivalent="one unit of t, of the 16 that the threshold's 32 units of the extent leave (see"
+        " fixed-direction-step-rounding)",
+    ),
+    Mutant(
+        "moving-normal-step-rounding",
+        NARROW + "certificates.h",
+        "step * (T(1) - prefix) * (T(1) - T(4) * u)",
+        "step * (T(1) - prefix)",
+        ON_NARROW,
+        equivalent="the cubic changes by less than 6 |a||b||r|, so that its 128 units are more than 16 of time",
+    ),
+    Mutant(
+        "advance-deviation-0.999",
+        NARROW + "advancement.h",
+        "separation + path.deviation(duration) * (T(1) + T(16) * unit)",
+        "separation + path.deviation(duration) * T(0.999)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "advance-deviation-zero",
+        NARROW + "advancement.h",
+        "separation + path.deviation(duration) * (T(1) + T(16) * unit)",
+        "separation",
+        ON_NARROW,
+    ),
+    Mutant(
+        "advance-deviation-rounding",
+        NARROW + "advancement.h",
+        "separation + path.deviation(duration) * (T(1) + T(16) * unit)",
+        "separation + path.deviation(duration)",
+        ON_NARROW,
+        equivalent="2^-40 in the curvature is 512 times as much",
+    ),
+    Mutant(
+        "curvature-rounding",
+        NARROW + "paths.h",
+        "(1.0 + 0x1p-40)",
+        "(1.0 + 0.0)",
+        ON_NARROW,
+        within="(1.0 + 0x1p-40) * (first.angle",
+        equivalent="the curvature is off by at most 10 units, the deviation has 16 of its own, and an arc strays less"
+        " than a parabola",
+    ),
+    Mutant(
+        "curvature-of-the-first-body",
+        NARROW + "paths.h",
+        "first.angle * first.angle * first_radius + second.angle * second.angle * second_radius",
+        "first.angle * first.angle * first_radius",
+        ON_NARROW,
+    ),
+    Mutant(
+        "curvature-of-the-second-body",
+        NARROW + "paths.h",
+        "first.angle * first.angle * first_radius + second.angle * second.angle * second_radius",
+        "second.angle * second.angle * second_radius",
+        ON_NARROW,
+    ),
+    Mutant(
+        "arc-extent-zero",
+        NARROW + "paths.h",
+        "6.0 * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)))",
+        "0.0 * reach",
+        ON_NARROW,
+        equivalent="256 units of each radius, and 8 of the offset, are more than the roundings of the projected gap",
+    ),
+    Mutant(
+        "straight-extent-zero",
+        NARROW + "paths.h",
+        "error_ = {scale_ * point_error, scale_ * size}",
+        "error_ = {scale_ * point_error, T(0)}",
+        ON_NARROW,
+    ),
+    Mutant(
+        "rigid-point-units-zero",
+        NARROW + "pair_points.h",
+        "kRigidPointUnits + 8.0 * spin[side].angle",
+        "8.0 * spin[side].angle",
+        ON_NARROW,
+    ),
+    Mutant(
+        "rigid-point-angle-zero",
+        NARROW + "pair_points.h",
+        "kRigidPointUnits + 8.0 * spin[side].angle",
+        "kRigidPointUnits",
+        ON_NARROW,
+    ),
+    Mutant(
+        "centre-error-zero",
+        NARROW + "pair_points.h",
+        "8.0 * Precision<double>::unit * larger(max_abs(centre.at_t0), max_abs(centre.at_t1))",
+        "0.0",
+        ON_NARROW,
+        equivalent="4 units of the offset, which is at most the extent and both radii: " + _SPARE,
+    ),
+    Mutant(
+        "contact-goal-too-wide",
+        NARROW + "advancement.h",
+        "settings.tolerance * path.scale() * T(0.0625)",
+        "settings.tolerance * path.scale() * T(1.5)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "noise-zero",
+        NARROW + "advancement.h",
+        "T(4) * error.point + T(64) * unit * error.extent",
+        "T(0)",
+        ("test_narrow_elementary.py::test_tight_tolerance_is_resolved", *ON_NARROW),
+    ),
+    Mutant(
+        "touch-side-rounding-zero",
+        NARROW + "touching.h",
+        "determinant_rounding(length, error)",
+        "T(0)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "touch-inside-rounding-zero",
+        NARROW + "touching.h",
+        "T(32) * T(Precision<T>::unit) * (sum * sum) + T(4.1) * difference_error(error) * sum",
+        "T(0)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "touch-separation-noise-zero",
+        NARROW + "touching.h",
+        "norm(nearest_points<kEdgeEdge>(path.at(until)).offset) + noise < separation",
+        "norm(nearest_points<kEdgeEdge>(path.at(until)).offset) < separation",
+        ON_NARROW,
+    ),
+    Mutant(
+        "touch-without-crossing",
+        NARROW + "touching.h",
+        "!changes_sides",
+        "false",
+        ON_NARROW,
+        within="if (!changes_sides) return false;",
+    ),
+    Mutant(
+        "slender-normals-used",
+        NARROW + "nearest_points.h",
+        "normal_squared > (slender * slender) * (norm_squared(p.a) * norm_squared(p.b))",
+        "normal_squared > T(0)",
+        ON_NARROW,
+        equivalent="a foot inside needs the offset's part across to be less than the slenderness, so that the distance"
+        " is off by no more",
+    ),
+    Mutant(
+        "toi-rounded-to-nearest",
+        NARROW + "precision_ladder.h",
+        "round_down<To>(outcome.toi)",
+        "static_cast<To>(outcome.toi)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "float-toi-not-below",
+        CORE + "rounding.h",
+        "static_cast<double>(nearest) > x ? std::nextafter(nearest, -static_cast<float>(INFINITY)) : nearest",
+        "nearest",
+        ON_NARROW,
+    ),
+    Mutant(
+        "double-toi-not-below",
+        CORE + "rounding.h",
+        "x.low < 0.0 ? std::nextafter(x.high, -static_cast<double>(INFINITY)) : x.high",
+        "x.high",
+        ON_NARROW,
+    ),
+    Mutant(
+        "separation-rounded-to-nearest",
+        NARROW + "precision_ladder.h",
+        "round_up<T>(settings.separation)",
+        "static_cast<T>(settings.separation)",
+        ON_NARROW,
+        equivalent="one unit of the separation: " + _SPARE,
+        switched=False,
+    ),
+    Mutant(
+        "tolerance-rounded-to-nearest",
+        NARROW + "precision_ladder.h",
+        "round_down<T>(settings.tolerance)",
+        "static_cast<T>(settings.tolerance)",
+        ON_NARROW,
+        equivalent="a sixteenth of the tolerance is used, and a contact must be proven or be at the noise besides",
+        switched=False,
+    ),
+    Mutant(
+        "latest-rounded-to-nearest",
+        NARROW + "precision_ladder.h",
+        "round_up<T>(settings.latest)",
+        "static_cast<T>(settings.latest)",
+        ON_NARROW,
+        equivalent="single precision is asked by elementary queries only, which have no latest time",
+        switched=False,
+    ),
+    Mutant(
+        "double-double-advance-not-rounded-down",
+        CORE + "rounding.h",
+        "sum - magnitude(sum) * DoubleDouble(4.0 * Precision<DoubleDouble>::unit)",
+        "sum",
+        ON_NARROW,
+        equivalent="4 units of t, of the 16 that the threshold's 32 units of the extent leave (see"
+        " fixed-direction-step-rounding)",
+    ),
+    Mutant(
+        "double-double-unit",
+        CORE + "rounding.h",
+        "0x1p-101",
+        "0x1p-140",
+        ON_NARROW,
+        switched=False,
+    ),
+    Mutant(
+        "double-double-sum",
+        CORE + "double_double.h",
+        "s.low + t.high",
+        "s.low",
+        ON_NARROW,
+    ),
+    Mutant(
+        "double-double-product",
+        CORE + "double_double.h",
+        "c.low + cross",
+        "c.low",
+        ON_NARROW,
+    ),
+    Mutant(
+        "double-double-quotient",
+        CORE + "double_double.h",
+        "(a.high - back.high) + (a.low - back.low)",
+        "(a.high - back.high)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "normal-sign-at-zero-gap",
+        NARROW + "contact_item.h",
+        "(along < 0.0) != f.swapped",
+        "false",
+        ON_NARROW,
+    ),
+    Mutant(
+        "normal-sign-of-swapped",
+        NARROW + "contact_item.h",
+        "(along < 0.0) != f.swapped",
+        "along < 0.0",
+        ON_NARROW,
+    ),
+    Mutant(
+        "normal-from-noise",
+        NARROW + "contact_item.h",
+        "norm(normal) > 0x1p-40 * extent(features)",
+        "norm(normal) > 0.0",
+        ON_NARROW,
+    ),
+    Mutant(
+        "ties-by-feature-ignored",
+        NARROW + "narrow_cpu.cpp",
+        "std::make_tuple(pair(a), toi_a, features(a)) < std::make_tuple(pair(b), toi_b, features(b))",
+        "std::make_tuple(pair(a), toi_a, features(b)) < std::make_tuple(pair(b), toi_b, features(a))",
+        ON_NARROW,
+    ),
+    Mutant(
+        "pair-tolerance-of-the-larger",
+        CORE + "bodies.h",
+        "smaller(centres.radius[i], centres.radius[j])",
+        "larger(centres.radius[i], centres.radius[j])",
+        ON_NARROW,
+    ),
+    Mutant(
+        "nonzero-toi-goal",
+        NARROW + "advancement.h",
+        "smaller(goal, T(0.5) * (distance - separation))",
+        "smaller(goal, T(2) * (distance - separation))",
+        ("test_narrow_elementary.py::test_nonzero_toi",),
+    ),
+]
+
+_CORE = [
+    Mutant(
+        "quaternion-not-divided",
+        CORE + "rotation.h",
+        "2.0 / (q.w * q.w + norm_squared(q.v))",
+        "2.0",
+        ON_CORE,
+    ),
+    Mutant(
+        "quaternions-not-normalised",
+        CORE + "rotation.h",
+        "normalized(q1) * conjugate(normalized(q0))",
+        "q1 * conjugate(q0)",
+        ON_CORE,
+        equivalent="the angle is taken from a ratio and the axis divided by its length: both ignore the scale",
+    ),
+    Mutant(
+        "shorter-way",
+        CORE + "rotation.h",
+        "turn.w < 0.0",
+        "false",
+        ("test_motion.py",),
+    ),
+    Mutant(
+        "arctangent-one-step",
+        CORE + "trig.h",
+        "step < 2",
+        "step < 1",
+        ("test_motion.py",),
+    ),
+    Mutant(
+        "reduction-without-middle",
+        CORE + "trig.h",
+        "std::fma(-quadrant, half_pi_middle, r)",
+        "r",
+        ("test_motion.py",),
+    ),
+    Mutant(
+        "reduction-without-low",
+        CORE + "trig.h",
+        "std::fma(-quadrant, half_pi_low, r)",
+        "r",
+        ("test_motion.py",),
+        equivalent="2^-110 of up to 2^20 quadrants is 2^-90, far below 2^-53; it matters to the relative error near the"
+        " zeros only, which is not promised",
+    ),
+    Mutant(
+        "sine-last-term",
+        CORE + "trig.h",
+        "-1.0 / 1307674368000.0 + q * (1.0 / 355687428096000.0)",
+        "-1.0 / 1307674368000.0",
+        ("test_motion.py", *ON_CORE),
+        equivalent="(pi/4)^17 / 17! is 2^-54: less than the 2 units promised leave",
+    ),
+    Mutant(
+        "sine-last-two-terms",
+        CORE + "trig.h",
+        "-1.0 / 1307674368000.0 + q * (1.0 / 355687428096000.0)",
+        "0.0",
+        ("test_motion.py", *ON_CORE),
+    ),
+    Mutant(
+        "versine-last-term",
+        CORE + "trig.h",
+        "-1.0 / 20922789888000.0 + q * (1.0 / 6402373705728000.0)",
+        "-1.0 / 20922789888000.0",
+        ("test_motion.py", *ON_CORE),
+        equivalent="(pi/4)^18 / 18! is 2^-59",
+    ),
+    Mutant(
+        "versine-last-two-terms",
+        CORE + "trig.h",
+        "-1.0 / 20922789888000.0 + q * (1.0 / 6402373705728000.0)",
+        "0.0",
+        ("test_motion.py", *ON_CORE),
+    ),
+]
+
+_BROAD = [
+    Mutant(
+        "predicate-offset-slack-zero",
+        BROAD + "body_volumes.h",
+        "0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1))",
+        "0.0",
+        ON_BROAD,
+    ),
+    Mutant(
+        "predicate-radius-slack-zero",
+        BROAD + "body_volumes.h",
+        "(1.0 + 0x1p-48)",
+        "1.0",
+        ON_BROAD,
+        within="bodies.separation) * (1.0 + 0x1p-48) + rounding",
+        equivalent="spheres that touch have an offset of their reach at least, so that the offset's slack is 2^-48 of a"
+        " third of it or more",
+    ),
+    Mutant(
+        "predicate-reach-0.999",
+        BROAD + "body_volumes.h",
+        "(1.0 + 0x1p-48)",
+        "0.999",
+        ON_BROAD,
+        within="bodies.separation) * (1.0 + 0x1p-48) + rounding",
+    ),
+    Mutant(
+        "swept-box-radius-slack-zero",
+        BROAD + "body_volumes.h",
+        "(1.0 + 0x1p-40)",
+        "1.0",
+        ON_BROAD,
+        within="0.5 * bodies.separation) * (1.0 + 0x1p-40)",
+    ),
+    Mutant(
+        "swept-box-travel-slack-zero",
+        BROAD + "body_volumes.h",
+        "0x1p-40 * max_abs(travel)",
+        "0.0",
+        ON_BROAD,
+    ),
+    Mutant(
+        "swept-box-without-separation",
+        BROAD + "body_volumes.h",
+        "0.5 * bodies.separation",
+        "0.4995 * bodies.separation",
+        ON_BROAD,
+    ),
+    Mutant(
+        "outward-zero",
+        BROAD + "body_volumes.h",
+        "0x1p-22 * std::fabs(x) + 0x1p-130",
+        "0.0 * x",
+        ON_BROAD,
+        equivalent="rounding to nearest keeps the order of bounds measured from one origin, so that those which overlap"
+        " still do; the balls have their own 2^-19",
+    ),
+    Mutant(
+        "outward-tiny-zero",
+        BROAD + "body_volumes.h",
+        "0x1p-22 * std::fabs(x) + 0x1p-130",
+        "0x1p-22 * std::fabs(x)",
+        ON_BROAD,
+        equivalent="rounding to nearest keeps the order of bounds measured from one origin, so that those which overlap"
+        " still do; the balls have their own 2^-19",
+    ),
+    Mutant(
+        "ball-rounding-zero",
+        BROAD + "filter_box.h",
+        "0x1p-19 * larger(max_abs(lower), max_abs(upper))",
+        "0.0",
+        ON_BROAD,
+    ),
+    Mutant(
+        "ball-radius-slack-zero",
+        BROAD + "filter_box.h",
+        "(1.0 + 0x1p-20)",
+        "1.0",
+        ON_BROAD,
+        equivalent="a box's largest coordinate is its radius at least, so that the ball's rounding is 2^-19 of it",
+    ),
+    Mutant(
+        "ball-radius-0.999",
+        BROAD + "filter_box.h",
+        "(1.0 + 0x1p-20)",
+        "0.999",
+        ON_BROAD,
+    ),
+    Mutant(
+        "ball-underflow",
+        BROAD + "filter_box.h",
+        "reach * reach + FLT_MIN",
+        "reach * reach",
+        ON_BROAD,
+    ),
+]
+
+_BOUNDS = [
+    Mutant(
+        "refit-children-0.999",
+        BOUNDS + "refit_item.h",
+        "norm(cast<double>(children[c].centre[end]) - centre) + children[c].radius",
+        "0.999 * (norm(cast<double>(children[c].centre[end]) - centre) + children[c].radius)",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "refit-box-0.999",
+        BOUNDS + "refit_item.h",
+        "norm(refit_detail::upper_corner(node.upper[end] - centre, centre - node.lower[end]))",
+        "0.999 * norm(refit_detail::upper_corner(node.upper[end] - centre, centre - node.lower[end]))",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "refit-large-slab-0.999",
+        BOUNDS + "refit_item.h",
+        "-node.radius",
+        "-0.999 * node.radius",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "refit-measured-0.999",
+        BOUNDS + "refit_item.h",
+        "std::sqrt(squared)",
+        "0.999 * std::sqrt(squared)",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "refit-first-end-only",
+        BOUNDS + "refit_item.h",
+        "larger(squared, norm_squared(x))",
+        "end == 0 ? larger(squared, norm_squared(x)) : squared",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "refit-radius-to-float",
+        BOUNDS + "refit_item.h",
+        "static_cast<float>(node.radius * (1.0 + 0x1p-40)) * (1.0f + 2.0f * Precision<float>::unit)",
+        "static_cast<float>(node.radius * (1.0 + 0x1p-40))",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "refit-radius-double-slack",
+        BOUNDS + "refit_item.h",
+        "static_cast<float>(node.radius * (1.0 + 0x1p-40)) * (1.0f + 2.0f * Precision<float>::unit)",
+        "static_cast<float>(node.radius) * (1.0f + 2.0f * Precision<float>::unit)",
+        ON_BOUNDS,
+        equivalent="the next float above the nearest is 2^-25 of the radius above it: more than roundings in double",
+    ),
+    Mutant(
+        "refit-slab-slack-zero",
+        BOUNDS + "refit_item.h",
+        "0x1p-22 * node.radius",
+        "0.0",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "deforming-radius-slack",
+        BOUNDS + "bounds_cpu.cpp",
+        "std::sqrt(squared) * (1.0 + 0x1p-40)",
+        "std::sqrt(squared)",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "mean-in-one-go",
+        BOUNDS + "refit_item.h",
+        "256",
+        "1 << 30",
+        ON_BOUNDS,
+        within="constexpr int64_t kMeanChunk = 256;",
+        switched=False,
+    ),
+    Mutant(
+        "node-radius-slack",
+        "csrc/mesh/hierarchy.cpp",
+        "std::sqrt(farthest(cast<double>(rounded)).first) * (1.0 + 1e-14)",
+        "std::sqrt(farthest(cast<double>(rounded)).first)",
+        ON_BOUNDS,
+        equivalent="the next float above the nearest is 2^-25 of the radius above it",
+    ),
+    Mutant(
+        "node-radius-0.999",
+        "csrc/mesh/hierarchy.cpp",
+        "std::sqrt(farthest(cast<double>(rounded)).first) * (1.0 + 1e-14)",
+        "0.999 * std::sqrt(farthest(cast<double>(rounded)).first)",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "node-radius-to-float",
+        "csrc/mesh/hierarchy.cpp",
+        "std::nextafter(static_cast<float>(radius), HUGE_VALF)",
+        "static_cast<float>(radius)",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "node-slab-low-to-float",
+        "csrc/mesh/hierarchy.cpp",
+        "std::nextafter(static_cast<float>(low - slack), -HUGE_VALF)",
+        "static_cast<float>(low - slack)",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "node-slab-high-to-float",
+        "csrc/mesh/hierarchy.cpp",
+        "std::nextafter(static_cast<float>(high + slack), HUGE_VALF)",
+        "static_cast<float>(high + slack)",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "node-slab-slack",
+        "csrc/mesh/hierarchy.cpp",
+        "1e-14 * radius",
+        "0.0",
+        ON_BOUNDS,
+    ),
+    Mutant(
+        "mesh-radius-slack",
+        "pgccd/mesh.py",
+        "radius * (1.0 + 2.0**-50)",
+        "radius",
+        ("test_mesh.py::test_sphere_bound_and_edges", *ON_BOUNDS),
+        switched=False,
+    ),
+]
+
+_DISTRIBUTED = [
+    Mutant(
+        "world-without-census",
+        "pgccd/distributed/world.py",
+        "Census.of_ranks(self.comm, self.id).require(self._census)",
+        "pass",
+        ("distributed/test_census.py",),
+        switched=False,
+    ),
+    Mutant(
+        "census-counts-only",
+        "pgccd/distributed/migrate.py",
+        "if self != expected:",
+        "if self.count != expected.count:",
+        ("distributed/test_census.py",),
+        switched=False,
+    ),
+    Mutant(
+        "census-hashes-only",
+        "pgccd/distributed/migrate.py",
+        "if self != expected:",
+        "if self.ids != expected.ids:",
+        ("distributed/test_census.py",),
+        switched=False,
+    ),
+    Mutant(
+        "fleet-without-census",
+        "pgccd/distributed/step.py",
+        "Census(tally.robots, tally.id_hash).require(self._expected)",
+        "pass",
+        ("distributed/test_census.py",),
+        switched=False,
+    ),
+]
+
+MUTANTS = _RIGID + _DEFORMING + _TREE + _DIRECTIONS + _CERTIFICATES + _CORE + _BROAD + _BOUNDS + _DISTRIBUTED

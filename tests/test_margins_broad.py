@@ -1,0 +1,118 @@
+"""Margins of the broad phase: spheres that touch as exactly as float64 can say, or nearly do."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+from oracle.broad import spheres_meet
+from support.shapes import directions, tensors
+from test_broad import agreed, check
+
+from pgccd import ops
+
+
+def least_radius(start: np.ndarray, end: np.ndarray, other: float) -> float:
+    """The least radius with which a sphere meets another, centres (2, 3) at both ends: they touch, and no more."""
+    offset = [start[1] - start[0], end[1] - end[0]]
+    travel = offset[1] - offset[0]
+    square = float(travel @ travel)
+    nearest = min(max(-float(offset[0] @ travel) / square, 0.0), 1.0) if square else 0.0
+    found = float(np.linalg.norm(offset[0] + nearest * travel)) - other
+    step = np.spacing(max(abs(start).max(), abs(end).max()))
+    low, high = found - 64 * step, found + 64 * step
+    assert not spheres_meet(start, end, other, low) and spheres_meet(start, end, other, high)
+    while np.nextafter(low, high) < high:
+        middle = float(0.5 * (low + high))
+        low, high = (low, middle) if spheres_meet(start, end, other, middle) else (middle, high)
+    return high
+
+
+@pytest.mark.parametrize("travel", [0.0, 1.0, 1e3, 1e6])
+def test_spheres_that_just_touch(device: torch.device, travel: float) -> None:
+    """Fast ones too, that pass each other far from where they come from. Every two are in a world of their own."""
+    rng = np.random.default_rng([1, int(travel)])
+    n = 100
+    start = rng.normal(size=(n, 2, 3)) * max(travel, 1.0)
+    way = travel * rng.normal(size=(n, 3))
+    aside = np.cross(directions(rng, n), directions(rng, n) if travel == 0 else way / np.maximum(travel, 1.0))
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    start[:, 1] = start[:, 0] + rng.uniform(0.5, 2.0, (n, 1)) * aside - 0.4 * way
+    end = start.copy()
+    end[:, 1] += way
+    radius = np.array([[0.25, least_radius(start[k], end[k], 0.25)] for k in range(n)])
+    worlds = np.repeat(np.arange(n), 2)
+    found = agreed(start.reshape(-1, 3), end.reshape(-1, 3), radius.ravel(), device=device, world=worlds)
+    assert found.tolist() == [[2 * k, 2 * k + 1] for k in range(n)]
+
+
+def test_boxes_hold_what_the_predicate_lets_in() -> None:
+    """It has some room for roundings, and boxes need more, lest the broad phases differ."""
+    for axis in range(3):
+        side = (axis + 1) % 3
+        for k in range(6):
+            radius = np.array([1.0, 1.0 + k / 8.0])
+            # At rest, further apart than both radii by less than the predicate's room.
+            start = np.zeros((2, 3))
+            start[1, axis] = radius.sum() * (1.0 + 2.0**-49)
+            overlap(start, start, radius, 0.0)
+            # Fast and small, side by side, further apart by less than the room for their travel.
+            start, end = np.zeros((2, 3)), np.zeros((2, 3))
+            end[:, axis] = 2.0**20, -(2.0**20)
+            small = radius * 2.0**-4
+            start[1, side] = end[1, side] = small.sum() + 2.0**-29
+            overlap(start, end, small, 0.0)
+
+
+@pytest.mark.parametrize("separation", [0.75, 1.0 / 3.0])
+def test_boxes_hold_their_share_of_the_separation(separation: float) -> None:
+    for axis in range(3):
+        start = np.zeros((2, 3))
+        start[1, axis] = 0.5 + separation
+        overlap(start, start, np.array([0.25, 0.25]), separation)
+
+
+def overlap(start: np.ndarray, end: np.ndarray, radius: np.ndarray, separation: float) -> None:
+    """Asserts that the pair is found, and that the boxes overlap."""
+    assert agreed(start, end, radius, separation).tolist() == [[0, 1]]
+    lower, upper = (x.numpy() for x in ops.swept_boxes(*tensors(start, end, radius), separation))
+    assert (lower[0] <= upper[1]).all() and (lower[1] <= upper[0]).all()
+
+
+def touching_pairs(rng: np.random.Generator, n: int, spread: float, along_axes: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Spheres (2 n) scattered over a scene, each two of which just touch."""
+    first = spread * rng.uniform(-1, 1, (n, 3))
+    way = np.eye(3)[rng.integers(0, 3, n)] * rng.choice([-1.0, 1.0], (n, 1)) if along_axes else directions(rng, n)
+    centre = np.stack([first, first + way * rng.uniform(0.5, 2.0, (n, 1))], axis=1)
+    radius = np.empty((n, 2))
+    for k in range(n):
+        radius[k, 0] = 0.25 + 0.2 * rng.random()
+        radius[k, 1] = least_radius(centre[k], centre[k], radius[k, 0])
+    return centre.reshape(-1, 3), radius.ravel()
+
+
+@pytest.mark.parametrize("along_axes", [False, True])
+@pytest.mark.parametrize("spread", [1.0, 30.0, 1e3, 1e5])
+def test_touching_spheres_in_a_wide_scene(device: torch.device, spread: float, along_axes: bool) -> None:
+    """Float32, in which boxes and balls are compared first, holds their places less and less well."""
+    centre, radius = touching_pairs(np.random.default_rng([2, int(spread)]), 150, spread, along_axes)
+    assert len(check(centre, centre, radius, device=device)) >= 150
+
+
+@pytest.mark.parametrize("along_axes", [False, True])
+@pytest.mark.parametrize("exponent", [-73, -75, -130, -136, -140])
+def test_touching_spheres_that_float32_hardly_holds(exponent: int, along_axes: bool) -> None:
+    """Squares, or the numbers themselves, lose digits to underflow."""
+    centre, radius = touching_pairs(np.random.default_rng([3, -exponent]), 60, 8.0, along_axes)
+    scale = 2.0**exponent
+    found = agreed(scale * centre, scale * centre, scale * radius)
+    assert {(2 * k, 2 * k + 1) for k in range(60)} <= {tuple(p) for p in found.tolist()}
+
+
+def test_least_radius_is_least() -> None:
+    start, end = np.zeros((2, 3)), np.zeros((2, 3))
+    start[1], end[1] = [-3.0, 3.0, 4.0], [5.0, 3.0, 4.0]
+    assert least_radius(start, end, 2.0) == 3.0
+    assert Fraction(least_radius(start, end, 0.1)) + Fraction(0.1) >= 5

@@ -1,0 +1,469 @@
+"""Margins of the narrow phase: contacts that come exactly as near as they must to be reported, and some that do not.
+
+Queries are constructed and then measured exactly (or to 50 digits, on arcs); the separation asked for is the float64
+next to that distance. So a contact must be found that a bound short by a rounding would lose.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+from oracle import linear, separation
+from oracle.constructed import touching_points
+from strategies import contacts
+from strategies.contacts import Meetings
+from strategies.motions import product
+from support.shapes import Bodies, directions, turned, unit_quaternions
+
+import pgccd
+
+KINDS = pytest.mark.parametrize("is_face", [True, False], ids=["vf", "ee"])
+
+
+def ask(
+    start: np.ndarray,
+    end: np.ndarray,
+    is_face: bool,
+    min_separation: float = 0.0,
+    tolerance: float = 0.0,
+    dtype: torch.dtype = torch.float64,
+) -> pgccd.ElementaryResult:
+    """Elementary queries (n, 4, 3) or one (4, 3)."""
+    points = [torch.tensor(x.reshape(-1, 4, 3), dtype=dtype) for x in (start, end)]
+    test = pgccd.narrow.vertex_face if is_face else pgccd.narrow.edge_edge
+    return test(*points, min_separation, tolerance)
+
+
+# Straight paths, asked for at a distance of their own.
+
+
+def shapes(rng: np.random.Generator, n: int, is_face: bool, scale: float = 1.0) -> np.ndarray:
+    """(n, 4, 3): features apart, their nearest points inside both or on borders, in equal parts."""
+    points = rng.normal(size=(n, 4, 3))
+    inside = touching_points(rng, n, is_face, False)
+    turn = unit_quaternions(rng, n)
+    v, w = turn[:, None, 1:], turn[:, None, :1]
+    inside = inside + 2 * np.cross(v, np.cross(v, inside) + w * inside)
+    normal = np.cross(inside[:, -1] - inside[:, -2], inside[:, -1] - inside[:, 1])
+    if is_face:
+        normal = np.cross(inside[:, 2] - inside[:, 1], inside[:, 3] - inside[:, 1])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    lifted = slice(0, 1) if is_face else slice(0, 2)
+    inside[:, lifted] += (rng.uniform(0.01, 2.0, (n, 1)) * normal)[:, None]
+    half = (np.arange(n) % 2 == 0)[:, None, None]
+    return scale * np.where(half, points, inside)
+
+
+def assert_found_at_its_own_distance(start: np.ndarray, end: np.ndarray, t: float, is_face: bool) -> None:
+    """Every query of (n, 4, 3) with the separation that it just comes down to at t."""
+    for k in range(len(start)):
+        least = contacts.separation_at(start[k], end[k], t, is_face)
+        found = ask(start[k], end[k], is_face, least)
+        assert int(found.status) != pgccd.FREE, f"query {k} is missed"
+        assert float(found.toi) <= t, f"query {k} is late"
+
+
+@KINDS
+@pytest.mark.parametrize("scale", [0, -62, -64, -66, 41, 42, 43])
+def test_resting_features(is_face: bool, scale: int) -> None:
+    """At sizes that float32 holds well, nearly underflow or overflow when multiplied."""
+    n = 160 if scale == 0 else 60
+    points = shapes(np.random.default_rng([1, abs(scale)]), n, is_face, 2.0**scale)
+    assert_found_at_its_own_distance(points, points, 0.0, is_face)
+
+
+@KINDS
+@pytest.mark.parametrize("separation", [2.0**-10, 0.25, 1.0, 64.0])
+def test_features_at_rest_along_an_axis(is_face: bool, separation: float) -> None:
+    """Where the sum of a direction's coordinates is its length, distances are compared as they are."""
+    rng = np.random.default_rng(8)
+    points = touching_points(rng, 120, is_face, False)
+    points[:, slice(0, 1) if is_face else slice(0, 2), 2] += separation
+    for axis in range(3):
+        turned_over = np.roll(points, axis, axis=2)
+        assert bool((ask(turned_over, turned_over, is_face, separation).toi == 0.0).all())
+
+
+@KINDS
+def test_features_that_come_to_rest(is_face: bool) -> None:
+    """They come straight towards each other and are there at the end of the step, not before."""
+    rng = np.random.default_rng(2)
+    end = shapes(rng, 160, is_face)
+    start = end.copy()
+    moved = slice(0, 1) if is_face else slice(0, 2)
+    start[:, moved] = start[:, moved] + 3.0 * (start[:, moved] - start[:, 2:3]) * rng.uniform(0.1, 1.0, (160, 1, 1))
+    assert_found_at_its_own_distance(start, end, 1.0, is_face)
+
+
+@KINDS
+def test_growing_features(is_face: bool) -> None:
+    """The cubic is compared with the length of a normal that grows."""
+    rng = np.random.default_rng(3)
+    end = shapes(rng, 120, is_face)[1::2]
+    middle = end.mean(axis=1, keepdims=True)
+    start = middle + (end - middle) * rng.uniform(0.1, 0.3, (len(end), 1, 1))
+    lifted = slice(0, 1) if is_face else slice(0, 2)
+    normal = np.cross(end[:, 2] - end[:, 1], end[:, 3] - end[:, 1]) if is_face else None
+    if normal is None:
+        normal = np.cross(end[:, 1] - end[:, 0], end[:, 3] - end[:, 2])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    side = np.sign(((end[:, 0] - end[:, 2]) * normal).sum(axis=1))[:, None, None]
+    start[:, lifted] += 2.0 * side * normal[:, None]
+    assert_found_at_its_own_distance(start, end, 1.0, is_face)
+
+
+@KINDS
+def test_corners_so_small_that_products_underflow(is_face: bool) -> None:
+    """Corners closer than the separation, of features whose sizes float32 holds, but not the squares of them."""
+    rng = np.random.default_rng(15)
+    n = 300_000
+    size, separation = (2.0**-74, 2.0**-74 * 0.1) if is_face else (2.0**-76, 2.0**-76)
+    way = rng.normal(size=(n, 3)) * 10.0 ** rng.uniform(-3, 0, (n, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    points = np.zeros((n, 4, 3))
+    points[:, 1 if is_face else 2] = corner = separation * (1 - 1e-7) * way
+    if is_face:
+        points[:, 2:] = corner[:, None] + size * (way[:, None] + 0.5 * rng.normal(size=(n, 2, 3)))
+    else:
+        points[:, 1] = -size * (way + 0.3 * rng.normal(size=(n, 3)))
+        points[:, 3] = corner + size * (way + 0.3 * rng.normal(size=(n, 3)))
+    assert bool((ask(points, points, is_face, separation).toi == 0.0).all())
+
+
+def four_squares(rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """An integer vector of 53 bits whose length is an integer too."""
+    m, n, p, q = (int(x) for x in rng.integers(2**24, 2**25, 4))
+    x = [m * m + n * n - p * p - q * q, 2 * (m * q + n * p), 2 * (n * q - m * p)]
+    return np.array(x, dtype=np.float64), float(m * m + n * n + p * p + q * q)
+
+
+@KINDS
+def test_corners_at_distances_that_are_exact(is_face: bool) -> None:
+    """At rest at exactly the separation, along directions that no arithmetic holds: the last one must see it too."""
+    rng = np.random.default_rng(4)
+    for k in range(120):
+        offset, length = four_squares(rng)
+        points = np.zeros((4, 3))
+        # All else lies behind the two corners.
+        points[2] = offset
+        side = np.round(np.cross(offset, rng.normal(size=3)))
+        points[1 if is_face else 3] = np.round(1.5 * offset + 0.25 * side)
+        points[3 if is_face else 1] = np.round((1.75 if is_face else -0.5) * offset - 0.25 * side)
+        points *= 2.0**-52
+        found = ask(points, points, is_face, length * 2.0**-52)
+        assert int(found.status) != pgccd.FREE and float(found.toi) == 0.0, f"query {k} is missed"
+        far = ask(points, points, is_face, np.nextafter(length * 2.0**-52, 0.0))
+        assert int(far.status) == pgccd.FREE, f"query {k} is further apart than the separation"
+
+
+# Proofs of touching.
+
+
+def hardly(rng: np.random.Generator, n: int, is_face: bool, border: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Queries (n, 4, 3) that decide by roundings: a vertex or an edge that ends in the plane of the other, inside, or
+    that passes the plane right through a border; at random times and in random directions.
+    """
+    flat = touching_points(rng, n, is_face, border)
+    turn = unit_quaternions(rng, n)
+    v, w = turn[:, None, 1:], turn[:, None, :1]
+    flat = flat + 2 * np.cross(v, np.cross(v, flat) + w * flat)
+    # Half of them along the axis that the plane is seen along, so that what passes a border stays on it.
+    normal = turned(turn, np.tile([0.0, 0.0, 1.0], (n, 1)))
+    axis = np.eye(3)[np.abs(normal).argmax(axis=1)][:, None]
+    travel = np.where(rng.random((n, 1, 1)) < 0.5, rng.normal(size=(n, 1, 3)), axis)
+    moved = slice(0, 1) if is_face else slice(0, 2)
+    t = rng.uniform(0.2, 0.8, (n, 1, 1)) if border else 1.0
+    start, end = flat.copy(), flat.copy()
+    start[:, moved] -= t * travel
+    end[:, moved] += (1.0 - t) * travel
+    return start, end
+
+
+@KINDS
+@pytest.mark.parametrize("border", [False, True])
+@pytest.mark.parametrize("tolerance", [1e-6, 0.0])
+def test_proofs_of_touching_are_right(is_face: bool, border: bool, tolerance: float) -> None:
+    """What float64 has proven to touch does; and what is free by less than that is free all the same."""
+    start, end = hardly(np.random.default_rng(5), 400, is_face, border)
+    found = ask(start, end, is_face, tolerance=tolerance)
+    hits = (linear.vertex_face_many if is_face else linear.edge_edge_many)(start, end)
+    touching = np.array([hit is not None for hit in hits])
+    status = found.status.numpy()
+    assert 50 < touching.sum() < 350
+    assert (status[touching] != pgccd.FREE).all(), "missed"
+    assert (status[~touching] == pgccd.FREE).all(), "a near miss is no contact"
+    assert all(Fraction(float(t)) <= hit.toi_upper for t, hit in zip(found.toi, hits, strict=True) if hit)
+
+
+@KINDS
+def test_proofs_of_coming_within_the_separation_are_right(is_face: bool) -> None:
+    """Features that stay one rounding further apart than the separation are free."""
+    rng = np.random.default_rng(6)
+    end = shapes(rng, 120, is_face)
+    start = end.copy()
+    moved = slice(0, 1) if is_face else slice(0, 2)
+    start[:, moved] = start[:, moved] + 3.0 * (start[:, moved] - start[:, 2:3]) * rng.uniform(0.1, 1.0, (120, 1, 1))
+    for k in range(120):
+        too_small = float(np.nextafter(contacts.separation_at(start[k], end[k], 1.0, is_face), 0.0))
+        if separation.within_many(start[k][None], end[k][None], too_small, is_face)[0] is None:
+            assert int(ask(start[k], end[k], is_face, too_small, 1e-6).status) == pgccd.FREE
+
+
+@KINDS
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_toi_is_rounded_down(is_face: bool, dtype: torch.dtype) -> None:
+    """Without a tolerance the time found is the true one to all digits of the last arithmetic."""
+    rng = np.random.default_rng(7)
+    start, end = hardly(rng, 400, is_face, True)
+    if dtype == torch.float32:
+        start, end = (x.astype(np.float32).astype(np.float64) for x in (start, end))
+    found = ask(start, end, is_face, tolerance=0.0, dtype=dtype)
+    hits = (linear.vertex_face_many if is_face else linear.edge_edge_many)(start, end)
+    late = [k for k, hit in enumerate(hits) if hit and Fraction(float(found.toi[k])) > hit.toi_upper]
+    assert late == [] and sum(hit is not None for hit in hits) > 50
+
+
+@KINDS
+@pytest.mark.parametrize("speed", [2.0**10, 2.0**20, 2.0**30])
+def test_fast_features_are_not_late(is_face: bool, speed: float) -> None:
+    """From so far away that the digits of their place are few, and those of the time of contact too."""
+    rng = np.random.default_rng(16)
+    n = 200
+    flat = touching_points(rng, n, is_face, False)
+    turn = unit_quaternions(rng, n)
+    v, w = turn[:, None, 1:], turn[:, None, :1]
+    flat = flat + 2 * np.cross(v, np.cross(v, flat) + w * flat)
+    travel, t = speed * rng.normal(size=(n, 1, 3)), rng.uniform(0.1, 0.9, (n, 1, 1))
+    start, end = flat.copy(), flat.copy()
+    moved = slice(0, 1) if is_face else slice(0, 2)
+    start[:, moved] -= t * travel
+    end[:, moved] += (1.0 - t) * travel
+    hits = (linear.vertex_face_many if is_face else linear.edge_edge_many)(start, end)
+    assert sum(hit is not None for hit in hits) > n // 2
+    for tolerance in (0.0, 1e-6):
+        found = ask(start, end, is_face, tolerance=tolerance)
+        for k, hit in enumerate(hits):
+            if hit is not None:
+                assert int(found.status[k]) != pgccd.FREE, f"query {k} is missed"
+                assert Fraction(float(found.toi[k])) <= hit.toi_upper, f"query {k} is late"
+
+
+@KINDS
+def test_slender_features_are_measured_by_their_borders(is_face: bool) -> None:
+    """Corners nearly in one line, edges nearly parallel: rounding makes up their normal, which is not used."""
+    rng = np.random.default_rng(8)
+    n = 300
+    points = rng.normal(size=(n, 4, 3))
+    along = directions(rng, n)
+    if is_face:
+        points[:, 2] = points[:, 1] + along
+        points[:, 3] = points[:, 1] + rng.uniform(-1, 1, (n, 1)) * along
+    else:
+        points[:, 1], points[:, 3] = points[:, 0] + along, points[:, 2] + along
+    points += 2.0**-53 * rng.integers(-2, 3, points.shape)
+    least = [contacts.separation_at(p, p, 0.0, is_face) for p in points]
+    for k in range(n):
+        assert int(ask(points[k], points[k], is_face, 0.5 * least[k], 1e-6).status) == pgccd.FREE
+        assert int(ask(points[k], points[k], is_face, least[k], 1e-6).status) != pgccd.FREE
+
+
+# Rigid bodies, candidate by candidate.
+
+
+def found_contact(
+    meetings: Meetings,
+    moving: pgccd.MovingBodies,
+    k: int,
+    key: tuple[int, int, int],
+    min_separation: float,
+    tolerance: float | None = 0.0,
+) -> tuple[torch.Tensor, ...] | None:
+    """What the narrow phase makes of one feature pair: None, or the columns of its contact."""
+    pairs = torch.tensor(meetings.pairs[k : k + 1])
+    candidate = torch.tensor([[0, *key]], dtype=torch.int32)
+    rows = pgccd.narrow.contacts(moving, pairs, candidate, "all", min_separation, tolerance=tolerance)
+    return rows if len(rows[0]) else None
+
+
+def specks(rng: np.random.Generator, n: int, turns: int, size: float) -> Meetings:
+    """Bodies of unit size in one place, with a tiny triangle each, far from their centres. At the end of the step a
+    corner of the one triangle is nearest to the other, above its middle; a little earlier, and after `turns` whole
+    turns, it was further away by as much as the triangles are large.
+    """
+    frame = contacts.spindle(0.5, 1)
+    tip = np.array([[0.0, 0.0, 0.0], [0.25, -1.0, -0.5], [-0.5, -1.0, 0.25]]) * size + [1.5, 0.0, 0.0]
+    flat = np.array([[-1.0, 0.0, -1.0], [2.0, 0.0, -1.0], [-1.0, 0.0, 2.0]]) * size + [1.5, 0.0, 0.0]
+    meshes = [
+        pgccd.Mesh(np.concatenate([frame.vertices.numpy(), x]), np.concatenate([frame.faces.numpy(), [[6, 7, 8]]]))
+        for x in (tip, flat)
+    ]
+    orientation = np.repeat(unit_quaternions(rng, n), 2, axis=0)
+    normal = turned(orientation[::2], np.tile([0.0, 1.0, 0.0], (n, 1)))
+    rotation = 2 * np.pi * turns * directions(rng, 2 * n) + 1e-3 * size * rng.normal(size=(2 * n, 3))
+    velocity = np.zeros((n, 2, 3))
+    velocity[:, 0] = size * normal
+    return contacts.meet(
+        meshes * n,
+        [((6,), (6, 7, 8))] * n,
+        [([1.0], [1 / 3, 1 / 3, 1 / 3])] * n,
+        orientation,
+        rotation,
+        velocity.reshape(-1, 3),
+        np.ones(n),
+        0.25 * size * normal,
+    )
+
+
+@pytest.mark.parametrize("turns", [0, 1000, 100_000])
+def test_tiny_features_far_from_their_centres(turns: int) -> None:
+    """They are known as well as their bodies' size and angle allow, which is all that they are off by."""
+    meetings = specks(np.random.default_rng([9, turns]), 30, turns, 1e-5 if turns else 1e-9)
+    moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion("linear"))
+    for k in range(len(meetings)):
+        (key,) = meetings.touching(k)
+        least = contacts.least_separation(contacts.distance_at(meetings, k))
+        assert found_contact(meetings, moving, k, key, least) is not None, f"pair {k} is missed"
+
+
+@pytest.mark.parametrize("turn", [(0.5, 0.5), (2.0, 0.0), (0.0, 2.0), (9.0, 5.0)])
+def test_tips_graze_on_arcs(turn: tuple[float, float]) -> None:
+    """At the moment when they are nearest, and at exactly the separation."""
+    meetings = contacts.tips(np.random.default_rng(10), 12, turn, gap=2.0**-6)
+    moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion())
+    for k in range(len(meetings)):
+        least = contacts.least_separation(contacts.distance_at(meetings, k))
+        for key in meetings.touching(k):
+            rows = found_contact(meetings, moving, k, key, least)
+            assert rows is not None and float(rows[4]) <= meetings.time[k], f"pair {k}, {key}"
+
+
+def bulging(rng: np.random.Generator, n: int, which: int, size: float = 1e-3) -> Meetings:
+    """Crossed edges, of which one turns about an axis parallel to it and comes to the other head on, so fast that they
+    touch in the middle of the first window of time: there the arc strays from its chord by all that is allowed for.
+    """
+    turn = 0.2
+    window = np.sqrt(2.0 * size) / turn  # over which a gap of that size is four deviations
+    speed = 6.0 * (turn * window) ** 2 / 8.0 / window
+    along = directions(rng, n)
+    orientation = []
+    for d in along:
+        first = contacts.leading(d, rng.uniform(0, 6))
+        # The second one looks back at the first, and lies across it: half a turn about the bisector of y and z.
+        orientation += [first, product(first, np.array([0.0, 0.0, 0.5**0.5, 0.5**0.5]))]
+    rotation = np.zeros((n, 2, 3))
+    for k in range(n):
+        own = orientation[2 * k + which]
+        rotation[k, which] = turn * turned(own[None], np.array([[0.0, 0.0, 1.0]]))[0]
+    velocity = np.zeros((n, 2, 3))
+    velocity[:, 0] = speed * along
+    return contacts.meet(
+        [contacts.wedge(0.25) for _ in range(2 * n)],
+        [((0, 1), (0, 1))] * n,
+        [([0.5, 0.5], [0.5, 0.5])] * n,
+        np.array(orientation),
+        rotation.reshape(-1, 3),
+        velocity.reshape(-1, 3),
+        np.full(n, 0.5 * window),
+        np.zeros((n, 3)),
+    )
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_arcs_are_not_late(which: int) -> None:
+    """Where an arc leaves its chord by all that the window allows."""
+    meetings = bulging(np.random.default_rng(11), 12, which)
+    moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion())
+    for k in range(len(meetings)):
+        (key,) = meetings.touching(k)
+        assert key[0] == pgccd.EE
+        assert contacts.distance_at(meetings, k) <= 1e-12
+        rows = found_contact(meetings, moving, k, key, 1e-12)
+        assert rows is not None and float(rows[4]) <= meetings.time[k], f"pair {k}: late"
+
+
+def test_contacts_come_within_the_tolerance() -> None:
+    """On arcs coming near is a contact: within the tolerance, which is relative to the smaller body if not given."""
+    rng = np.random.default_rng(12)
+    for apart, tolerance, expected in ((0.5, 0.4, False), (0.5, 16.0, True), (2e-5, None, False), (2e-9, None, True)):
+        meetings = contacts.tips(rng, 4, gap=apart, sizes=(1.0, 1024.0))
+        moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion())
+        for k in range(4):
+            key = min(meetings.touching(k))
+            assert (found_contact(meetings, moving, k, key, 0.0, tolerance) is not None) == expected, (apart, tolerance)
+
+
+# Where a contact is.
+
+
+def swapped(meetings: Meetings) -> Meetings:
+    """The second body of each pair first."""
+    b = meetings.bodies
+    order = meetings.pairs[:, ::-1].ravel()
+    columns = (c[order] for c in (b.position_t0, b.orientation_t0, b.velocity, b.rotation))
+    bodies = Bodies([b.meshes[k] for k in order], *columns)
+    return Meetings(bodies, meetings.time, [(second, first) for first, second in meetings.place])
+
+
+@pytest.mark.parametrize("kind", ["face", "edges"])
+@pytest.mark.parametrize("is_swapped", [False, True])
+def test_normals_of_bodies_in_touch(kind: str, is_swapped: bool) -> None:
+    """Without a gap to go by, the normal leads from the first body to the second all the same."""
+    rng = np.random.default_rng(13)
+    for _ in range(12):
+        meetings = contacts.resting(rng, kind, 0.0)
+        if is_swapped:
+            meetings = swapped(meetings)
+        (key,) = meetings.touching(0)
+        assert key[0] == (pgccd.EE if kind == "edges" else (pgccd.VF_BA if is_swapped else pgccd.VF_AB))
+        for path in ("rigid", "linear"):
+            moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion(path))  # type: ignore[arg-type]
+            rows = found_contact(meetings, moving, 0, key, 0.0)
+            assert rows is not None
+            between = meetings.bodies.position_t0[1] - meetings.bodies.position_t0[0]
+            axis = int(np.argmax(np.abs(between)))
+            assert np.array_equal(rows[7].numpy()[0], np.sign(between[axis]) * np.eye(3)[axis])
+
+
+@pytest.mark.parametrize("is_swapped", [False, True])
+def test_normals_where_rounding_makes_the_gap(is_swapped: bool) -> None:
+    """A gap of some roundings has no direction; the features have."""
+    rng = np.random.default_rng(14)
+    n = 60
+    along, weights = directions(rng, n), np.full(3, 1 / 3)
+    orientation = np.array([contacts.leading(way * d, rng.uniform(0, 6)) for d in along for way in (1.0, -1.0)])
+    still = np.zeros((2 * n, 3))
+    meetings = contacts.meet(
+        [contacts.spindle(0.25, 2), contacts.plate(4)] * n,
+        [((0,), (6, 7, 12))] * n,
+        [([1.0], weights)] * n,
+        orientation,
+        still,
+        still,
+        np.zeros(n),
+        np.zeros((n, 3)),
+    )
+    if is_swapped:
+        meetings, along = swapped(meetings), -along
+    moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion())
+    for k in range(n):
+        (key,) = meetings.touching(k)
+        rows = found_contact(meetings, moving, k, key, 1e-14)
+        assert rows is not None and rows[7].numpy()[0] @ along[k] > 0.999999, f"pair {k}"
+
+
+def test_ties_in_a_lattice() -> None:
+    """Cubes in full contact: of contacts that are equally early, the first in order is reported."""
+    bodies = contacts.lattice(3)
+    scene, motion = bodies.scene(), bodies.motion()
+    every, first = (pgccd.detect(scene, motion, report) for report in ("all", "first"))
+    assert (every.toi == 0).all() and len(first) >= 54
+    order = torch.cat([every.pairs, every.kind[:, None].long(), every.features.long()], dim=1).tolist()
+    assert order == sorted(order)
+    expected: dict[tuple[int, int], list[int]] = {}
+    for i, j, *row in order:
+        expected.setdefault((i, j), row)
+    reported = torch.cat([first.kind[:, None].long(), first.features.long()], dim=1).tolist()
+    assert dict(zip(map(tuple, first.pairs.tolist()), reported, strict=True)) == expected

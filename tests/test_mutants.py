@@ -1,0 +1,41 @@
+"""The list of mutants: every text that one replaces occurs exactly once, so that the list stays true to the code."""
+
+from __future__ import annotations
+
+import pytest
+from mutant_list import MUTANTS, Mutant
+from mutants import ROOT, StaleMutantError, batches, span, with_mutant, with_switches
+
+TESTS = ROOT / "tests"
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: m.name)
+def test_the_text_occurs_once(mutant: Mutant) -> None:
+    text = (ROOT / mutant.file).read_text()
+    begin, end = span(mutant, text)
+    assert text[begin:end] == mutant.old != mutant.new
+    assert all((TESTS / target.split("::")[0]).exists() for target in mutant.killed_by) and mutant.killed_by
+
+
+def test_names_are_unique() -> None:
+    assert len({m.name for m in MUTANTS}) == len(MUTANTS) >= 60
+
+
+def test_stale_texts_are_refused() -> None:
+    mutant = Mutant("m", "f", "b", "c", ("test_mutants.py",))
+    assert with_mutant(mutant, "abd") == "acd"
+    for text in ("ad", "abbd"):
+        with pytest.raises(StaleMutantError, match="m: f holds"):
+            span(mutant, text)
+    narrowed = Mutant("m", "f", "b", "c", ("test_mutants.py",), within="bd")
+    assert with_mutant(narrowed, "ab bd") == "ab cd"
+
+
+def test_mutants_compiled_together_do_not_overlap() -> None:
+    def mutant(old: str, new: str) -> Mutant:
+        return Mutant(old + new, "f", old, new, ("test_mutants.py",))
+
+    first, second, wider, other = mutant("b", "1"), mutant("b", "2"), mutant("abd", "3"), mutant("e", "4")
+    assert batches([first, second, wider, other], {"f": "abde"}) == [[first, second, other], [wider]]
+    switched = with_switches([(1, first), (2, second)], "abd")
+    assert switched == "a(::pgccd::selected_mutant == 1 ? (1) : ::pgccd::selected_mutant == 2 ? (2) : (b))d"
