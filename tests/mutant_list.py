@@ -35,6 +35,10 @@ ON_NARROW = ("test_margins_narrow.py",)
 ON_BROAD = ("test_margins_broad.py",)
 ON_BOUNDS = ("test_margins_bounds.py",)
 ON_CORE = ("test_margins_core.py",)
+ON_TIES = ("test_ties.py",)
+ON_DEGENERATE = ("test_narrow_degenerate.py",)
+ON_SPIN = ("test_spinning.py",)
+ON_PASSING = ("test_narrow_at_scale.py",)
 
 _LOCAL_ROUNDING = "kLocalRounding, 64 units of the whole local frame, includes it"
 _SPARE = "the 32 units of the extent have room for it: the projected gap itself needs at most 12"
@@ -416,8 +420,8 @@ _CERTIFICATES = [
     Mutant(
         "moving-normal-length-at-start",
         NARROW + "certificates.h",
-        "square_root(larger(larger(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2)))",
-        "square_root(norm_squared(n0))",
+        "larger(larger(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2))",
+        "norm_squared(n0)",
         ON_NARROW,
     ),
     Mutant(
@@ -589,8 +593,8 @@ _CERTIFICATES = [
     Mutant(
         "touch-separation-noise-zero",
         NARROW + "touching.h",
-        "norm(nearest_points<kEdgeEdge>(path.at(until)).offset) + noise < separation",
-        "norm(nearest_points<kEdgeEdge>(path.at(until)).offset) < separation",
+        "distance_then + noise < separation",
+        "distance_then < separation",
         ON_NARROW,
     ),
     Mutant(
@@ -604,7 +608,7 @@ _CERTIFICATES = [
     Mutant(
         "slender-normals-used",
         NARROW + "nearest_points.h",
-        "normal_squared > (slender * slender) * (norm_squared(p.a) * norm_squared(p.b))",
+        "normal_squared > (slender * slender) * parallel_squared",
         "normal_squared > T(0)",
         ON_NARROW,
         equivalent="a foot inside needs the offset's part across to be less than the slenderness, so that the distance"
@@ -650,13 +654,20 @@ _CERTIFICATES = [
         switched=False,
     ),
     Mutant(
-        "latest-rounded-to-nearest",
+        "prune-time-rounded-to-nearest",
         NARROW + "precision_ladder.h",
-        "round_up<T>(settings.latest)",
-        "static_cast<T>(settings.latest)",
+        "round_up<T>(settings.prune_at)",
+        "static_cast<T>(settings.prune_at)",
         ON_NARROW,
-        equivalent="single precision is asked by elementary queries only, which have no latest time",
+        equivalent="single precision is asked by elementary queries only, which are never pruned",
         switched=False,
+    ),
+    Mutant(
+        "ties-pruned",
+        NARROW + "candidate_item.h",
+        "std::nextafter(latest, static_cast<double>(INFINITY))",
+        "latest",
+        ON_TIES,
     ),
     Mutant(
         "double-double-advance-not-rounded-down",
@@ -740,6 +751,97 @@ _CERTIFICATES = [
     ),
 ]
 
+_PATIENT = [
+    Mutant(
+        "turning-middle-0.999",
+        NARROW + "certificates.h",
+        "distance * (T(0.5) * (T(1) + dot(direction0, direction1)) + T(16) * u) + rounding",
+        "distance * T(0.999) * (T(0.5) * (T(1) + dot(direction0, direction1)) + T(16) * u) + rounding",
+        ON_PASSING,
+    ),
+    Mutant(
+        "turning-ends-0.999",
+        NARROW + "certificates.h",
+        "distance * (T(1) + T(16) * u) + rounding",
+        "T(0.999) * distance * (T(1) + T(16) * u) + rounding",
+        ON_PASSING,
+        within="const T at_ends = distance * (T(1) + T(16) * u) + rounding",
+    ),
+    Mutant(
+        "turning-rounding-zero",
+        NARROW + "certificates.h",
+        "T(2) * error.point + T(32) * u * error.extent",
+        "T(0)",
+        ON_PASSING,
+        within="const T rounding = T(2) * error.point + T(32) * u * error.extent",
+        equivalent="the search stops at 4 point errors and 64 units of the extent above the separation",
+    ),
+    Mutant(
+        "turning-chord-to-the-end-only",
+        NARROW + "certificates.h",
+        "smaller(T(2) * (c1 - c0), c2 - c0)",
+        "c2 - c0",
+        ON_PASSING,
+    ),
+    Mutant(
+        "turning-deviation-zero",
+        NARROW + "advancement.h",
+        "separation + path.deviation(far_duration) * (T(1) + T(16) * unit)",
+        "separation",
+        ON_PASSING,
+    ),
+    Mutant(
+        "spin-reach-0.999",
+        NARROW + "paths.h",
+        "square_root(along_quarter * along_quarter + along_inward * along_inward)",
+        "0.999 * square_root(along_quarter * along_quarter + along_inward * along_inward)",
+        ON_SPIN,
+    ),
+    Mutant(
+        "spin-deviation-of-the-other-zero",
+        NARROW + "paths.h",
+        "threshold + bend * duration * duration * 0.125 * (1.0 + 16.0 * u)",
+        "threshold",
+        ON_SPIN,
+    ),
+    Mutant(
+        "spin-separation-0.999",
+        NARROW + "paths.h",
+        "separation * (1.0 + 16.0 * u)",
+        "0.999 * separation * (1.0 + 16.0 * u)",
+        ON_SPIN,
+    ),
+    Mutant(
+        "tiny-directions-not-scaled",
+        NARROW + "nearest_points.h",
+        "!(squared > T(Precision<T>::smallest_square))",
+        "false",
+        ON_DEGENERATE,
+    ),
+    Mutant(
+        "tiny-directions-taken-as-they-are",
+        NARROW + "advancement.h",
+        "!(squared > T(Precision<T>::smallest_square))",
+        "false",
+        ON_DEGENERATE,
+    ),
+    Mutant(
+        "moving-normal-of-vanishing-length",
+        NARROW + "certificates.h",
+        "!(longest_squared > T(Precision<T>::smallest_square))",
+        "false",
+        ON_DEGENERATE,
+    ),
+    Mutant(
+        "slender-distance-along-the-normal",
+        NARROW + "nearest_points.h",
+        "T(0x1p-6) * parallel_squared",
+        "T(0)",
+        ON_DEGENERATE,
+    ),
+]
+
+
 _CORE = [
     Mutant(
         "quaternion-not-divided",
@@ -820,6 +922,28 @@ _CORE = [
 
 _BROAD = [
     Mutant(
+        "box-rounding-zero",
+        BROAD + "body_volumes.h",
+        "1.7320508075688774 * 0x1p-54",
+        "0.0",
+        ("test_broad_rounding.py",),
+        switched=False,
+    ),
+    Mutant(
+        "predicate-without-tolerance",
+        BROAD + "body_volumes.h",
+        "bodies.separation + pair_tolerance(bodies.centres, i, j, bodies.tolerance)",
+        "bodies.separation",
+        ("test_broad.py", "test_broad_rounding.py", "test_extremes.py"),
+    ),
+    Mutant(
+        "swept-box-without-tolerance",
+        BROAD + "body_volumes.h",
+        "bodies.separation + (bodies.tolerance < 0.0 ? -bodies.tolerance * radius : bodies.tolerance)",
+        "bodies.separation",
+        ("test_broad.py", "test_broad_rounding.py", "test_extremes.py"),
+    ),
+    Mutant(
         "predicate-offset-slack-zero",
         BROAD + "body_volumes.h",
         "0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1))",
@@ -829,20 +953,20 @@ _BROAD = [
     Mutant(
         "predicate-radius-slack-zero",
         BROAD + "body_volumes.h",
-        "(1.0 + 0x1p-48)",
+        "(1.0 + 0x1p-42)",
         "1.0",
         ON_BROAD,
-        within="bodies.separation) * (1.0 + 0x1p-48) + rounding",
+        within="kept) * (1.0 + 0x1p-42) + rounding",
         equivalent="spheres that touch have an offset of their reach at least, so that the offset's slack is 2^-48 of a"
         " third of it or more",
     ),
     Mutant(
         "predicate-reach-0.999",
         BROAD + "body_volumes.h",
-        "(1.0 + 0x1p-48)",
+        "(1.0 + 0x1p-42)",
         "0.999",
         ON_BROAD,
-        within="bodies.separation) * (1.0 + 0x1p-48) + rounding",
+        within="kept) * (1.0 + 0x1p-42) + rounding",
     ),
     Mutant(
         "swept-box-radius-slack-zero",
@@ -850,7 +974,7 @@ _BROAD = [
         "(1.0 + 0x1p-40)",
         "1.0",
         ON_BROAD,
-        within="0.5 * bodies.separation) * (1.0 + 0x1p-40)",
+        within="0.5 * kept) * (1.0 + 0x1p-40)",
     ),
     Mutant(
         "swept-box-travel-slack-zero",
@@ -862,8 +986,8 @@ _BROAD = [
     Mutant(
         "swept-box-without-separation",
         BROAD + "body_volumes.h",
-        "0.5 * bodies.separation",
-        "0.4995 * bodies.separation",
+        "0.5 * kept",
+        "0.4995 * kept",
         ON_BROAD,
     ),
     Mutant(
@@ -1077,4 +1201,4 @@ _DISTRIBUTED = [
     ),
 ]
 
-MUTANTS = _RIGID + _DEFORMING + _TREE + _DIRECTIONS + _CERTIFICATES + _CORE + _BROAD + _BOUNDS + _DISTRIBUTED
+MUTANTS = _RIGID + _DEFORMING + _TREE + _DIRECTIONS + _CERTIFICATES + _PATIENT + _CORE + _BROAD + _BOUNDS + _DISTRIBUTED

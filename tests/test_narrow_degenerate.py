@@ -131,3 +131,17 @@ def _corners(meshes: list[pgccd.Mesh], kind: int, features: np.ndarray) -> list[
     table = {"vertex": lambda m: np.arange(len(m.vertices))[:, None], "face": lambda m: m.faces.numpy()}
     table["edge"] = lambda m: m.edges.numpy()
     return [table[what](m)[features[:, k]] for k, (m, what) in enumerate(zip(meshes, FEATURES[kind], strict=True))]
+
+
+@pytest.mark.parametrize("dtype", list(EDGES))
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_what_is_not_a_finite_number_is_never_free(device: torch.device, dtype: torch.dtype, value: float) -> None:
+    """Wherever it stands: far apart otherwise, and still no proof that the features stay apart."""
+    apart = torch.tensor([[0, 0, 9], [1, 0, 9], [0, 0, 0], [0, 1, 0]], dtype=dtype, device=device)
+    points = apart.repeat(24, 1, 1)
+    ends = [points.clone(), points.clone()]
+    for k in range(24):
+        ends[k // 12][k, k % 12 // 3, k % 3] = value
+    for test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
+        assert (test(points, points).status == pgccd.FREE).all()
+        assert (test(*ends).status != pgccd.FREE).all()

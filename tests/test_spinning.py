@@ -73,3 +73,36 @@ def test_tip_just_reaches_the_wall(device: torch.device, angle: float, depth: fl
     assert float(found.toi) <= turned / angle * (1 + 1e-12)
     assert float(found.toi) >= turned / angle - 2e-3 * math.sqrt(1e-6 / depth) / angle
     assert found.status.tolist() == [pgccd.TOUCH]
+
+
+@pytest.mark.parametrize("depth", [1e-3, 1e-2])
+def test_arc_that_bulges_into_the_circle(device: torch.device, depth: float) -> None:
+    """The tip of a second body, which turns slowly, comes into reach of the spinning one only in the middle of its
+    arc: both ends of the chord are out of reach."""
+    needle = pgccd.Mesh([[1, 0, 0], [-1, 0, 0], [0, 0.01, 0.01], [0, 0.01, -0.01]], [[0, 1, 2], [0, 3, 1]])
+    corners = np.array([[-1.0, 0, 0], [0.5, 0.1, 0.4], [0.5, 0.1, -0.4]])
+    hook = pgccd.Mesh(corners, [[0, 1, 2]])
+    tip = hook.vertices[0].numpy()
+    arm = float(np.hypot(tip[0], tip[1]))
+    half = 0.75
+    start = math.pi - half - math.atan2(tip[1], tip[0])
+    position = torch.tensor([[0, 0, 0], [arm + 1 - depth, 0, 0]], dtype=torch.float64, device=device)
+    orientation = [[1.0, 0, 0, 0], [math.cos(start / 2), 0, 0, math.sin(start / 2)]]
+    rotation = [[0.0, 0, 300.0], [0.0, 0, 2 * half]]
+    columns = [torch.tensor(x, dtype=torch.float64, device=device) for x in (orientation, rotation)]
+    motion = pgccd.RigidMotion.from_rotation(position, columns[0], position, columns[1])
+    found = pgccd.detect(pgccd.Scene([needle, hook], device=device), motion, "first")
+    assert len(found) == 1
+    assert 0.3 < float(found.toi) < 0.5 + 1e-9
+
+
+@pytest.mark.parametrize("depth", [-1e-4, 1e-4])
+def test_tip_at_a_separation(device: torch.device, depth: float) -> None:
+    """A spinning spike keeps a distance of 1/4 from a wall, or just not."""
+    spike = pgccd.Mesh(
+        [[0, 0, 0], [0.1, 0.02, 0.01], [0.1, -0.02, 0.01], [1, 0, 0]], [[0, 2, 1], [1, 2, 3], [0, 1, 3], [0, 3, 2]]
+    )
+    radius = float(spike.vertices[:, :2].norm(dim=1).max())
+    scene, motion = spinning(spike, wall(radius + 0.25 - depth, (-1, 0, 0)), (0.0, 0.0, 300.0), device)
+    found = pgccd.detect(scene, motion, "first", 0.25, pairs=torch.tensor([[0, 1]], device=device))
+    assert len(found) == (1 if depth > 0 else 0) and found.stats.unresolved == 0

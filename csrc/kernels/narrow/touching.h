@@ -91,7 +91,8 @@ PGCCD_HD bool certainly_touch(const Path& path, T t, const FeaturePair<T>& now, 
     const T speed = -dot(nearest.offset, closing) / distance;
     const T until = smaller(t + T(4) * ((distance - separation) + noise) / speed, T(1));
     if (!(until > t)) return false;
-    return norm(nearest_points<kEdgeEdge, kWithSlender>(path.at(until)).offset) + noise < separation;
+    const T distance_then = norm(nearest_points<kEdgeEdge, kWithSlender>(path.at(until)).offset);
+    return distance_then + noise < separation;
   }
   const PairError<T> error = path.error();
   const Vec3<T> normal = cross(now.a, now.b);
