@@ -83,6 +83,11 @@ inline void check_offsets(const MeshSetView& view, const MeshOffsets& sizes) {
         at.vertex <= sizes.vertex && at.face <= sizes.face && at.edge <= sizes.edge && at.block <= sizes.block;
     STD_TORCH_CHECK(ascend && end, "mesh_set.offsets: row ", mesh, ": expected ascending rows of the other tensors");
   }
+  const MeshOffsets first = view.offsets[0], last = view.offsets[view.mesh_count];
+  const bool is_all = first.vertex == 0 && first.face == 0 && first.edge == 0 && first.block == 0 &&
+                      last.vertex == sizes.vertex && last.face == sizes.face && last.edge == sizes.edge &&
+                      last.block == sizes.block;
+  STD_TORCH_CHECK(is_all, "mesh_set.offsets: expected the first row to be 0, and the last one the sizes of the others");
 }
 
 inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {

@@ -7,6 +7,13 @@
 // vertices_t1 (X, 3),
 //                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64]
 //                     see core/bodies.h
+// All that is given is looked at: shapes, dtypes, devices, lengths, and rows that name other rows. On a CPU what is
+// wrong raises an error that names the argument. On a GPU nothing waits to be told: traversals count no pairs and
+// overflow
+// (`contacts_within_*`), or raise (`traverse_*`, `narrow_*`, which wait anyway); other launches fail, as torch's own do
+// for an index out of range. Taken as made by the package is what the columns of a mesh set say, and node
+// blocks, as `refit` makes them.
+//
 // contact rows = (pair i32, kind i8, features (., 2) i32, status i8, toi f64, coordinates (., 2), point (., 3), normal
 // (., 3))
 #include <Python.h>
