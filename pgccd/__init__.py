@@ -3,14 +3,13 @@
 from pgccd import broad, narrow, traverse
 from pgccd._host import build_information as _build_information
 from pgccd.bodies import MovingBodies
-from pgccd.capacity import Capacity
+from pgccd.capacity import Capacity, CapacityError
 from pgccd.contacts import Contacts, PaddedContacts, Stats
 from pgccd.detect import detect
 from pgccd.mesh import Mesh, MeshSet
 from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.narrow import Kind, Status
 from pgccd.scene import Scene
-from pgccd.within import CapacityError
 
 __version__: str = _build_information()["version"]
 

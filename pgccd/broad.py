@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from pgccd import ops
+from pgccd import arguments, ops
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import COUNT_ROWS, Capacity
 
@@ -22,6 +22,9 @@ BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
 _FEW_BODIES = 2_000
 _GRID_OCTAVES = 3
 _MANY_BODIES = 150_000
+#: Centres at t0 and t1, radius, and the filters.
+_Columns = tuple[Tensor, Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]
+
 _AXES = {"auto": -1, "x": 0, "y": 1, "z": 2}
 
 
@@ -41,9 +44,8 @@ def sweep(bodies: MovingBodies, min_separation: float = 0.0, axis: Literal["auto
     Example:
         >>> pairs = pgccd.broad.sweep(bodies)
     """
-    if axis not in _AXES:
-        raise ValueError(f"axis: expected one of {list(_AXES)}, got {axis!r}")
-    pairs = ops.sweep(*_columns(bodies), check_separation(min_separation), _AXES[axis])
+    arguments.choice(axis, "axis", _AXES)
+    pairs = ops.sweep(*_checked_columns(bodies), check_separation(min_separation), _AXES[axis])
     return with_self_pairs(bodies, pairs)
 
 
@@ -63,7 +65,7 @@ def grid(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
     Example:
         >>> pairs = pgccd.broad.grid(bodies)
     """
-    return with_self_pairs(bodies, ops.grid(*_columns(bodies), check_separation(min_separation)))
+    return with_self_pairs(bodies, ops.grid(*_checked_columns(bodies), check_separation(min_separation)))
 
 
 def lbvh(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
@@ -82,7 +84,7 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0) -> Tensor:
     Example:
         >>> pairs = pgccd.broad.lbvh(bodies)
     """
-    return with_self_pairs(bodies, ops.lbvh(*_columns(bodies), check_separation(min_separation)))
+    return with_self_pairs(bodies, ops.lbvh(*_checked_columns(bodies), check_separation(min_separation)))
 
 
 def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase:
@@ -97,8 +99,8 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
         >>> pgccd.broad.choose(bodies)
         'grid'
     """
-    if broad_phase not in BROAD_PHASES:
-        raise ValueError(f"broad_phase: expected one of {list(BROAD_PHASES)}, got {broad_phase!r}")
+    arguments.choice(broad_phase, "broad_phase", BROAD_PHASES)
+    require_bodies(bodies)
     if broad_phase != "auto":
         return broad_phase
     if bodies.scene.body_count < _FEW_BODIES:
@@ -150,10 +152,21 @@ def find_pairs(bodies: MovingBodies, min_separation: float = 0.0, broad_phase: B
     Example:
         >>> pairs = pgccd.broad.find_pairs(bodies, min_separation=0.01)
     """
-    return _FINDERS[choose(bodies, broad_phase)](bodies, min_separation)
+    chosen = choose(bodies, broad_phase)
+    bodies.check()
+    return find_pairs_of_checked(bodies, min_separation, chosen)
 
 
-_FINDERS: dict[str, Callable[[MovingBodies, float], Tensor]] = {"sweep": sweep, "grid": grid, "lbvh": lbvh}
+def find_pairs_of_checked(bodies: MovingBodies, min_separation: float, chosen: BroadPhase) -> Tensor:
+    """As `find_pairs`, by the broad phase that `choose` has named, of bodies whose faults have been looked for."""
+    return with_self_pairs(bodies, _FINDERS[chosen](_columns(bodies), check_separation(min_separation)))
+
+
+_FINDERS: dict[str, Callable[[_Columns, float], Tensor]] = {
+    "sweep": lambda columns, separation: ops.sweep(*columns, separation, _AXES["auto"]),
+    "grid": lambda columns, separation: ops.grid(*columns, separation),
+    "lbvh": lambda columns, separation: ops.lbvh(*columns, separation),
+}
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
@@ -177,9 +190,19 @@ def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
     return merged
 
 
-def _columns(
-    bodies: MovingBodies,
-) -> tuple[Tensor, Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]:
+def require_bodies(bodies: MovingBodies) -> None:
+    """Raises unless these are bodies in motion."""
+    if not isinstance(bodies, MovingBodies):
+        raise TypeError(f"bodies: expected a pgccd.MovingBodies, got {arguments.describe(bodies)}")
+
+
+def _checked_columns(bodies: MovingBodies) -> _Columns:
+    require_bodies(bodies)
+    bodies.check()
+    return _columns(bodies)
+
+
+def _columns(bodies: MovingBodies) -> _Columns:
     scene = bodies.scene
     filters = scene.group, scene.mask, scene.world, scene.static
     return bodies.position_t0, bodies.position_t1, bodies.radius, *filters
@@ -187,6 +210,4 @@ def _columns(
 
 def check_separation(min_separation: float) -> float:
     """The value, if it is a finite length >= 0."""
-    if not 0.0 <= min_separation < float("inf"):
-        raise ValueError(f"min_separation: expected a finite length >= 0, got {min_separation}")
-    return float(min_separation)
+    return arguments.length(min_separation, "min_separation")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pgccd import broad, narrow
+from pgccd import arguments, broad, narrow
 from pgccd.traverse import operator_tolerance
 
 
@@ -13,7 +13,7 @@ class Query:
     """The options of `pgccd.detect` that its stages share.
 
     Raises:
-        ValueError: naming the option.
+        TypeError, ValueError: naming the option.
     """
 
     report: narrow.Report
@@ -22,7 +22,7 @@ class Query:
     nonzero_toi: bool
 
     def __post_init__(self) -> None:
-        if self.report not in narrow.REPORTS:
-            raise ValueError(f"report: expected one of {list(narrow.REPORTS)}, got {self.report!r}")
+        arguments.choice(self.report, "report", narrow.REPORTS)
         broad.check_separation(self.min_separation)
         operator_tolerance(self.tolerance)
+        arguments.flag(self.nonzero_toi, "nonzero_toi")
