@@ -9,6 +9,7 @@ from pgccd.detect import detect
 from pgccd.mesh import Mesh, MeshSet
 from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.narrow import Kind, Status
+from pgccd.rotation import integrate_orientation
 from pgccd.scene import Scene
 
 __version__: str = _build_information()["version"]
@@ -39,6 +40,7 @@ __all__ = [
     "VertexMotion",
     "broad",
     "detect",
+    "integrate_orientation",
     "narrow",
     "traverse",
 ]

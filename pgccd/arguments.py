@@ -72,11 +72,35 @@ def device(value: Any, name: str = "device") -> torch.device:
         raise ValueError(f'{name}: expected a torch.device or its name, such as "cuda", got {value!r}') from error
 
 
-def rows(value: Any, name: str) -> None:
-    """Raises unless the value picks rows: a mask, row numbers or a slice. A single number picks an element, no rows."""
-    is_column = isinstance(value, (Tensor, np.ndarray, list)) and not (isinstance(value, Tensor) and value.dim() != 1)
-    if not is_column and not isinstance(value, slice):
-        raise TypeError(f"{name}: expected a mask, row numbers or a slice, got {describe(value)}")
+def rows(value: Any, name: str, count: int) -> Any:
+    """What picks some of `count` rows: a mask, row numbers or a slice. A single number picks an element, no rows.
+
+    Raises:
+        IndexError: a number is out of range (of values on a CPU; a GPU asserts).
+    """
+    if isinstance(value, slice):
+        return value
+    expected = "a mask, row numbers or a slice"
+    if not isinstance(value, (Tensor, np.ndarray, list)):
+        raise TypeError(f"{name}: expected {expected}, got {describe(value)}")
+    try:
+        picked = torch.as_tensor(value)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise TypeError(f"{name}: expected {expected}, got {describe(value)}: {error}") from error
+    if picked.numel() == 0 and not isinstance(value, Tensor):
+        picked = picked.long()
+    if picked.dtype.is_floating_point or picked.dtype.is_complex or picked.layout != torch.strided:
+        raise TypeError(f"{name}: expected {expected}, got {describe(picked)}")
+    is_mask = picked.dtype == torch.bool
+    if picked.dim() != 1 or (is_mask and len(picked) != count):
+        shape = f"({count},)" if is_mask else "(K,)"
+        raise ValueError(f"{name}: expected shape {shape}, got {tuple(picked.shape)}")
+    if is_mask or picked.device.type == "meta":
+        return picked
+    picked = picked.long()
+    if picked.device.type == "cpu" and bool(((picked < -count) | (picked >= count)).any()):
+        raise IndexError(f"{name}: expected numbers of {count} rows, got {int(picked.min())} to {int(picked.max())}")
+    return picked
 
 
 def refuse_gradient(values: Tensor, name: str) -> None:

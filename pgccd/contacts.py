@@ -73,8 +73,8 @@ class Contacts:
         Example:
             >>> early = hits[hits.toi < 0.5]
         """
-        arguments.rows(rows, "rows")
-        return self._with({name: column[rows] for name, column in _columns(self).items()})
+        picked = arguments.rows(rows, "rows", len(self))
+        return self._with({name: column[picked] for name, column in _columns(self).items()})
 
     def to(self, device: torch.device | str) -> Contacts:
         """The same on another device.

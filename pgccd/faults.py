@@ -21,7 +21,13 @@ _LARGEST_TURN = 1e6
 _FINITE = (0, _LARGEST_COORDINATE, f"finite numbers up to {_LARGEST_COORDINATE:g}")
 _UNIT = (1, _UNIT_TOLERANCE, "a unit quaternion (w, x, y, z)")
 _TURN = (2, _LARGEST_TURN, f"a turn of at most {_LARGEST_TURN:g} radians in the step")
-_CHECKS = {"orientation_t0": _UNIT, "orientation_t1": _UNIT, "rotation": _TURN, "angular_velocity": _TURN}
+_CHECKS = {
+    "orientation": _UNIT,
+    "orientation_t0": _UNIT,
+    "orientation_t1": _UNIT,
+    "rotation": _TURN,
+    "angular_velocity": _TURN,
+}
 
 
 def first_faults(columns: Mapping[str, Tensor]) -> Tensor:

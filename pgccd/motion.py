@@ -91,8 +91,14 @@ class RigidMotion(MovingColumns):
         travel, turn = (velocity, spin) if dt == 1.0 else (dt * velocity, dt * spin)
         motion._set(start, orientation, start + travel, path)
         motion.rotation = turn.contiguous()
-        motion._sources = {"position_t1": "linear_velocity", "rotation": "angular_velocity"}
-        motion._check_early({"linear_velocity": velocity, "angular_velocity": motion.rotation})
+        motion._sources = {
+            "position_t0": "position",
+            "orientation_t0": "orientation",
+            "position_t1": "linear_velocity",
+            "rotation": "angular_velocity",
+        }
+        origins = {"position": start, "orientation": motion.orientation_t0}
+        motion._check_early(origins | {"linear_velocity": velocity, "angular_velocity": motion.rotation})
         return motion
 
     @classmethod
@@ -162,13 +168,13 @@ class RigidMotion(MovingColumns):
         Example:
             >>> part = motion[:10]
         """
-        arguments.rows(rows, "rows")
+        picked = arguments.rows(rows, "rows", self.body_count)
         if self._given_faults is not None:
             self.check()  # what was found is of all rows
         part = copy.copy(self)
         part._given, part._given_faults = (), None
         for name in self._names:
-            setattr(part, name, getattr(self, name)[rows].contiguous())
+            setattr(part, name, getattr(self, name)[picked].contiguous())
         return part
 
     def __repr__(self) -> str:

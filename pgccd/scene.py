@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -75,7 +76,7 @@ class Scene:
                 device = mesh_index.device if isinstance(mesh_index, Tensor) else "cpu"
         device = arguments.device(device)
         if not isinstance(meshes, MeshSet):
-            several = isinstance(meshes, Iterable) and not isinstance(meshes, str)
+            several = isinstance(meshes, Iterable) and not isinstance(meshes, (str, dict, Tensor, np.ndarray))
             meshes = MeshSet(list(meshes) if several else meshes, device)
         #: The meshes, concatenated.
         self.meshes = meshes
