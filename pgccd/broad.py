@@ -96,8 +96,8 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
         ValueError: there is no such broad phase.
 
     Example:
-        >>> pgccd.broad.choose(bodies)
-        'grid'
+        >>> pgccd.broad.choose(bodies)  # two bodies
+        'sweep'
     """
     arguments.choice(broad_phase, "broad_phase", BROAD_PHASES)
     require_bodies(bodies)
