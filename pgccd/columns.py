@@ -27,18 +27,15 @@ class MovingColumns:
     _given_faults: Tensor | None = None
     # By column, the argument that it follows from.
     _sources: Mapping[str, str] = {}
-    # The verdict on columns that need not be looked at.
+    #: Whether the columns come from a motion that has been checked, and are never looked at.
+    is_trusted: bool = False
+    # The verdict on such columns, once it is asked for.
     _no_faults: Tensor | None = None
 
     @property
     def device(self) -> torch.device:
         """Where the columns are."""
         return getattr(self, self._names[0]).device
-
-    @property
-    def is_trusted(self) -> bool:
-        """Whether the columns come from a motion that has been checked, and are never looked at."""
-        return self._no_faults is not None
 
     def columns(self) -> dict[str, Tensor]:
         """The columns that detection reads, as they are now.
@@ -64,7 +61,9 @@ class MovingColumns:
         Args:
             columns: as `columns` returned them. Default: what it returns now.
         """
-        if self._no_faults is not None:
+        if self.is_trusted:
+            if self._no_faults is None:
+                self._no_faults = torch.zeros(1, dtype=torch.int64, device=self.device)
             return self._no_faults
         return joined(self._given_faults, first_faults(self.columns() if columns is None else columns))
 
@@ -82,6 +81,12 @@ class MovingColumns:
         """What `check` raises, given the values of `first_faults`."""
         if first[-1]:
             self.faults.raise_from(first)
+
+    def check_given(self) -> None:
+        """Raises ValueError if an argument that no column keeps was invalid. Waits for a GPU that has not told yet."""
+        if self._given_faults is not None:
+            self.check()
+            self._given, self._given_faults = (), None
 
     def to(self: _Self, device: torch.device | str) -> _Self:
         """The same on another device.

@@ -6,7 +6,6 @@ import copy
 from collections.abc import Sequence
 from typing import Literal, get_args
 
-import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
@@ -143,8 +142,7 @@ class RigidMotion(MovingColumns):
             ... )
         """
         motion = cls.__new__(cls)
-        motion.path = path
-        motion._no_faults = torch.zeros(1, dtype=torch.int64, device=position_t0.device)
+        motion.path, motion.is_trusted = path, True
         motion.position_t0, motion.orientation_t0 = position_t0, orientation_t0
         motion.position_t1, motion.rotation = position_t1, rotation
         return motion
@@ -169,10 +167,8 @@ class RigidMotion(MovingColumns):
             >>> part = motion[:10]
         """
         picked = arguments.rows(rows, "rows", self.body_count)
-        if self._given_faults is not None:
-            self.check()  # what was found is of all rows
+        self.check_given()  # what was found is of all rows
         part = copy.copy(self)
-        part._given, part._given_faults = (), None
         for name in self._names:
             setattr(part, name, getattr(self, name)[picked].contiguous())
         return part

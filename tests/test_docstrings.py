@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import doctest
+import functools
 import importlib
 import io
 import json
@@ -77,7 +78,8 @@ def two_bodies() -> dict[str, Any]:
     return names | {"meshes": scene.meshes, "device": torch.device("cpu")}
 
 
-def of_robots(folder: Path) -> dict[str, Any]:
+@functools.cache
+def of_robots() -> dict[str, Any]:
     """Names that examples of the nanorobot world use."""
     world = sim.World(sim.WorldConfig(robots=50, speed=0.3))
     state, comm = world.start(), distributed.Alone()
@@ -90,16 +92,16 @@ def of_robots(folder: Path) -> dict[str, Any]:
     partition = distributed.Partition.uniform((0, 0, 0), (30, 30, 30), 1)
     loads = distributed.CellLoads(*(torch.zeros(len(partition.owner), dtype=torch.int64) for _ in range(3)))
     names |= {"settled": settled, "find_contacts": lambda *_: None, "partition": partition, "loads": loads}
-    return names | {"id": state.id, "mood": state.position, "x": state.position, "folder": folder}
+    return names | {"id": state.id, "mood": state.position, "x": state.position}
 
 
-def namespace(module: str, folder: Path) -> dict[str, Any]:
+def namespace(module: str) -> dict[str, Any]:
     """What the examples of a module may speak of."""
     names: dict[str, Any] = {"pgccd": pgccd, "torch": torch, "np": np} | two_bodies()
     with contextlib.suppress(ImportError):
         names["trimesh"] = importlib.import_module("trimesh")
     if module.startswith(("pgccd.sim", "pgccd.viz", "pgccd.distributed")):
-        names |= of_robots(folder)
+        names |= of_robots()
     if module == "pgccd.distributed.world":
         names |= two_bodies() | {"comm": distributed.Alone()}
         payload = {"velocity": names["v"]}
@@ -107,7 +109,7 @@ def namespace(module: str, folder: Path) -> dict[str, Any]:
     if module == "pgccd.narrow":
         names |= dict.fromkeys(("x0", "x1"), torch.rand(5, 4, 3))
     if module == "pgccd.stages":
-        names |= of_robots(folder) | {"step": 0}
+        names |= of_robots() | {"step": 0}
     if module == "pgccd.distributed.comm":
         names |= {"lower": (0, 0, 0), "upper": (9, 9, 9), "position": torch.zeros(1, 3)}
     options = type("Options", (), {"robots": 9})
@@ -146,7 +148,7 @@ def test_examples_of_docstrings(module: str, folder: Path) -> None:
     importlib.import_module(module)
     checker = doctest.OutputChecker()
     for test in examples_of(module):
-        names = namespace(module, folder)
+        names = namespace(module)
         for example in test.examples:
             try:
                 got = run(example, names)

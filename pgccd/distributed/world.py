@@ -173,9 +173,9 @@ class World:
             raise ValueError(f"motion: has {motion.body_count} bodies, this rank owns {len(self.id)}")
         if motion.path != self.path:
             raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
+        motion.check_given()
         own = {name: self._columns[name] for name in ("id", "mesh_index", *FILTERS) if name in self._columns}
-        own |= {"position_t0": motion.position_t0, "orientation_t0": motion.orientation_t0}
-        own |= {"position_t1": motion.position_t1, "rotation": motion.rotation}
+        own |= motion.columns()
         self.comm.guard.activity = "step"
         clock = StageClock()
         found = detect_distributed(self.comm, self.partition, own, self._build, self.options, clock, self._room)
