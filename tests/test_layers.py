@@ -102,7 +102,7 @@ def test_single_device_modules_do_not_know_the_cluster() -> None:
     wrong = [
         (path.name, name)
         for path in [*PACKAGE.glob("*.py"), *(PACKAGE / "ops").glob("*.py")]
-        if path.stem not in {"cli", "__main__"}
+        if path.stem not in {"cli", "__main__", "__init__"}  # the last names them for type checkers: see test_package
         for name in imports(path)
         if name.startswith(upper)
     ]
@@ -128,7 +128,7 @@ def test_few_files_know_what_carries_messages() -> None:
         "mpi_comm.py",
         "launch.py",
         "rendezvous.py",
-        "checkpoint.py",
+        "row_planners.py",
     }
     assert knowing["mpi4py"] == {"mpi_comm.py", "rendezvous.py"}
 
