@@ -1,10 +1,11 @@
 """Makes .venv ready to build, run and test pgccd: `make demo` and `make test` run it once. Standard library only.
 
-With a network it installs torch, the packages named in pyproject.toml and a CUDA compiler. Where the Python that runs
-it already has torch, that one is used and never replaced; where there is no network, what is missing is done without.
-An existing .venv is kept.
+With a network it installs torch, the packages named in pyproject.toml and, where there is a GPU, a CUDA compiler.
+Where the Python that runs it already has torch, that one is used and never replaced; where there is no network, what is
+missing is done without. An existing .venv is kept.
 
-Environment: PGCCD_CUDA=auto|0|1 as in setup.py (0 also leaves the CUDA compiler out).
+Environment: PGCCD_CUDA=auto|0|1 as in setup.py. auto, the default, installs a CUDA compiler only where torch sees a GPU
+and no nvcc is found; 1 installs it wherever none is found, and fails without.
 """
 
 import sys
@@ -40,11 +41,12 @@ CUDA_COMPILER_WHEELS = {  # by the major version of torch's CUDA
     ]
 }
 PIP_INSTALL = [VENV_PYTHON, "-m", "pip", "--disable-pip-version-check", "--no-input", "install", "--progress-bar=off"]
+PIP_INSTALL += ["--no-compile"]  # of thousands of modules most are never imported; Python compiles those that are
 HEARTBEAT_SECONDS = 15
 
 PRINT_TORCH = """
 import json, torch
-print(json.dumps({"version": str(torch.__version__), "cuda": torch.version.cuda}))
+print(json.dumps({"version": str(torch.__version__), "cuda": torch.version.cuda, "gpus": torch.cuda.device_count()}))
 """
 PRINT_SITE_DIRECTORIES = """
 import json, sys
@@ -76,9 +78,13 @@ def main() -> None:
     LOG.parent.mkdir(exist_ok=True)
     LOG.write_text("")
     create_environment()
+    wish = os.environ.get("PGCCD_CUDA", "auto")
+    if wish not in ("auto", "0", "1"):
+        raise SystemExit(f"PGCCD_CUDA={wish}: expected auto, 0 or 1")
     torch = install_torch()
     install_packages()
-    install_cuda_compiler(torch["cuda"])
+    if torch["cuda"] is not None and wish != "0":
+        install_cuda_compiler(torch["cuda"], has_gpu=torch["gpus"] > 0, is_forced=wish == "1")
     install_project()
     say(f"ready after {time.monotonic() - started:.0f} s")
 
@@ -104,7 +110,7 @@ def create_environment() -> None:
         (packages / "parent-environment.pth").write_text("".join(lines))
 
 
-def install_torch() -> dict[str, str | None]:
+def install_torch() -> dict:
     torch = find_torch(VENV_PYTHON)
     if torch is None:
         run(f"installing {TORCH} (a large download)", [*PIP_INSTALL, "--timeout=30", TORCH])
@@ -128,11 +134,12 @@ def install_packages() -> None:
         say(f"going without {', '.join(missing)}")
 
 
-def install_cuda_compiler(torch_cuda: str | None) -> None:
-    if torch_cuda is None or os.environ.get("PGCCD_CUDA") == "0":
-        return
+def install_cuda_compiler(torch_cuda: str, has_gpu: bool, is_forced: bool) -> None:
     home = ask(VENV_PYTHON, PRINT_CUDA_TOOLKIT, torch_cuda)
     wheels = CUDA_COMPILER_WHEELS.get(torch_cuda.split(".")[0])
+    if home is None and not has_gpu and not is_forced:
+        say("no GPU and no nvcc: building for CPUs alone (PGCCD_CUDA=1 builds for GPUs too)")
+        return
     if home is None and wheels and index_is_reachable():
         # All of them again, even where torch brought one along: nvcc finds the others only beside itself.
         everything = ["--ignore-installed", "--no-deps", *wheels]
@@ -142,7 +149,8 @@ def install_cuda_compiler(torch_cuda: str | None) -> None:
 
 
 def install_project() -> None:
-    options = ["--verbose", "--no-index", "--no-build-isolation", "--no-deps"]
+    # compat: a path in a .pth file. Type checkers and editors do not see through the import hook of other modes.
+    options = ["--verbose", "--no-index", "--no-build-isolation", "--no-deps", "--config-settings=editable_mode=compat"]
     run("compiling and installing pgccd", [*PIP_INSTALL, *options, "--editable", "."])
 
 
@@ -165,8 +173,8 @@ def index_is_reachable() -> bool:
     return run("looking for the package index", [*PIP_INSTALL, *probe], must_succeed=False)
 
 
-def find_torch(python: Path | str) -> dict[str, str | None] | None:
-    """Version and CUDA version of the torch that `python` imports, None without one that is new enough."""
+def find_torch(python: Path | str) -> dict | None:
+    """Version, CUDA version and GPUs of the torch that `python` imports, None without one that is new enough."""
     torch = ask(python, PRINT_TORCH)
     if torch and tuple(int(number) for number in torch["version"].split(".")[:2]) < OLDEST_TORCH:
         return None

@@ -22,9 +22,10 @@ spin = torch.randn(count, 3, dtype=torch.float64).to(device)
 for step in range(20):
     motion = pgccd.RigidMotion.from_velocity(position, orientation, velocity, spin, dt=0.1)
     hits = pgccd.detect(scene, motion, nonzero_toi=True)
-    # Everybody moves until the first contact of the scene; those who touch then turn round.
+    # All move and turn until the first contact of the scene; those that touch then turn round.
     toi = hits.toi.min() if len(hits) else torch.ones((), dtype=torch.float64, device=device)
     position = position + toi * (motion.position_t1 - position)
+    orientation = pgccd.integrate_orientation(orientation, toi * motion.rotation)
     touching = hits.pairs[hits.toi <= toi].flatten()
     velocity[touching] *= -1
     print(f"step {step:2d}: {hits.stats.pcs} pairs, {len(hits)} contacts, all free until t = {float(toi):.4f}")

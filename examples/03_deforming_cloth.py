@@ -20,5 +20,6 @@ at_t0 = torch.from_numpy(np.concatenate([flat, ball.vertices]))
 at_t1 = torch.from_numpy(np.concatenate([sagging, ball.vertices]))
 
 hits = pgccd.detect(scene, pgccd.VertexMotion(at_t0, at_t1), report="all", min_separation=1e-3)
-print(f"{len(hits)} feature pairs come within 1e-3; the first at t = {hits.toi.min():.6f}")
+first = float(hits.toi.min()) if len(hits) else float("inf")
+print(f"{len(hits)} feature pairs come within 1e-3; the first at t = {first:.6f}")
 print({pgccd.Kind(kind).name: int((hits.kind == kind).sum()) for kind in hits.kind.unique().tolist()})

@@ -43,10 +43,12 @@ with distributed.connect(sys.argv[1] if len(sys.argv) > 1 else "cpu") as comm:
             world.position, mine["orientation"], mine["velocity"], mine["spin"], dt=0.1
         )
         toi = world.first_toi(world.step(motion))
-        # Those who touch stay where they are and turn round; the others go on.
+        # Those that touch stay as they are and turn round; the others go on.
         free = torch.isinf(toi)[:, None]
+        turned = pgccd.integrate_orientation(mine["orientation"], motion.rotation)
         world.move(
             torch.where(free, motion.position_t1, world.position),
+            orientation=torch.where(free, turned, mine["orientation"]),
             velocity=torch.where(free, mine["velocity"], -mine["velocity"]),
         )
         stopped = int(comm.sum((~free).sum()[None]))

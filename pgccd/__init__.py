@@ -1,16 +1,26 @@
 """Continuous collision detection for very many moving meshes, as a PyTorch extension."""
 
+import importlib as _importlib
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
+
 from pgccd import broad, narrow, traverse
 from pgccd._host import build_information as _build_information
 from pgccd.bodies import MovingBodies
-from pgccd.capacity import Capacity
+from pgccd.capacity import Capacity, CapacityError
 from pgccd.contacts import Contacts, PaddedContacts, Stats
 from pgccd.detect import detect
 from pgccd.mesh import Mesh, MeshSet
 from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.narrow import Kind, Status
+from pgccd.rotation import integrate_orientation
 from pgccd.scene import Scene
-from pgccd.within import CapacityError
+
+if _TYPE_CHECKING:
+    from pgccd import about, distributed, files, sim, viz
+
+# Imported when first used: they bring more along than detection needs.
+_LATER = ("about", "distributed", "files", "sim", "viz")
 
 __version__: str = _build_information()["version"]
 
@@ -38,8 +48,24 @@ __all__ = [
     "Stats",
     "Status",
     "VertexMotion",
+    "about",
     "broad",
     "detect",
+    "distributed",
+    "files",
+    "integrate_orientation",
     "narrow",
+    "sim",
     "traverse",
+    "viz",
 ]
+
+
+def __getattr__(name: str) -> _Any:
+    if name in _LATER:
+        return _importlib.import_module(f"pgccd.{name}")
+    raise AttributeError(f"module 'pgccd' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LATER})

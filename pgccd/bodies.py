@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
-from pgccd import ops
-from pgccd.mesh import LARGEST_RADIUS, SMALLEST_RADIUS
+from pgccd import arguments, ops
+from pgccd.faults import Faults, first_faulty_radius
 from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.scene import Scene
 
@@ -16,14 +16,15 @@ from pgccd.scene import Scene
 class MovingBodies:
     """The bodies of `scene` during one step of `motion`, in the form the operators read.
 
-    For deforming bodies this computes each body's bounds (refit of its hierarchy), once for all stages.
+    For deforming bodies this computes each body's bounds (refit of its hierarchy), once for all stages: where vertices
+    are written to later, make them anew.
 
     Args:
         wait: raise for an invalid pose now. Otherwise `first_faults` tells, and nothing waits for a device; the stages
             then take `invalid`, or must not be called.
 
     Raises:
-        ValueError: if scene and motion disagree in number or device, or a pose is invalid.
+        TypeError, ValueError: if scene and motion disagree in number or device, or a pose is invalid.
 
     Example:
         >>> bodies = pgccd.MovingBodies(scene, motion)
@@ -31,6 +32,13 @@ class MovingBodies:
     """
 
     def __init__(self, scene: Scene, motion: RigidMotion | VertexMotion, *, wait: bool = True) -> None:
+        if not isinstance(scene, Scene):
+            raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+        if not isinstance(motion, (RigidMotion, VertexMotion)):
+            kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
+            raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+        self._columns = motion.columns()
+        scene.check_columns()
         if scene.device != motion.device:
             raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
         self.scene = scene
@@ -41,36 +49,50 @@ class MovingBodies:
         self.deforming = isinstance(motion, VertexMotion)
         #: Whether the poses are known to be valid.
         self.checked = wait
-        if wait:
-            motion.check()
+        self._faults: Tensor | None = None
+        of_motion = motion.first_faults(self._columns) if wait and not motion.is_trusted else None
+        if of_motion is not None:
+            motion.raise_faults(of_motion.tolist())
         #: The operators' `bodies` argument; rows 1 to 3 are centres at t0 and t1 (N, 3) and radius (N,).
-        self.tensors = _deforming(scene, motion) if isinstance(motion, VertexMotion) else _rigid(scene, motion)
-        if wait and self.deforming:
-            self.raise_faults(self.first_faults().tolist())
+        self.tensors = (_deforming if self.deforming else _rigid)(scene, self._columns)
+        if of_motion is not None:
+            self._faults = self._look(of_motion)
+            if self.deforming:
+                self.raise_faults(self._faults.tolist())
 
     def first_faults(self) -> Tensor:
         """(F,) int64: the first faulty row of each thing checked, or a number past the last one; and 1 if there is any
-        such row, else 0."""
-        faults = self.motion.first_faults()
+        such row, else 0. Looked for once: each call of `pgccd.detect` makes bodies of its own."""
+        if self._faults is None:
+            self._faults = self._look(self.motion.first_faults(self._columns))
+        return self._faults
+
+    def check(self) -> None:
+        """Looks again, for a stage that is called alone: columns may have been written to. Waits for a GPU.
+
+        Raises:
+            ValueError: a pose is invalid.
+        """
+        if not self.motion.is_trusted and not torch.compiler.is_compiling():
+            self.raise_faults(self._look(self.motion.first_faults(self._columns)).tolist())
+
+    def _look(self, of_motion: Tensor) -> Tensor:
         if not self.deforming:
-            return faults
-        # A body may shrink to a point.
-        sound = (self.radius == 0.0) | ((self.radius >= SMALLEST_RADIUS) & (self.radius <= LARGEST_RADIUS))
-        row = torch.arange(len(sound), device=sound.device)
-        body = torch.where(sound, len(sound), row).min().reshape(1) if len(sound) else row.sum().reshape(1)
-        return torch.cat([body, faults[:-1], torch.maximum(faults[-1:], (body < len(sound)).long())])
+            return of_motion
+        body = first_faulty_radius(self.radius)
+        return torch.cat([body[:1], of_motion[:-1], torch.maximum(of_motion[-1:], body[1:])])
+
+    @property
+    def faults(self) -> Faults:
+        """What the values of `first_faults` mean."""
+        faults = self.motion.faults
+        faults.radius = self.radius if self.deforming else None
+        return faults
 
     def raise_faults(self, first: Sequence[int]) -> None:
         """Raises ValueError for the values of `first_faults`, if any names a row."""
-        if not self.deforming:
-            return self.motion.raise_faults(first)
-        body, *of_motion = first
-        self.motion.raise_faults(of_motion)
-        if body < self.scene.body_count:
-            raise ValueError(
-                f"motion: body {body} has SBV radius {float(self.radius[body]):g}; "
-                f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
-            )
+        if first[-1]:
+            self.faults.raise_from(first)
 
     @property
     def device(self) -> torch.device:
@@ -103,26 +125,20 @@ class MovingBodies:
         return rows if self.deforming else rows[:0]
 
 
-def _rigid(scene: Scene, motion: RigidMotion) -> list[Tensor]:
-    if motion.body_count != scene.body_count:
-        raise ValueError(f"motion: has {motion.body_count} bodies, the scene {scene.body_count}")
-    return [
-        scene.mesh_index,
-        motion.position_t0,
-        motion.position_t1,
-        scene.radius,
-        motion.orientation_t0,
-        motion.rotation,
-    ]
+def _rigid(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
+    position_t0, position_t1, orientation_t0, rotation = columns.values()
+    if len(position_t0) != scene.body_count:
+        raise ValueError(f"motion: has {len(position_t0)} bodies, the scene {scene.body_count}")
+    return [scene.mesh_index, position_t0, position_t1, scene.radius, orientation_t0, rotation]
 
 
-def _deforming(scene: Scene, motion: VertexMotion) -> list[Tensor]:
+def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
     layout = scene.layout
-    if motion.x_t0.shape[0] != layout.vertex_count:
+    vertices, begins = tuple(columns.values()), (layout.vertex_begin, layout.block_begin)
+    if len(vertices[0]) != layout.vertex_count:
         expected = f"the scene's bodies have {layout.vertex_count}"
-        raise ValueError(f"motion: x_t0 has {motion.x_t0.shape[0]} vertices, {expected}")
-    vertices, begins = (motion.x_t0, motion.x_t1), (layout.vertex_begin, layout.block_begin)
+        raise ValueError(f"motion: x_t0 has {len(vertices[0])} vertices, {expected}")
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
-        scene.meshes.tensors, scene.mesh_index, *vertices, *begins, layout.block_count
+        scene.meshes.tensors, scene.mesh_index, vertices[0], vertices[1], *begins, layout.block_count
     )
     return [scene.mesh_index, position_t0, position_t1, radius, *vertices, blocks_t0, blocks_t1, *begins]

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from pgccd import ops
+from pgccd import arguments, ops
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import COUNT_ROWS, Capacity
 
@@ -24,8 +24,9 @@ _GRID_OCTAVES = 3
 _MANY_BODIES = 150_000
 #: The default tolerance, relative to the smaller SBV radius of a pair.
 RELATIVE_TOLERANCE = 1e-6
-# Squares of longer ones overflow.
-_LONGEST = 1e150
+#: Centres at t0 and t1, radius, and the filters.
+_Columns = tuple[Tensor, Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]
+
 _AXES = {"auto": -1, "x": 0, "y": 1, "z": 2}
 
 
@@ -52,9 +53,8 @@ def sweep(
     Example:
         >>> pairs = pgccd.broad.sweep(bodies)
     """
-    if axis not in _AXES:
-        raise ValueError(f"axis: expected one of {list(_AXES)}, got {axis!r}")
-    pairs = ops.sweep(*_columns(bodies), *_kept(min_separation, tolerance), _AXES[axis])
+    arguments.choice(axis, "axis", _AXES)
+    pairs = ops.sweep(*_checked_columns(bodies), *_kept(min_separation, tolerance), _AXES[axis])
     return with_self_pairs(bodies, pairs)
 
 
@@ -74,7 +74,7 @@ def grid(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
     Example:
         >>> pairs = pgccd.broad.grid(bodies)
     """
-    return with_self_pairs(bodies, ops.grid(*_columns(bodies), *_kept(min_separation, tolerance)))
+    return with_self_pairs(bodies, ops.grid(*_checked_columns(bodies), *_kept(min_separation, tolerance)))
 
 
 def lbvh(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | None = None) -> Tensor:
@@ -93,7 +93,7 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
     Example:
         >>> pairs = pgccd.broad.lbvh(bodies)
     """
-    return with_self_pairs(bodies, ops.lbvh(*_columns(bodies), *_kept(min_separation, tolerance)))
+    return with_self_pairs(bodies, ops.lbvh(*_checked_columns(bodies), *_kept(min_separation, tolerance)))
 
 
 def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase:
@@ -105,11 +105,11 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
         ValueError: there is no such broad phase.
 
     Example:
-        >>> pgccd.broad.choose(bodies)
-        'grid'
+        >>> pgccd.broad.choose(bodies)  # two bodies
+        'sweep'
     """
-    if broad_phase not in BROAD_PHASES:
-        raise ValueError(f"broad_phase: expected one of {list(BROAD_PHASES)}, got {broad_phase!r}")
+    arguments.choice(broad_phase, "broad_phase", BROAD_PHASES)
+    require_bodies(bodies)
     if broad_phase != "auto":
         return broad_phase
     if bodies.scene.body_count < _FEW_BODIES:
@@ -172,10 +172,23 @@ def find_pairs(
     Example:
         >>> pairs = pgccd.broad.find_pairs(bodies, min_separation=0.01)
     """
-    return _FINDERS[choose(bodies, broad_phase)](bodies, min_separation, tolerance=tolerance)
+    chosen = choose(bodies, broad_phase)
+    bodies.check()
+    return find_pairs_of_checked(bodies, min_separation, chosen, tolerance)
 
 
-_FINDERS: dict[str, Callable[..., Tensor]] = {"sweep": sweep, "grid": grid, "lbvh": lbvh}
+def find_pairs_of_checked(
+    bodies: MovingBodies, min_separation: float, chosen: BroadPhase, tolerance: float | None = None
+) -> Tensor:
+    """As `find_pairs`, by the broad phase that `choose` has named, of bodies whose faults have been looked for."""
+    return with_self_pairs(bodies, _FINDERS[chosen](_columns(bodies), *_kept(min_separation, tolerance)))
+
+
+_FINDERS: dict[str, Callable[[_Columns, float, float], Tensor]] = {
+    "sweep": lambda columns, separation, tolerance: ops.sweep(*columns, separation, tolerance, _AXES["auto"]),
+    "grid": lambda columns, separation, tolerance: ops.grid(*columns, separation, tolerance),
+    "lbvh": lambda columns, separation, tolerance: ops.lbvh(*columns, separation, tolerance),
+}
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
@@ -199,9 +212,19 @@ def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
     return merged
 
 
-def _columns(
-    bodies: MovingBodies,
-) -> tuple[Tensor, Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]:
+def require_bodies(bodies: MovingBodies) -> None:
+    """Raises unless these are bodies in motion."""
+    if not isinstance(bodies, MovingBodies):
+        raise TypeError(f"bodies: expected a pgccd.MovingBodies, got {arguments.describe(bodies)}")
+
+
+def _checked_columns(bodies: MovingBodies) -> _Columns:
+    require_bodies(bodies)
+    bodies.check()
+    return _columns(bodies)
+
+
+def _columns(bodies: MovingBodies) -> _Columns:
     scene = bodies.scene
     filters = scene.group, scene.mask, scene.world, scene.static
     return bodies.position_t0, bodies.position_t1, bodies.radius, *filters
@@ -209,18 +232,12 @@ def _columns(
 
 def check_separation(min_separation: float) -> float:
     """The value, if it is a length in [0, 1e150]."""
-    if not 0.0 <= min_separation <= _LONGEST:
-        raise ValueError(f"min_separation: expected a finite length >= 0, at most {_LONGEST:g}, got {min_separation}")
-    return float(min_separation)
+    return arguments.length(min_separation, "min_separation")
 
 
 def operator_tolerance(tolerance: float | None) -> float:
     """The operators take a negative tolerance as relative to the smaller radius of each pair."""
-    if tolerance is None:
-        return -RELATIVE_TOLERANCE
-    if not 0.0 <= tolerance <= _LONGEST:
-        raise ValueError(f"tolerance: expected a finite length >= 0, at most {_LONGEST:g}, got {tolerance}")
-    return float(tolerance)
+    return -RELATIVE_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
 
 
 def _kept(min_separation: float, tolerance: float | None) -> tuple[float, float]:

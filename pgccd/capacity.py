@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from pgccd import arguments
+
 # Bytes of each unit of room on a GPU, all that the operators keep of it together.
 _BYTES = {
     "pairs": 184,
@@ -21,6 +23,7 @@ _BYTES = {
 # Kept free beyond what was needed, so that small scenes need not repeat a step when they change.
 _SMALLEST = 4096
 _MOST = 2**31 - 1  # rows are numbered by 32 bits
+_EXACT = -1  # number of contacts that stands for as many as there are
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,13 @@ class Capacity:
     launches: int = 4  #: of the traversal, after the first
     long_rows: bool = False  #: may one body have more than 32 partners of larger index?
 
+    def __post_init__(self) -> None:
+        for name, number in vars(self).items():
+            if name == "long_rows":
+                arguments.flag(number, "long_rows")
+            elif type(number) is not int or number < 0:  # as it hardly ever is
+                arguments.integer(number, name, _EXACT if name == "contacts" else 0, "a number of rows >= 0")
+
     @classmethod
     def guess(cls, body_count: int, pair_count: int | None = None, self_vertex_count: int = 0) -> Capacity:
         """Room for a scene like the nanorobot world, nearly twice over, and for folded cloth.
@@ -57,6 +67,10 @@ class Capacity:
         Example:
             >>> room = pgccd.Capacity.guess(scene.body_count)
         """
+        arguments.integer(body_count, "body_count", 0, "a number of bodies >= 0")
+        arguments.integer(self_vertex_count, "self_vertex_count", 0, "a number of vertices >= 0")
+        if pair_count is not None:
+            arguments.integer(pair_count, "pair_count", 0, "a number of pairs >= 0")
         pairs = 5 * body_count // 4 if pair_count is None else pair_count
         return cls(
             pairs=pairs,
@@ -72,6 +86,7 @@ class Capacity:
 
     def times(self, factor: float) -> Capacity:
         """This room, each part at least `factor` times as large and not tiny."""
+        factor = arguments.length(factor, "factor")
         scaled: dict[str, Any] = {
             name: min(_MOST, _round_up(math.ceil(factor * getattr(self, name)) + _SMALLEST))
             for name in _BYTES
@@ -107,6 +122,16 @@ class Capacity:
         return [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches, self.open, self.contacts]
 
 
+def check_capacity(capacity: Capacity) -> None:
+    """Raises TypeError or ValueError unless this is room that rows can be numbered in."""
+    if not isinstance(capacity, Capacity):
+        hint = ": see Capacity.guess and Stats.needed" if isinstance(capacity, int) else ""
+        raise TypeError(f"capacity: expected a pgccd.Capacity, got {arguments.describe(capacity)}{hint}")
+    for name, number in vars(capacity).items():
+        if not 0 <= number <= _MOST:
+            raise ValueError(f"capacity: {name}: expected a number of rows from 0 to 2^31 - 1, got {number}")
+
+
 def _round_up(number: int) -> int:
     """To a number of four significant binary digits: steps that need about as much as one another then ask a GPU's
     allocator for pieces of the same sizes, which it has at hand."""
@@ -115,7 +140,24 @@ def _round_up(number: int) -> int:
 
 
 #: On a CPU: as many rows as there are contacts.
-EXACTLY = Capacity(pairs=0, contacts=-1)
+EXACTLY = Capacity(pairs=0, contacts=_EXACT)
+
+
+class CapacityError(RuntimeError):
+    """There was not room for all of a step; `needed` says how much it takes at least."""
+
+    def __init__(self, capacity: Capacity, needed: Capacity) -> None:
+        short = [
+            f"{name}: {getattr(needed, name)} in {getattr(capacity, name)}"
+            for name in capacity.__dataclass_fields__
+            if getattr(needed, name) > getattr(capacity, name)
+        ]
+        super().__init__(capacity, needed)
+        self._message = f"capacity: the step needs more room: {', '.join(short)}; see Capacity.grown"
+        self.capacity, self.needed = capacity, needed
+
+    def __str__(self) -> str:
+        return self._message
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
+import torch
 from torch import Tensor
 
-from pgccd.capacity import Capacity
+from pgccd import arguments
+from pgccd.capacity import COUNT_ROWS, Capacity, CapacityError, Counts
+from pgccd.faults import Faults
 
 #: Columns of contacts as the operators give them: row of the pairs (K,), kind (K,), features (K, 2), status (K,), toi
 #: (K,), coordinates (K, 2), point (K, 3), normal (K, 3).
@@ -63,6 +67,27 @@ class Contacts:
     def __len__(self) -> int:
         return self.pairs.shape[0]
 
+    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Contacts:
+        """The contacts of some rows: a mask (K,), row numbers or a slice. `stats` stay those of the whole call.
+
+        Example:
+            >>> early = hits[hits.toi < 0.5]
+        """
+        picked = arguments.rows(rows, "rows", len(self))
+        return self._with({name: column[picked] for name, column in _columns(self).items()})
+
+    def to(self, device: torch.device | str) -> Contacts:
+        """The same on another device.
+
+        Example:
+            >>> hits = hits.to("cpu")
+        """
+        device = arguments.device(device)
+        return self._with({name: column.to(device) for name, column in _columns(self).items()})
+
+    def _with(self, columns: dict[str, Any]) -> Contacts:
+        return replace(self, **columns)
+
     def __repr__(self) -> str:
         return f"Contacts(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
 
@@ -89,4 +114,57 @@ class PaddedContacts:
     overflow: Tensor
     counts: Tensor  #: (21 + F,) int64: `pgccd.capacity.Counts`, then `pgccd.MovingBodies.first_faults`
     capacity: Capacity
-    trim: Callable[[], Contacts]  #: waits; `Contacts`, with stats, or the error that `overflow` stands for
+    broad_phase: str  #: as in `Stats`
+    bodies: int  #: number of bodies
+    faults: Faults  #: what the last of `counts` mean
+
+    def trim(self) -> Contacts:
+        """The contacts alone, with stats. Waits for the device.
+
+        Raises:
+            CapacityError: there was not room for everything.
+            ValueError: the input is invalid.
+
+        Example:
+            >>> hits = pgccd.detect(scene, motion, capacity=room).trim()
+        """
+        values = self.counts.tolist()
+        self.faults.raise_from(values[len(COUNT_ROWS) :])
+        counts = Counts.of(values[: len(COUNT_ROWS)])
+        if counts.overflow:
+            raise CapacityError(self.capacity, counts.needed(self.capacity))
+        count = min(counts.contacts, len(self.pairs))  # of the earliest there is one row
+        columns = {name: None if column is None else column[:count] for name, column in _all_columns(self).items()}
+        stats = stats_of(counts, self.capacity, self.bodies, count, self.broad_phase, waits=int(self.counts.is_cuda))
+        return Contacts(**columns, stats=stats)  # type: ignore[arg-type]
+
+    def __repr__(self) -> str:
+        return f"PaddedContacts(room={len(self.pairs)}, device={self.pairs.device})"
+
+
+def stats_of(counts: Counts, capacity: Capacity, bodies: int, contacts: int, broad_phase: str, waits: int) -> Stats:
+    """What a step did that was made at once, within `capacity`."""
+    return Stats(
+        bodies=bodies,
+        pcs=counts.pairs_written,
+        node_tests=counts.node_tests,
+        candidates=counts.candidates,
+        contacts=contacts,
+        unresolved=counts.unresolved,
+        broad_phase=broad_phase,
+        chunks=1,
+        waits=waits,
+        needed=counts.needed(capacity),
+        seconds=counts.seconds,
+    )
+
+
+_COLUMNS = tuple(each.name for each in fields(Contacts) if each.name != "stats")
+
+
+def _all_columns(contacts: Contacts | PaddedContacts) -> dict[str, Any]:
+    return {name: getattr(contacts, name) for name in _COLUMNS}
+
+
+def _columns(contacts: Contacts) -> dict[str, Tensor]:
+    return {name: column for name, column in _all_columns(contacts).items() if column is not None}

@@ -9,9 +9,9 @@ from typing import overload
 
 from torch import Tensor
 
-from pgccd import broad, narrow, ops, traverse
+from pgccd import arguments, broad, narrow, ops, traverse
 from pgccd.bodies import MovingBodies
-from pgccd.capacity import EXACTLY, Capacity
+from pgccd.capacity import EXACTLY, Capacity, check_capacity
 from pgccd.contacts import Contacts, PaddedContacts
 from pgccd.memory import memory_limit, recall_capacity, remember_needs
 from pgccd.motion import RigidMotion, VertexMotion
@@ -84,9 +84,9 @@ def detect(
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
         broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses one by the bodies' sizes
             and says so in `stats`. The result does not depend on it.
-        pairs: (P, 2) int64, i < j (or i, i where a body collides with itself), sorted: test these body pairs and no
-            others, without a broad phase (a part of an earlier step's, say). The scene's filters are not applied to
-            them.
+        pairs: (P, 2) int64, i < j (or i, i where a body collides with itself), sorted, each once: test these body pairs
+            and no others, without a broad phase (a part of an earlier step's, say). The scene's filters are not applied
+            to them.
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB,
             or a quarter of what is free on a GPU if that is more. The result does not depend on it.
         capacity: room for the result and all on the way to it. Then sizes are fixed and nothing waits for the device,
@@ -98,22 +98,25 @@ def detect(
         counts that sizes follow from; again only where a step needs much more room than the last one.
 
     Raises:
-        ValueError, TypeError: naming the argument.
+        ValueError, TypeError: naming the argument; also if an input requires grad: there are no gradients yet.
 
     Example:
-        >>> hits = pgccd.detect(scene, pgccd.RigidMotion(x0, q0, x1, q1))
-        >>> x0 + hits.toi.min() * (x1 - x0)
+        >>> hits = pgccd.detect(scene, pgccd.RigidMotion(x0, q0, x1, q1), report="earliest")
+        >>> safe = float(hits.toi[0]) if len(hits) else 1.0
+        >>> x = x0 + safe * (x1 - x0)
     """
     query = Query(report, min_separation, tolerance, nonzero_toi)
-    if memory_budget is not None and memory_budget <= 0:
-        raise ValueError(f"memory_budget: expected a number of bytes > 0, got {memory_budget}")
-    on_cpu = scene.device.type == "cpu"
+    if memory_budget is not None:
+        memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
+    if capacity is not None:
+        check_capacity(capacity)
+    on_cpu = isinstance(scene, Scene) and scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # which compiled graphs do not know
     bodies = MovingBodies(scene, motion, wait=on_cpu and capacity is None)
     seconds = time.perf_counter() - start if capacity is None else 0.0
     broad.choose(bodies, broad_phase)  # complains of a name it does not know
     if pairs is not None:
-        pairs = traverse.check_pairs(pairs, bodies)
+        pairs = traverse.check_pairs(pairs, bodies, ascending=True)
     if capacity is not None:
         return search_within(bodies, query, capacity, broad_phase, pairs).padded()
     found = find_contacts(bodies, query, broad_phase, pairs, memory_budget)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import json
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pgccd import arguments
 from pgccd.mesh import Mesh
 from pgccd.motion import RigidMotion
 from pgccd.scene import Scene
@@ -17,6 +20,8 @@ from pgccd.scene import Scene
 _START = ("position_t0", "orientation_t0")
 _END = ("position_t1", "orientation_t1")
 _VELOCITY = ("linear_velocity", "angular_velocity", "dt")
+_FILTERS = ("group", "mask", "world", "static")
+_SCENE = ("meshes", "mesh_index", "poses")
 
 
 def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -> RigidMotion:
@@ -27,18 +32,24 @@ def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -
     orientations unit quaternions (w, x, y, z), body to world.
 
     Raises:
-        ValueError: the file cannot be read, a key is missing, or its values are not as `RigidMotion` expects them.
+        ValueError: the file cannot be read, a key is missing or unknown, or its values are not as `RigidMotion` expects
+            them.
 
     Example:
         >>> np.savez("poses.npz", position_t0=x0, orientation_t0=q0, position_t1=x1, orientation_t1=q1)
         >>> motion = pgccd.files.load_motion("poses.npz")
     """
+    device = _checked(path, device)
     try:
         with np.load(path) as archive:
-            columns = {name: torch.from_numpy(archive[name].astype(np.float64)).to(device) for name in archive.files}
+            arrays = {name: archive[name] for name in archive.files}
     except Exception as error:
         raise ValueError(f"{path} cannot be read as an npz file: {error}") from error
-    by_velocity = "linear_velocity" in columns
+    _require_known(path, arrays, (*_START, *_END, *_VELOCITY))
+    columns = {name: _as_column(path, name, values).to(device) for name, values in arrays.items()}
+    by_velocity = any(name in columns for name in _VELOCITY)
+    if by_velocity and (both := [name for name in _END if name in columns]):
+        raise ValueError(f"{path} has {both[0]!r} beside velocities: expected the one or the other")
     for name in _START + (_VELOCITY if by_velocity else _END):
         if name not in columns:
             raise ValueError(f"{path} has no {name!r}")
@@ -46,7 +57,9 @@ def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -
     try:
         if by_velocity:
             velocity, spin, dt = (columns[name] for name in _VELOCITY)
-            return RigidMotion.from_velocity(position, orientation, velocity, spin, float(dt))
+            if dt.numel() != 1:
+                raise ValueError(f"dt: expected one number, got shape {tuple(dt.shape)}")
+            return RigidMotion.from_velocity(position, orientation, velocity, spin, dt.item())
         position_t1, orientation_t1 = (columns[name] for name in _END)
         return RigidMotion(position, orientation, position_t1, orientation_t1)
     except (TypeError, ValueError, RuntimeError) as error:
@@ -60,23 +73,52 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
     "group", "mask", "world" and "static", lists with one value a body.
 
     Raises:
-        ValueError: a file cannot be read, a key is missing, or a value is not as `Scene` expects it.
+        ValueError: a file cannot be read, a key is missing or unknown, or a value is not as `Scene` expects it.
 
     Example:
         >>> hits = pgccd.detect(*pgccd.files.load_scene("scene.json"))
     """
+    device = _checked(path, device)
     path = Path(path)
     try:
         content: Any = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as JSON: {error}") from error
-    for key in ("meshes", "mesh_index", "poses"):
-        if not isinstance(content, dict) or key not in content:
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: expected an object with {', '.join(_SCENE)}, got {type(content).__name__}")
+    _require_known(path, content, (*_SCENE, *_FILTERS))
+    for key in _SCENE:
+        if key not in content:
             raise ValueError(f"{path} has no {key!r}")
-    filters = {key: content[key] for key in ("group", "mask", "world", "static") if key in content}
+    names = content["meshes"]
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{path}: meshes: expected a list of file names, got {names!r}")
+    if not isinstance(content["poses"], str):
+        raise ValueError(f"{path}: poses: expected the name of an npz file, got {content['poses']!r}")
+    filters = {key: content[key] for key in _FILTERS if key in content}
     try:
-        meshes = [Mesh.load(path.parent / name) for name in content["meshes"]]
+        meshes = [Mesh.load(path.parent / name) for name in names]
         scene = Scene(meshes, content["mesh_index"], device, **filters)
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
     return scene, load_motion(path.parent / content["poses"], device)
+
+
+def _checked(path: str | PathLike[str], device: torch.device | str) -> torch.device:
+    if not isinstance(path, (str, PathLike)):
+        raise TypeError(f"path: expected the name of a file, got {arguments.describe(path)}")
+    return arguments.device(device)
+
+
+def _require_known(path: str | PathLike[str], given: Iterable[str], known: Sequence[str]) -> None:
+    for key in given:
+        if key not in known:
+            likely = difflib.get_close_matches(key, known, n=1)
+            hint = f", perhaps for {likely[0]!r}" if likely else ""
+            raise ValueError(f"{path} has an unknown key {key!r}{hint}; known are {', '.join(known)}")
+
+
+def _as_column(path: str | PathLike[str], name: str, values: np.ndarray) -> torch.Tensor:
+    if values.dtype.kind not in "fiu":
+        raise ValueError(f"{path}: {name}: expected numbers, got {values.dtype}")
+    return torch.from_numpy(values.astype(np.float64))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from pgccd import _host
+from pgccd import _host, arguments, mesh_files
 
 # Triangles a leaf of the hierarchy holds at most: one for each lane of a vector unit.
 LEAF_SIZE = 8
@@ -77,65 +77,98 @@ class Mesh:
         self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 2)
 
     @classmethod
-    def from_trimesh(cls, mesh: Any) -> Mesh:
-        """From a `trimesh.Trimesh`, or a `trimesh.Scene` (its geometry is joined).
+    def from_trimesh(cls, mesh: Any, *, weld: bool = True) -> Mesh:
+        """From a `trimesh.Trimesh`, or a `trimesh.Scene` (its meshes are placed as the scene says, and joined).
+
+        Args:
+            mesh: what trimesh made.
+            weld: make one vertex of those at the same position: files have several along the seams of a texture or of
+                normals, at which the mesh would fall apart, and collide with itself where it deforms. Contacts then
+                name vertices, edges and faces of the welded mesh; `source_vertex` and `source_face` say which these
+                are of the mesh given.
+
+        Faces that repeat a vertex, perhaps because it was welded, are dropped.
 
         Raises:
-            ValueError: if it holds no triangles, or as the constructor.
+            TypeError, ValueError: if it holds no triangles, or something that is no mesh; or as the constructor.
 
         Example:
             >>> robot = pgccd.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=3))
         """
-        if hasattr(mesh, "to_mesh"):  # a scene
-            mesh = mesh.to_mesh()
-        faces = getattr(mesh, "faces", None)
-        if faces is None or len(faces) == 0:
-            raise ValueError(f"mesh: {type(mesh).__name__} holds no triangles")
-        return cls(np.asarray(mesh.vertices), np.asarray(faces))
+        return cls._of_geometry(mesh_files.joined_geometry(mesh), weld)
 
     @classmethod
-    def load(cls, path: str | PathLike[str]) -> Mesh:
-        """From any mesh file that trimesh loads (ply, stl, obj, off, glb, ...). Faces that repeat a vertex are dropped.
+    def load(cls, path: str | PathLike[str], *, weld: bool = True) -> Mesh:
+        """From any mesh file that trimesh loads (ply, stl, obj, off, glb, ...); all meshes in it are joined.
+
+        Args:
+            path: of the file.
+            weld: as for `from_trimesh`.
 
         Raises:
             FileNotFoundError: no such file.
-            ValueError: the file cannot be read as a mesh, or holds no triangles.
+            ValueError: the file cannot be read as a mesh, holds no triangles, or holds something that is no mesh, such
+                as a point cloud.
             ImportError: trimesh is not installed.
 
         Example:
             >>> rock = pgccd.Mesh.load("rock.ply")
+            >>> rock.welded_vertices
+            0
         """
+        loaded = mesh_files.load_geometry(path)
         try:
-            import trimesh
-        except ImportError as error:
-            raise ImportError("Mesh.load reads files through trimesh: pip install trimesh") from error
-        if not Path(path).is_file():
-            raise FileNotFoundError(f"path: no mesh file at {path}")
-        try:
-            loaded: Any = trimesh.load(str(path), process=False)
-            mesh = loaded.to_mesh() if hasattr(loaded, "to_mesh") else loaded
-            faces = np.asarray(getattr(mesh, "faces", np.empty((0, 3))))
-            vertices = np.asarray(mesh.vertices, dtype=np.float64)
-        except Exception as error:
-            raise ValueError(f"path: {path} cannot be read as a mesh: {error}") from error
-        if len(faces) == 0:
-            raise ValueError(f"path: {path} holds no triangles")
-        if (
-            Path(path).suffix.lower() == ".stl"
-        ):  # lists every triangle's corners anew; connectivity is by equal coordinates
-            vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
-            faces = inverse.reshape(-1)[faces]
-        repeats = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-        if repeats.all():
-            raise ValueError(f"path: {path} holds no triangles with three different corners")
-        try:
-            return cls(vertices, faces[~repeats])
+            return cls._of_geometry(mesh_files.joined_geometry(loaded), weld)
         except ValueError as error:
             raise ValueError(f"path: {path}: {error}") from error
 
+    @classmethod
+    def load_all(cls, path: str | PathLike[str], *, weld: bool = True) -> list[Mesh]:
+        """The meshes of a file one by one, with their names: of a scene (glb, gltf, 3mf, ...) each where the scene
+        places it, of an obj file its objects and groups, of any other the only one. Arguments and errors as of `load`.
+
+        Example:
+            >>> parts = pgccd.Mesh.load_all("rock.ply")
+            >>> scene = pgccd.Scene(parts)
+        """
+        loaded, part = mesh_files.load_geometry(path, apart=True), ""
+        meshes = []
+        try:
+            for geometry in mesh_files.placed_geometry(loaded):
+                part = f": {geometry.name}" if geometry.name else ""
+                meshes.append(cls._of_geometry(geometry, weld))
+        except ValueError as error:
+            raise ValueError(f"path: {path}{part}: {error}") from error
+        return meshes
+
+    @classmethod
+    def _of_geometry(cls, geometry: mesh_files.Geometry, weld: bool) -> Mesh:
+        cleaned = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
+        mesh = cls(cleaned.vertices, cleaned.faces)
+        mesh.name = geometry.name
+        mesh.welded_vertices = len(geometry.vertices) - len(cleaned.vertices)
+        mesh.dropped_faces = len(geometry.faces) - len(cleaned.faces)
+        mesh.source_vertex = torch.from_numpy(cleaned.source_vertex)
+        mesh.source_face = torch.from_numpy(cleaned.source_face)
+        return mesh
+
+    #: As the file calls it.
+    name: str | None = None
+    #: How many vertices of the file were one with others and are no longer there.
+    welded_vertices: int = 0
+    #: How many faces of the file repeated a vertex and are no longer there.
+    dropped_faces: int = 0
+    #: (V,) int64 row in the file of each vertex, the first of those welded; None of a mesh that comes from no file.
+    source_vertex: Tensor | None = None
+    #: (F,) int64 row in the file of each face.
+    source_face: Tensor | None = None
+
     def __repr__(self) -> str:
+        name = "" if self.name is None else f"{self.name!r}, "
         counts = f"vertices={len(self.vertices)}, faces={len(self.faces)}, edges={len(self.edges)}"
-        return f"Mesh({counts}, radius={self.radius:g})"
+        gone = {"welded_vertices": self.welded_vertices, "dropped_faces": self.dropped_faces}
+        changed = "".join(f", {what}={count}" for what, count in gone.items() if count)
+        return f"Mesh({name}{counts}, radius={self.radius:g}{changed})"
 
 
 class MeshSet:
@@ -146,9 +179,13 @@ class MeshSet:
         device: where the tensors live.
     """
 
-    def __init__(self, meshes: list[Mesh], device: torch.device | str = "cpu") -> None:
+    def __init__(self, meshes: Sequence[Mesh], device: torch.device | str = "cpu") -> None:
+        if isinstance(meshes, (Mesh, str)) or not isinstance(meshes, Sequence):
+            hint = ": write [mesh]" if isinstance(meshes, Mesh) else ""
+            raise TypeError(f"meshes: expected a list of meshes, got {arguments.describe(meshes)}{hint}")
         if not meshes:
             raise ValueError("meshes: expected at least one Mesh")
+        device = arguments.device(device)
         for index, mesh in enumerate(meshes):
             if not isinstance(mesh, Mesh):
                 raise TypeError(f"meshes[{index}]: expected a pgccd.Mesh, got {type(mesh).__name__}")
@@ -173,13 +210,31 @@ class MeshSet:
     def __len__(self) -> int:
         return len(self.meshes)
 
+    def __repr__(self) -> str:
+        return f"MeshSet(meshes={len(self)}, device={self.device})"
+
+    def to(self, device: torch.device | str) -> MeshSet:
+        """A copy on another device.
+
+        Example:
+            >>> meshes = meshes.to("cpu")
+        """
+        return MeshSet(self.meshes, device)
+
 
 def _as_array(values: npt.ArrayLike | Tensor, dtype: type, name: str) -> np.ndarray:
-    raw = values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
+    if isinstance(values, Tensor):
+        arguments.refuse_gradient(values, name)
+    numbers = "float32, float64 or integers" if dtype is np.float64 else "integers"
+    try:
+        raw = values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, bfloat16
+        raise TypeError(f"{name}: expected {numbers}, got {arguments.describe(values)}: {error}") from error
+    is_real = raw.dtype.kind == "f" and raw.dtype.itemsize in (4, 8)
+    if raw.size and not (raw.dtype.kind in "iu" or (is_real and dtype is np.float64)):
+        raise TypeError(f"{name}: expected {numbers}, got {raw.dtype}")
     if raw.ndim != 2 or raw.shape[1] != 3:
         raise ValueError(f"{name}: expected shape (n, 3), got {raw.shape}")
-    if dtype is np.int64 and raw.size and not np.issubdtype(raw.dtype, np.integer):
-        raise ValueError(f"{name}: expected integers, got {raw.dtype}")
     return np.ascontiguousarray(raw, dtype=dtype)
 
 

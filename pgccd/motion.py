@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-import functools
+import copy
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
-import torch
 from torch import Tensor
 
-from pgccd import ops
+from pgccd import arguments, ops
+from pgccd.arguments import real_rows
+from pgccd.columns import MovingColumns
+from pgccd.faults import first_faults
 
 PathKind = Literal["rigid", "linear"]
-
-# Quaternions further from unit length than this are taken for mistakes; nearer ones are normalised exactly.
-_UNIT_TOLERANCE = 1e-3
-# Squares of larger coordinates overflow.
-_LARGEST_COORDINATE = 1e150
-# Sine and cosine are proven up to here.
-_LARGEST_TURN = 1e6
-# Checks of `ops.first_faults`, and their limits.
-_FINITE = (0, _LARGEST_COORDINATE)
-_UNIT = (1, _UNIT_TOLERANCE)
-_TURN = (2, _LARGEST_TURN)
+_PATHS = get_args(PathKind)
 
 
-class RigidMotion:
+class RigidMotion(MovingColumns):
     """Rigid bodies: the centre moves on a straight line, the orientation turns at a constant rate.
 
     R(t) = exp(t [w]x) R0 with the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a
@@ -37,14 +29,17 @@ class RigidMotion:
         orientation_t0, orientation_t1: (N, 4) unit quaternions (w, x, y, z), body to world.
         path: "rigid" or "linear".
 
-    float32 input is widened to float64 exactly. All four on one device.
+    float32 input is widened to float64 exactly. All four on one device. float64 input is shared, not copied: what is
+    written to it later moves the bodies. Values are checked here on a CPU, and whenever the motion is used.
 
     Raises:
-        TypeError, ValueError: naming the argument, and the first offending body.
+        TypeError, ValueError: naming the argument, and the first offending body; also if an input requires grad.
 
     Example:
         >>> motion = pgccd.RigidMotion(position, orientation, position + dt * velocity, orientation)
     """
+
+    _names = ("position_t0", "position_t1", "orientation_t0", "rotation")
 
     def __init__(
         self,
@@ -54,13 +49,13 @@ class RigidMotion:
         orientation_t1: Tensor,
         path: PathKind = "rigid",
     ) -> None:
-        count = _body_count(position_t0, "position_t0")
-        device = position_t0.device
-        orientation_t1 = _rows(orientation_t1, "orientation_t1", count, 4, device)
         self._set(position_t0, orientation_t0, position_t1, path)
-        self._check({"orientation_t1": (orientation_t1, *_UNIT)})
+        orientation_t1 = real_rows(orientation_t1, "orientation_t1", self.body_count, 4, self.device)
+        # Not kept, so it is looked at now; on a GPU without waiting for the verdict.
+        self._given, self._given_faults = ("orientation_t1",), first_faults({"orientation_t1": orientation_t1})
         #: (N, 3) rotation vector of the whole step, radians, world frame.
         self.rotation = ops.rotations_between(self.orientation_t0, orientation_t1)
+        self._check_early()
 
     @classmethod
     def from_velocity(
@@ -83,18 +78,26 @@ class RigidMotion:
         Example:
             >>> motion = pgccd.RigidMotion.from_velocity(x, q, v, omega, dt=1e-3)
         """
-        count = _body_count(position, "position")
-        if not dt >= 0 or dt == float("inf"):
+        start = real_rows(position, "position", None, 3, None)
+        count, device = start.shape[0], start.device
+        orientation = real_rows(orientation, "orientation", count, 4, device)
+        velocity = real_rows(linear_velocity, "linear_velocity", count, 3, device)
+        spin = real_rows(angular_velocity, "angular_velocity", count, 3, device)
+        dt = arguments.number(dt, "dt", "a finite duration >= 0")
+        if not 0 <= dt < float("inf"):
             raise ValueError(f"dt: expected a finite duration >= 0, got {dt}")
-        velocity = _rows(linear_velocity, "linear_velocity", count, 3, position.device)
-        spin = _rows(angular_velocity, "angular_velocity", count, 3, position.device)
         motion = cls.__new__(cls)
-        start = _rows(position, "position", count, 3, position.device)
         travel, turn = (velocity, spin) if dt == 1.0 else (dt * velocity, dt * spin)
         motion._set(start, orientation, start + travel, path)
         motion.rotation = turn.contiguous()
-        # Named before the positions that follow from them.
-        motion._check({"linear_velocity": (velocity, *_FINITE), "angular_velocity": (motion.rotation, *_TURN)})
+        motion._sources = {
+            "position_t0": "position",
+            "orientation_t0": "orientation",
+            "position_t1": "linear_velocity",
+            "rotation": "angular_velocity",
+        }
+        origins = {"position": start, "orientation": motion.orientation_t0}
+        motion._check_early(origins | {"linear_velocity": velocity, "angular_velocity": motion.rotation})
         return motion
 
     @classmethod
@@ -116,11 +119,10 @@ class RigidMotion:
         Example:
             >>> again = pgccd.RigidMotion.from_rotation(m.position_t0, m.orientation_t0, m.position_t1, m.rotation)
         """
-        count = _body_count(position_t0, "position_t0")
         motion = cls.__new__(cls)
         motion._set(position_t0, orientation_t0, position_t1, path)
-        motion.rotation = _rows(rotation, "rotation", count, 3, position_t0.device)
-        motion._check({"rotation": (motion.rotation, *_TURN)})
+        motion.rotation = real_rows(rotation, "rotation", motion.body_count, 3, motion.device)
+        motion._check_early()
         return motion
 
     @classmethod
@@ -132,7 +134,7 @@ class RigidMotion:
         rotation: Tensor,
         path: PathKind = "rigid",
     ) -> RigidMotion:
-        """As `from_rotation`, of columns that come from a motion already checked: nothing is looked at.
+        """As `from_rotation`, of columns that come from a motion already checked: nothing is looked at, now or later.
 
         Example:
             >>> part = pgccd.RigidMotion.of_checked(
@@ -140,155 +142,64 @@ class RigidMotion:
             ... )
         """
         motion = cls.__new__(cls)
-        motion.path, motion._faults = path, _Faults({}, device=position_t0.device)
+        motion.path, motion.is_trusted = path, True
         motion.position_t0, motion.orientation_t0 = position_t0, orientation_t0
         motion.position_t1, motion.rotation = position_t1, rotation
         return motion
 
     def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: PathKind) -> None:
-        if path not in ("rigid", "linear"):
-            raise ValueError(f'path: expected "rigid" or "linear", got {path!r}')
-        self.path: PathKind = path
-        count, device = position_t0.shape[0], position_t0.device
         #: (N, 3), (N, 3), (N, 4) float64.
-        self.position_t0 = _rows(position_t0, "position_t0", count, 3, device)
-        self.position_t1 = _rows(position_t1, "position_t1", count, 3, device)
-        self.orientation_t0 = _rows(orientation_t0, "orientation_t0", count, 4, device)
-
-    @property
-    def device(self) -> torch.device:
-        return self.position_t0.device
+        self.position_t0 = real_rows(position_t0, "position_t0", None, 3, None)
+        count, device = self.position_t0.shape[0], self.position_t0.device
+        self.orientation_t0 = real_rows(orientation_t0, "orientation_t0", count, 4, device)
+        self.position_t1 = real_rows(position_t1, "position_t1", count, 3, device)
+        arguments.choice(path, "path", _PATHS)
+        self.path: PathKind = path
 
     @property
     def body_count(self) -> int:
         return self.position_t0.shape[0]
 
-    def _check(self, more: dict[str, tuple[Tensor, int, float]]) -> None:
-        """Looks for faults in the poses, and in what else was given, which is named first."""
-        self._faults = _Faults(
-            more
-            | {
-                "position_t0": (self.position_t0, *_FINITE),
-                "position_t1": (self.position_t1, *_FINITE),
-                "orientation_t0": (self.orientation_t0, *_UNIT),
-            }
-        )
+    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> RigidMotion:
+        """The motion of some bodies: a mask (N,), row numbers or a slice.
 
-    def check(self) -> None:
-        """Raises ValueError if a pose is not finite or a quaternion not unit, naming the first body."""
-        self._faults.check()
+        Example:
+            >>> part = motion[:10]
+        """
+        picked = arguments.rows(rows, "rows", self.body_count)
+        self.check_given()  # what was found is of all rows
+        part = copy.copy(self)
+        for name in self._names:
+            setattr(part, name, getattr(self, name)[picked].contiguous())
+        return part
 
-    def first_faults(self) -> Tensor:
-        """(F + 1,) int64: the first faulty body of each argument, or the number of bodies; and 1 if there is any, else
-        0. Where the motion is."""
-        return self._faults.first
-
-    def raise_faults(self, first: Sequence[int]) -> None:
-        """What `check` raises, given the values of `first_faults`."""
-        self._faults.raise_from(first)
+    def __repr__(self) -> str:
+        return f"RigidMotion(bodies={self.body_count}, path={self.path!r}, device={self.device})"
 
 
-class VertexMotion:
+class VertexMotion(MovingColumns):
     """Bodies given by their vertices at both ends of the step; each vertex moves on the straight line between.
 
     Args:
         x_t0, x_t1: (X, 3) world positions, scene length units: the vertices of body 0, in the order of its mesh, then
             those of body 1, and so on; X is the sum of the bodies' vertex counts. The mesh's own coordinates do not
-            matter.
+            matter. float64 input is shared, not copied. Values are checked here on a CPU, and whenever the motion is
+            used.
 
     Raises:
-        TypeError, ValueError: naming the argument, and the first offending vertex.
+        TypeError, ValueError: naming the argument, and the first offending vertex; also if an input requires grad.
 
     Example:
         >>> motion = pgccd.VertexMotion(torch.cat([cloth_t0, ball_t0]), torch.cat([cloth_t1, ball_t1]))
     """
 
+    _names, _row = ("x_t0", "x_t1"), "vertex"
+
     def __init__(self, x_t0: Tensor, x_t1: Tensor) -> None:
-        count = _body_count(x_t0, "x_t0")
         #: (X, 3) float64.
-        self.x_t0 = _rows(x_t0, "x_t0", count, 3, x_t0.device)
-        self.x_t1 = _rows(x_t1, "x_t1", count, 3, x_t0.device)
-        self._faults = _Faults({"x_t0": (self.x_t0, *_FINITE), "x_t1": (self.x_t1, *_FINITE)}, row="vertex")
+        self.x_t0 = real_rows(x_t0, "x_t0", None, 3, None)
+        self.x_t1 = real_rows(x_t1, "x_t1", self.x_t0.shape[0], 3, self.device)
+        self._check_early()
 
-    @property
-    def device(self) -> torch.device:
-        return self.x_t0.device
-
-    def check(self) -> None:
-        """Raises ValueError if a position is not finite, naming the first vertex."""
-        self._faults.check()
-
-    def first_faults(self) -> Tensor:
-        """(3,) int64: the first faulty vertex of each argument, or the number of vertices; and 1 if there is any, else
-        0. Where the motion is."""
-        return self._faults.first
-
-    def raise_faults(self, first: Sequence[int]) -> None:
-        """What `check` raises, given the values of `first_faults`."""
-        self._faults.raise_from(first)
-
-
-class _Faults:
-    """What is wrong with columns of the input.
-
-    On a CPU it raises at once. On a GPU reading the verdicts would stall the stream: they are read along with what
-    `detect` waits for. A compiled graph reads nothing.
-    """
-
-    def __init__(
-        self,
-        columns: dict[str, tuple[Tensor, int, float]],
-        row: str = "body",
-        device: torch.device | None = None,
-    ) -> None:
-        self._names, self._row, self._count, self._are_none = list(columns), row, 0, not columns
-        self._device = device
-        if not columns:
-            return
-        values, checks, limits = zip(*columns.values(), strict=True)
-        self._count = values[0].shape[0]
-        self.first = ops.first_faults(values, checks, limits)
-        if self.first.device.type == "cpu" and not torch.compiler.is_compiling():
-            self.check()
-
-    @functools.cached_property
-    def first(self) -> Tensor:
-        """(F + 1,) int64: the first faulty row of each column, or the number of rows; and whether there is any."""
-        return torch.zeros(1, dtype=torch.int64, device=self._device)
-
-    def check(self) -> None:
-        if not self._are_none:
-            self.raise_from(self.first.tolist())
-
-    def raise_from(self, first: Sequence[int]) -> None:
-        for name, index in zip(self._names, first, strict=False):
-            if index < self._count:
-                expected = f"finite numbers up to {_LARGEST_COORDINATE:g}"
-                if name.startswith("orientation"):
-                    expected = "a unit quaternion (w, x, y, z)"
-                if name in ("angular_velocity", "rotation"):
-                    expected = f"a turn of at most {_LARGEST_TURN:g} radians in the step"
-                raise ValueError(f"{name}: {self._row} {index}: expected {expected}")
-        self._are_none = True  # nobody need wait for that again
-
-
-def _body_count(values: Tensor, name: str) -> int:
-    if not isinstance(values, Tensor):
-        raise TypeError(f"{name}: expected a tensor, got {type(values).__name__}")
-    if values.dim() != 2:
-        raise ValueError(f"{name}: expected shape (N, 3), got {tuple(values.shape)}")
-    return values.shape[0]
-
-
-def _rows(values: Tensor, name: str, count: int, width: int, device: torch.device) -> Tensor:
-    if not isinstance(values, Tensor):
-        raise TypeError(f"{name}: expected a tensor, got {type(values).__name__}")
-    if values.dtype not in (torch.float32, torch.float64):
-        raise TypeError(f"{name}: expected float32 or float64, got {values.dtype}")
-    if values.shape != (count, width):
-        raise ValueError(f"{name}: expected shape ({count}, {width}), got {tuple(values.shape)}")
-    if values.device != device:
-        raise ValueError(f"{name}: expected device {device}, got {values.device}")
-    if values.dtype == torch.float64 and not values.requires_grad and values.is_contiguous():
-        return values  # as it mostly is: converting it all the same takes a tenth of a call for two bodies
-    return values.detach().to(torch.float64).contiguous()
+    def __repr__(self) -> str:
+        return f"VertexMotion(vertices={self.x_t0.shape[0]}, device={self.device})"

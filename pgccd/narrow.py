@@ -9,15 +9,18 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from pgccd import ops
+from pgccd import arguments, ops
 from pgccd.bodies import MovingBodies
-from pgccd.broad import check_separation, operator_tolerance
+from pgccd.broad import check_separation, operator_tolerance, require_bodies
 from pgccd.contacts import ContactRows
 from pgccd.traverse import check_pairs, require
 
 Report = Literal["any", "first", "all", "earliest"]
 # What the operators are asked for; "earliest" is then chosen from the first contacts.
 REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 1}
+
+# Of elementary tests, which know no radius that it could be relative to.
+_ELEMENTARY_TOLERANCE = 1e-6
 
 
 class Kind(IntEnum):
@@ -53,7 +56,7 @@ def vertex_face(
     points_t0: Tensor,
     points_t1: Tensor,
     min_separation: float = 0.0,
-    tolerance: float = 1e-6,
+    tolerance: float | None = 1e-6,
     nonzero_toi: bool = False,
 ) -> ElementaryResult:
     """Vertex against face, all four points on straight lines over the step. The points given are the truth.
@@ -66,11 +69,11 @@ def vertex_face(
         points_t0, points_t1: (n, 4, 3) float32 or float64, positions of v, f0, f1, f2 at both ends, any one length
             unit.
         min_separation: touching means a distance of at most this.
-        tolerance: a contact comes within min_separation + tolerance (length).
+        tolerance: a contact comes within min_separation + tolerance (length). None: 1e-6.
         nonzero_toi: never answer toi = 0 unless the pair starts within the separation (to rounding).
 
     Raises:
-        TypeError, ValueError: naming the argument.
+        TypeError, ValueError: naming the argument; also if points require grad.
 
     Example:
         >>> hit = pgccd.narrow.vertex_face(x0, x1)
@@ -80,8 +83,8 @@ def vertex_face(
         *ops.vertex_face(
             *_queries(points_t0, points_t1),
             check_separation(min_separation),
-            operator_tolerance(tolerance),
-            nonzero_toi,
+            _ELEMENTARY_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance"),
+            arguments.flag(nonzero_toi, "nonzero_toi"),
         )
     )
 
@@ -90,7 +93,7 @@ def edge_edge(
     points_t0: Tensor,
     points_t1: Tensor,
     min_separation: float = 0.0,
-    tolerance: float = 1e-6,
+    tolerance: float | None = 1e-6,
     nonzero_toi: bool = False,
 ) -> ElementaryResult:
     """Edge against edge; points ea0, ea1, eb0, eb1. See `vertex_face`.
@@ -102,8 +105,8 @@ def edge_edge(
         *ops.edge_edge(
             *_queries(points_t0, points_t1),
             check_separation(min_separation),
-            operator_tolerance(tolerance),
-            nonzero_toi,
+            _ELEMENTARY_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance"),
+            arguments.flag(nonzero_toi, "nonzero_toi"),
         )
     )
 
@@ -130,10 +133,11 @@ def contacts(
     Example:
         >>> rows = pgccd.narrow.contacts(bodies, pairs, candidates, report="all")
     """
+    require_bodies(bodies)
     pairs = check_pairs(pairs, bodies)
+    bodies.check()
     if not isinstance(candidates, Tensor) or candidates.dtype != torch.int32:
-        kind = getattr(candidates, "dtype", type(candidates).__name__)
-        raise TypeError(f"candidates: expected an int32 tensor, got {kind}")
+        raise TypeError(f"candidates: expected an int32 tensor, got {arguments.describe(candidates)}")
     if candidates.dim() != 2 or candidates.shape[1] != 4:
         raise ValueError(f"candidates: expected shape (C, 4), got {tuple(candidates.shape)}")
     if candidates.device != bodies.device:
@@ -141,10 +145,9 @@ def contacts(
     require(
         _names_features(bodies, pairs, candidates), "candidates: a row names a pair, kind or feature that is not there"
     )
-    if report not in REPORTS:
-        raise ValueError(f"report: expected one of {list(REPORTS)}, got {report!r}")
+    arguments.choice(report, "report", REPORTS)
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
-    rest = (pairs, candidates.contiguous(), *settings, nonzero_toi, REPORTS[report])
+    rest = (pairs, candidates.contiguous(), *settings, arguments.flag(nonzero_toi, "nonzero_toi"), REPORTS[report])
     if bodies.deforming:
         rows = ops.narrow_deforming(bodies.mesh_set, bodies.tensors, *rest)
     else:
@@ -181,9 +184,7 @@ def earliest_row(toi: Tensor) -> slice:
 
 def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:
     for name, points in (("points_t0", points_t0), ("points_t1", points_t1)):
-        if not isinstance(points, Tensor) or points.dtype not in (torch.float32, torch.float64):
-            kind = getattr(points, "dtype", type(points).__name__)
-            raise TypeError(f"{name}: expected a float32 or float64 tensor, got {kind}")
+        arguments.real_tensor(points, name)
         if points.dim() != 3 or points.shape[1:] != (4, 3):
             raise ValueError(f"{name}: expected shape (n, 4, 3), got {tuple(points.shape)}")
     if points_t0.dtype != points_t1.dtype:
@@ -192,4 +193,4 @@ def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:
         raise ValueError(f"points_t1: expected shape {tuple(points_t0.shape)}, got {tuple(points_t1.shape)}")
     if points_t0.device != points_t1.device:
         raise ValueError(f"points_t1: expected device {points_t0.device}, got {points_t1.device}")
-    return points_t0.contiguous(), points_t1.contiguous()
+    return points_t0.detach().contiguous(), points_t1.detach().contiguous()

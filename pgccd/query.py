@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pgccd import broad, narrow
+from pgccd import arguments, broad, narrow
 
 
 @dataclass(frozen=True)
@@ -12,7 +12,7 @@ class Query:
     """The options of `pgccd.detect` that its stages share.
 
     Raises:
-        ValueError: naming the option.
+        TypeError, ValueError: naming the option.
     """
 
     report: narrow.Report
@@ -21,7 +21,7 @@ class Query:
     nonzero_toi: bool
 
     def __post_init__(self) -> None:
-        if self.report not in narrow.REPORTS:
-            raise ValueError(f"report: expected one of {list(narrow.REPORTS)}, got {self.report!r}")
+        arguments.choice(self.report, "report", narrow.REPORTS)
         broad.check_separation(self.min_separation)
         broad.operator_tolerance(self.tolerance)
+        arguments.flag(self.nonzero_toi, "nonzero_toi")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Sequence
+import copy
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from pgccd import arguments
 from pgccd.mesh import Mesh, MeshSet
 
 #: Columns of a scene that say which of its bodies may collide.
@@ -42,6 +45,9 @@ class Scene:
             deform (`VertexMotion`); default none. Of a body's features those are tested that share no vertex. Neither
             group, mask nor world keep a body from itself; being static does.
 
+    `mesh_index`, `group`, `mask`, `world` and `static` may be written to or replaced later; the bodies that are tested
+    against themselves are fixed.
+
     Raises:
         ValueError, TypeError: naming the argument.
 
@@ -68,12 +74,14 @@ class Scene:
                 device = meshes.device
             else:
                 device = mesh_index.device if isinstance(mesh_index, Tensor) else "cpu"
+        device = arguments.device(device)
         if not isinstance(meshes, MeshSet):
-            meshes = MeshSet(list(meshes), device)
+            several = isinstance(meshes, Iterable) and not isinstance(meshes, (str, dict, Tensor, np.ndarray))
+            meshes = MeshSet(list(meshes) if several else meshes, device)
         #: The meshes, concatenated.
         self.meshes = meshes
         self.device = meshes.device
-        if torch.device(device).type != self.device.type:
+        if device.type != self.device.type or device.index not in (None, self.device.index):
             raise ValueError(f"device: the MeshSet is on {self.device}, not {device}")
         if mesh_index is None:
             mesh_index = list(range(len(meshes)))
@@ -81,10 +89,7 @@ class Scene:
         self.mesh_index = _integer_column(mesh_index, "mesh_index", None, self.device)
         #: Number of bodies N.
         self.body_count = len(self.mesh_index)
-        if self.body_count:
-            low, high = (int(x) for x in torch.aminmax(self.mesh_index))
-            if low < 0 or high >= len(meshes):
-                raise ValueError(f"mesh_index: values in [{low}, {high}], but there are {len(meshes)} meshes")
+        _require_meshes(self.mesh_index, len(meshes))
         self.mesh_index = self.mesh_index.to(torch.int32)
         count = self.body_count
         self.group = None if group is None else _integer_column(group, "group", count, self.device)
@@ -117,32 +122,136 @@ class Scene:
         scene.self_colliding = _rows_of(None, meshes.device)
         return scene
 
-    @functools.cached_property
+    # What follows from `mesh_index`.
+    _radius: _Derived | None = None
+    _layout: _Derived | None = None
+
+    @property
     def radius(self) -> Tensor:
         """SBV radius of each body's mesh, (N,) float64."""
-        return self.meshes.radius[self.mesh_index.long()]
+        if self._radius is None or not self._radius.is_of(self.mesh_index):
+            if torch.compiler.is_compiling():  # of whose values nothing is known
+                return self.meshes.radius[self.mesh_index.long()]
+            if self._radius is not None and self.device.type == "cpu":
+                _require_meshes(self.mesh_index, len(self.meshes))
+            self._radius = _Derived(self.mesh_index, self.meshes.radius[self.mesh_index.long()])
+        return self._radius.value
 
-    @functools.cached_property
+    @radius.setter
+    def radius(self, radius: Tensor) -> None:
+        self._radius = _Derived(self.mesh_index, radius)
+
+    @property
     def layout(self) -> VertexLayout:
         """Where the rows of bodies that bring their own vertices begin."""
+        if self._layout is None or not self._layout.is_of(self.mesh_index):
+            self._layout = _Derived(self.mesh_index, self._find_layout())
+        return self._layout.value
+
+    def _find_layout(self) -> VertexLayout:
+        index = self.mesh_index.cpu().long()
+        _require_meshes(index, len(self.meshes))
         offsets = self.meshes.offsets
-        counts = (offsets[1:] - offsets[:-1])[self.mesh_index.cpu().long()]
+        counts = (offsets[1:] - offsets[:-1])[index]
         begin = (counts.cumsum(0) - counts).to(self.device)
         vertex_count, _, _, block_count = counts.sum(0).tolist()
         return VertexLayout(vertex_count, block_count, begin[:, 0].contiguous(), begin[:, 3].contiguous())
+
+    def check_columns(self) -> None:
+        """Raises TypeError or ValueError if a column was replaced by something else. Values are not looked at."""
+        for name, dtype in _DTYPES.items():
+            column = getattr(self, name)
+            if column is None and name != "mesh_index":
+                continue
+            if not isinstance(column, Tensor) or column.dtype != dtype:
+                raise TypeError(f"{name}: expected {_word(dtype)} in a scene, got {arguments.describe(column)}")
+            if column.shape != (self.body_count,) or column.device != self.device:
+                expected = f"shape ({self.body_count},) on {self.device}"
+                raise ValueError(f"{name}: expected {expected}, got {tuple(column.shape)} on {column.device}")
+            if not column.is_contiguous():
+                raise ValueError(f"{name}: expected a contiguous tensor")
+
+    def to(self, device: torch.device | str) -> Scene:
+        """The same on another device; the meshes are copied there.
+
+        Example:
+            >>> scene = scene.to("cpu")
+        """
+        meshes = self.meshes.to(device)
+        moved = copy.copy(self)
+        moved.meshes, moved.device = meshes, meshes.device
+        moved._radius = moved._layout = None
+        for name in (*_DTYPES, "self_collision", "self_colliding"):
+            column = getattr(self, name)
+            if column is not None:
+                setattr(moved, name, column.to(meshes.device))
+        return moved
 
     def __repr__(self) -> str:
         return f"Scene(bodies={self.body_count}, meshes={len(self.meshes)}, device={self.device})"
 
 
+@dataclass
+class _Derived:
+    """What follows from a column, and from which."""
+
+    column: Tensor
+    value: Any
+    version: int | None = None
+
+    def __post_init__(self) -> None:
+        self.version = _version(self.column)
+
+    def is_of(self, column: Tensor) -> bool:
+        """Whether the column is that one, and has not been written to."""
+        return self.column is column and (torch.compiler.is_compiling() or self.version == _version(column) is not None)
+
+
+def _version(column: Tensor) -> int | None:
+    """Changes when the column is written to; None where torch does not count that."""
+    return None if torch.compiler.is_compiling() or column.is_inference() else column._version
+
+
+# Of columns as the operators read them.
+_DTYPES = {
+    "mesh_index": torch.int32,
+    "group": torch.int64,
+    "mask": torch.int64,
+    "world": torch.int32,
+    "static": torch.uint8,
+}
+
+
+def _word(dtype: torch.dtype) -> str:
+    return str(dtype).removeprefix("torch.")
+
+
+def _require_meshes(mesh_index: Tensor, count: int) -> None:
+    if len(mesh_index):
+        low, high = (int(x) for x in torch.aminmax(mesh_index))
+        if low < 0 or high >= count:
+            raise ValueError(f"mesh_index: values in [{low}, {high}], but there are {count} meshes")
+
+
+def _column(values: Any, name: str, expected: str) -> Tensor:
+    """The values as a tensor of one dimension."""
+    try:
+        column = torch.as_tensor(values)
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise TypeError(
+            f"{name}: expected {expected}, one a body, got {arguments.describe(values)}: {error}"
+        ) from error
+    if column.dim() != 1:
+        raise ValueError(f"{name}: expected {expected}, shape (N,), got {arguments.describe(column)}")
+    return column
+
+
 def _integer_column(values: Tensor | Sequence[int], name: str, count: int | None, device: torch.device) -> Tensor:
-    column = torch.as_tensor(values)
+    column = _column(values, name, "integers")
     if column.numel() == 0:
         column = column.to(torch.int64)
     if column.dtype.is_floating_point or column.dtype.is_complex or column.dtype == torch.bool:
         raise TypeError(f"{name}: expected integers, got {column.dtype}")
-    if column.dim() != 1:
-        raise ValueError(f"{name}: expected shape (N,), got {tuple(column.shape)}")
     if count is not None and len(column) != count:
         raise ValueError(f"{name}: expected {count} values, one a body, got {len(column)}")
     return column.to(device=device, dtype=torch.int64).contiguous()
@@ -156,7 +265,7 @@ def _world_column(values: Tensor | Sequence[int], count: int, device: torch.devi
 
 
 def _bool_column(values: Tensor | Sequence[bool], name: str, count: int, device: torch.device) -> Tensor:
-    column = torch.as_tensor(values)
+    column = _column(values, name, "bool")
     if column.numel() and column.dtype != torch.bool:
         raise TypeError(f"{name}: expected bool, got {column.dtype}")
     if column.shape != (count,):

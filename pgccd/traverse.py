@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pgccd import ops
+from pgccd import arguments, ops
 from pgccd.bodies import MovingBodies
-from pgccd.broad import check_separation, operator_tolerance
+from pgccd.broad import check_separation, operator_tolerance, require_bodies
 
 
 def bvtt(
@@ -39,22 +39,36 @@ def bvtt(
     Example:
         >>> candidates, node_tests = pgccd.traverse.bvtt(bodies, pgccd.broad.sweep(bodies))
     """
+    require_bodies(bodies)
     pairs = check_pairs(pairs, bodies)
-    check_separation(min_separation)
-    if horizon is not None and (horizon.shape != pairs.shape[:1] or horizon.dtype != torch.float64):
-        raise ValueError(f"horizon: expected ({len(pairs)},) float64, got {tuple(horizon.shape)} {horizon.dtype}")
+    bodies.check()
     if horizon is not None:
-        require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
-    rest = (pairs, horizon, min_separation, operator_tolerance(tolerance), leading)
+        _check_horizon(horizon, pairs)
+    settings = (check_separation(min_separation), operator_tolerance(tolerance))
+    rest = (pairs, horizon, *settings, arguments.flag(leading, "leading"))
     if bodies.deforming:
         return ops.traverse_deforming(bodies.mesh_set, bodies.tensors, *rest)
     return ops.traverse_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
 
 
-def check_pairs(pairs: Tensor, bodies: MovingBodies) -> Tensor:
-    """`pairs`, if it has the right dtype, shape and device, and names bodies of the scene."""
+def _check_horizon(horizon: Tensor, pairs: Tensor) -> None:
+    if not isinstance(horizon, Tensor) or horizon.shape != pairs.shape[:1] or horizon.dtype != torch.float64:
+        expected = f"a float64 tensor of shape ({len(pairs)},)"
+        raise ValueError(f"horizon: expected {expected}, got {arguments.describe(horizon)}")
+    if horizon.device != pairs.device:
+        raise ValueError(f"horizon: expected device {pairs.device}, got {horizon.device}")
+    arguments.refuse_gradient(horizon, "horizon")
+    require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
+
+
+def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) -> Tensor:
+    """`pairs`, if it has the right dtype, shape and device, and names bodies of the scene.
+
+    Args:
+        ascending: whether rows must be sorted, and no two of them alike.
+    """
     if not isinstance(pairs, Tensor) or pairs.dtype != torch.int64:
-        raise TypeError(f"pairs: expected an int64 tensor, got {getattr(pairs, 'dtype', type(pairs).__name__)}")
+        raise TypeError(f"pairs: expected an int64 tensor, got {arguments.describe(pairs)}")
     if pairs.dim() != 2 or pairs.shape[1] != 2:
         raise ValueError(f"pairs: expected shape (P, 2), got {tuple(pairs.shape)}")
     if pairs.device != bodies.device:
@@ -68,6 +82,9 @@ def check_pairs(pairs: Tensor, bodies: MovingBodies) -> Tensor:
         in_order |= (i == j) & (i >= 0) & (j < count) & own[i.clamp(0, count - 1)]
         expected += ", or (i, i) of a body that collides with itself"
     require(in_order, expected)
+    if ascending:
+        rises = (i[1:] > i[:-1]) | ((i[1:] == i[:-1]) & (j[1:] > j[:-1]))
+        require(rises, "pairs: expected rows sorted by i, then j, each once (torch.unique(pairs, dim=0) makes them so)")
     return pairs.contiguous()
 
 
@@ -76,7 +93,7 @@ def require(valid: Tensor, message: str) -> None:
 
     On a GPU the assertion is asynchronous: it does not stall the stream.
     """
-    if valid.device.type != "cpu":
+    if valid.device.type != "cpu" or torch.compiler.is_compiling():
         torch._assert_async(valid.all(), message)
     elif not bool(valid.all()):
         raise ValueError(message)

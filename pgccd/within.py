@@ -11,21 +11,8 @@ from torch import Tensor
 from pgccd import broad, narrow, ops
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts
-from pgccd.contacts import ContactRows, Contacts, PaddedContacts, Stats
+from pgccd.contacts import ContactRows, Contacts, PaddedContacts, stats_of
 from pgccd.query import Query
-
-
-class CapacityError(RuntimeError):
-    """There was not room for all of a step; `needed` says how much it takes at least."""
-
-    def __init__(self, capacity: Capacity, needed: Capacity) -> None:
-        short = [
-            f"{name}: {getattr(needed, name)} in {getattr(capacity, name)}"
-            for name in capacity.__dataclass_fields__
-            if getattr(needed, name) > getattr(capacity, name)
-        ]
-        super().__init__(f"capacity: the step needs more room: {', '.join(short)}; see Capacity.grown")
-        self.capacity, self.needed = capacity, needed
 
 
 @dataclass
@@ -57,19 +44,8 @@ class Search:
             rows = tuple(column[:count] for column in rows)  # type: ignore[assignment]
         if self.query.report == "earliest":
             rows = narrow.keep_earliest(rows)
-        stats = Stats(
-            bodies=self.bodies.scene.body_count,
-            pcs=counts.pairs_written,
-            node_tests=counts.node_tests,
-            candidates=counts.candidates,
-            contacts=len(rows[0]),
-            unresolved=counts.unresolved,
-            broad_phase=self.broad_phase,
-            chunks=1,
-            waits=int(self.counts.is_cuda),
-            needed=counts.needed(self.capacity),
-            seconds=counts.seconds,
-        )
+        bodies, waits = self.bodies.scene.body_count, int(self.counts.is_cuda)
+        stats = stats_of(counts, self.capacity, bodies, len(rows[0]), self.broad_phase, waits)
         if self.query.report == "any":
             return Contacts(rows[0], None, None, None, None, None, None, None, stats)
         pairs, kind, features, status, toi, coordinates, point, normal = rows
@@ -77,13 +53,6 @@ class Search:
 
     def padded(self) -> PaddedContacts:
         """The result, whatever the counts."""
-
-        def trim() -> Contacts:
-            counts = self.read()
-            if counts.overflow:
-                raise CapacityError(self.capacity, counts.needed(self.capacity))
-            return self.contacts(counts)
-
         rows, count = self.rows, self._count("contacts")
         if self.query.report == "earliest":
             rows, count = _earliest_row(rows), count.clamp(max=1)
@@ -93,7 +62,8 @@ class Search:
             columns = (None,) * len(columns)  # type: ignore[assignment]
         lost = sum(self._count(f"{stage}_overflow") for stage in ("pairs", "traverse", "contacts"))
         overflow = lost + self.counts[-1:] > 0
-        return PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, trim)
+        told = (self.broad_phase, self.bodies.scene.body_count, self.bodies.faults)
+        return PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, *told)
 
     def _count(self, name: str) -> Tensor:
         return self.counts[COUNT_ROWS[name]].reshape(1)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
+from pathlib import Path
+from typing import Any
+
 import pytest
 
 cuda_toolkit = pytest.importorskip("build_support.cuda_toolkit", reason="not run from the repository's root")
@@ -19,3 +23,32 @@ def test_every_architecture_is_named_to_the_compiler() -> None:
 def test_other_names_are_refused(bad: str) -> None:
     with pytest.raises(ValueError, match="TORCH_CUDA_ARCH_LIST"):
         cuda_toolkit.architecture_flags(bad)
+
+
+@pytest.mark.parametrize("wish", [None, "auto", "0", "1"])
+@pytest.mark.parametrize("gpus", [0, 1])
+@pytest.mark.parametrize("home", [None, "/opt/cuda"])
+def test_compiler_is_downloaded_only_where_it_is_needed(
+    wish: str | None, gpus: int, home: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = importlib.util.spec_from_file_location("bootstrap", Path(__file__).resolve().parents[1] / "bootstrap.py")
+    assert spec is not None and spec.loader is not None
+    bootstrap = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(bootstrap)
+    commands: list[Any] = []
+    monkeypatch.setattr(bootstrap, "ask", lambda *_: home)
+    monkeypatch.setattr(bootstrap, "run", lambda what, *_, **__: commands.append(what) or True)
+    monkeypatch.setattr(bootstrap, "say", lambda _: None)
+    monkeypatch.setattr(bootstrap, "install_torch", lambda: {"version": "2.13.0", "cuda": "13.0", "gpus": gpus})
+    for name in ("create_environment", "install_packages", "install_project"):
+        monkeypatch.setattr(bootstrap, name, lambda: None)
+    monkeypatch.setattr(bootstrap, "LOG", tmp_path / "build" / "log")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(bootstrap, "ROOT", tmp_path)
+    monkeypatch.setenv("PATH", "/usr/bin")
+    monkeypatch.delenv("PGCCD_CUDA", raising=False)
+    if wish is not None:
+        monkeypatch.setenv("PGCCD_CUDA", wish)
+    bootstrap.main()
+    expected = home is None and (wish == "1" or (gpus > 0 and wish != "0"))
+    assert ("installing the CUDA compiler" in commands) == expected

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from pgccd import files
 from pgccd.cli import main
 from pgccd.sim import robot_mesh
 
@@ -218,3 +219,35 @@ def test_other_errors_are_not_taken_for_too_little_memory(
     monkeypatch.setattr("pgccd.detect", fail)
     with pytest.raises(RuntimeError, match="out of luck"):
         main(["detect", *meshes, "--motion", poses])
+
+
+def test_unknown_keys_of_files_are_named(tmp_path: Path, meshes: list[str], poses: str) -> None:
+    columns = dict(np.load(poses))
+    scene = {"meshes": ["a.obj"], "mesh_index": [0, 0], "poses": "poses.npz"}
+
+    def load(**changed: object) -> None:
+        (tmp_path / "scene.json").write_text(json.dumps(scene | changed))
+        files.load_scene(tmp_path / "scene.json")
+
+    load()
+    with pytest.raises(
+        ValueError, match="scene.json has an unknown key 'gruop', perhaps for 'group'; known are .*mask"
+    ):
+        load(gruop=[1, 1])
+    for key, value in (("meshes", "a.obj"), ("poses", 3), ("group", ["a", "b"]), ("mesh_index", [[0], [0, 1]])):
+        with pytest.raises(ValueError, match=f"scene.json: {key}: expected"):
+            load(**{key: value})
+    (tmp_path / "list.json").write_text("[]")
+    with pytest.raises(ValueError, match="list.json: expected an object"):
+        files.load_scene(tmp_path / "list.json")
+
+    def load_motion(**changed: object) -> None:
+        np.savez(tmp_path / "moved.npz", **(columns | changed))
+        files.load_motion(tmp_path / "moved.npz")
+
+    with pytest.raises(ValueError, match="moved.npz has an unknown key 'positon_t1', perhaps for 'position_t1'; known"):
+        load_motion(positon_t1=columns["position_t1"])
+    with pytest.raises(ValueError, match="moved.npz has 'position_t1' beside velocities"):
+        load_motion(linear_velocity=columns["position_t0"])
+    with pytest.raises(ValueError, match="moved.npz: position_t0: expected numbers, got complex128"):
+        load_motion(position_t0=1j * columns["position_t0"])

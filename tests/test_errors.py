@@ -151,7 +151,7 @@ case("vertex nan", lambda: pgccd.Mesh([[0, 0, 0], [1, NAN, 0], [0, 1, 0]], [[0, 
 case("zero radius", lambda: pgccd.Mesh(np.ones((3, 3)), [[0, 1, 2]]), "vertices", "radius 0")
 case("tiny radius", lambda: pgccd.Mesh(1e-40 * np.eye(3), [[0, 1, 2]]), "vertices", "radius")
 case("huge radius", lambda: pgccd.Mesh(1e40 * np.eye(3), [[0, 1, 2]]), "vertices", "radius")
-case("from_trimesh", lambda: pgccd.Mesh.from_trimesh(object()), "mesh", "no triangles")
+case("from_trimesh", lambda: pgccd.Mesh.from_trimesh(object()), "mesh", "expected triangles, got object")
 QUERY = torch.zeros(2, 4, 3, dtype=torch.float64)
 for _test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
     _name = _test.__name__

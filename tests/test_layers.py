@@ -91,8 +91,8 @@ def test_only_ops_names_the_operators() -> None:
 
 def test_trimesh_is_imported_lazily_and_in_one_place() -> None:
     using = [p for p in python_files(PACKAGE) if any(n.split(".")[0] == "trimesh" for n in imports(p))]
-    allowed = {PACKAGE / "mesh.py"} | set(python_files(PACKAGE / "viz"))  # viz draws its pages through it
-    assert set(using) <= allowed and PACKAGE / "mesh.py" in using
+    allowed = {PACKAGE / "mesh_files.py"} | set(python_files(PACKAGE / "viz"))  # viz draws its pages through it
+    assert set(using) <= allowed and PACKAGE / "mesh_files.py" in using
     for path in using:
         assert not any(n.split(".")[0] == "trimesh" for n in imports(path, only_top_level=True)), path
 
@@ -102,7 +102,7 @@ def test_single_device_modules_do_not_know_the_cluster() -> None:
     wrong = [
         (path.name, name)
         for path in [*PACKAGE.glob("*.py"), *(PACKAGE / "ops").glob("*.py")]
-        if path.stem not in {"cli", "__main__"}
+        if path.stem not in {"cli", "__main__", "__init__"}  # the last names them for type checkers: see test_package
         for name in imports(path)
         if name.startswith(upper)
     ]
@@ -128,7 +128,7 @@ def test_few_files_know_what_carries_messages() -> None:
         "mpi_comm.py",
         "launch.py",
         "rendezvous.py",
-        "checkpoint.py",
+        "row_planners.py",
     }
     assert knowing["mpi4py"] == {"mpi_comm.py", "rendezvous.py"}
 

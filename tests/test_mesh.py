@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -175,7 +176,7 @@ def test_load_any_file(tmp_path_factory: pytest.TempPathFactory, shape: strategi
     path = tmp_path_factory.mktemp("mesh") / f"shape.{suffix}"
     written = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
     written.export(path)
-    mesh = pgccd.Mesh.load(path)
+    mesh = pgccd.Mesh.load(path, weld=suffix == "stl")
     direct = pgccd.Mesh(shape.vertices, shape.faces)
 
     def triangles(m: pgccd.Mesh) -> np.ndarray:
@@ -198,6 +199,98 @@ def test_stl_corners_are_joined(tmp_path: Path) -> None:
     mesh = pgccd.Mesh.load(tmp_path / "ball.stl")
     assert (len(mesh.vertices), len(mesh.faces), len(mesh.edges)) == (162, 320, 480)
     assert pgccd.Mesh.load(str(tmp_path / "ball.stl")).radius == mesh.radius
+
+
+def split_box(trimesh: Any) -> Any:
+    """A box of 768 faces and 386 vertices, split wherever two faces meet, as at the seams of a texture."""
+    box = trimesh.creation.box()
+    for _ in range(3):
+        box = box.subdivide()
+    box.unmerge_vertices()
+    return box
+
+
+@pytest.mark.parametrize("suffix", ["glb", "ply", "obj", "off", "stl"])
+def test_vertices_split_at_seams_are_welded(tmp_path: Path, suffix: str) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    box, path = split_box(trimesh), tmp_path / f"box.{suffix}"
+    box.export(path)
+    (one,) = pgccd.Mesh.load_all(path)
+    for mesh in (pgccd.Mesh.load(path), pgccd.Mesh.from_trimesh(box), one):
+        assert (len(mesh.vertices), len(mesh.faces), len(mesh.edges)) == (386, 768, 1152)
+        assert (mesh.welded_vertices, mesh.dropped_faces) == (2304 - 386, 0)
+        assert "welded_vertices=1918" in repr(mesh) and "dropped" not in repr(mesh)
+        x = mesh.vertices
+        moved = pgccd.VertexMotion(x, x + torch.tensor([0.5, 0.25, 0.0]))
+        assert len(pgccd.detect(pgccd.Scene([mesh], self_collision=True), moved, report="all")) == 0
+    as_it_is = pgccd.Mesh.load(path, weld=False)
+    assert len(as_it_is.vertices) == 2304 and as_it_is.welded_vertices == 0 and "welded" not in repr(as_it_is)
+    # The rows of the file, for those who move its vertices.
+    assert mesh.source_vertex is not None and mesh.source_face is not None
+    given = torch.from_numpy(np.array(box.vertices))
+    mesh = pgccd.Mesh.from_trimesh(box)
+    assert torch.allclose(given[mesh.source_vertex], mesh.vertices + mesh.centre, atol=1e-15)
+    assert torch.equal(mesh.source_face, torch.arange(768))
+    assert bool((mesh.source_vertex[1:] > mesh.source_vertex[:-1]).all()), "the first of each, in the file's order"
+
+
+def test_nothing_to_weld_changes_nothing() -> None:
+    trimesh = pytest.importorskip("trimesh")
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    mesh, plain = pgccd.Mesh.from_trimesh(ball), pgccd.Mesh(ball.vertices, ball.faces)
+    assert torch.equal(mesh.vertices, plain.vertices) and torch.equal(mesh.faces, plain.faces)
+    assert mesh.welded_vertices == 0 and torch.equal(mesh.source_vertex, torch.arange(162))
+
+
+def test_negative_zero_and_faces_that_welding_flattens() -> None:
+    trimesh = pytest.importorskip("trimesh")
+    vertices = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 0, -0.0], [1, 0, 0]]
+    mesh = pgccd.Mesh.from_trimesh(trimesh.Trimesh(vertices, [[0, 3, 1], [0, 1, 2], [3, 4, 2]], process=False))
+    assert len(mesh.vertices) == 3 and mesh.faces.tolist() == [[0, 1, 2], [0, 1, 2]]
+    assert (mesh.welded_vertices, mesh.dropped_faces) == (2, 1) and mesh.source_face.tolist() == [1, 2]
+    assert "dropped_faces=1" in repr(mesh)
+    with pytest.raises(ValueError, match="^mesh: .*three different corners"):
+        pgccd.Mesh.from_trimesh(trimesh.Trimesh(vertices, [[0, 3, 1]], process=False))
+
+
+def test_meshes_of_a_scene_one_by_one(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    place = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3]) + 5.0 * np.eye(4, k=3)
+    written = trimesh.Scene()
+    written.add_geometry(trimesh.creation.box((1, 2, 3)), node_name="crate", transform=place)
+    written.add_geometry(trimesh.creation.icosphere(subdivisions=1), node_name="ball")
+    written.export(tmp_path / "scene.glb")
+    meshes = {mesh.name: mesh for mesh in pgccd.Mesh.load_all(tmp_path / "scene.glb")}
+    assert {name: len(mesh.faces) for name, mesh in meshes.items()} == {"crate": 12, "ball": 80}
+    crate = meshes["crate"]
+    corners = trimesh.transform_points(trimesh.creation.box((1, 2, 3)).vertices, place)
+    found = (crate.vertices + crate.centre).numpy()
+    assert np.abs(np.sort(found, axis=0) - np.sort(corners, axis=0)).max() < 1e-6
+    joined = pgccd.Mesh.load(tmp_path / "scene.glb")
+    assert len(joined.faces) == 92 and "'crate'" in repr(crate)
+
+    text = "o left\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\no right\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf 4 5 6\n"
+    (tmp_path / "two.obj").write_text(text)
+    assert {mesh.name: float(mesh.centre[0]) > 2 for mesh in pgccd.Mesh.load_all(tmp_path / "two.obj")} == {
+        "left": False,
+        "right": True,
+    }
+    assert len(pgccd.Mesh.load(tmp_path / "two.obj").faces) == 2
+
+
+def test_what_is_no_mesh_is_named(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    written = trimesh.Scene()
+    written.add_geometry(trimesh.creation.box(), node_name="crate")
+    written.add_geometry(trimesh.PointCloud(np.eye(3)), node_name="scan", geom_name="scan")
+    written.export(tmp_path / "scan.glb")
+    for load in (pgccd.Mesh.load, pgccd.Mesh.load_all):
+        with pytest.raises(ValueError, match="^path: .*scan.glb.*a point cloud named 'scan'"):
+            load(tmp_path / "scan.glb")
+    with pytest.raises(ValueError, match="^mesh: .*a point cloud named 'scan'"):
+        pgccd.Mesh.from_trimesh(written)
+    with pytest.raises(ValueError, match="^mesh: .*lines"):
+        pgccd.Mesh.from_trimesh(trimesh.load_path([[0, 0, 0], [1, 0, 0]]))
 
 
 def test_from_trimesh_and_scene() -> None:

@@ -178,14 +178,3 @@ def test_from_velocity(step: strategies.PoseMotion, dt: float) -> None:
     assert np.allclose(motion.position_t1.numpy()[0], step.end.position, rtol=1e-12, atol=1e-12)
     assert np.allclose(motion.rotation.numpy()[0], step.rotation, rtol=1e-15, atol=1e-300)
     assert motion.body_count == 1 and motion.path == "rigid"
-
-
-def test_input_is_not_shared_with_gradients() -> None:
-    rng = np.random.default_rng(6)
-    columns = tensors(
-        rng.normal(size=(2, 3)), unit_quaternions(rng, 2), rng.normal(size=(2, 3)), unit_quaternions(rng, 2)
-    )
-    for c in columns:
-        c.requires_grad_(True)
-    motion = pgccd.RigidMotion(*columns)
-    assert not motion.rotation.requires_grad and motion.position_t0.dtype == torch.float64

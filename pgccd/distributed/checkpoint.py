@@ -17,14 +17,9 @@ from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import torch
-import torch.distributed.checkpoint as dcp
 from torch import Tensor
-from torch.distributed.checkpoint.metadata import ChunkStorageMetadata, MetadataIndex, TensorProperties
-from torch.distributed.checkpoint.planner import LoadPlan, ReadItem, SavePlan, TensorWriteData, WriteItem, WriteItemType
-from torch.distributed.checkpoint.planner_helpers import create_read_items_for_chunk_list
 
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.partition import Partition
@@ -107,9 +102,12 @@ class Checkpoints:
                 writing.result()
 
     def _write(self, header: Header, columns: dict[str, Tensor], begin: int, total: int, owners: _Owners) -> None:
+        # Importing it takes as long as half of torch, which runs that write no checkpoint need not wait for.
+        from pgccd.distributed.row_planners import SaveRows, dcp
+
         name = f"step-{header.steps_made:09d}"
         unfinished = self._root / f"{name}.unfinished"
-        writer, planner = dcp.FileSystemWriter(unfinished), _SaveRows(begin, total)
+        writer, planner = dcp.FileSystemWriter(unfinished), SaveRows(begin, total)
         with _without_group_warning():
             dcp.save(
                 dict(columns),
@@ -183,6 +181,8 @@ def load_share(comm: Comm, folder: Path) -> RobotState:
     Raises:
         ValueError: it cannot be read.
     """
+    from pgccd.distributed.row_planners import LoadRows, dcp
+
     root = folder / CHECKPOINT_FOLDER
     try:
         content = json.loads((root / POINTER).read_text())
@@ -192,7 +192,7 @@ def load_share(comm: Comm, folder: Path) -> RobotState:
         # Every rank reads for itself: what is there is whole, and nothing need be agreed.
         reader = dcp.FileSystemReader(root / content["folder"])
         with _without_group_warning():
-            dcp.load(dict(columns), storage_reader=reader, planner=_LoadRows(begin), no_dist=True)
+            dcp.load(dict(columns), storage_reader=reader, planner=LoadRows(begin), no_dist=True)
     except Exception as error:
         raise ValueError(f"{root} holds no checkpoint that can be read: {error}") from error
     return RobotState(**columns)
@@ -214,51 +214,3 @@ def _empty_columns(count: int) -> dict[str, Tensor]:
         shape, dtype = ((count, width), torch.float64) if width else ((count,), torch.int64)
         columns[name] = torch.empty(shape, dtype=dtype)
     return columns
-
-
-class _SaveRows(dcp.DefaultSavePlanner):
-    """Every rank's tensors are rows [begin, ...) of tensors with `total` rows."""
-
-    def __init__(self, begin: int, total: int) -> None:
-        super().__init__(flatten_state_dict=False, flatten_sharded_tensors=False)
-        self._begin, self._total = begin, total
-
-    def create_local_plan(self) -> SavePlan:
-        items = []
-        for name, column in self.state_dict.items():
-            if len(column):
-                chunk = _chunk(column, self._begin)
-                size = torch.Size([self._total, *column.shape[1:]])
-                data = TensorWriteData(chunk, TensorProperties.create_from_tensor(column), size)
-                items.append(WriteItem(MetadataIndex(name, chunk.offsets), WriteItemType.SHARD, tensor_data=data))
-        self.plan = SavePlan(items)
-        return self.plan
-
-    def lookup_object(self, index: MetadataIndex) -> Any:
-        return self.state_dict[index.fqn]
-
-
-class _LoadRows(dcp.DefaultLoadPlanner):
-    """Reads rows [begin, ...) of tensors, whoever wrote which."""
-
-    def __init__(self, begin: int) -> None:
-        super().__init__(flatten_state_dict=False, flatten_sharded_tensors=False)
-        self._begin = begin
-
-    def create_local_plan(self) -> LoadPlan:
-        assert self.metadata is not None
-        items: list[ReadItem] = []
-        for name, column in self.state_dict.items():
-            stored: Any = self.metadata.state_dict_metadata[name]
-            if stored.properties.dtype != column.dtype or stored.size[1:] != column.shape[1:]:
-                raise ValueError(f"{name} is {stored.properties.dtype} {tuple(stored.size)}")
-            if len(column):
-                items += create_read_items_for_chunk_list(name, stored, [_chunk(column, self._begin)])
-        return LoadPlan(items)
-
-    def lookup_tensor(self, index: MetadataIndex) -> Tensor:
-        return self.state_dict[index.fqn]
-
-
-def _chunk(column: Tensor, begin: int) -> ChunkStorageMetadata:
-    return ChunkStorageMetadata(torch.Size([begin] + [0] * (column.dim() - 1)), column.shape)

@@ -16,6 +16,8 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from pgccd import arguments
+
 Triple = tuple[int, int, int]
 Point = tuple[float, float, float]
 
@@ -92,11 +94,16 @@ class Partition:
             >>> partition.owner_of(torch.tensor([[1.0, 7.0, 3.0]]))
         """
         for name, corner in (("lower", lower), ("upper", upper)):
-            if len(corner) != 3 or not all(math.isfinite(x) for x in corner):
+            if not hasattr(corner, "__len__") or isinstance(corner, str) or getattr(corner, "shape", (3,)) != (3,):
+                raise TypeError(f"{name}: expected three finite numbers, got {arguments.describe(corner)}")
+            if len(corner) != 3 or not all(math.isfinite(arguments.number(x, name)) for x in corner):
                 raise ValueError(f"{name}: expected three finite numbers, got {corner}")
         extent = cast(Point, tuple(float(high) - float(low) for low, high in zip(lower, upper, strict=True)))
         if not all(0.0 < length < math.inf for length in extent):
             raise ValueError(f"upper: expected a box with volume above {tuple(lower)}, got {tuple(upper)}")
+        if not isinstance(cells, (int, tuple, list)):
+            raise TypeError(f"cells: expected integers in [1, 2^20], got {arguments.describe(cells)}")
+        arguments.integer(axes, "axes", 1, "1, 2 or 3")
         each = cast(Triple, (cells, cells, 1) if isinstance(cells, int) else tuple(cells))
         if len(each) != 3 or not all(isinstance(count, int) and 1 <= count <= 2**20 for count in each):
             raise ValueError(f"cells: expected integers in [1, 2^20], got {cells}")

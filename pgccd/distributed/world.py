@@ -8,7 +8,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from pgccd import narrow
+from pgccd import arguments, narrow
 from pgccd.broad import BroadPhase
 from pgccd.contacts import Contacts
 from pgccd.distributed.agreement import require_agreement, together
@@ -92,9 +92,10 @@ class World:
         given: dict[str, Any] = {name: column for name, column in filters.items() if column is not None}
 
         def prepare() -> Columns:
-            if not isinstance(position, Tensor) or position.dim() != 2 or position.shape[1] != 3:
-                raise ValueError(f"position: expected a tensor (N, 3), got {getattr(position, 'shape', position)}")
-            self._meshes = MeshSet(list(meshes), position.device)
+            arguments.real_tensor(position, "position")
+            if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
+                raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
+            self._meshes = MeshSet(meshes, position.device)
             self.partition = Partition.uniform(
                 lower, upper, self.comm.size, axes=axes, cells=cells, device=position.device
             )
@@ -105,7 +106,7 @@ class World:
             columns = {"id": _ids(id, len(position), position.device), "mesh_index": scene.mesh_index}
             columns["position"] = position.to(torch.float64)
             columns |= {name: getattr(scene, name) for name in given}
-            return columns | _payload_columns(payload or {}, len(position), position.device)
+            return columns | _payload_columns({} if payload is None else payload, len(position), position.device)
 
         columns = together(self.comm, prepare)
         kinds = {name: (str(column.dtype), tuple(column.shape[1:])) for name, column in columns.items()}
@@ -172,9 +173,9 @@ class World:
             raise ValueError(f"motion: has {motion.body_count} bodies, this rank owns {len(self.id)}")
         if motion.path != self.path:
             raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
+        motion.check_given()
         own = {name: self._columns[name] for name in ("id", "mesh_index", *FILTERS) if name in self._columns}
-        own |= {"position_t0": motion.position_t0, "orientation_t0": motion.orientation_t0}
-        own |= {"position_t1": motion.position_t1, "rotation": motion.rotation}
+        own |= motion.columns()
         self.comm.guard.activity = "step"
         clock = StageClock()
         found = detect_distributed(self.comm, self.partition, own, self._build, self.options, clock, self._room)
@@ -190,6 +191,8 @@ class World:
         Args:
             hits: as `step` returned them.
         """
+        if not isinstance(hits, Contacts):
+            raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
         if hits.toi is None:
             raise ValueError('hits: report="any" gives no toi')
         first = torch.full((len(self.id),), torch.inf, dtype=torch.float64, device=self.id.device)
@@ -217,6 +220,9 @@ class World:
             former = self._columns.get(key)
             if former is None:
                 raise ValueError(f"{name}: not a payload of this world, which has {sorted(self.payload)}")
+            if not isinstance(values, Tensor) or values.layout != torch.strided:
+                raise TypeError(f"{name}: expected a dense tensor, got {arguments.describe(values)}")
+            arguments.refuse_gradient(values, name)
             if values.shape != former.shape or values.dtype != former.dtype or values.device != former.device:
                 expected = f"{tuple(former.shape)} {former.dtype} on {former.device}"
                 raise ValueError(f"{name}: expected {expected}, got {tuple(values.shape)} {values.dtype}")
@@ -267,9 +273,13 @@ def _ids(id: Tensor | None, count: int, device: torch.device) -> Tensor:
 
 
 def _payload_columns(payload: dict[str, Tensor], count: int, device: torch.device) -> Columns:
+    if not isinstance(payload, dict) or not all(isinstance(name, str) for name in payload):
+        raise TypeError(f"payload: expected tensors by name, got {arguments.describe(payload)}")
     columns = {}
     for name in sorted(payload):  # in one order on all ranks
         values = payload[name]
+        if isinstance(values, Tensor):
+            arguments.refuse_gradient(values, f"payload[{name!r}]")
         if not isinstance(values, Tensor) or values.shape[:1] != (count,) or values.device != device:
             raise ValueError(f"payload[{name!r}]: expected a tensor ({count}, ...) on {device}")
         columns["." + name] = values.detach()

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import torch
 from torch import Tensor
 
-from pgccd import ops
+from pgccd import arguments, ops
 from pgccd.mesh import Mesh, MeshSet
 from pgccd.motion import RigidMotion
 from pgccd.scene import Scene
@@ -50,20 +50,21 @@ class WorldConfig:
     crowd: float = 0.5  #: a robot thrown back within this distance of its corner has met the crowd and stays too
 
     def __post_init__(self) -> None:
-        if self.pattern not in PATTERNS:
-            raise ValueError(f"pattern: expected one of {list(PATTERNS)}, got {self.pattern!r}")
+        arguments.choice(self.pattern, "pattern", PATTERNS)
         for name, low, high in (("robots", 1, 2**31 - 1), ("seed", -(2**63), 2**63 - 1)):
             value = getattr(self, name)
-            if not isinstance(value, int) or not low <= value <= high:
+            if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
                 raise ValueError(f"{name}: expected an integer in [{low}, {high}], got {value!r}")
-        if not 2.0 < self.spacing <= 1e6:
+        if not 2.0 < arguments.number(self.spacing, "spacing") <= 1e6:
             raise ValueError(f"spacing: expected more than 2 radii (and at most 1e6), got {self.spacing}")
         for name in ("speed", "spin", "arrival", "crowd"):
-            if not 0.0 <= getattr(self, name) < math.inf:
+            if not 0.0 <= arguments.number(getattr(self, name), name) < math.inf:
                 raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)}")
         for name in ("course_steps", "resume_steps"):
-            if not 1.0 <= getattr(self, name) < math.inf:
+            if not 1.0 <= arguments.number(getattr(self, name), name) < math.inf:
                 raise ValueError(f"{name}: expected a finite number >= 1, got {getattr(self, name)}")
+        if not isinstance(self.stay_steps, tuple) or len(self.stay_steps) != 2:
+            raise TypeError(f"stay_steps: expected two numbers, got {arguments.describe(self.stay_steps)}")
         shortest, longest = self.stay_steps
         if not 0 <= shortest <= longest < 2**31:
             raise ValueError(f"stay_steps: expected 0 <= shortest <= longest, got {self.stay_steps}")

@@ -57,13 +57,13 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
 
 def test_torchrun_then_fewer_ranks_then_one(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
     out = ["--out", str(tmp_path)]
-    first = finish(torchrun(4, *SIMULATE, *WORLD, "--steps", "12", "--checkpoint-every", "5", *out))
+    first = finish(torchrun(3, *SIMULATE, *WORLD, "--steps", "12", "--checkpoint-every", "5", *out))
     assert first.returncode == 0, first.stdout
     assert log(tmp_path) == expected[:12]
     last_line = first.stdout.strip().splitlines()[-1]
     assert re.fullmatch(r"robots=150 steps=12 pcs=\d+ contacts=\d+ seconds_per_step=\d+\.\d+", last_line)
-    assert len(sim.read_log(tmp_path)[-1]["ranks"]["pcs"]) == 4
-    # Saved by 4, resumed by 2.
+    assert len(sim.read_log(tmp_path)[-1]["ranks"]["pcs"]) == 3
+    # Saved by 3, resumed by 2.
     resume = [*SIMULATE, "--resume", str(tmp_path), "--no-pictures"]
     second = finish(torchrun(2, *resume, "--steps", "24"))
     assert second.returncode == 0, second.stdout

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -153,6 +153,7 @@ def test_robots_never_overlap(pattern: str) -> None:
     assert (0, 1) in overlapping_pairs(world, state)
 
 
+@pytest.mark.slow
 def test_collisions_do_not_pile_up() -> None:
     world = World(WorldConfig(robots=125, speed=0.25))
     scene, state = world.scene(world.start().id), world.start()
@@ -166,6 +167,7 @@ def test_collisions_do_not_pile_up() -> None:
     assert late < 1.35 * early
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 999), st.integers(0, 20))
 def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> None:
     """To the bit, ghosts too; and what is found among their copies is what is found among all."""

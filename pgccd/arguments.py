@@ -1,0 +1,140 @@
+"""Checks of arguments: each error is a TypeError or ValueError that starts with the argument's name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def number(value: Any, name: str, expected: str = "a number") -> float:
+    """The value as a float: a Python or NumPy number, or a tensor with one element. No bool."""
+    if isinstance(value, Tensor) and value.dim() == 0 and not value.dtype.is_complex and value.dtype != torch.bool:
+        value = value.item()
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.floating, np.integer)):
+        raise TypeError(f"{name}: expected {expected}, got {describe(value)}")
+    return float(value)
+
+
+# Squares of longer ones overflow.
+_LONGEST = 1e150
+
+
+def length(value: Any, name: str) -> float:
+    """The value as a float, if it is a length in [0, 1e150]."""
+    expected = f"a finite length >= 0, at most {_LONGEST:g}"
+    result = number(value, name, expected)
+    if not 0.0 <= result <= _LONGEST:
+        raise ValueError(f"{name}: expected {expected}, got {value}")
+    return result
+
+
+def integer(value: Any, name: str, lowest: int, expected: str) -> int:
+    """The value as an int, if it is an integer (no bool) and not less than `lowest`."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name}: expected {expected}, got {describe(value)}")
+    if value < lowest:
+        raise ValueError(f"{name}: expected {expected}, got {value}")
+    return int(value)
+
+
+def flag(value: Any, name: str) -> bool:
+    """The value, if it is a bool."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{name}: expected True or False, got {describe(value)}")
+    return bool(value)
+
+
+def choice(value: Any, name: str, choices: Iterable[str]) -> None:
+    """Raises unless the value is one of the choices."""
+    if not isinstance(value, str) or value not in choices:
+        error = ValueError if isinstance(value, str) else TypeError
+        raise error(f"{name}: expected one of {list(choices)}, got {describe(value)}")
+
+
+def describe(value: Any) -> str:
+    """What was given, in a few words for an error message."""
+    if isinstance(value, Tensor):
+        return f"a {str(value.dtype).removeprefix('torch.')} tensor of shape {tuple(value.shape)}"
+    if value is None or isinstance(value, (bool, int, float, complex)):
+        return repr(value)
+    if isinstance(value, str):
+        return repr(value if len(value) <= 40 else value[:37] + "...")
+    return type(value).__name__
+
+
+def device(value: Any, name: str = "device") -> torch.device:
+    """The value as a `torch.device`."""
+    if not isinstance(value, (str, torch.device)):
+        raise TypeError(f'{name}: expected a torch.device or its name, such as "cuda", got {describe(value)}')
+    try:
+        return torch.device(value)
+    except RuntimeError as error:
+        raise ValueError(f'{name}: expected a torch.device or its name, such as "cuda", got {value!r}') from error
+
+
+def rows(value: Any, name: str, count: int) -> Any:
+    """What picks some of `count` rows: a mask, row numbers or a slice. A single number picks an element, no rows.
+
+    Raises:
+        IndexError: a number is out of range (of values on a CPU; a GPU asserts).
+    """
+    if isinstance(value, slice):
+        return value
+    expected = "a mask, row numbers or a slice"
+    if not isinstance(value, (Tensor, np.ndarray, list)):
+        raise TypeError(f"{name}: expected {expected}, got {describe(value)}")
+    try:
+        picked = torch.as_tensor(value)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise TypeError(f"{name}: expected {expected}, got {describe(value)}: {error}") from error
+    if picked.numel() == 0 and not isinstance(value, Tensor):
+        picked = picked.long()
+    if picked.dtype.is_floating_point or picked.dtype.is_complex or picked.layout != torch.strided:
+        raise TypeError(f"{name}: expected {expected}, got {describe(picked)}")
+    is_mask = picked.dtype == torch.bool
+    if picked.dim() != 1 or (is_mask and len(picked) != count):
+        shape = f"({count},)" if is_mask else "(K,)"
+        raise ValueError(f"{name}: expected shape {shape}, got {tuple(picked.shape)}")
+    if is_mask or picked.device.type == "meta":
+        return picked
+    picked = picked.long()
+    if picked.device.type == "cpu" and bool(((picked < -count) | (picked >= count)).any()):
+        raise IndexError(f"{name}: expected numbers of {count} rows, got {int(picked.min())} to {int(picked.max())}")
+    return picked
+
+
+def refuse_gradient(values: Tensor, name: str) -> None:
+    """Raises if a gradient with respect to the values is expected of what is computed from them."""
+    if values.requires_grad and torch.is_grad_enabled():
+        raise ValueError(
+            f"{name}: requires grad, but pgccd computes no gradients: pass {name}.detach(), or call it under "
+            "torch.no_grad()"
+        )
+
+
+def real_tensor(values: Any, name: str) -> None:
+    """Raises unless the values are a dense float32 or float64 tensor of which no gradient is wanted."""
+    if not isinstance(values, Tensor):
+        raise TypeError(f"{name}: expected a float32 or float64 tensor, got {describe(values)}")
+    if values.dtype not in (torch.float32, torch.float64):
+        raise TypeError(f"{name}: expected float32 or float64, got {values.dtype}")
+    if values.layout != torch.strided:
+        raise TypeError(f"{name}: expected a dense tensor, got {values.layout}")
+    refuse_gradient(values, name)
+
+
+def real_rows(values: Any, name: str, count: int | None, width: int, device: torch.device | None) -> Tensor:
+    """The values as contiguous float64 rows (count, width) on the device; None: any number of rows, any device."""
+    real_tensor(values, name)
+    if values.dim() != 2 or values.shape[1] != width or (count is not None and values.shape[0] != count):
+        rows = "N" if count is None else count
+        raise ValueError(f"{name}: expected shape ({rows}, {width}), got {tuple(values.shape)}")
+    if device is not None and values.device != device:
+        raise ValueError(f"{name}: expected device {device}, got {values.device}")
+    if values.dtype == torch.float64 and not values.requires_grad and values.is_contiguous():
+        return values  # as it mostly is: converting it all the same takes a tenth of a call for two bodies
+    return values.detach().to(torch.float64).contiguous()

@@ -1,0 +1,118 @@
+"""The columns of a motion, looked at whenever they are used: a user may write to them or replace them at any time."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.arguments import real_rows
+from pgccd.faults import Faults, first_faults, joined
+
+_Self = TypeVar("_Self", bound="MovingColumns")
+
+
+class MovingColumns:
+    """What rigid and deforming motions have in common: named float64 columns with as many rows each, on one device."""
+
+    # Names of the columns that detection reads, and what a row of them is.
+    _names: tuple[str, ...] = ()
+    _row = "body"
+    # Arguments that no column keeps, and what was found of them.
+    _given: tuple[str, ...] = ()
+    _given_faults: Tensor | None = None
+    # By column, the argument that it follows from.
+    _sources: Mapping[str, str] = {}
+    #: Whether the columns come from a motion that has been checked, and are never looked at.
+    is_trusted: bool = False
+    # The verdict on such columns, once it is asked for.
+    _no_faults: Tensor | None = None
+
+    @property
+    def device(self) -> torch.device:
+        """Where the columns are."""
+        return getattr(self, self._names[0]).device
+
+    def columns(self) -> dict[str, Tensor]:
+        """The columns that detection reads, as they are now.
+
+        Raises:
+            TypeError, ValueError: one was replaced by something else.
+        """
+        columns = {name: getattr(self, name) for name in self._names}
+        if self.is_trusted:
+            return columns
+        count, device = None, None
+        for name, column in columns.items():
+            columns[name] = real_rows(column, name, count, 4 if name.startswith("orientation") else 3, device)
+            if column.dtype != torch.float64:
+                raise TypeError(f"{name}: expected float64, got {column.dtype}")
+            count, device = column.shape[0], column.device
+        return columns
+
+    def first_faults(self, columns: Mapping[str, Tensor] | None = None) -> Tensor:
+        """(F + 1,) int64: the first faulty row of each argument, or the number of rows; and 1 if there is any, else 0.
+        Where the motion is. Looked for whenever it is called.
+
+        Args:
+            columns: as `columns` returned them. Default: what it returns now.
+        """
+        if self.is_trusted:
+            if self._no_faults is None:
+                self._no_faults = torch.zeros(1, dtype=torch.int64, device=self.device)
+            return self._no_faults
+        return joined(self._given_faults, first_faults(self.columns() if columns is None else columns))
+
+    @property
+    def faults(self) -> Faults:
+        """What the values of `first_faults` mean."""
+        names = () if self.is_trusted else (*self._given, *self._names)
+        return Faults(names, self._row, getattr(self, self._names[0]).shape[0], self._sources)
+
+    def check(self) -> None:
+        """Raises ValueError if a number is not finite or a quaternion not unit, naming the first row."""
+        self.raise_faults(self.first_faults().tolist())
+
+    def raise_faults(self, first: Sequence[int]) -> None:
+        """What `check` raises, given the values of `first_faults`."""
+        if first[-1]:
+            self.faults.raise_from(first)
+
+    def check_given(self) -> None:
+        """Raises ValueError if an argument that no column keeps was invalid. Waits for a GPU that has not told yet."""
+        if self._given_faults is not None:
+            self.check()
+            self._given, self._given_faults = (), None
+
+    def to(self: _Self, device: torch.device | str) -> _Self:
+        """The same on another device.
+
+        Example:
+            >>> motion = motion.to("cpu")
+        """
+        device = arguments.device(device)
+        moved = copy.copy(self)
+        for name in (*self._names, "_given_faults", "_no_faults"):
+            column = getattr(self, name)
+            if column is not None:
+                setattr(moved, name, column.to(device))
+        return moved
+
+    def _check_early(self, origins: Mapping[str, Tensor] | None = None) -> None:
+        """Checks, if that waits for no device.
+
+        Args:
+            origins: what columns follow from; named instead of these.
+        """
+        if self.device.type != "cpu" or torch.compiler.is_compiling():
+            return
+        first = self.first_faults().tolist()
+        if first[-1] and origins:
+            count = getattr(self, self._names[0]).shape[0]
+            Faults((*origins,), self._row, count, {}).raise_from(first_faults(origins).tolist())
+        self.raise_faults(first)
+        self._given, self._given_faults = (), None

@@ -1,0 +1,85 @@
+"""What can be wrong with the numbers of a motion, found by `ops.first_faults` and told by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pgccd import ops
+from pgccd.mesh import LARGEST_RADIUS, SMALLEST_RADIUS
+
+# Quaternions further from unit length than this are taken for mistakes; nearer ones are normalised exactly.
+_UNIT_TOLERANCE = 1e-3
+# Squares of larger coordinates overflow.
+_LARGEST_COORDINATE = 1e150
+# Sine and cosine are proven up to here.
+_LARGEST_TURN = 1e6
+# Checks of `ops.first_faults`, their limits, and what is expected.
+_FINITE = (0, _LARGEST_COORDINATE, f"finite numbers up to {_LARGEST_COORDINATE:g}")
+_UNIT = (1, _UNIT_TOLERANCE, "a unit quaternion (w, x, y, z)")
+_TURN = (2, _LARGEST_TURN, f"a turn of at most {_LARGEST_TURN:g} radians in the step")
+_CHECKS = {
+    "orientation": _UNIT,
+    "orientation_t0": _UNIT,
+    "orientation_t1": _UNIT,
+    "rotation": _TURN,
+    "angular_velocity": _TURN,
+}
+
+
+def first_faults(columns: Mapping[str, Tensor]) -> Tensor:
+    """(F + 1,) int64: the first faulty row of each of the F columns, or the number of rows; and 1 if there is any, else
+    0. On the columns' device, without waiting for it."""
+    checks = [_CHECKS.get(name, _FINITE) for name in columns]
+    return ops.first_faults(list(columns.values()), [check[0] for check in checks], [check[1] for check in checks])
+
+
+def joined(first: Tensor | None, more: Tensor) -> Tensor:
+    """The `first_faults` of two sets of columns, as if of one."""
+    if first is None:
+        return more
+    return torch.cat([first[:-1], more[:-1], torch.maximum(first[-1:], more[-1:])])
+
+
+@dataclass
+class Faults:
+    """What the values of `first_faults` mean.
+
+    Args:
+        names: of the columns.
+        row: what a row of them is.
+        count: number of rows.
+        sources: by name of a column, the argument it follows from.
+        radius: (N,) of bodies that deform; then a faulty body is told before the columns.
+    """
+
+    names: tuple[str, ...]
+    row: str
+    count: int
+    sources: Mapping[str, str]
+    radius: Tensor | None = None
+
+    def raise_from(self, first: Sequence[int]) -> None:
+        """Raises ValueError for the first thing that is wrong, if any is."""
+        of_columns = first if self.radius is None else first[1:]
+        for name, index in zip(self.names, of_columns, strict=False):
+            if index < self.count:
+                source = f" (it follows from {self.sources[name]})" if name in self.sources else ""
+                raise ValueError(f"{name}: {self.row} {index}: expected {_CHECKS.get(name, _FINITE)[2]}{source}")
+        if self.radius is not None and first[0] < len(self.radius):
+            raise ValueError(
+                f"motion: body {first[0]} has SBV radius {float(self.radius[first[0]]):g}; "
+                f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
+            )
+
+
+def first_faulty_radius(radius: Tensor) -> Tensor:
+    """(2,) int64: the first of the radii (N,) that is out of range, or N; and 1 if there is any, else 0."""
+    # A body may shrink to a point.
+    sound = (radius == 0.0) | ((radius >= SMALLEST_RADIUS) & (radius <= LARGEST_RADIUS))
+    row = torch.arange(len(sound), device=sound.device)
+    body = torch.where(sound, len(sound), row).min().reshape(1) if len(sound) else row.sum().reshape(1)
+    return torch.cat([body, (body < len(sound)).long()])

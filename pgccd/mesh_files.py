@@ -1,0 +1,144 @@
+"""Triangles from files and from trimesh: what is in them, where it is placed, and which vertices are one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Triangles as a file gives them."""
+
+    vertices: np.ndarray  #: (V, 3) float64
+    faces: np.ndarray  #: (F, 3) int64
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class CleanGeometry:
+    """What is left of it, and from which rows it comes."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    source_vertex: np.ndarray  #: (V,) int64
+    source_face: np.ndarray  #: (F,) int64
+
+
+def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
+    """What trimesh reads.
+
+    Args:
+        path: of the file.
+        apart: whether objects and groups of an obj file are told apart.
+
+    Raises:
+        FileNotFoundError, ValueError, ImportError: as `pgccd.Mesh.load`.
+    """
+    if not isinstance(path, (str, PathLike)):
+        raise TypeError(f"path: expected the name of a file, got {type(path).__name__}")
+    try:
+        import trimesh
+    except ImportError as error:
+        raise ImportError("Mesh.load reads files through trimesh: pip install trimesh") from error
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"path: no mesh file at {path}")
+    options: dict[str, Any] = {}
+    if apart and Path(path).suffix.lower() == ".obj":
+        options = {"split_objects": True, "split_groups": True}
+    try:
+        loaded = trimesh.load(fspath(path), process=False, **options)
+        # Some files are decoded only when they are looked at.
+        if not any(len(getattr(each, "vertices", ())) for _, each, _ in _parts(loaded)):
+            raise ValueError("it holds no triangles")
+    except Exception as error:
+        raise ValueError(f"path: {path} cannot be read as a mesh: {error}") from error
+    return loaded
+
+
+def placed_geometry(loaded: Any) -> list[Geometry]:
+    """The meshes of what trimesh read, each where its scene places it.
+
+    Raises:
+        ValueError: naming something that is no mesh; or there is no mesh.
+    """
+    found = []
+    for name, part, transform in _parts(loaded):
+        faces = getattr(part, "faces", None)
+        if faces is None:
+            kind = {"PointCloud": "a point cloud", "Path2D": "lines", "Path3D": "lines"}.get(type(part).__name__)
+            named = f" named {name!r}" if name else ""
+            raise ValueError(f"mesh: expected triangles, got {kind or type(part).__name__}{named}, which is no mesh")
+        vertices = np.asarray(part.vertices, dtype=np.float64).reshape(-1, 3)
+        if transform is not None:
+            vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
+        found.append(Geometry(vertices, np.asarray(faces, dtype=np.int64).reshape(-1, 3), name))
+    if not any(len(geometry.faces) for geometry in found):
+        raise ValueError(f"mesh: {type(loaded).__name__} holds no triangles")
+    return found
+
+
+def joined_geometry(loaded: Any) -> Geometry:
+    """The same as one, its vertices and faces one mesh after the other."""
+    parts = placed_geometry(loaded)
+    if len(parts) == 1:
+        return parts[0]
+    first = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    faces = [part.faces + begin for part, begin in zip(parts, first, strict=True)]
+    return Geometry(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+
+
+def clean(geometry: Geometry, weld: bool) -> CleanGeometry:
+    """Without faces that repeat a vertex; with `weld`, vertices at the same position are one.
+
+    Raises:
+        ValueError: a vertex is not finite, a face names none, or no face is left.
+    """
+    vertices, faces = geometry.vertices, geometry.faces
+    # Told here by their rows in the file.
+    finite = np.isfinite(vertices).all(axis=1)
+    if not finite.all():
+        first = int(np.argmin(finite))
+        raise ValueError(f"vertices: vertex {first} is not finite: {vertices[first].tolist()}")
+    wrong = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        raise ValueError(f"faces: face {first} is {faces[first].tolist()}, but there are {len(vertices)} vertices")
+    source = np.arange(len(vertices))
+    if weld:
+        source, twin = _unique_rows(vertices)
+        vertices, faces = vertices[source], twin[faces]
+    repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    if repeats.all():
+        raise ValueError("mesh: there are no triangles with three different corners")
+    kept = np.flatnonzero(~repeats)
+    return CleanGeometry(vertices, faces[kept], source, kept)
+
+
+def _unique_rows(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first of each set of equal rows (n, 3), in their order; and for each row which of these it equals."""
+    order = np.lexsort(points.T)  # stable: of equal rows the first comes first
+    ordered = points[order]
+    begins = np.ones(len(points), dtype=bool)
+    begins[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    first = np.empty(len(points), dtype=np.int64)
+    first[order] = order[begins][np.cumsum(begins) - 1]
+    kept = np.flatnonzero(first == np.arange(len(points)))
+    return kept, np.searchsorted(kept, first)
+
+
+def _parts(loaded: Any) -> Iterator[tuple[str | None, Any, np.ndarray | None]]:
+    """Name, geometry and placement of all that trimesh read."""
+    graph = getattr(loaded, "graph", None)
+    if graph is None:
+        name = getattr(loaded, "metadata", {}).get("name")
+        yield name if isinstance(name, str) else None, loaded, None
+        return
+    for node in graph.nodes_geometry:
+        transform, name = graph[node]
+        yield node, loaded.geometry[name], np.asarray(transform)

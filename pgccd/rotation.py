@@ -1,0 +1,41 @@
+"""Orientations that turn."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments
+
+
+def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
+    """Orientations after a turn: exp(rotation) orientation, of length one.
+
+    Args:
+        orientation: (N, 4) float32 or float64 unit quaternions (w, x, y, z), body to world.
+        rotation: (N, 3) rotation vectors, radians, world frame: `motion.rotation` of a whole step, or a fraction of it.
+
+    Returns:
+        (N, 4), of the dtype and on the device of `orientation`.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+
+    Example:
+        >>> motion = pgccd.RigidMotion.from_velocity(x, q, v, omega, dt=1e-3)
+        >>> x, q = motion.position_t1, pgccd.integrate_orientation(q, motion.rotation)
+    """
+    for name, values, width in (("orientation", orientation, 4), ("rotation", rotation, 3)):
+        arguments.real_tensor(values, name)
+        if values.dim() != 2 or values.shape[1] != width or values.shape[0] != orientation.shape[0]:
+            expected = "N" if name == "orientation" else orientation.shape[0]
+            raise ValueError(f"{name}: expected shape ({expected}, {width}), got {tuple(values.shape)}")
+        if values.device != orientation.device:
+            raise ValueError(f"{name}: expected device {orientation.device}, got {values.device}")
+    w, v = orientation.double().split([1, 3], dim=1)
+    turn = rotation.double()
+    angle = torch.linalg.vector_norm(turn, dim=1, keepdim=True)
+    # sinc is of pi times its argument, and 1 at 0.
+    c, s = torch.cos(0.5 * angle), 0.5 * torch.sinc(angle / (2.0 * torch.pi)) * turn
+    turned = torch.cat([c * w - (s * v).sum(dim=1, keepdim=True), c * v + w * s + torch.linalg.cross(s, v)], dim=1)
+    return torch.nn.functional.normalize(turned, dim=1).to(orientation.dtype)

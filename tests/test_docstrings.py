@@ -1,0 +1,196 @@
+"""What docstrings and the README show runs as it stands, in a namespace that holds what it speaks of."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import doctest
+import functools
+import importlib
+import io
+import json
+import pkgutil
+import re
+import runpy
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import pgccd
+from pgccd import distributed, sim
+from pgccd.sim.step import FIRST_CONTACTS
+
+ROOT = Path(__file__).resolve().parents[1]
+# What needs ranks, a scheduler or a GPU's streams; tests of its own run it.
+NOT_ALONE = (
+    "pgccd.distributed.checkpoint",
+    "pgccd.distributed.guard",
+    "pgccd.distributed.mpi_comm",
+    "pgccd.distributed.runner",
+    "pgccd.distributed.side_stream",
+    "pgccd.distributed.torch_comm",
+    "pgccd.distributed.share",
+    "pgccd.host_copy",
+)
+
+
+def modules() -> Iterator[str]:
+    for module in pkgutil.walk_packages(pgccd.__path__, "pgccd."):
+        if not module.name.endswith(("._C", "._host", ".__main__")):
+            yield module.name
+
+
+def examples_of(module: str) -> list[doctest.DocTest]:
+    """Read from the source, so that nothing need be imported to know them."""
+    path = ROOT / Path(*module.split("."))
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    parser, found = doctest.DocTestParser(), []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.Module)):
+            text = ast.get_docstring(node) or ""
+            name = f"{module}.{getattr(node, 'name', '')}"
+            test = parser.get_doctest(text, {}, name, str(path), getattr(node, "lineno", 0))
+            found += [test] if test.examples else []
+    return found
+
+
+def two_bodies() -> dict[str, Any]:
+    """Names that examples of detection use."""
+    corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=torch.float64)
+    mesh = pgccd.Mesh(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    x = torch.tensor([[0.0, 0, 0], [3, 0, 0]], dtype=torch.float64)
+    v = torch.tensor([[0.0, 0, 0], [-2.5, 0, 0]], dtype=torch.float64)
+    q = torch.tensor([[1.0, 0, 0, 0]] * 2, dtype=torch.float64)
+    scene, motion = pgccd.Scene([mesh], [0, 0]), pgccd.RigidMotion(x, q, x + v, q)
+    bodies = pgccd.MovingBodies(scene, motion)
+    pairs = pgccd.broad.sweep(bodies)
+    candidates, _ = pgccd.traverse.bvtt(bodies, pairs)
+    names = {"robot": mesh, "rock": mesh, "mesh": mesh, "scene": scene, "motion": motion, "m": motion, "bodies": bodies}
+    names |= {"x": x, "x0": x, "x1": x + v, "q": q, "q0": q, "q1": q, "v": v, "w": v, "omega": v, "dt": 1.0}
+    names |= {"position": x, "orientation": q, "velocity": v, "rows": torch.tensor([1]), "pairs": pairs}
+    names |= {"candidates": candidates, "hits": pgccd.detect(scene, motion), "room": pgccd.Capacity.guess(100)}
+    names |= {"cloth_t0": corners, "cloth_t1": corners, "ball_t0": corners + 2.0, "ball_t1": corners}
+    return names | {"meshes": scene.meshes, "device": torch.device("cpu")}
+
+
+@functools.cache
+def of_robots() -> dict[str, Any]:
+    """Names that examples of the nanorobot world use."""
+    world = sim.World(sim.WorldConfig(robots=50, speed=0.3))
+    state, comm = world.start(), distributed.Alone()
+    scene = world.scene(state.id)
+    step = sim.make_step(world, scene, state, 0)
+    moved = world.plan(state, 0)
+    hits = pgccd.detect(scene, world.motion(moved), FIRST_CONTACTS.report)
+    names = {"world": world, "state": state, "scene": scene, "step": step, "hits": hits, "comm": comm}
+    settled = sim.settle(hits.pairs, hits.toi, len(state), lambda *_: None)  # type: ignore[arg-type]
+    partition = distributed.Partition.uniform((0, 0, 0), (30, 30, 30), 1)
+    loads = distributed.CellLoads(*(torch.zeros(len(partition.owner), dtype=torch.int64) for _ in range(3)))
+    names |= {"settled": settled, "find_contacts": lambda *_: None, "partition": partition, "loads": loads}
+    return names | {"id": state.id, "mood": state.position, "x": state.position}
+
+
+def namespace(module: str) -> dict[str, Any]:
+    """What the examples of a module may speak of."""
+    names: dict[str, Any] = {"pgccd": pgccd, "torch": torch, "np": np} | two_bodies()
+    with contextlib.suppress(ImportError):
+        names["trimesh"] = importlib.import_module("trimesh")
+    if module.startswith(("pgccd.sim", "pgccd.viz", "pgccd.distributed")):
+        names |= of_robots()
+    if module == "pgccd.distributed.world":
+        names |= two_bodies() | {"comm": distributed.Alone()}
+        payload = {"velocity": names["v"]}
+        names["world"] = distributed.World([names["rock"]], (0, 0, 0), (9, 9, 9), names["x"], payload=payload)
+    if module == "pgccd.narrow":
+        names |= dict.fromkeys(("x0", "x1"), torch.rand(5, 4, 3))
+    if module == "pgccd.stages":
+        names |= of_robots() | {"step": 0}
+    if module == "pgccd.distributed.comm":
+        names |= {"lower": (0, 0, 0), "upper": (9, 9, 9), "position": torch.zeros(1, 3)}
+    options = type("Options", (), {"robots": 9})
+    return names | vars(sys.modules[module]) | {"options": options, "digest": "0"}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the files that examples name, which is the current one."""
+    trimesh = pytest.importorskip("trimesh")
+    names = two_bodies()
+    for name in ("rock.ply", "robot.ply"):
+        trimesh.creation.box().export(tmp_path / name)
+    poses = {"position_t0": "x0", "orientation_t0": "q0", "position_t1": "x1", "orientation_t1": "q1"}
+    np.savez(tmp_path / "poses.npz", **{name: names[short].numpy() for name, short in poses.items()})
+    scene = {"meshes": ["rock.ply"], "mesh_index": [0, 0], "poses": "poses.npz"}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    sim.run(sim.WorldConfig(robots=20), 1, tmp_path / "out" / "try")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(example: doctest.Example, names: dict[str, Any]) -> str:
+    """Runs it; what it prints, or its value is printed as."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(example.source, "<example>", "single"), names)
+    return printed.getvalue()
+
+
+WITH_EXAMPLES = [name for name in modules() if name not in NOT_ALONE and examples_of(name)]
+
+
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_examples_of_docstrings(module: str, folder: Path) -> None:
+    importlib.import_module(module)
+    checker = doctest.OutputChecker()
+    for test in examples_of(module):
+        names = namespace(module)
+        for example in test.examples:
+            try:
+                got = run(example, names)
+            except Exception as error:
+                pytest.fail(f"{test.name}: {example.source.strip()}: {type(error).__name__}: {error}")
+            if example.want.strip():
+                assert checker.check_output(example.want, got, doctest.ELLIPSIS), (test.name, example.want, got)
+
+
+def test_all_examples_are_found() -> None:
+    assert sum(len(examples_of(name)) for name in WITH_EXAMPLES) > 50
+    assert all(examples_of(name) for name in NOT_ALONE)
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("spread", [1.0, 100.0], ids=["contacts", "no contact"])
+def test_readme(spread: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("trimesh")
+    first, *others = blocks("python")
+    names: dict[str, Any] = {}
+    torch.manual_seed(0)
+    exec(first.replace("2.1 *", f"{2.1 * spread} *"), names)
+    assert (len(names["hits"]) > 0) == (spread == 1.0)
+
+    class Graph:
+        """As torch's, for a machine without a GPU: what is captured is done at once."""
+
+        replay = staticmethod(lambda: None)
+
+    if not torch.cuda.is_available():
+        monkeypatch.setattr(torch.cuda, "CUDAGraph", Graph)
+        monkeypatch.setattr(torch.cuda, "graph", lambda graph: contextlib.nullcontext())
+    for block in others if names["scene"].device.type == "cuda" or not torch.cuda.is_available() else []:
+        exec(block, names)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem)
+def test_examples(path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("trimesh")
+    monkeypatch.setattr(sys, "argv", [str(path)])
+    runpy.run_path(str(path), run_name="__main__")
+    assert len(capsys.readouterr().out.splitlines()) in (1, 2, 20)

@@ -1,0 +1,233 @@
+"""Nonsense for every argument of every public function: it is taken for what it may mean, or refused by name."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support.shapes import Bodies, approaching, tetrahedron
+
+import pgccd
+from pgccd import distributed, files, sim
+
+NAN = float("nan")
+NONSENSE: dict[str, Callable[[], Any]] = {
+    "None": lambda: None,
+    "True": lambda: True,
+    "a string": lambda: "nonsense",
+    "a complex number": lambda: 1j,
+    "-1": lambda: -1,
+    "0": lambda: 0,
+    "1.5": lambda: 1.5,
+    "2^70": lambda: 2**70,
+    "nan": lambda: NAN,
+    "inf": lambda: float("inf"),
+    "an object": object,
+    "a type": lambda: int,
+    "no rows": lambda: [],
+    "ragged rows": lambda: [[1, 2, 3], [4]],
+    "strings": lambda: ["a", "b", "c"],
+    "a dict": dict,
+    "a half tensor": lambda: torch.ones(2, 3, dtype=torch.float16),
+    "a bfloat16 tensor": lambda: torch.ones(2, 3, dtype=torch.bfloat16),
+    "a complex tensor": lambda: torch.ones(2, 3, dtype=torch.complex64),
+    "a bool tensor": lambda: torch.ones(2, 3, dtype=torch.bool),
+    "an int64 tensor": lambda: torch.ones(2, 3, dtype=torch.int64),
+    "a scalar tensor": lambda: torch.tensor(-3.0),
+    "one column": lambda: torch.ones(2),
+    "a nan tensor": lambda: torch.full((2, 3), NAN),
+    "a sparse tensor": lambda: torch.ones(2, 3).to_sparse(),
+    "a tensor elsewhere": lambda: torch.ones(2, 3, device="meta"),
+    "a tensor that wants gradients": lambda: torch.ones(2, 3, requires_grad=True),
+    "an array": lambda: np.ones((2, 3)),
+    "an array of objects": lambda: np.array([None, {}]),
+}
+
+
+@dataclass
+class Call:
+    """A function with arguments that are good."""
+
+    function: Callable[..., Any]
+    arguments: dict[str, Any]
+    also: dict[str, tuple[str, ...]] = field(default_factory=dict)  #: by argument, others that it may disagree with
+
+
+def bodies() -> Bodies:
+    return approaching(np.random.default_rng(0), (0, 0), closeness=0.7)
+
+
+def calls(folder: Path) -> dict[str, Call]:
+    b = bodies()
+    scene, motion = b.scene(), b.motion()
+    moving = pgccd.MovingBodies(scene, motion)
+    pairs = torch.tensor([[0, 1]])
+    candidates, _ = pgccd.traverse.bvtt(moving, pairs)
+    poses: dict[str, Any] = {"position_t0": motion.position_t0, "orientation_t0": motion.orientation_t0}
+    poses["position_t1"] = motion.position_t1
+    spins = {"position": motion.position_t0, "orientation": motion.orientation_t0}
+    spins |= {"linear_velocity": torch.ones(2, 3), "angular_velocity": torch.ones(2, 3)}
+    options = {"min_separation": 0.0, "tolerance": None, "nonzero_toi": False}
+    points = {name: torch.rand(3, 4, 3, dtype=torch.float64) for name in ("points_t0", "points_t1")}
+    on_bodies = {"bodies": moving, "min_separation": 0.0}
+    mesh = tetrahedron()
+    (folder / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    np.savez(folder / "poses.npz", **{n: c.numpy() for n, c in poses.items()}, orientation_t1=poses["orientation_t0"])
+    filters: dict[str, Any] = dict.fromkeys(("group", "mask", "world"), [0, 1]) | {"static": [False, True]}
+    world = distributed.World([mesh], (0, 0, 0), (9, 9, 9), motion.position_t0, payload={"v": torch.ones(2, 3)})
+    hits = pgccd.detect(scene, motion)
+    config = {field: getattr(sim.WorldConfig(), field) for field in sim.WorldConfig.__dataclass_fields__}
+    all_worlds = {"meshes": [mesh], "lower": (0, 0, 0), "upper": (9, 9, 9), "position": motion.position_t0}
+    all_worlds |= {"id": torch.arange(2), "mesh_index": [0, 0], **filters, "payload": {}, **options}
+    all_worlds |= {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}
+    return {
+        "Mesh": Call(pgccd.Mesh, {"vertices": mesh.vertices, "faces": mesh.faces}, {"vertices": ("faces",)}),
+        "Mesh.from_trimesh": Call(pgccd.Mesh.from_trimesh, {"mesh": mesh, "weld": True}),
+        "Mesh.load": Call(pgccd.Mesh.load, {"path": folder / "mesh.obj", "weld": True}),
+        "Mesh.load_all": Call(pgccd.Mesh.load_all, {"path": folder / "mesh.obj", "weld": True}),
+        "MeshSet": Call(pgccd.MeshSet, {"meshes": [mesh], "device": "cpu"}),
+        "Scene": Call(
+            pgccd.Scene,
+            {"meshes": [mesh], "mesh_index": [0, 0], "device": "cpu", **filters, "self_collision": True},
+            {"mesh_index": ("group",)},
+        ),
+        "Scene.to": Call(scene.to, {"device": "cpu"}),
+        "RigidMotion": Call(
+            pgccd.RigidMotion,
+            {**poses, "orientation_t1": motion.orientation_t0, "path": "rigid"},
+            {"position_t0": ("orientation_t0",)},
+        ),
+        "RigidMotion.from_rotation": Call(
+            pgccd.RigidMotion.from_rotation,
+            {**poses, "rotation": motion.rotation, "path": "rigid"},
+            {"position_t0": ("orientation_t0",)},
+        ),
+        "RigidMotion.from_velocity": Call(
+            pgccd.RigidMotion.from_velocity,
+            {**spins, "dt": 1.0, "path": "rigid"},
+            {"position": ("orientation",), "dt": ("angular_velocity",)},
+        ),
+        "RigidMotion[]": Call(motion.__getitem__, {"rows": [0]}),
+        "RigidMotion.to": Call(motion.to, {"device": "cpu"}),
+        "VertexMotion": Call(
+            pgccd.VertexMotion, {"x_t0": torch.ones(5, 3), "x_t1": torch.ones(5, 3)}, {"x_t0": ("x_t1",)}
+        ),
+        "MovingBodies": Call(pgccd.MovingBodies, {"scene": scene, "motion": motion}),
+        "Capacity": Call(pgccd.Capacity, {"pairs": 9, "contacts": 9, "overlaps": 9, "launches": 4, "long_rows": True}),
+        "Capacity.guess": Call(pgccd.Capacity.guess, {"body_count": 9, "pair_count": 9, "self_vertex_count": 0}),
+        "Capacity.times": Call(pgccd.Capacity(9, 9).times, {"factor": 1.5}),
+        "detect": Call(
+            pgccd.detect,
+            {"scene": scene, "motion": motion, "report": "first", **options, "broad_phase": "auto", "pairs": pairs}
+            | {"memory_budget": 1 << 20, "capacity": pgccd.Capacity.guess(9)},
+        ),
+        "Contacts[]": Call(hits.__getitem__, {"rows": [0]}),
+        "Contacts.to": Call(hits.to, {"device": "cpu"}),
+        "broad.sweep": Call(pgccd.broad.sweep, on_bodies | {"axis": "x"}),
+        "broad.grid": Call(pgccd.broad.grid, on_bodies),
+        "broad.lbvh": Call(pgccd.broad.lbvh, on_bodies),
+        "broad.find_pairs": Call(pgccd.broad.find_pairs, on_bodies | {"broad_phase": "grid"}),
+        "broad.choose": Call(pgccd.broad.choose, {"bodies": moving, "broad_phase": "grid"}),
+        "traverse.bvtt": Call(
+            pgccd.traverse.bvtt,
+            on_bodies | {"pairs": pairs, "tolerance": None, "horizon": torch.ones(1).double(), "leading": True},
+        ),
+        "narrow.contacts": Call(
+            pgccd.narrow.contacts,
+            {"bodies": moving, "pairs": pairs, "candidates": candidates, "report": "all", **options},
+        ),
+        "narrow.vertex_face": Call(pgccd.narrow.vertex_face, points | options),
+        "narrow.edge_edge": Call(pgccd.narrow.edge_edge, points | options),
+        "files.load_motion": Call(
+            files.load_motion,
+            {"path": folder / "poses.npz", "device": "cpu"},
+            {"path": ("nonsense cannot be read as an npz file",)},
+        ),
+        "integrate_orientation": Call(
+            pgccd.integrate_orientation, {"orientation": motion.orientation_t0, "rotation": motion.rotation}
+        ),
+        "sim.WorldConfig": Call(sim.WorldConfig, config),
+        "distributed.World": Call(
+            distributed.World, all_worlds, {"position": ("mesh_index", "group", "id"), "mesh_index": ("group",)}
+        ),
+        "distributed.World.step": Call(world.step, {"motion": motion}),
+        "distributed.World.move": Call(world.move, {"position": motion.position_t0, "v": torch.ones(2, 3)}),
+        "distributed.World.first_toi": Call(world.first_toi, {"hits": hits}),
+    }
+
+
+NAMES = list(calls(Path("/tmp")))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nonsense_is_refused_by_name(name: str, tmp_path: Path) -> None:
+    call = calls(tmp_path)[name]
+    wrong = []
+    if name != "Mesh.from_trimesh":
+        call.function(**call.arguments)
+    for argument in call.arguments:
+        for what, make in NONSENSE.items():
+            value = make()
+            try:
+                call.function(**(call.arguments | {argument: value}))
+            except (TypeError, ValueError, IndexError, FileNotFoundError) as error:
+                names = (argument, *call.also.get(argument, ()))
+                if not str(error).startswith(tuple(f"{name}{mark}" for name in names for mark in ":[")):
+                    wrong.append(f"{argument} = {what}: {type(error).__name__}: {str(error)[:90]}")
+            except Exception as error:
+                wrong.append(f"{argument} = {what}: {type(error).__name__}: {str(error)[:90]}")
+    assert wrong == []
+
+
+def test_every_argument_is_tried(tmp_path: Path) -> None:
+    # Those left out: flags of the host's own, and `comm` and `balance`, which are objects of this package.
+    known = {"wait", "comm", "balance", "poses", "tasks", "leaf_pairs", "candidates", "open"}
+    for name, call in calls(tmp_path).items():
+        parameters = inspect.signature(call.function).parameters.values()
+        named = {each.name for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD}
+        assert named - set(call.arguments) <= known, name
+
+
+def test_arguments_swapped() -> None:
+    b = bodies()
+    scene, motion = b.scene(), b.motion()
+    cases: list[tuple[Callable[[], Any], str]] = [
+        (lambda: pgccd.detect(motion, scene), "^scene: expected a pgccd.Scene, got RigidMotion"),  # type: ignore
+        (lambda: pgccd.detect(scene, scene), "^motion: expected .*, got Scene"),  # type: ignore
+        (lambda: pgccd.MovingBodies(motion, scene), "^scene: expected"),  # type: ignore
+        (
+            lambda: pgccd.RigidMotion(motion.orientation_t0, motion.position_t0, *[motion.position_t1] * 2),
+            r"^position_t0: expected shape \(N, 3\), got \(2, 4\)",
+        ),
+        (lambda: pgccd.Scene(b.meshes[0]), r"^meshes: expected a list of meshes, got Mesh: write \[mesh\]"),  # type: ignore
+        (lambda: pgccd.detect(scene, motion, capacity=100), "^capacity: expected a pgccd.Capacity, got 100"),  # type: ignore
+        (lambda: pgccd.detect(scene, motion, capacity=pgccd.Capacity(2**31, 1)), "^capacity: pairs: .*2147483648"),
+    ]
+    for call, message in cases:
+        with pytest.raises((TypeError, ValueError), match=message):
+            call()
+
+
+@pytest.mark.parametrize("rows", [[[0, 2], [0, 1]], [[0, 1], [0, 1]], [[1, 2], [0, 1]]])
+def test_pairs_are_sorted_and_each_once(rows: list[list[int]], device: torch.device) -> None:
+    b = approaching(np.random.default_rng(0), (0, 0, 0), (1.0, 1.0, 1.0), closeness=0.7)
+    if device.type == "cuda":
+        pytest.skip("a device that has asserted is lost to this process")
+    with pytest.raises(ValueError, match="^pairs: expected rows sorted by i, then j, each once"):
+        pgccd.detect(b.scene(), b.motion(), pairs=torch.tensor(rows))
+    pgccd.detect(b.scene(), b.motion(), pairs=torch.unique(torch.tensor(rows), dim=0))
+
+
+def test_no_tolerance_means_the_default() -> None:
+    points = torch.rand(400, 4, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    ends = points + 0.7 * torch.rand(400, 4, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) - 0.35
+    for test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
+        expected, found = test(points, ends), test(points, ends, tolerance=None)
+        assert torch.equal(found.toi, expected.toi) and torch.equal(found.status, expected.status)
+        assert 0 < int((found.status != pgccd.FREE).sum()) < 400

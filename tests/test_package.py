@@ -1,0 +1,69 @@
+"""The package as programs and editors meet it: what importing it brings along, and what type checkers see."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pgccd
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_importing_brings_no_more_than_detection_needs() -> None:
+    program = """
+import sys, json, pgccd
+large = ("trimesh", "matplotlib", "rich", "scipy", "mpi4py")
+later = ("pgccd.sim", "pgccd.viz", "pgccd.distributed", "pgccd.files", "pgccd.about")
+before = sorted(name for name in sys.modules if name.split(".")[0] in large or name.startswith(later))
+seen = [name for name in dir(pgccd) if name in ("about", "distributed", "files", "sim", "viz")]
+used = [pgccd.about, pgccd.distributed.World, pgccd.files.load_motion, pgccd.sim.run]
+try:
+    pgccd.simulation
+except AttributeError as error:
+    print(json.dumps([before, seen, str(error)]))
+"""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    later = ["about", "distributed", "files", "sim", "viz"]
+    assert json.loads(done.stdout) == [[], later, "module 'pgccd' has no attribute 'simulation'"]
+
+
+def test_type_checkers_see_what_is_imported_later() -> None:
+    tree = ast.parse((ROOT / "pgccd" / "__init__.py").read_text())
+    guarded = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "_TYPE_CHECKING"]
+    (imported,) = guarded[0].body
+    assert isinstance(imported, ast.ImportFrom)
+    names = {alias.name for alias in imported.names}
+    assert names == set(pgccd._LATER) and names <= set(pgccd.__all__) <= set(dir(pgccd))
+    assert (ROOT / "pgccd" / "py.typed").is_file()
+
+
+@pytest.mark.parametrize("name", ["bootstrap.py", "README.md"])
+def test_installed_in_place_by_a_path(name: str) -> None:
+    # Import hooks, the other way to install in place, are invisible to type checkers and editors.
+    installing = [line for line in (ROOT / name).read_text().splitlines() if "--no-build-isolation" in line]
+    assert installing and all("--config-settings=editable_mode=compat" in line for line in installing)
+
+
+@pytest.mark.slow
+def test_mypy_outside_the_tree(tmp_path: Path) -> None:
+    pytest.importorskip("mypy")
+    (tmp_path / "program.py").write_text(
+        "import pgccd\n"
+        "reveal_type(pgccd.Stats().contacts)\n"
+        "reveal_type(pgccd.files.load_motion('poses.npz'))\n"
+        "reveal_type(pgccd.sim.WorldConfig().robots)\n"
+    )
+    environment = os.environ | {"MYPYPATH": str(ROOT)}
+    command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "program.py"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=280)
+    revealed = [line.split('"')[1] for line in done.stdout.splitlines() if "Revealed" in line]
+    assert revealed == ["int", "pgccd.motion.RigidMotion", "int"], done.stdout
