@@ -433,8 +433,8 @@ _CERTIFICATES = [
         "T(2) * error.point + T(8) * T(Precision<T>::unit) * error.extent",
         "T(2) * error.point",
         ON_NARROW,
-        equivalent="on straight paths a window ends with the step, so that both terms of a blend are at most twice as long"
-        " as the vectors at the ends of the window, of which there are 128 units; on arcs the points' error holds it",
+        equivalent="on straight paths a window ends with the step, so that both terms of a blend are at most twice as"
+        " long as the vectors at the window's ends, of which there are 128 units; on arcs the points' error holds it",
     ),
     Mutant(
         "difference-error-1.01",
