@@ -438,8 +438,12 @@ _CERTIFICATES = [
         "T(2) * error.point",
         ON_NARROW,
         equivalent="on straight paths a window ends with the step, so that both terms of a blend are at most twice as"
+<<<<<<< HEAD
         " long as the vectors at the ends of the window, of which there are 128 units; on arcs the points' error holds"
         " it",
+=======
+        " long as the vectors at the window's ends, of which there are 128 units; on arcs the points' error holds it",
+>>>>>>> mutants
     ),
     Mutant(
         "difference-error-1.01",

@@ -134,7 +134,7 @@ def test_few_files_know_what_carries_messages() -> None:
 
 
 def test_oracle_shares_nothing_with_the_product() -> None:
-    for path in python_files(TESTS / "oracle", TESTS / "strategies"):
+    for path in python_files(TESTS / "oracle"):
         assert not any(name.split(".")[0] == "pgccd" for name in imports(path)), path
 
 
