@@ -25,7 +25,7 @@ _LONGEST = 1e150
 
 def length(value: Any, name: str) -> float:
     """The value as a float, if it is a length in [0, 1e150]."""
-    expected = f"a finite length >= 0, at most {_LONGEST:g}"
+    expected = "a finite length >= 0, at most 1e150"  # a constant, for torch.compile
     result = number(value, name, expected)
     if not 0.0 <= result <= _LONGEST:
         raise ValueError(f"{name}: expected {expected}, got {value}")

@@ -438,12 +438,8 @@ _CERTIFICATES = [
         "T(2) * error.point",
         ON_NARROW,
         equivalent="on straight paths a window ends with the step, so that both terms of a blend are at most twice as"
-<<<<<<< HEAD
         " long as the vectors at the ends of the window, of which there are 128 units; on arcs the points' error holds"
         " it",
-=======
-        " long as the vectors at the window's ends, of which there are 128 units; on arcs the points' error holds it",
->>>>>>> mutants
     ),
     Mutant(
         "difference-error-1.01",
@@ -792,21 +788,21 @@ _PATIENT = [
     ),
     Mutant(
         "spin-reach-0.999",
-        NARROW + "paths.h",
+        NARROW + "whole_turns.h",
         "square_root(along_quarter * along_quarter + along_inward * along_inward)",
         "0.999 * square_root(along_quarter * along_quarter + along_inward * along_inward)",
         ON_SPIN,
     ),
     Mutant(
         "spin-deviation-of-the-other-zero",
-        NARROW + "paths.h",
+        NARROW + "whole_turns.h",
         "threshold + bend * duration * duration * 0.125 * (1.0 + 16.0 * u)",
         "threshold",
         ON_SPIN,
     ),
     Mutant(
         "spin-separation-0.999",
-        NARROW + "paths.h",
+        NARROW + "whole_turns.h",
         "separation * (1.0 + 16.0 * u)",
         "0.999 * separation * (1.0 + 16.0 * u)",
         ON_SPIN,

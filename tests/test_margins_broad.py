@@ -77,7 +77,7 @@ def test_boxes_hold_their_share_of_the_separation(separation: float) -> None:
 def overlap(start: np.ndarray, end: np.ndarray, radius: np.ndarray, separation: float) -> None:
     """Asserts that the pair is found, and that the boxes overlap."""
     assert agreed(start, end, radius, separation).tolist() == [[0, 1]]
-    lower, upper = (x.numpy() for x in ops.swept_boxes(*tensors(start, end, radius), separation))
+    lower, upper = (x.numpy() for x in ops.swept_boxes(*tensors(start, end, radius), separation, 0.0))
     assert (lower[0] <= upper[1]).all() and (lower[1] <= upper[0]).all()
 
 

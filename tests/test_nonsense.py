@@ -75,7 +75,7 @@ def calls(folder: Path) -> dict[str, Call]:
     spins |= {"linear_velocity": torch.ones(2, 3), "angular_velocity": torch.ones(2, 3)}
     options = {"min_separation": 0.0, "tolerance": None, "nonzero_toi": False}
     points = {name: torch.rand(3, 4, 3, dtype=torch.float64) for name in ("points_t0", "points_t1")}
-    on_bodies = {"bodies": moving, "min_separation": 0.0}
+    on_bodies = {"bodies": moving, "min_separation": 0.0, "tolerance": None}
     mesh = tetrahedron()
     (folder / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     np.savez(folder / "poses.npz", **{n: c.numpy() for n, c in poses.items()}, orientation_t1=poses["orientation_t0"])

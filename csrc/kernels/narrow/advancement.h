@@ -4,46 +4,13 @@
 // else in the loop can affect safety.
 #pragma once
 
-#include <cstdint>
 #include <type_traits>
 
+#include "kernels/narrow/search_state.h"
 #include "kernels/narrow/touching.h"
+#include "kernels/narrow/whole_turns.h"
 
 namespace pgccd {
-
-// Values of the `status` tensor.
-enum class Status : int8_t {
-  kFree = 0,
-  kTouch = 1,
-  kUnresolved = 2,  // iteration budget spent: counts as a contact
-  kPruned = 3,      // certainly later than the limit given; never leaves the kernels
-  kUndecided = 4,   // within tolerance, but this arithmetic cannot tell a touch from a miss; never leaves the kernels
-  kOpen = 5,        // a later phase has to go on; never leaves the kernels
-};
-
-template <class T>
-struct SearchSettings {
-  T separation;
-  T tolerance;       // a contact comes at least this close, beyond the separation
-  T prune_at;        // give up (kPruned) once free until this time
-  bool nonzero_toi;  // shrink the tolerance rather than answer toi = 0 for a pair that starts further apart than the
-                     // separation
-};
-
-template <class T>
-struct Outcome {
-  Status status;
-  T toi;  // free before it
-  T u, v;
-};
-
-// How far a search has come: enough to go on as if it had never stopped.
-template <class T>
-struct Progress {
-  T t = T(0);      // free before it
-  T goal = T(-1);  // how near is near enough; negative where that is still to be decided
-  int advances = 0;
-};
 
 // A search goes through up to three phases. Most candidates are free, and most of those are seen to be in the first;
 // nearly all others end in the second. Only the third treats slender and tiny features with care, takes long strides
@@ -145,7 +112,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
 
     if constexpr (kIsPatient) {
       if (next < T(1) && advances % kSpinPeriod == kPlainAdvances) {
-        next = larger(next, path.free_while_spinning(t, direction, separation));
+        next = larger(next, free_while_spinning(path, t, direction, separation));
       }
       if (next < t_end) {
         // Longer strides while they succeed.
@@ -155,8 +122,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
         const Nearest<T> far_nearest = nearest_points<kEdgeEdge, true>(far);
         const T far_duration = far_time - t;
         const T far_apart = separation + path.deviation(far_duration) * (T(1) + T(16) * unit);
-        const T turned =
-            turning_direction<kEdgeEdge>(now, far, direction, direction_of(far_nearest), far_apart, error);
+        const T turned = turning_direction<kEdgeEdge>(now, far, direction, direction_of(far_nearest), far_apart, error);
         if (turned >= T(1)) {
           next = far_time;
         } else {

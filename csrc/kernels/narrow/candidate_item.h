@@ -21,8 +21,8 @@ PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, 
     }
     Vec3<double> t0[4], t1[4];
     pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-    Outcome<double> outcome = advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error),
-                                                            settings, progress);
+    Outcome<double> outcome =
+        advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error), settings, progress);
     // What rounding did to the points themselves, no finer arithmetic would undo.
     if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
     return outcome;
@@ -48,9 +48,9 @@ PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const Fea
   return is_quickly_free<kEdgeEdge>(path, settings, progress);
 }
 
-// A candidate is dropped only if the toi that it would report, a double, is later than `latest`. A finer arithmetic rounds
-// its toi down to a double: until the next double is reached, that toi could still be equal to `latest`, and among equal
-// ones the smallest features win.
+// A candidate is dropped only if the toi that it would report, a double, is later than `latest`. A finer arithmetic
+// rounds its toi down to a double: until the next double is reached, that toi could still be equal to `latest`, and
+// among equal ones the smallest features win.
 PGCCD_HD double prune_time(double latest) { return std::nextafter(latest, static_cast<double>(INFINITY)); }
 
 template <class Bodies, class Pair>

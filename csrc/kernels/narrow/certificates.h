@@ -92,7 +92,8 @@ PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& en
 // A direction that turns from `direction0` to `direction1` (unit vectors, the directions of the nearest points at the
 // window's ends): n(s) = (1 - s) direction0 + s direction1. It follows features that turn, so that what it loses of the
 // gap is of second order in the window's length, where a fixed direction loses in proportion to it. Each vertex pair's
-// projection is a quadratic, as is the bound |n(s)| <= (1 + |n(s)|^2) / 2 = 1 - s (1 - s) (1 - direction0 . direction1).
+// projection is a quadratic, as is the bound |n(s)| <= (1 + |n(s)|^2) / 2 = 1 - s (1 - s) (1 - direction0 .
+// direction1).
 template <bool kEdgeEdge, class T>
 PGCCD_HD T turning_direction(const FeaturePair<T>& start, const FeaturePair<T>& end, Vec3<T> direction0,
                              Vec3<T> direction1, T distance, PairError<T> error) {

@@ -39,7 +39,8 @@ PGCCD_HD SegmentCase<T> nearest_on_segment(Vec3<T> origin, Vec3<T> edge) {
 
 // Interior solution for edges, or two sides of a face, that are nearly parallel. Their normal is accurate only to
 // u / sin(angle), and so would be a distance taken along it. Instead the longer one is projected out (Gram-Schmidt with
-// pivoting): the distance left is that of two points of the features to within a few u of the extent, whatever the angle.
+// pivoting): the distance left is that of two points of the features to within a few u of the extent, whatever the
+// angle.
 template <bool kEdgeEdge, class T>
 PGCCD_HD bool nearest_of_slender(const FeaturePair<T>& p, Vec3<T> normal, Nearest<T>& out) {
   const bool a_is_longer = norm_squared(p.a) > norm_squared(p.b);
@@ -54,8 +55,7 @@ PGCCD_HD bool nearest_of_slender(const FeaturePair<T>& p, Vec3<T> normal, Neares
   const T of_a = a_is_longer ? along : aside;
   out.u = kEdgeEdge ? -of_a : of_a;
   out.v = a_is_longer ? aside : along;
-  const bool inside =
-      out.u > T(0) && out.v > T(0) && (kEdgeEdge ? out.u < T(1) && out.v < T(1) : out.u + out.v < T(1));
+  const bool inside = out.u > T(0) && out.v > T(0) && (kEdgeEdge ? out.u < T(1) && out.v < T(1) : out.u + out.v < T(1));
   if (!inside) return false;
   out.offset = r + aside * across;
   // Perpendicular to the longer one to within rounding, which is what counts: along the shorter one's remainder the
@@ -88,8 +88,8 @@ PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
   // the rounding of coordinates away, stands for it.
   constexpr T slender(64 * Precision<T>::unit);
   const T parallel_squared = norm_squared(p.a) * norm_squared(p.b);  // times sin^2 of the angle: normal_squared
-  const bool has_normal = normal_squared > (slender * slender) * parallel_squared &&
-                          normal_squared > T(Precision<T>::smallest_square);
+  const bool has_normal =
+      normal_squared > (slender * slender) * parallel_squared && normal_squared > T(Precision<T>::smallest_square);
   // Edges' lines: u |n|^2 = det(r, b, n), v |n|^2 = det(r, a, n). Projection onto the face: u |n|^2 = det(b, r, n),
   // same v.
   const T u = kEdgeEdge ? dot(cross(p.r, p.b), normal) : dot(cross(p.b, p.r), normal);

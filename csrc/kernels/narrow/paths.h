@@ -44,7 +44,6 @@ class LinearPath {
   PGCCD_HD T deviation(T /*duration*/) const { return T(0); }
   PGCCD_HD PairError<T> error() const { return error_; }
   PGCCD_HD int more_advances() const { return 0; }
-  PGCCD_HD T free_while_spinning(T t, Vec3<T> /*direction*/, T /*separation*/) const { return t; }
 
  private:
   FeaturePair<T> t0_, t1_;
@@ -119,105 +118,16 @@ class ArcPath {
   PGCCD_HD PairError<double> error() const { return error_; }
 
   // Windows get short where bodies spin fast.
-  PGCCD_HD int more_advances() const {
-    return static_cast<int>(smaller(2.0 * (first_angle_ + second_angle_), 0x1p20));
-  }
+  PGCCD_HD int more_advances() const { return static_cast<int>(smaller(2.0 * (first_angle_ + second_angle_), 0x1p20)); }
 
-  // A body that spins fast is replaced by all places that it takes in a turn: along a direction n, a point reaches as
-  // far as the centre of its circle and the circle's extent, |n x axis| times its radius. Returns a time until which
-  // the features stay apart by that, or `t` itself if nothing is gained. Directions tried: the one given; those between
-  // the nearest points where spinning features are shrunk to the centres of their circles, or to the centre of the body;
-  // and the axes.
-  PGCCD_HD double free_while_spinning(double t, Vec3<double> direction, double separation) const {
-    const double remaining = 1.0 - t;
-    const bool spins[2] = {first_angle_ * remaining > kFastSpin, second_angle_ * remaining > kFastSpin};
-    if (!spins[0] && !spins[1]) return t;
-    const Vec3<double> between_circles = direction_of(nearest_points<kEdgeEdge, true>(hubs_at(t, spins, 1.0)));
-    double until = larger(t, free_along(t, direction, separation, spins));
-    until = larger(until, free_along(t, between_circles, separation, spins));
-    const Vec3<double> from_centre = direction_of(nearest_points<kEdgeEdge, true>(hubs_at(t, spins, 0.0)));
-    until = larger(until, free_along(t, from_centre, separation, spins));
-    for (int k = 0; k < 4; ++k) {
-      if (!spins[side_of(k)]) continue;
-      const Vec3<double> axis = unit_vector(cross(points_[k].quarter, points_[k].inward));
-      until = larger(until, free_along(t, dot(axis, between_circles) < 0.0 ? -axis : axis, separation, spins));
-    }
-    return until;
-  }
-
- private:
-  // Radians from which on a body counts as spinning fast: a window of chords would be cut into many.
-  static constexpr double kFastSpin = 4.0;
-
+  // For those who look at the points one by one: 0 for the first-named body, 1 for the second.
   PGCCD_HD static int side_of(int k) { return k < PointSplit<kEdgeEdge>::first_count ? 0 : 1; }
-
-  // The features at t, points of spinning bodies replaced by the centres of their circles, or (`height` 0) of the body.
-  PGCCD_HD FeaturePair<double> hubs_at(double t, const bool spins[2], double height) const {
-    Vec3<double> x[4];
-    positions(t, x);
-    const Vec3<double> shift = shift_at(t);
-    for (int k = 0; k < 4; ++k) {
-      if (!spins[side_of(k)]) continue;
-      x[k] = height * (points_[k].base + points_[k].inward);
-      if (side_of(k) == 1) x[k] = shift + x[k];
-    }
-    return feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
-  }
-
-  // Along `n` the gap is the least projection of the second feature less the largest of the first. Spinning bodies'
-  // projections are constant but for the straight way of the centres, others' are those of chords less their deviation.
-  PGCCD_HD double free_along(double t, Vec3<double> n, double separation, const bool spins[2]) const {
-    constexpr double u = Precision<double>::unit;
-    double bend = 0.0;  // |x''| of the bodies that do not spin fast
-    for (int side = 0; side < 2; ++side) {
-      if (!spins[side]) bend += side_curvature(side);
-    }
-    const double threshold = separation * (1.0 + 16.0 * u) + (2.0 * error_.point + 32.0 * u * error_.extent);
-    const double start = gap_along(t, n, spins);
-    const double remaining = 1.0 - t;
-    double window = remaining;
-    if (bend * window * window > 2.0 * (start - threshold)) window = square_root(2.0 * (start - threshold) / bend);
-    const double end = t + window < 1.0 ? t + window : 1.0;
-    const double duration = end - t, kept = threshold + bend * duration * duration * 0.125 * (1.0 + 16.0 * u);
-    if (!(start > kept)) return t;
-    const double prefix = certificate_detail::prefix_of_line(start, gap_along(end, n, spins), kept);
-    return prefix >= 1.0 ? end : add_down(t, prefix * duration * (1.0 - 4.0 * u));
-  }
-
-  PGCCD_HD double gap_along(double t, Vec3<double> n, const bool spins[2]) const {
-    Vec3<double> x[4];
-    positions(t, x);
-    const Vec3<double> shift = shift_at(t);
-    double high = -INFINITY, low = INFINITY;
-    for (int k = 0; k < 4; ++k) {
-      const int side = side_of(k);
-      double projection = dot(n, x[k]), reach = 0.0;
-      if (spins[side]) {
-        const Vec3<double> hub = points_[k].base + points_[k].inward;
-        projection = dot(n, side == 0 ? hub : shift + hub);
-        const double along_quarter = dot(n, points_[k].quarter), along_inward = dot(n, points_[k].inward);
-        reach = square_root(along_quarter * along_quarter + along_inward * along_inward);
-      }
-      if (side == 0) {
-        high = larger(projection + reach, high);
-      } else {
-        low = smaller(projection - reach, low);
-      }
-    }
-    return low - high;
-  }
-
-  PGCCD_HD double side_curvature(int side) const {
-    double radius = 0.0;
-    for (int k = 0; k < 4; ++k) {
-      if (side_of(k) == side) radius = larger(radius, norm(points_[k].quarter));
-    }
-    const double angle = side == 0 ? first_angle_ : second_angle_;
-    return (1.0 + 0x1p-40) * (angle * angle * radius);
-  }
-
+  PGCCD_HD const ArcPoint& point(int k) const { return points_[k]; }
+  PGCCD_HD double angle(int side) const { return side == 0 ? first_angle_ : second_angle_; }
+  // Of the second body's centre.
   PGCCD_HD Vec3<double> shift_at(double t) const { return (1.0 - t) * centre_.at_t0 + t * centre_.at_t1; }
 
+ private:
   ArcPoint points_[4];
   double first_angle_, second_angle_;
   double curvature_;

@@ -1,0 +1,125 @@
+// Clears many turns of a spinning body at once. A body that spins fast is replaced by all places that it takes in a
+// turn: along a direction n, a point reaches as far as the centre of its circle and the circle's extent, |n x axis|
+// times its radius. What is left in time is the straight way of the centre.
+#pragma once
+
+#include "kernels/narrow/paths.h"
+
+namespace pgccd {
+
+namespace whole_turns_detail {
+
+// Radians from which on a body counts as spinning fast: a window of chords would be cut into many.
+constexpr double kFastSpin = 4.0;
+
+template <bool kEdgeEdge>
+class SpunPair {
+ public:
+  PGCCD_HD SpunPair(const ArcPath<kEdgeEdge>& path, double t) : path_(path), t_(t) {
+    for (int side = 0; side < 2; ++side) spins_[side] = path.angle(side) * (1.0 - t) > kFastSpin;
+  }
+
+  PGCCD_HD bool any() const { return spins_[0] || spins_[1]; }
+  PGCCD_HD bool spins(int k) const { return spins_[path_.side_of(k)]; }
+
+  // The features at t, points of spinning bodies replaced by the centres of their circles, or (`height` 0) of the body.
+  PGCCD_HD FeaturePair<double> hubs(double height) const {
+    Vec3<double> x[4];
+    path_.positions(t_, x);
+    for (int k = 0; k < 4; ++k) {
+      if (!spins(k)) continue;
+      x[k] = height * hub(k);
+      if (path_.side_of(k) == 1) x[k] = path_.shift_at(t_) + x[k];
+    }
+    return feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
+  }
+
+  // A time until which the features stay apart along `n`, where the gap is the least projection of the second feature
+  // less the largest of the first. Spinning bodies' projections are constant but for the straight way of the centres,
+  // others' are those of chords less their deviation.
+  PGCCD_HD double free_until(Vec3<double> n, double separation) const {
+    constexpr double u = Precision<double>::unit;
+    double bend = 0.0;  // |x''| of the bodies that do not spin fast
+    for (int side = 0; side < 2; ++side) {
+      if (!spins_[side]) bend += curvature(side);
+    }
+    const PairError<double> error = path_.error();
+    const double threshold = separation * (1.0 + 16.0 * u) + (2.0 * error.point + 32.0 * u * error.extent);
+    const double start = gap(t_, n);
+    double window = 1.0 - t_;
+    if (bend * window * window > 2.0 * (start - threshold)) window = square_root(2.0 * (start - threshold) / bend);
+    const double end = t_ + window < 1.0 ? t_ + window : 1.0;
+    const double duration = end - t_, kept = threshold + bend * duration * duration * 0.125 * (1.0 + 16.0 * u);
+    if (!(start > kept)) return t_;
+    const double prefix = certificate_detail::prefix_of_line(start, gap(end, n), kept);
+    return prefix >= 1.0 ? end : add_down(t_, prefix * duration * (1.0 - 4.0 * u));
+  }
+
+ private:
+  // On the axis, relative to the body's centre.
+  PGCCD_HD Vec3<double> hub(int k) const { return path_.point(k).base + path_.point(k).inward; }
+
+  PGCCD_HD double gap(double t, Vec3<double> n) const {
+    Vec3<double> x[4];
+    path_.positions(t, x);
+    double high = -INFINITY, low = INFINITY;
+    for (int k = 0; k < 4; ++k) {
+      const int side = path_.side_of(k);
+      double projection = dot(n, x[k]), reach = 0.0;
+      if (spins_[side]) {
+        projection = dot(n, side == 0 ? hub(k) : path_.shift_at(t) + hub(k));
+        const double along_quarter = dot(n, path_.point(k).quarter), along_inward = dot(n, path_.point(k).inward);
+        reach = square_root(along_quarter * along_quarter + along_inward * along_inward);
+      }
+      if (side == 0) {
+        high = larger(projection + reach, high);
+      } else {
+        low = smaller(projection - reach, low);
+      }
+    }
+    return low - high;
+  }
+
+  PGCCD_HD double curvature(int side) const {
+    double radius = 0.0;
+    for (int k = 0; k < 4; ++k) {
+      if (path_.side_of(k) == side) radius = larger(radius, norm(path_.point(k).quarter));
+    }
+    return (1.0 + 0x1p-40) * (path_.angle(side) * path_.angle(side) * radius);
+  }
+
+  const ArcPath<kEdgeEdge>& path_;
+  double t_;
+  bool spins_[2];
+};
+
+}  // namespace whole_turns_detail
+
+// A time until which the features stay apart, or `t` itself if nothing is gained. Directions tried: the one given;
+// those between the nearest points where spinning features are shrunk to the centres of their circles, or to the centre
+// of the body; and the axes.
+template <bool kEdgeEdge>
+PGCCD_HD double free_while_spinning(const ArcPath<kEdgeEdge>& path, double t, Vec3<double> direction,
+                                    double separation) {
+  const whole_turns_detail::SpunPair<kEdgeEdge> pair(path, t);
+  if (!pair.any()) return t;
+  const Vec3<double> between_circles = direction_of(nearest_points<kEdgeEdge, true>(pair.hubs(1.0)));
+  double until = larger(t, pair.free_until(direction, separation));
+  until = larger(until, pair.free_until(between_circles, separation));
+  const Vec3<double> from_centre = direction_of(nearest_points<kEdgeEdge, true>(pair.hubs(0.0)));
+  until = larger(until, pair.free_until(from_centre, separation));
+  for (int k = 0; k < 4; ++k) {
+    if (!pair.spins(k)) continue;
+    const Vec3<double> axis = unit_vector(cross(path.point(k).quarter, path.point(k).inward));
+    until = larger(until, pair.free_until(dot(axis, between_circles) < 0.0 ? -axis : axis, separation));
+  }
+  return until;
+}
+
+// Straight paths do not turn.
+template <bool kEdgeEdge, class T>
+PGCCD_HD T free_while_spinning(const LinearPath<kEdgeEdge, T>&, T t, Vec3<T> /*direction*/, T /*separation*/) {
+  return t;
+}
+
+}  // namespace pgccd
