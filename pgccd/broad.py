@@ -182,7 +182,7 @@ def _columns(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]:
     scene = bodies.scene
     filters = scene.group, scene.mask, scene.world, scene.static
-    return bodies.position_t0, bodies.position_t1, bodies.radius, *filters
+    return bodies.centre_t0, bodies.centre_t1, bodies.reach, *filters
 
 
 def check_separation(min_separation: float) -> float:

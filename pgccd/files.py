@@ -23,7 +23,7 @@ def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -
     """A rigid motion of N bodies from an npz file.
 
     The file holds position_t0 (N, 3) and orientation_t0 (N, 4), and either position_t1 and orientation_t1, or
-    linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt. Positions are those of the SBV centres,
+    linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt. Positions are those of the meshes' origins,
     orientations unit quaternions (w, x, y, z), body to world.
 
     Raises:
@@ -57,7 +57,8 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
     """A scene and its motion from a JSON file.
 
     The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file}, paths relative to it; and optionally
-    "group", "mask", "world" and "static", lists with one value a body.
+    "group", "mask", "world" and "static", lists with one value a body, and "origin", a list with one value a mesh: a
+    point [x, y, z] or a name, as for `Mesh`.
 
     Raises:
         ValueError: a file cannot be read, a key is missing, or a value is not as `Scene` expects it.
@@ -74,8 +75,12 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
         if not isinstance(content, dict) or key not in content:
             raise ValueError(f"{path} has no {key!r}")
     filters = {key: content[key] for key in ("group", "mask", "world", "static") if key in content}
+    names = content["meshes"]
+    origins = content.get("origin", [(0.0, 0.0, 0.0)] * len(names))
+    if not isinstance(origins, list) or len(origins) != len(names):
+        raise ValueError(f"{path}: origin: expected a list of {len(names)} values, one a mesh, got {origins!r}")
     try:
-        meshes = [Mesh.load(path.parent / name) for name in content["meshes"]]
+        meshes = [Mesh.load(path.parent / name, origin) for name, origin in zip(names, origins, strict=True)]
         scene = Scene(meshes, content["mesh_index"], device, **filters)
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error

@@ -26,14 +26,16 @@ _TURN = (2, _LARGEST_TURN)
 
 
 class RigidMotion:
-    """Rigid bodies: the centre moves on a straight line, the orientation turns at a constant rate.
+    """Rigid bodies: the origin of the mesh moves on a straight line, the body turns about it at a constant rate.
 
-    R(t) = exp(t [w]x) R0 with the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a
+    A point v of the mesh (in the coordinates given to `Mesh`) is at x(t) = position(t) + R(t) (v - origin), with
+    R(t) = exp(t [w]x) R0 and the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a
     turn, about the vector part of q1 * conj(q0)). With `path="linear"` every vertex moves on the straight line
     between its two end positions instead (the two vertex streams of Du, Liu & Suzumura 2017).
 
     Args:
-        position_t0, position_t1: (N, 3) SBV centres at the two ends of the step, world frame, scene length units.
+        position_t0, position_t1: (N, 3) where the meshes' origins are at the two ends of the step, world frame, scene
+            length units.
         orientation_t0, orientation_t1: (N, 4) unit quaternions (w, x, y, z), body to world.
         path: "rigid" or "linear".
 
@@ -106,7 +108,7 @@ class RigidMotion:
         rotation: Tensor,
         path: PathKind = "rigid",
     ) -> RigidMotion:
-        """From where the centres go and how the bodies turn; made of another motion's rows, it is that one to the bit.
+        """From where the origins go and how the bodies turn; made of another motion's rows, it is that one to the bit.
 
         Args:
             position_t0, position_t1: (N, 3), as for the constructor.

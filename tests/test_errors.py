@@ -151,6 +151,23 @@ case("vertex nan", lambda: pgccd.Mesh([[0, 0, 0], [1, NAN, 0], [0, 1, 0]], [[0, 
 case("zero radius", lambda: pgccd.Mesh(np.ones((3, 3)), [[0, 1, 2]]), "vertices", "radius 0")
 case("tiny radius", lambda: pgccd.Mesh(1e-40 * np.eye(3), [[0, 1, 2]]), "vertices", "radius")
 case("huge radius", lambda: pgccd.Mesh(1e40 * np.eye(3), [[0, 1, 2]]), "vertices", "radius")
+case("origin shape", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2]], [0.0, 1.0]), "origin", "3 numbers", "(2,)")
+case("origin name", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2]], "middle"), "origin", "centroid", "middle")
+case("origin nan", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2]], [0.0, NAN, 0.0]), "origin", "nan")
+case("origin far", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2]], [1e13, 0.0, 0.0]), "origin", "1e.12 SBV radii")
+case("origin open", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2]], "center_of_mass"), "origin", "closed", "no triangle")
+case(
+    "origin inconsistent",
+    lambda: pgccd.Mesh(np.eye(4, 3), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 3, 2]], "center_of_mass"),
+    "origin",
+    "more than one triangle",
+)
+case(
+    "origin flat",
+    lambda: pgccd.Mesh([*TRIANGLE, [1, 1, 0]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "center_of_mass"),
+    "origin",
+    "volume",
+)
 case("from_trimesh", lambda: pgccd.Mesh.from_trimesh(object()), "mesh", "no triangles")
 QUERY = torch.zeros(2, 4, 3, dtype=torch.float64)
 for _test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):

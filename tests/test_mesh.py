@@ -74,9 +74,15 @@ def test_sphere_bound_and_edges(shape: strategies.TriMesh) -> None:
     assert np.abs(mesh.centre.numpy() - truth.center).max() <= 1e-14 * size
     assert mesh.radius == pytest.approx(truth.radius, rel=1e-14, abs=1e-14 * size)
     # The radius holds every used vertex, as stored.
-    local = [[Fraction(c) for c in p] for p in mesh.vertices[used_vertices(shape.faces)].tolist()]
+    used = mesh.vertices[used_vertices(shape.faces)].tolist()
+    offset = mesh.centre_offset.tolist()
+    local = [[Fraction(c) - Fraction(o) for c, o in zip(p, offset, strict=True)] for p in used]
     assert max(sum(c * c for c in p) for p in local) <= Fraction(mesh.radius) ** 2
-    assert np.abs(mesh.vertices.numpy() + mesh.centre.numpy() - shape.vertices).max() <= 4e-16 * size
+    assert max(sum(Fraction(c) ** 2 for c in p) for p in used) <= Fraction(mesh.reach) ** 2
+    assert np.array_equal(mesh.vertices.numpy(), shape.vertices)
+    centred = pgccd.Mesh(shape.vertices, shape.faces, "centroid")
+    assert np.abs(centred.vertices.numpy() + centred.centre.numpy() - shape.vertices).max() <= 4e-16 * size
+    assert (centred.radius, centred.reach, centred.centre_offset.any()) == (mesh.radius, centred.radius, False)
     assert np.array_equal(mesh.edges.numpy(), unique_edges(shape.faces))
     assert np.array_equal(mesh.faces.numpy(), shape.faces)
 
@@ -114,7 +120,8 @@ def test_hierarchy(shape: strategies.TriMesh) -> None:
     assert covered == list(range(len(shape.faces))), "every triangle is in exactly one leaf"
     assert depth <= MOST_DEPTH
     assert np.isnan(blocks.transpose(0, 2, 1)[(links == 0).all(axis=2)]).all(), "empty slots meet nothing"
-    assert_encloses(blocks, links, triangles, mesh.vertices.numpy())
+    # About the SBV centre.
+    assert_encloses(blocks, links, triangles, (mesh.vertices - mesh.centre_offset).numpy())
 
 
 @pytest.mark.parametrize("count", [3000])
@@ -212,7 +219,7 @@ def test_far_from_the_origin_keeps_digits() -> None:
     rng = np.random.default_rng(3)
     near = bumpy(rng, 1)
     shifted = near.vertices.numpy() + 2.0**27
-    mesh = pgccd.Mesh(shifted, near.faces)
+    mesh = pgccd.Mesh(shifted, near.faces, "centroid")
     truth = sphere_bound(shifted, near.faces)
     # The centre itself is stored with the digits there are at 2^27; everything else is exact relative to it.
     assert np.abs(mesh.centre.numpy() - truth.center).max() <= 2.0**-25

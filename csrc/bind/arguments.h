@@ -71,7 +71,7 @@ const Element* optional_column(const std::optional<Tensor>& tensor, const char* 
 }
 
 inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
-  STD_TORCH_CHECK(t.size() == 8, "mesh_set: expected 8 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 10, "mesh_set: expected 10 tensors, got ", t.size());
   MeshSetView view;
   view.vertices = rows<double>(t[0], "mesh_set.vertices", {kAnySize, 3});
   view.faces = rows<int32_t>(t[1], "mesh_set.faces", {kAnySize, 3});
@@ -82,6 +82,11 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   view.corners = {rows<float>(t[6], "mesh_set.corners", {9, kAnySize}), t[6].size(1)};
   STD_TORCH_CHECK(t[6].size(1) >= t[1].size(0) + kMaxLeafTriangles, "mesh_set.corners: columns are not padded");
   view.offsets = rows<int64_t, MeshOffsets>(t[7], "mesh_set.offsets", {kAnySize, 4});
+  // No rows where every mesh has its SBV centre at its origin.
+  const int64_t centres = t[8].size(0) == 0 ? 0 : t[7].size(0) - 1;
+  view.centres = rows<double>(t[8], "mesh_set.centres", {centres, 3});
+  view.reaches = rows<double>(t[9], "mesh_set.reaches", {centres});
+  if (centres == 0) view.centres = view.reaches = nullptr;
   return view;
 }
 

@@ -19,6 +19,9 @@ class CpuBackend {
   void rotations_between(const double* q0, const double* q1, int64_t count, double* rotation) const {
     rotations_between_cpu(executor_, q0, q1, count, rotation);
   }
+  void moving_spheres(const RigidBodies& bodies, int64_t count, const MovingSpheres& out) const {
+    moving_spheres_cpu(executor_, bodies, count, out);
+  }
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const { refit_cpu(executor_, input, bounds); }
 
   void sweep(const BroadBodies& bodies, int axis, const PairOutput& make_output) const {

@@ -21,6 +21,9 @@ class CudaBackend {
   void rotations_between(const double* q0, const double* q1, int64_t count, double* rotation) const {
     rotations_between_cuda(session_.context(), q0, q1, count, rotation);
   }
+  void moving_spheres(const RigidBodies& bodies, int64_t count, const MovingSpheres& out) const {
+    moving_spheres_cuda(session_.context(), bodies, count, out);
+  }
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const {
     refit_cuda(session_.context(), input, bounds);
   }

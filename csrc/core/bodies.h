@@ -1,6 +1,6 @@
-// Where bodies are during one step. Two models, one interface: a body's centre moves on the straight line from
-// position_t0 to position_t1; around it, a point has an offset from the centre that turns at a constant rate (rigid
-// arcs) or is the blend of two end offsets (linear paths).
+// Where bodies are during one step. Two models, one interface: a body's reference point (the origin of a rigid body,
+// the SBV centre of a deforming one) moves on the straight line from position_t0 to position_t1; around it, a point has
+// an offset that turns at a constant rate (rigid arcs) or is the blend of two end offsets (linear paths).
 #pragma once
 
 #include <cstdint>
@@ -44,8 +44,8 @@ PGCCD_HD double pair_tolerance(const BodyCentres& centres, int64_t i, int64_t j,
   return tolerance < 0.0 ? -tolerance * smaller(centres.radius[i], centres.radius[j]) : tolerance;
 }
 
-// Offset of body j's centre from body i's: exact up to one rounding each, however far the pair is from the world's
-// origin.
+// Offset of body j's reference point from body i's: exact up to one rounding each, however far the pair is from the
+// world's origin.
 struct RelativeCentre {
   Vec3<double> at_t0;
   Vec3<double> at_t1;

@@ -32,14 +32,14 @@ from pgccd.stages import StageClock
 class World:
     """Bodies spread over ranks by where they are.
 
-    Each rank brings any share of the bodies; they move to the rank that owns the cell of their centre, and again
+    Each rank brings any share of the bodies; they move to the rank that owns the cell of their position, and again
     whenever `move` says that they are elsewhere. Rows of `id`, `position`, `mesh_index` and `payload` are those of the
     bodies this rank owns now, by ascending id.
 
     Args:
         meshes: alike on all ranks.
         lower, upper: corners of the world's box, length units. Bodies may leave it.
-        position: (N, 3) float64 SBV centres of this rank's share of bodies, on the device where all will be.
+        position: (N, 3) float64 where the origins of this rank's share of bodies are, on the device where all will be.
         id: (N,) int64 global ids >= 0, no two alike on any ranks. Default: counted through, rank by rank.
         mesh_index: (N,) integers: which mesh each body is. Default: all the first.
         group, mask, world, static: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
@@ -131,7 +131,7 @@ class World:
 
     @property
     def position(self) -> Tensor:
-        """(N, 3) float64: their centres, as last told."""
+        """(N, 3) float64: where their origins are, as last told."""
         return self._columns["position"]
 
     @property

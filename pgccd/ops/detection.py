@@ -21,6 +21,14 @@ def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     return library.operators.rotations_between(orientation_t0.contiguous(), orientation_t1.contiguous())
 
 
+def moving_spheres(
+    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """SBV centres at t0 and t1 (N, 3), and radius (N,) of a ball about the straight way between them that holds the
+    rigid body all along."""
+    return library.operators.moving_spheres(list(mesh_set), list(bodies), linear_path)
+
+
 def refit(
     mesh_set: Sequence[Tensor],
     mesh_index: Tensor,

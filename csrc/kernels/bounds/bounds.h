@@ -12,6 +12,16 @@ namespace pgccd {
 void rotations_between_cpu(const Executor& executor, const double* orientation_t0, const double* orientation_t1,
                            int64_t count, double* rotation);
 
+// Where SBV centres are at both ends (bodies, 3), and the radius of a ball about the straight way between them that
+// holds the body all along (bodies,).
+struct MovingSpheres {
+  double* centre_t0;
+  double* centre_t1;
+  double* reach;
+};
+
+void moving_spheres_cpu(const Executor& executor, const RigidBodies& bodies, int64_t count, const MovingSpheres& out);
+
 struct DeformingInput {
   MeshSetView meshes;
   const int32_t* mesh_index;  // (bodies,)
