@@ -36,7 +36,7 @@ A pose puts a point v of a mesh file at position + R (v - origin), and the body 
 file's coordinates, unless a scene file says otherwise. Orientations are unit quaternions (w, x, y, z), body to world.
 
 scene.json: {"meshes": ["robot.ply", "rock.obj"], "mesh_index": [0, 0, 1], "poses": "poses.npz"}; paths are relative to
-it; optional: "group", "mask", "world", "static", lists with one value a body; "origin", a list with one value a mesh:
+it; optional: "group", "mask", "world", "static", "margin", lists with a value a body; "origin", with a value a mesh:
 [x, y, z] in the file's coordinates, "centroid" (the SBV centre) or "center_of_mass"."""
 
 

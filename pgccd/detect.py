@@ -78,7 +78,7 @@ def detect(
         report: "any": which body pairs collide (Alg. 2 of Du, Liu & Suzumura 2017). "first": the earliest contact of
             each pair (of equal toi the smallest kind and features). "all": every touching feature pair. "earliest":
             the one first contact of the scene; its toi is the largest collision-free fraction of the step.
-        min_separation: length >= 0.
+        min_separation: length >= 0. Bodies may have margins besides, see `Scene`.
         tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
             SBV radius of each pair.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).

@@ -12,7 +12,7 @@ import torch
 
 from pgccd.mesh import Mesh
 from pgccd.motion import RigidMotion
-from pgccd.scene import Scene
+from pgccd.scene import OPTIONAL_COLUMNS, Scene
 
 _START = ("position_t0", "orientation_t0")
 _END = ("position_t1", "orientation_t1")
@@ -57,8 +57,8 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
     """A scene and its motion from a JSON file.
 
     The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file}, paths relative to it; and optionally
-    "group", "mask", "world" and "static", lists with one value a body, and "origin", a list with one value a mesh: a
-    point [x, y, z] or a name, as for `Mesh`.
+    "group", "mask", "world", "static" and "margin", lists with one value a body, and "origin", a list with one value a
+    mesh: a point [x, y, z] or a name, as for `Mesh`.
 
     Raises:
         ValueError: a file cannot be read, a key is missing, or a value is not as `Scene` expects it.
@@ -74,14 +74,14 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
     for key in ("meshes", "mesh_index", "poses"):
         if not isinstance(content, dict) or key not in content:
             raise ValueError(f"{path} has no {key!r}")
-    filters = {key: content[key] for key in ("group", "mask", "world", "static") if key in content}
+    optional = {key: content[key] for key in OPTIONAL_COLUMNS if key in content}
     names = content["meshes"]
     origins = content.get("origin", [(0.0, 0.0, 0.0)] * len(names))
     if not isinstance(origins, list) or len(origins) != len(names):
         raise ValueError(f"{path}: origin: expected a list of {len(names)} values, one a mesh, got {origins!r}")
     try:
         meshes = [Mesh.load(path.parent / name, origin) for name, origin in zip(names, origins, strict=True)]
-        scene = Scene(meshes, content["mesh_index"], device, **filters)
+        scene = Scene(meshes, content["mesh_index"], device, **optional)
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
     return scene, load_motion(path.parent / content["poses"], device)

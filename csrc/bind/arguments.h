@@ -91,7 +91,7 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
 }
 
 inline RigidBodies rigid_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t, bool linear_path) {
-  STD_TORCH_CHECK(t.size() == 6, "bodies: expected 6 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 6 || t.size() == 7, "bodies: expected 6 tensors, or 7 with margins, got ", t.size());
   RigidBodies view;
   view.meshes = mesh_set_view(mesh_set);
   view.mesh_index = rows<int32_t>(t[0], "bodies.mesh_index", {kAnySize});
@@ -101,11 +101,12 @@ inline RigidBodies rigid_view(const std::vector<Tensor>& mesh_set, const std::ve
   view.orientation = rows<double>(t[4], "bodies.orientation", {count, 4});
   view.rotation = rows<double>(t[5], "bodies.rotation", {count, 3});
   view.linear_path = linear_path;
+  if (t.size() == 7) view.centres.margin = rows<double>(t[6], "bodies.margin", {count});
   return view;
 }
 
 inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t) {
-  STD_TORCH_CHECK(t.size() == 10, "bodies: expected 10 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 10 || t.size() == 11, "bodies: expected 10 tensors, or 11 with margins, got ", t.size());
   DeformingBodies view;
   view.meshes = mesh_set_view(mesh_set);
   view.mesh_index = rows<int32_t>(t[0], "bodies.mesh_index", {kAnySize});
@@ -119,6 +120,7 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
   view.blocks_t1 = rows<float, NodeBlock>(t[7], "bodies.blocks_t1", {t[6].size(0), kBlockColumns, kBlockWidth});
   view.vertex_begin = rows<int64_t>(t[8], "bodies.vertex_begin", {count});
   view.block_begin = rows<int64_t>(t[9], "bodies.block_begin", {count});
+  if (t.size() == 11) view.centres.margin = rows<double>(t[10], "bodies.margin", {count});
   return view;
 }
 

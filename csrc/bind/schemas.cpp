@@ -7,7 +7,7 @@
 // rotation (N, 3)] deforming bodies = [mesh_index (N,) i32, position_t0, position_t1, radius, vertices_t0 (X, 3),
 // vertices_t1 (X, 3),
 //                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64]
-//                     see core/bodies.h
+//                     see core/bodies.h; after either list perhaps margin (N,)
 // contact rows = (pair i32, kind i8, features (., 2) i32, status i8, toi f64, coordinates (., 2), point (., 3), normal
 // (., 3))
 #include <Python.h>

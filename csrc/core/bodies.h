@@ -7,6 +7,7 @@
 
 #include "core/mesh_set.h"
 #include "core/rotation.h"
+#include "core/rounding.h"
 
 namespace pgccd {
 
@@ -14,6 +15,7 @@ struct BodyCentres {
   const double* position_t0;  // (bodies, 3), world
   const double* position_t1;  // (bodies, 3), world
   const double* radius;       // (bodies,) SBV radius
+  const double* margin = nullptr;  // (bodies,) thickness, or null: none
 };
 
 struct RigidBodies {
@@ -42,6 +44,12 @@ struct DeformingBodies {
 // A negative tolerance is relative to the smaller SBV radius of the pair.
 PGCCD_HD double pair_tolerance(const BodyCentres& centres, int64_t i, int64_t j, double tolerance) {
   return tolerance < 0.0 ? -tolerance * smaller(centres.radius[i], centres.radius[j]) : tolerance;
+}
+
+// What counts as touching for a pair, rounded up so that nothing is missed. A body and itself: twice its margin.
+PGCCD_HD double pair_separation(const BodyCentres& centres, int64_t i, int64_t j, double separation) {
+  if (centres.margin == nullptr) return separation;
+  return add_up(separation, add_up(centres.margin[i], centres.margin[j]));
 }
 
 // Offset of body j's reference point from body i's: exact up to one rounding each, however far the pair is from the

@@ -119,6 +119,14 @@ def crowds() -> dict[str, Crowd]:
         "about joints outside of them": _crowd(
             12, spread, 0.3 * rng.normal(size=spread.shape), np.arange(60) % 2, meshes=_links()
         ),
+        "with margins": _crowd(
+            13,
+            spread,
+            0.3 * rng.normal(size=spread.shape),
+            np.arange(60) % 2,
+            meshes=_links(),
+            filters={"margin": torch.tensor(rng.uniform(0.0, 0.4, 60))},
+        ),
         "far from the origin": _crowd(9, 0.5 * spread + 1e7, 0.4 * rng.normal(size=spread.shape), small),
         "one body": _crowd(10, spread[:1], spread[:1]),
         "nobody": _crowd(11, spread[:0], spread[:0]),

@@ -49,7 +49,7 @@ PGCCD_HD double local_scale(const BodyCentres& centres, int64_t i, int64_t j, do
 }
 
 PGCCD_HD double kept_distance(const BodyCentres& centres, int64_t i, int64_t j, const SweepSettings& settings) {
-  return settings.separation + pair_tolerance(centres, i, j, settings.tolerance);
+  return pair_separation(centres, i, j, settings.separation) + pair_tolerance(centres, i, j, settings.tolerance);
 }
 
 PGCCD_HD float rounded_up(double x) { return static_cast<float>(x) * (1.0f + 2.0f * Precision<float>::unit); }
