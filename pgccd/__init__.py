@@ -10,6 +10,7 @@ from pgccd.mesh import Mesh, MeshSet
 from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.narrow import Kind, Status
 from pgccd.scene import Scene
+from pgccd.trajectory import Trajectory, TrajectoryContacts
 from pgccd.within import CapacityError
 
 __version__: str = _build_information()["version"]
@@ -37,6 +38,8 @@ __all__ = [
     "Scene",
     "Stats",
     "Status",
+    "Trajectory",
+    "TrajectoryContacts",
     "VertexMotion",
     "broad",
     "detect",

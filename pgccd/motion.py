@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import Literal
 
@@ -10,19 +9,9 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
+from pgccd.motion_checks import FINITE, TURN, UNIT, Faults, broadcast_times
 
 PathKind = Literal["rigid", "linear"]
-
-# Quaternions further from unit length than this are taken for mistakes; nearer ones are normalised exactly.
-_UNIT_TOLERANCE = 1e-3
-# Squares of larger coordinates overflow.
-_LARGEST_COORDINATE = 1e150
-# Sine and cosine are proven up to here.
-_LARGEST_TURN = 1e6
-# Checks of `ops.first_faults`, and their limits.
-_FINITE = (0, _LARGEST_COORDINATE)
-_UNIT = (1, _UNIT_TOLERANCE)
-_TURN = (2, _LARGEST_TURN)
 
 
 class RigidMotion:
@@ -60,7 +49,7 @@ class RigidMotion:
         device = position_t0.device
         orientation_t1 = _rows(orientation_t1, "orientation_t1", count, 4, device)
         self._set(position_t0, orientation_t0, position_t1, path)
-        self._check({"orientation_t1": (orientation_t1, *_UNIT)})
+        self._check({"orientation_t1": (orientation_t1, *UNIT)})
         #: (N, 3) rotation vector of the whole step, radians, world frame.
         self.rotation = ops.rotations_between(self.orientation_t0, orientation_t1)
 
@@ -96,7 +85,7 @@ class RigidMotion:
         motion._set(start, orientation, start + travel, path)
         motion.rotation = turn.contiguous()
         # Named before the positions that follow from them.
-        motion._check({"linear_velocity": (velocity, *_FINITE), "angular_velocity": (motion.rotation, *_TURN)})
+        motion._check({"linear_velocity": (velocity, *FINITE), "angular_velocity": (motion.rotation, *TURN)})
         return motion
 
     @classmethod
@@ -122,7 +111,7 @@ class RigidMotion:
         motion = cls.__new__(cls)
         motion._set(position_t0, orientation_t0, position_t1, path)
         motion.rotation = _rows(rotation, "rotation", count, 3, position_t0.device)
-        motion._check({"rotation": (motion.rotation, *_TURN)})
+        motion._check({"rotation": (motion.rotation, *TURN)})
         return motion
 
     @classmethod
@@ -142,7 +131,7 @@ class RigidMotion:
             ... )
         """
         motion = cls.__new__(cls)
-        motion.path, motion._faults = path, _Faults({}, device=position_t0.device)
+        motion.path, motion._faults = path, Faults({}, device=position_t0.device)
         motion.position_t0, motion.orientation_t0 = position_t0, orientation_t0
         motion.position_t1, motion.rotation = position_t1, rotation
         return motion
@@ -165,14 +154,43 @@ class RigidMotion:
     def body_count(self) -> int:
         return self.position_t0.shape[0]
 
+    def at(self, t: Tensor | float) -> tuple[Tensor, Tensor]:
+        """Poses on the path, by the arithmetic that detection uses.
+
+        Args:
+            t: times in [0, 1], broadcast against the bodies (N,): a number, one time a body (N,), or several times of
+                all bodies, (T, 1), or of each, (T, N).
+
+        Returns:
+            Positions (..., N, 3) and orientations (..., N, 4), unit quaternions.
+
+        Raises:
+            ValueError: t: its shape, or a time outside of [0, 1]; or path: it is "linear", on which a body is not rigid
+                between its end poses.
+
+        Example:
+            >>> position, orientation = motion.at(hits.first_toi(by="scene").clamp(max=1.0))
+            >>> positions, orientations = motion.at(torch.linspace(0, 1, 30)[:, None])  # (30, N, 3), (30, N, 4)
+        """
+        if self.path == "linear":
+            raise ValueError(
+                'path: "linear" moves vertices, not poses: between t0 and t1 a body is not rigid; use `VertexMotion.at`'
+            )
+        time = broadcast_times(t, self.body_count, self.device)
+        columns = (self.position_t0, self.position_t1, self.orientation_t0, self.rotation)
+        rows = (column.expand(*time.shape, -1).reshape(-1, column.shape[1]) for column in columns)
+        position_t0, position_t1, orientation_t0, rotation = rows
+        position, orientation = ops.poses_at(position_t0, position_t1, orientation_t0, rotation, time.reshape(-1))
+        return position.view(*time.shape, 3), orientation.view(*time.shape, 4)
+
     def _check(self, more: dict[str, tuple[Tensor, int, float]]) -> None:
         """Looks for faults in the poses, and in what else was given, which is named first."""
-        self._faults = _Faults(
+        self._faults = Faults(
             more
             | {
-                "position_t0": (self.position_t0, *_FINITE),
-                "position_t1": (self.position_t1, *_FINITE),
-                "orientation_t0": (self.orientation_t0, *_UNIT),
+                "position_t0": (self.position_t0, *FINITE),
+                "position_t1": (self.position_t1, *FINITE),
+                "orientation_t0": (self.orientation_t0, *UNIT),
             }
         )
 
@@ -210,11 +228,24 @@ class VertexMotion:
         #: (X, 3) float64.
         self.x_t0 = _rows(x_t0, "x_t0", count, 3, x_t0.device)
         self.x_t1 = _rows(x_t1, "x_t1", count, 3, x_t0.device)
-        self._faults = _Faults({"x_t0": (self.x_t0, *_FINITE), "x_t1": (self.x_t1, *_FINITE)}, row="vertex")
+        self._faults = Faults({"x_t0": (self.x_t0, *FINITE), "x_t1": (self.x_t1, *FINITE)}, row="vertex")
 
     @property
     def device(self) -> torch.device:
         return self.x_t0.device
+
+    def at(self, t: Tensor | float) -> Tensor:
+        """Vertices on the path: (..., X, 3), for times in [0, 1] that broadcast against the vertices (X,): a number,
+        one time a vertex (X,), or (T, 1) or (T, X) for several.
+
+        Raises:
+            ValueError: t: its shape, or a time outside of [0, 1].
+
+        Example:
+            >>> frames = motion.at(torch.linspace(0, 1, 30)[:, None])  # (30, X, 3)
+        """
+        time = broadcast_times(t, self.x_t0.shape[0], self.device)[..., None]
+        return (1.0 - time) * self.x_t0 + time * self.x_t1
 
     def check(self) -> None:
         """Raises ValueError if a position is not finite, naming the first vertex."""
@@ -228,50 +259,6 @@ class VertexMotion:
     def raise_faults(self, first: Sequence[int]) -> None:
         """What `check` raises, given the values of `first_faults`."""
         self._faults.raise_from(first)
-
-
-class _Faults:
-    """What is wrong with columns of the input.
-
-    On a CPU it raises at once. On a GPU reading the verdicts would stall the stream: they are read along with what
-    `detect` waits for. A compiled graph reads nothing.
-    """
-
-    def __init__(
-        self,
-        columns: dict[str, tuple[Tensor, int, float]],
-        row: str = "body",
-        device: torch.device | None = None,
-    ) -> None:
-        self._names, self._row, self._count, self._are_none = list(columns), row, 0, not columns
-        self._device = device
-        if not columns:
-            return
-        values, checks, limits = zip(*columns.values(), strict=True)
-        self._count = values[0].shape[0]
-        self.first = ops.first_faults(values, checks, limits)
-        if self.first.device.type == "cpu" and not torch.compiler.is_compiling():
-            self.check()
-
-    @functools.cached_property
-    def first(self) -> Tensor:
-        """(F + 1,) int64: the first faulty row of each column, or the number of rows; and whether there is any."""
-        return torch.zeros(1, dtype=torch.int64, device=self._device)
-
-    def check(self) -> None:
-        if not self._are_none:
-            self.raise_from(self.first.tolist())
-
-    def raise_from(self, first: Sequence[int]) -> None:
-        for name, index in zip(self._names, first, strict=False):
-            if index < self._count:
-                expected = f"finite numbers up to {_LARGEST_COORDINATE:g}"
-                if name.startswith("orientation"):
-                    expected = "a unit quaternion (w, x, y, z)"
-                if name in ("angular_velocity", "rotation"):
-                    expected = f"a turn of at most {_LARGEST_TURN:g} radians in the step"
-                raise ValueError(f"{name}: {self._row} {index}: expected {expected}")
-        self._are_none = True  # nobody need wait for that again
 
 
 def _body_count(values: Tensor, name: str) -> int:

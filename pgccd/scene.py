@@ -98,6 +98,7 @@ class Scene:
         self.mask = None if mask is None else _integer_column(mask, "mask", count, self.device)
         self.world = None if world is None else _world_column(world, count, self.device)
         self.static = None if static is None else _bool_column(static, "static", count, self.device)
+        _ = self.world_count  # now, so that a step need not ask a device for it
         #: (N,) float64, or None where no body has any.
         self.margin = None if margin is None else _margin_column(margin, count, self.device)
         #: (N,) bool, or None where no body is tested against itself.
@@ -139,6 +140,13 @@ class Scene:
         begin = (counts.cumsum(0) - counts).to(self.device)
         vertex_count, _, _, block_count = counts.sum(0).tolist()
         return VertexLayout(vertex_count, block_count, begin[:, 0].contiguous(), begin[:, 3].contiguous())
+
+    @functools.cached_property
+    def world_count(self) -> int:
+        """One more than the largest `world`, 1 where there is none."""
+        if self.world is None:
+            return 1
+        return 1 + int(self.world.max()) if self.body_count else 0
 
     def __repr__(self) -> str:
         return f"Scene(bodies={self.body_count}, meshes={len(self.meshes)}, device={self.device})"

@@ -83,7 +83,9 @@ class Search:
             counts = self.read()
             if counts.overflow:
                 raise CapacityError(self.capacity, counts.needed(self.capacity))
-            return self.contacts(counts)
+            contacts = self.contacts(counts)
+            contacts.scene = self.bodies.scene
+            return contacts
 
         rows, count = self.rows, self._count("contacts")
         if self.query.report == "earliest":
@@ -94,7 +96,9 @@ class Search:
             columns = (None,) * len(columns)  # type: ignore[assignment]
         lost = sum(self._count(f"{stage}_overflow") for stage in ("pairs", "traverse", "contacts"))
         overflow = lost + self.counts[-1:] > 0
-        return PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, trim)
+        padded = PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, trim)
+        padded.scene = self.bodies.scene
+        return padded
 
     def _count(self, name: str) -> Tensor:
         return self.counts[COUNT_ROWS[name]].reshape(1)

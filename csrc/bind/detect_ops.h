@@ -41,17 +41,6 @@ struct DetectOps {
     return rotation;
   }
 
-  static std::tuple<Tensor, Tensor, Tensor> moving_spheres(const TensorList& mesh_set, const TensorList& bodies,
-                                                           bool linear_path) {
-    const RigidBodies view = rigid_view(mesh_set, bodies, linear_path);
-    const Tensor& like = bodies[1];
-    const int64_t count = like.size(0);
-    Tensor centre_t0 = new_tensor<double>(like, {count, 3}), centre_t1 = new_tensor<double>(like, {count, 3});
-    Tensor reach = new_tensor<double>(like, {count});
-    Backend(like).moving_spheres(view, count, {data<double>(centre_t0), data<double>(centre_t1), data<double>(reach)});
-    return {centre_t0, centre_t1, reach};
-  }
-
   static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> refit(const TensorList& mesh_set, const Tensor& mesh_index,
                                                                   const Tensor& vertices_t0, const Tensor& vertices_t1,
                                                                   const Tensor& vertex_begin, const Tensor& block_begin,
@@ -179,7 +168,6 @@ struct DetectOps {
 #define PGCCD_REGISTER_DETECT_OPS(library, Backend)                                       \
   library.impl("first_faults", TORCH_BOX(&DetectOps<Backend>::first_faults));             \
   library.impl("rotations_between", TORCH_BOX(&DetectOps<Backend>::rotations_between));   \
-  library.impl("moving_spheres", TORCH_BOX(&DetectOps<Backend>::moving_spheres));         \
   library.impl("refit", TORCH_BOX(&DetectOps<Backend>::refit));                           \
   library.impl("sweep", TORCH_BOX(&DetectOps<Backend>::sweep));                           \
   library.impl("grid", TORCH_BOX(&DetectOps<Backend>::find_pairs<&Backend::grid>));       \

@@ -27,6 +27,9 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "spheres_t0, "
       "Tensor blocks_t1)");
   library.def(
+      "poses_at(Tensor position_t0, Tensor position_t1, Tensor orientation, Tensor rotation, Tensor time) -> (Tensor "
+      "position, Tensor orientation_at)");
+  library.def(
       "moving_spheres(Tensor[] mesh_set, Tensor[] bodies, bool linear_path) -> (Tensor centre_t0, Tensor centre_t1, "
       "Tensor reach)");
   library.def(

@@ -12,9 +12,9 @@
 namespace pgccd {
 
 struct BodyCentres {
-  const double* position_t0;  // (bodies, 3), world
-  const double* position_t1;  // (bodies, 3), world
-  const double* radius;       // (bodies,) SBV radius
+  const double* position_t0;       // (bodies, 3), world
+  const double* position_t1;       // (bodies, 3), world
+  const double* radius;            // (bodies,) SBV radius
   const double* margin = nullptr;  // (bodies,) thickness, or null: none
 };
 

@@ -59,6 +59,13 @@ void rotations_between_cpu(const Executor& executor, const double* orientation_t
   });
 }
 
+void poses_at_cpu(const Executor& executor, const RigidPoses& poses, int64_t count, double* position,
+                  double* orientation) {
+  parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
+    for (int64_t row = begin; row < end; ++row) pose_at(poses, row, position, orientation);
+  });
+}
+
 void moving_spheres_cpu(const Executor& executor, const RigidBodies& bodies, int64_t count, const MovingSpheres& out) {
   parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
     for (int64_t b = begin; b < end; ++b) {

@@ -195,6 +195,11 @@ void rotations_between_cuda(const DeviceContext& context, const double* orientat
   });
 }
 
+void poses_at_cuda(const DeviceContext& context, const RigidPoses& poses, int64_t count, double* position,
+                   double* orientation) {
+  for_each_item(context, count, [=] __device__(int64_t row) { pose_at(poses, row, position, orientation); });
+}
+
 void moving_spheres_cuda(const DeviceContext& context, const RigidBodies& bodies, int64_t count,
                          const MovingSpheres& out) {
   for_each_item(context, count, [=] __device__(int64_t b) {
