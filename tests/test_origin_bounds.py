@@ -136,11 +136,12 @@ def test_nothing_is_missed_however_far_origins_are(reach: float, along: bool, de
     assert (hits.toi == 0.0).all()
 
 
-@pytest.mark.parametrize("turn", [30.0, 40.0])
+@pytest.mark.parametrize("turn", [6.0, 20.0, 40.0])
 def test_segments_of_a_fast_spin_follow_the_arc_about_the_origin(turn: float, device: torch.device) -> None:
     """Tips that pass within the separation half-way along one of the 64 segments, where the tip is furthest from its
-    chord: by 0.992 of the bound and more."""
-    reach, separation = 10.0, 1e-2
+    chord. The arc is so large that deviations of the body's own radius are far too small for it.
+    """
+    reach, separation = 1e5, 1e-2
     tip = tetrahedron().vertices.numpy()[0]
     outward = np.array([1.0, 0.0, 0.0])
     axis = np.cross(tip, outward)
@@ -154,7 +155,7 @@ def test_segments_of_a_fast_spin_follow_the_arc_about_the_origin(turn: float, de
         direction = turned(about_z(at)[None], outward[None])[0]
         bodies = Bodies(
             [link, other],
-            np.stack([np.zeros(3), (reach + 2.0 + separation - 1e-9) * direction]),
+            np.stack([np.zeros(3), (reach + 2.0 + separation - 1e-6) * direction]),
             np.stack([STILL, about_z(at)]),
             np.zeros((2, 3)),
             np.array([[0.0, 0.0, turn], [0.0, 0.0, 0.0]]),
