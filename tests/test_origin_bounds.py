@@ -136,7 +136,7 @@ def test_nothing_is_missed_however_far_origins_are(reach: float, along: bool, de
     assert (hits.toi == 0.0).all()
 
 
-@pytest.mark.parametrize("turn", [6.0, 20.0, 40.0])
+@pytest.mark.parametrize("turn", [0.2, 1.0, 6.0, 20.0, 40.0])
 def test_segments_of_a_fast_spin_follow_the_arc_about_the_origin(turn: float, device: torch.device) -> None:
     """Tips that pass within the separation half-way along one of the 64 segments, where the tip is furthest from its
     chord. The arc is so large that deviations of the body's own radius are far too small for it.
@@ -150,8 +150,8 @@ def test_segments_of_a_fast_spin_follow_the_arc_about_the_origin(turn: float, de
     corners = turned(np.tile(turned_tip, (4, 1)), tetrahedron().vertices.numpy())
     link = pgccd.Mesh(corners + [reach, 0.0, 0.0], tetrahedron().faces)
     other = pgccd.Mesh(corners * [-1.0, -1.0, 1.0], tetrahedron().faces, "centroid")
-    for segment in (1, 3, 6, 9):
-        at = turn * (segment + 0.5) / 64
+    for when in [(k + 0.5) / 64 for k in (1, 3, 6, 9)] + [0.5] * (turn < 2.0 * np.pi):
+        at = turn * when
         direction = turned(about_z(at)[None], outward[None])[0]
         bodies = Bodies(
             [link, other],
@@ -161,5 +161,5 @@ def test_segments_of_a_fast_spin_follow_the_arc_about_the_origin(turn: float, de
             np.array([[0.0, 0.0, turn], [0.0, 0.0, 0.0]]),
         )
         hits = all_contacts(bodies, device, min_separation=separation, tolerance=0.0)
-        found = hits.toi[(hits.toi - (segment + 0.5) / 64).abs() < 1e-3]
+        found = hits.toi[(hits.toi - when).abs() < 1e-3]
         assert len(found), "missed"
