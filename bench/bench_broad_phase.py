@@ -134,7 +134,7 @@ def _pgccd(broad_phase: str, device: str) -> broad_peers.Prepare:
     def prepare(scene: MovingSpheres) -> Callable[[], Any]:
         count = len(scene.position_t0)
         sizes, index = np.unique(np.broadcast_to(scene.radius, count), return_inverse=True)
-        meshes = pgccd.MeshSet([pgccd.Mesh(size * corners, faces) for size in sizes], device)
+        meshes = pgccd.MeshSet([pgccd.Mesh(size * corners, faces, origin="centroid") for size in sizes], device)
         upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64, device=device).expand(count, 4)
         ends = [torch.from_numpy(position).to(device) for position in (scene.position_t0, scene.position_t1)]
         motion = pgccd.RigidMotion(ends[0], upright, ends[1], upright)

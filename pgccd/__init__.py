@@ -15,6 +15,7 @@ from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.narrow import Kind, Status
 from pgccd.rotation import integrate_orientation
 from pgccd.scene import Scene
+from pgccd.trajectory import Trajectory, TrajectoryContacts
 
 if _TYPE_CHECKING:
     from pgccd import about, distributed, files, sim, viz
@@ -47,6 +48,8 @@ __all__ = [
     "Scene",
     "Stats",
     "Status",
+    "Trajectory",
+    "TrajectoryContacts",
     "VertexMotion",
     "about",
     "broad",

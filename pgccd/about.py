@@ -12,7 +12,7 @@ def describe_installation() -> dict[str, str]:
 
     Example:
         >>> pgccd.about.describe_installation()["kernels for"]
-        'cpu'
+        'cpu...'
     """
     build = build_information()
     kernels = [

@@ -53,8 +53,20 @@ class MovingBodies:
         of_motion = motion.first_faults(self._columns) if wait and not motion.is_trusted else None
         if of_motion is not None:
             motion.raise_faults(of_motion.tolist())
-        #: The operators' `bodies` argument; rows 1 to 3 are centres at t0 and t1 (N, 3) and radius (N,).
+        #: The operators' `bodies` argument; rows 1 to 3 are positions at t0 and t1 (N, 3), of the origins or of the SBV
+        #: centres of bodies that deform, and SBV radius (N,).
         self.tensors = (_deforming if self.deforming else _rigid)(scene, self._columns)
+        if scene.margin is not None:
+            self.tensors.append(scene.margin)
+        if self.deforming or scene.meshes.is_centred:
+            spheres = self.position_t0, self.position_t1, self.radius
+        else:
+            spheres = ops.moving_spheres(self.mesh_set, self.tensors, self.linear_path)
+        #: (N, 3), (N, 3), (N,): at every time the body and its margin are within `reach` of the point as far along from
+        #: `centre_t0` to `centre_t1`, its SBV centres at the two ends. What broad phases test.
+        self.centre_t0, self.centre_t1, self.reach = spheres
+        if scene.margin is not None:
+            self.reach = (self.reach + scene.margin) * (1.0 + 2.0**-50)
         if of_motion is not None:
             self._faults = self._look(of_motion)
             if self.deforming:

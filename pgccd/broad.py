@@ -227,7 +227,7 @@ def _checked_columns(bodies: MovingBodies) -> _Columns:
 def _columns(bodies: MovingBodies) -> _Columns:
     scene = bodies.scene
     filters = scene.group, scene.mask, scene.world, scene.static
-    return bodies.position_t0, bodies.position_t1, bodies.radius, *filters
+    return bodies.centre_t0, bodies.centre_t1, bodies.reach, *filters
 
 
 def check_separation(min_separation: float) -> float:

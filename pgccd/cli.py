@@ -22,6 +22,7 @@ from pgccd.distributed import command
 from pgccd.files import load_motion, load_scene
 from pgccd.memory import is_out_of_memory
 from pgccd.narrow import REPORTS, Kind, Status
+from pgccd.origin import Origin
 from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.summary import summary_lines, totals, write_pictures
 
@@ -31,11 +32,12 @@ _DETECT_NOTES = """\
 poses.npz holds, for N bodies: position_t0 (N, 3) and orientation_t0 (N, 4), and either
   position_t1 (N, 3) and orientation_t1 (N, 4), or
   linear_velocity (N, 3), angular_velocity (N, 3) in radians and dt, a number.
-Positions are those of the SBV centres (see: pgccd info MESH), orientations unit quaternions (w, x, y, z), body to
-world.
+A pose puts a point v of a mesh file at position + R (v - origin), and the body turns about its origin: that of the
+file's coordinates, unless a scene file says otherwise. Orientations are unit quaternions (w, x, y, z), body to world.
 
 scene.json: {"meshes": ["robot.ply", "rock.obj"], "mesh_index": [0, 0, 1], "poses": "poses.npz"}; paths are relative to
-it; optional: "group", "mask", "world", "static", lists with one value a body."""
+it; optional: "group", "mask", "world", "static", "margin", lists with a value a body; "origin", with a value a mesh:
+[x, y, z] in the file's coordinates, "centroid" (the SBV centre) or "center_of_mass"."""
 
 
 class ArgumentError(Exception):
@@ -52,8 +54,7 @@ class _Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit code: 0, 2 for bad arguments, 130 when interrupted."""
-    parser = _build_parser()
-    options = parser.parse_args(arguments)
+    options = _build_parser().parse_args(arguments)
     try:
         return options.run(options)
     except ArgumentError as error:
@@ -168,7 +169,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
         if folder is not None:
             header, _ = distributed.on_first(comm, lambda: distributed.find_checkpoint(folder))
             files = options.mesh or distributed.on_first(comm, lambda: _listed_meshes(folder))
-            meshes = distributed.together(comm, lambda: _load_meshes(files, "--mesh"))
+            meshes = distributed.together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))
             with _progress(comm, header.steps_made, options.steps or header.steps_wanted) as progress:
                 return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
     except (ValueError, OSError) as error:
@@ -179,7 +180,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     except ValueError as error:
         field, _, problem = str(error).partition(": ")
         raise ArgumentError("--" + field.replace("pattern", "world"), problem) from error
-    meshes = distributed.together(comm, lambda: _load_meshes(options.mesh, "--mesh"))
+    meshes = distributed.together(comm, lambda: _load_meshes(options.mesh, "--mesh", "centroid"))
     steps = 20 if options.steps is None else options.steps
 
     def list_meshes() -> None:
@@ -205,9 +206,9 @@ def _listed_meshes(folder: Path) -> list[str] | None:
     return (json.loads(path.read_text()) or None) if path.is_file() else None
 
 
-def _load_meshes(files: Sequence[str] | None, argument: str) -> list[pgccd.Mesh] | None:
+def _load_meshes(files: Sequence[str] | None, argument: str, origin: Origin = (0, 0, 0)) -> list[pgccd.Mesh] | None:
     try:
-        return None if files is None else [pgccd.Mesh.load(name) for name in files]
+        return None if files is None else [pgccd.Mesh.load(name, origin) for name in files]
     except (ValueError, OSError, ImportError) as error:
         raise ArgumentError(argument, str(error).removeprefix("path: ")) from error
 
@@ -292,8 +293,7 @@ def _plain(value: Any) -> str:
 def _info(options: argparse.Namespace) -> int:
     for name, value in describe_installation().items():
         print(f"{name:<20}{value}")
-    for name in options.meshes:
-        mesh = (_load_meshes([name], "MESH") or [])[0]
+    for name, mesh in zip(options.meshes, _load_meshes(options.meshes, "MESH") or [], strict=True):
         centre = ", ".join(f"{x:.9g}" for x in mesh.centre.tolist())
         size = f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces"
         print(f"{name}: {size}, SBV centre ({centre}), radius {mesh.radius:.9g}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import Tensor
@@ -12,6 +12,9 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.capacity import COUNT_ROWS, Capacity, CapacityError, Counts
 from pgccd.faults import Faults
+
+if TYPE_CHECKING:
+    from pgccd.scene import Scene
 
 #: Columns of contacts as the operators give them: row of the pairs (K,), kind (K,), features (K, 2), status (K,), toi
 #: (K,), coordinates (K, 2), point (K, 3), normal (K, 3).
@@ -40,6 +43,33 @@ class Stats:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
+#: Of what first times are asked for.
+By = Literal["scene", "world", "body"]
+
+
+def first_time(pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By) -> Tensor:
+    """The least `time` (K,) of rows of `pairs` (K, 2), perhaps padded with -1; see `Contacts.first_toi`."""
+    if by not in ("scene", "world", "body"):
+        raise ValueError(f'by: expected "scene", "world" or "body", got {by!r}')
+    if time is None:
+        raise ValueError('report: "any" gives no times; ask for "first" or "earliest"')
+    if by == "scene":
+        return torch.cat([time, time.new_full((1,), torch.inf)]).min()
+    if scene is None:
+        raise ValueError(f"by: {by!r} needs the result of `pgccd.detect`; on many ranks see `World.first_toi`")
+    count = scene.body_count
+    # One more, for padding.
+    owner = torch.where(pairs < 0, count, pairs).reshape(-1)
+    if by == "world":
+        count = scene.world_count
+        if scene.world is None:
+            owner = (owner == scene.body_count).long()
+        else:
+            owner = torch.cat([scene.world.long(), scene.world.new_full((1,), count, dtype=torch.int64)])[owner]
+    first = time.new_full((count + 1,), torch.inf)
+    return first.scatter_reduce(0, owner, time.repeat_interleave(2), "amin")[:count]
+
+
 @dataclass
 class Contacts:
     """K contacts, sorted by pair, then kind and features.
@@ -63,9 +93,23 @@ class Contacts:
     )  #: (K, 3) unit vector from i (or the first feature) towards j at toi (zero if degenerate features coincide)
     status: Tensor | None  #: (K,) int8, see `Status`
     stats: Stats
+    #: What the bodies are of; None where `pairs` are not rows of one scene.
+    scene: Scene | None = field(default=None, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
         return self.pairs.shape[0]
+
+    def first_toi(self, by: By = "scene") -> Tensor:
+        """The first toi, float64, inf where nothing collides: () of the "scene", (W,) of each "world" (W is one more
+        than the largest in the scene), or (N,) of each "body".
+
+        Raises:
+            ValueError: report: it was "any".
+
+        Example:
+            >>> x0 + hits.first_toi("scene").clamp(max=1.0) * (x1 - x0)  # as far as all may go
+        """
+        return first_time(self.pairs, self.toi, self.scene, by)
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Contacts:
         """The contacts of some rows: a mask (K,), row numbers or a slice. `stats` stay those of the whole call.
@@ -86,7 +130,9 @@ class Contacts:
         return self._with({name: column.to(device) for name, column in _columns(self).items()})
 
     def _with(self, columns: dict[str, Any]) -> Contacts:
-        return replace(self, **columns)
+        changed = replace(self, **columns)
+        changed.scene = self.scene
+        return changed
 
     def __repr__(self) -> str:
         return f"Contacts(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
@@ -117,6 +163,11 @@ class PaddedContacts:
     broad_phase: str  #: as in `Stats`
     bodies: int  #: number of bodies
     faults: Faults  #: what the last of `counts` mean
+    scene: Scene | None = field(default=None, init=False, repr=False, compare=False)
+
+    def first_toi(self, by: By = "scene") -> Tensor:
+        """As `Contacts.first_toi`; waits for nothing. Where there was not room for all, some may be missing."""
+        return first_time(self.pairs, self.toi, self.scene, by)
 
     def trim(self) -> Contacts:
         """The contacts alone, with stats. Waits for the device.
@@ -136,7 +187,9 @@ class PaddedContacts:
         count = min(counts.contacts, len(self.pairs))  # of the earliest there is one row
         columns = {name: None if column is None else column[:count] for name, column in _all_columns(self).items()}
         stats = stats_of(counts, self.capacity, self.bodies, count, self.broad_phase, waits=int(self.counts.is_cuda))
-        return Contacts(**columns, stats=stats)  # type: ignore[arg-type]
+        contacts = Contacts(**columns, stats=stats)  # type: ignore[arg-type]
+        contacts.scene = self.scene
+        return contacts
 
     def __repr__(self) -> str:
         return f"PaddedContacts(room={len(self.pairs)}, device={self.pairs.device})"
@@ -159,7 +212,7 @@ def stats_of(counts: Counts, capacity: Capacity, bodies: int, contacts: int, bro
     )
 
 
-_COLUMNS = tuple(each.name for each in fields(Contacts) if each.name != "stats")
+_COLUMNS = tuple(each.name for each in fields(Contacts) if each.name not in ("stats", "scene"))
 
 
 def _all_columns(contacts: Contacts | PaddedContacts) -> dict[str, Any]:

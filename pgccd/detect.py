@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from typing import overload
+from typing import Any, overload
 
 from torch import Tensor
 
@@ -18,6 +18,7 @@ from pgccd.motion import RigidMotion, VertexMotion
 from pgccd.query import Query
 from pgccd.scene import Scene
 from pgccd.streaming import SolvePairs, stream
+from pgccd.trajectory import Trajectory, TrajectoryContacts, detect_trajectory
 from pgccd.within import Search, search_within
 
 # A step that does not fit is repeated with more room, once for every stage that may have run out of it.
@@ -52,9 +53,21 @@ def detect(
     memory_budget: int | None = None,
     capacity: Capacity,
 ) -> PaddedContacts: ...
+@overload
 def detect(
     scene: Scene,
-    motion: RigidMotion | VertexMotion,
+    motion: Trajectory,
+    report: narrow.Report = "first",
+    min_separation: float = 0.0,
+    *,
+    tolerance: float | None = None,
+    nonzero_toi: bool = False,
+    broad_phase: broad.BroadPhase = "auto",
+    memory_budget: int | None = None,
+) -> TrajectoryContacts: ...
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion | Trajectory,
     report: narrow.Report = "first",
     min_separation: float = 0.0,
     *,
@@ -65,7 +78,7 @@ def detect(
     memory_budget: int | None = None,
     capacity: Capacity | None = None,
 ) -> Contacts | PaddedContacts:
-    """Finds the collisions that happen during one step.
+    """Finds the collisions that happen during one step, or during all steps of a trajectory.
 
     Nothing is missed: if two primitives of different bodies touch (distance <= min_separation) at some t in [0, 1] on
     the paths the motion defines, a contact is reported, and its toi is not later than that t. The same holds within a
@@ -74,11 +87,13 @@ def detect(
 
     Args:
         scene: the bodies.
-        motion: where they go.
+        motion: where they go. Of a `Trajectory` all segments are tested in this one call; "first" is then the first
+            contact of each pair and "earliest" that of the scene over all segments, "any" the pairs that collide in any
+            of them, and "all" has the contacts of every segment; neither `pairs` nor `capacity` may be given.
         report: "any": which body pairs collide (Alg. 2 of Du, Liu & Suzumura 2017). "first": the earliest contact of
             each pair (of equal toi the smallest kind and features). "all": every touching feature pair. "earliest":
             the one first contact of the scene; its toi is the largest collision-free fraction of the step.
-        min_separation: length >= 0.
+        min_separation: length >= 0. Bodies may have margins besides, see `Scene`.
         tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
             SBV radius of each pair.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
@@ -94,8 +109,9 @@ def detect(
             `overflow` of the result tells whether the room sufficed. (For bodies that deform, call once before.)
 
     Returns:
-        Contacts, on the scene's device; PaddedContacts if `capacity` is given. On a GPU the host waits once, for the
-        counts that sizes follow from; again only where a step needs much more room than the last one.
+        Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts of a trajectory. On a
+        GPU the host waits once, for the counts that sizes follow from; again only where a step needs much more room
+        than the last one.
 
     Raises:
         ValueError, TypeError: naming the argument; also if an input requires grad: there are no gradients yet.
@@ -110,6 +126,16 @@ def detect(
         memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
     if capacity is not None:
         check_capacity(capacity)
+    if isinstance(motion, Trajectory):
+        for name, value in (("pairs", pairs), ("capacity", capacity)):
+            if value is not None:
+                raise ValueError(f"{name}: cannot be given with a Trajectory, whose segments are found in one call")
+
+        def detect_step(scene: Scene, motion: RigidMotion | VertexMotion, report: narrow.Report) -> Contacts:
+            options: dict[str, Any] = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "broad_phase": broad_phase}
+            return detect(scene, motion, report, min_separation, memory_budget=memory_budget, **options)
+
+        return detect_trajectory(scene, motion, query, detect_step)
     on_cpu = isinstance(scene, Scene) and scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # which compiled graphs do not know
     bodies = MovingBodies(scene, motion, wait=on_cpu and capacity is None)
@@ -121,6 +147,7 @@ def detect(
         return search_within(bodies, query, capacity, broad_phase, pairs).padded()
     found = find_contacts(bodies, query, broad_phase, pairs, memory_budget)
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
+    found.scene = scene
     return found
 
 

@@ -25,6 +25,18 @@ def _(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     return orientation_t0.new_empty((orientation_t0.shape[0], 3))
 
 
+@torch.library.register_fake("pgccd::poses_at")
+def _(
+    position_t0: Tensor, position_t1: Tensor, orientation: Tensor, rotation: Tensor, time: Tensor
+) -> tuple[Tensor, Tensor]:
+    return torch.empty_like(position_t0), torch.empty_like(orientation)
+
+
+@torch.library.register_fake("pgccd::moving_spheres")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool) -> tuple[Tensor, Tensor, Tensor]:
+    return torch.empty_like(bodies[1]), torch.empty_like(bodies[1]), torch.empty_like(bodies[3])
+
+
 @torch.library.register_fake("pgccd::refit")
 def _(
     mesh_set: list[Tensor],

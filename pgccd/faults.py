@@ -12,14 +12,14 @@ from pgccd import ops
 from pgccd.mesh import LARGEST_RADIUS, SMALLEST_RADIUS
 
 # Quaternions further from unit length than this are taken for mistakes; nearer ones are normalised exactly.
-_UNIT_TOLERANCE = 1e-3
+UNIT_TOLERANCE = 1e-3
 # Squares of larger coordinates overflow.
-_LARGEST_COORDINATE = 1e150
+LARGEST_COORDINATE = 1e150
 # Sine and cosine are proven up to here.
 _LARGEST_TURN = 1e6
 # Checks of `ops.first_faults`, their limits, and what is expected.
-_FINITE = (0, _LARGEST_COORDINATE, f"finite numbers up to {_LARGEST_COORDINATE:g}")
-_UNIT = (1, _UNIT_TOLERANCE, "a unit quaternion (w, x, y, z)")
+_FINITE = (0, LARGEST_COORDINATE, f"finite numbers up to {LARGEST_COORDINATE:g}")
+_UNIT = (1, UNIT_TOLERANCE, "a unit quaternion (w, x, y, z)")
 _TURN = (2, _LARGEST_TURN, f"a turn of at most {_LARGEST_TURN:g} radians in the step")
 _CHECKS = {
     "orientation": _UNIT,

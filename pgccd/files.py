@@ -15,12 +15,11 @@ import torch
 from pgccd import arguments
 from pgccd.mesh import Mesh
 from pgccd.motion import RigidMotion
-from pgccd.scene import Scene
+from pgccd.scene import OPTIONAL_COLUMNS, Scene
 
 _START = ("position_t0", "orientation_t0")
 _END = ("position_t1", "orientation_t1")
 _VELOCITY = ("linear_velocity", "angular_velocity", "dt")
-_FILTERS = ("group", "mask", "world", "static")
 _SCENE = ("meshes", "mesh_index", "poses")
 
 
@@ -28,7 +27,7 @@ def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -
     """A rigid motion of N bodies from an npz file.
 
     The file holds position_t0 (N, 3) and orientation_t0 (N, 4), and either position_t1 and orientation_t1, or
-    linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt. Positions are those of the SBV centres,
+    linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt. Positions are those of the meshes' origins,
     orientations unit quaternions (w, x, y, z), body to world.
 
     Raises:
@@ -70,7 +69,8 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
     """A scene and its motion from a JSON file.
 
     The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file}, paths relative to it; and optionally
-    "group", "mask", "world" and "static", lists with one value a body.
+    "group", "mask", "world", "static" and "margin", lists with one value a body, and "origin", a list with one value a
+    mesh: a point [x, y, z] or a name, as for `Mesh`.
 
     Raises:
         ValueError: a file cannot be read, a key is missing or unknown, or a value is not as `Scene` expects it.
@@ -86,7 +86,7 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
         raise ValueError(f"{path} cannot be read as JSON: {error}") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected an object with {', '.join(_SCENE)}, got {type(content).__name__}")
-    _require_known(path, content, (*_SCENE, *_FILTERS))
+    _require_known(path, content, (*_SCENE, *OPTIONAL_COLUMNS, "origin"))
     for key in _SCENE:
         if key not in content:
             raise ValueError(f"{path} has no {key!r}")
@@ -95,10 +95,13 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
         raise ValueError(f"{path}: meshes: expected a list of file names, got {names!r}")
     if not isinstance(content["poses"], str):
         raise ValueError(f"{path}: poses: expected the name of an npz file, got {content['poses']!r}")
-    filters = {key: content[key] for key in _FILTERS if key in content}
+    optional = {key: content[key] for key in OPTIONAL_COLUMNS if key in content}
+    origins = content.get("origin", [(0.0, 0.0, 0.0)] * len(names))
+    if not isinstance(origins, list) or len(origins) != len(names):
+        raise ValueError(f"{path}: origin: expected a list of {len(names)} values, one a mesh, got {origins!r}")
     try:
-        meshes = [Mesh.load(path.parent / name) for name in names]
-        scene = Scene(meshes, content["mesh_index"], device, **filters)
+        meshes = [Mesh.load(path.parent / name, origin) for name, origin in zip(names, origins, strict=True)]
+        scene = Scene(meshes, content["mesh_index"], device, **optional)
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
     return scene, load_motion(path.parent / content["poses"], device)

@@ -1,4 +1,4 @@
-"""Meshes: triangles in a body frame, prepared once and shared by any number of bodies."""
+"""Meshes: triangles and the origin that poses refer to, prepared once and shared by any number of bodies."""
 
 from __future__ import annotations
 
@@ -12,28 +12,40 @@ import torch
 from torch import Tensor
 
 from pgccd import _host, arguments, mesh_files
+from pgccd.origin import Origin, origin_point
 
 # Triangles a leaf of the hierarchy holds at most: one for each lane of a vector unit.
 LEAF_SIZE = 8
 
 # Beyond these the float32 hierarchy would overflow or vanish.
 SMALLEST_RADIUS, LARGEST_RADIUS = 1e-30, 1e30
+# An origin further away than so many SBV radii leaves vertices no more than four digits.
+_FURTHEST_ORIGIN = 1e12
 
 
 class Mesh:
     """A triangle mesh with its sphere bounding volume (SBV) and hierarchy.
 
-    The body frame has its origin at the SBV centre, the mean of the corner coordinates over all triangles (Du, Liu &
-    Suzumura 2017, Eq. 1); `centre` says where that is in the coordinates given, so that a body placed with its
-    position at `centre` and no rotation lies exactly where the input did.
+    A pose maps the coordinates as given: a point v of the mesh is at position + R (v - origin). The origin is the point
+    whose place a pose's position is, and the one a rigid path turns about; nothing about a path depends on how finely
+    the mesh is tessellated.
+
+    Points are kept relative to the origin in float64, so an origin r SBV radii away costs them digits: their error is
+    about 300 r times 2^-53 of a radius, which the default tolerance of detection (1e-6 radii) covers up to r of about
+    1e6. Beyond that nothing is missed, but bodies are reported as touching that are a few such errors apart.
 
     Args:
         vertices: (V, 3) array or tensor of finite numbers, in scene length units.
         faces: (F, 3) integers, each face three different rows of `vertices`. Open, non-manifold and multi-component
             meshes are fine, and so are faces without area.
+        origin: a point (3,) in the coordinates of `vertices`, for example a joint; "centroid", the SBV centre: the mean
+            of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1), which depends on the
+            tessellation; or "center_of_mass", that of a solid of uniform density. The surface must then be closed and
+            consistently oriented (each edge between two triangles that pass through it in opposite directions).
 
     Raises:
-        ValueError: naming the first offending vertex or face, or when the mesh has no faces or no extent.
+        ValueError: naming the first offending vertex or face, or when the mesh has no faces or no extent; or origin,
+            when it is not a finite point or the surface bounds no solid.
 
     Example:
         >>> corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
@@ -42,7 +54,9 @@ class Mesh:
         torch.Size([6, 2])
     """
 
-    def __init__(self, vertices: npt.ArrayLike | Tensor, faces: npt.ArrayLike | Tensor) -> None:
+    def __init__(
+        self, vertices: npt.ArrayLike | Tensor, faces: npt.ArrayLike | Tensor, origin: Origin = (0.0, 0.0, 0.0)
+    ) -> None:
         points = _as_array(vertices, np.float64, "vertices")
         triangles = _as_array(faces, np.int64, "faces")
         _check_faces(points, triangles)
@@ -50,20 +64,37 @@ class Mesh:
         corners = points[triangles]
         # From the first corner, so that a mesh far from the origin keeps its digits.
         centre = corners[0, 0] + (corners - corners[0, 0]).reshape(-1, 3).mean(axis=0)
-        local = points - centre
+        reference = origin_point(origin, points, triangles, centre)
+        # Relative to the origin these are the truth; all else follows from them.
+        body = points - reference
+        offset = centre - reference
+        local = body - offset if offset.any() else body
         radius = float(np.sqrt((local[triangles.ravel()] ** 2).sum(axis=1).max()))
         if not SMALLEST_RADIUS <= radius <= LARGEST_RADIUS:
             raise ValueError(
                 f"vertices: the mesh has SBV radius {radius:g}; "
                 f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
             )
+        if float(np.abs(offset).max()) > _FURTHEST_ORIGIN * radius:
+            raise ValueError(
+                f"origin: it must lie within {_FURTHEST_ORIGIN:g} SBV radii of the SBV centre {centre.tolist()}, of "
+                f'which one is {radius:g}, but it is {reference.tolist()}; origin="centroid" puts it there'
+            )
         prepared = _host.prepare_mesh(local, triangles.astype(np.int32), LEAF_SIZE)
-        #: (3,) float64: the body frame's origin in the coordinates given.
+        #: (3,) float64: the origin in the coordinates given.
+        self.origin = torch.from_numpy(reference)
+        #: (3,) float64: the SBV centre in the coordinates given.
         self.centre = torch.from_numpy(centre)
         #: SBV radius: the largest distance of a used vertex from the centre (Eq. 2), rounded up.
         self.radius = radius * (1.0 + 2.0**-50)
-        #: (V, 3) float64, body frame.
-        self.vertices = torch.from_numpy(local)
+        #: (3,) float64: the SBV centre relative to the origin; exactly 0 for "centroid".
+        self.centre_offset = torch.from_numpy(offset)
+        #: No used vertex is further from the origin; the radius where the centre is there.
+        self.reach = self.radius
+        if offset.any():
+            self.reach = (self.radius + float(np.linalg.norm(offset))) * (1.0 + 2.0**-50)
+        #: (V, 3) float64, relative to the origin.
+        self.vertices = torch.from_numpy(body)
         #: (F, 3) int32.
         self.faces = torch.from_numpy(triangles.astype(np.int32))
         #: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Contacts name edges by these
@@ -71,17 +102,18 @@ class Mesh:
         self.edges = torch.from_numpy(prepared["edges"])
         self._triangles = torch.from_numpy(prepared["triangles"])
         in_leaf_order = self.faces[self._triangles[:, 6].long()].long()
-        # Corner coordinates as nine columns.
-        self._corners = self.vertices.float()[in_leaf_order].view(-1, 9).T.contiguous()
+        # Corner coordinates as nine columns, relative to the SBV centre as the hierarchy is.
+        self._corners = torch.from_numpy(local).float()[in_leaf_order].view(-1, 9).T.contiguous()
         self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 9, 8)
         self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 2)
 
     @classmethod
-    def from_trimesh(cls, mesh: Any, *, weld: bool = True) -> Mesh:
+    def from_trimesh(cls, mesh: Any, origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> Mesh:
         """From a `trimesh.Trimesh`, or a `trimesh.Scene` (its meshes are placed as the scene says, and joined).
 
         Args:
             mesh: what trimesh made.
+            origin: as for the constructor.
             weld: make one vertex of those at the same position: files have several along the seams of a texture or of
                 normals, at which the mesh would fall apart, and collide with itself where it deforms. Contacts then
                 name vertices, edges and faces of the welded mesh; `source_vertex` and `source_face` say which these
@@ -95,14 +127,15 @@ class Mesh:
         Example:
             >>> robot = pgccd.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=3))
         """
-        return cls._of_geometry(mesh_files.joined_geometry(mesh), weld)
+        return cls._of_geometry(mesh_files.joined_geometry(mesh), origin, weld)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], *, weld: bool = True) -> Mesh:
+    def load(cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> Mesh:
         """From any mesh file that trimesh loads (ply, stl, obj, off, glb, ...); all meshes in it are joined.
 
         Args:
             path: of the file.
+            origin: as for the constructor.
             weld: as for `from_trimesh`.
 
         Raises:
@@ -118,12 +151,12 @@ class Mesh:
         """
         loaded = mesh_files.load_geometry(path)
         try:
-            return cls._of_geometry(mesh_files.joined_geometry(loaded), weld)
+            return cls._of_geometry(mesh_files.joined_geometry(loaded), origin, weld)
         except ValueError as error:
             raise ValueError(f"path: {path}: {error}") from error
 
     @classmethod
-    def load_all(cls, path: str | PathLike[str], *, weld: bool = True) -> list[Mesh]:
+    def load_all(cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> list[Mesh]:
         """The meshes of a file one by one, with their names: of a scene (glb, gltf, 3mf, ...) each where the scene
         places it, of an obj file its objects and groups, of any other the only one. Arguments and errors as of `load`.
 
@@ -136,15 +169,15 @@ class Mesh:
         try:
             for geometry in mesh_files.placed_geometry(loaded):
                 part = f": {geometry.name}" if geometry.name else ""
-                meshes.append(cls._of_geometry(geometry, weld))
+                meshes.append(cls._of_geometry(geometry, origin, weld))
         except ValueError as error:
             raise ValueError(f"path: {path}{part}: {error}") from error
         return meshes
 
     @classmethod
-    def _of_geometry(cls, geometry: mesh_files.Geometry, weld: bool) -> Mesh:
+    def _of_geometry(cls, geometry: mesh_files.Geometry, origin: Origin, weld: bool) -> Mesh:
         cleaned = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
-        mesh = cls(cleaned.vertices, cleaned.faces)
+        mesh = cls(cleaned.vertices, cleaned.faces, origin)
         mesh.name = geometry.name
         mesh.welded_vertices = len(geometry.vertices) - len(cleaned.vertices)
         mesh.dropped_faces = len(geometry.faces) - len(cleaned.faces)
@@ -201,7 +234,13 @@ class MeshSet:
         joined = [torch.cat([getattr(m, column) for m in meshes]) for column in columns]
         # Padded, so that eight neighbours can be loaded at the last triangle too.
         corners = torch.nn.functional.pad(torch.cat([m._corners for m in meshes], dim=1), (0, LEAF_SIZE))
-        self.tensors = [tensor.contiguous().to(device) for tensor in (*joined, corners, self.offsets)]
+        #: Whether every mesh has its SBV centre at its origin.
+        self.is_centred = not any(bool(m.centre_offset.any()) for m in meshes)
+        off_centre = [] if self.is_centred else meshes
+        centres = torch.cat([torch.empty((0, 3), dtype=torch.float64), *(m.centre_offset[None] for m in off_centre)])
+        reaches = torch.tensor([m.reach for m in off_centre], dtype=torch.float64)
+        columns_of_all = (*joined, corners, self.offsets, centres, reaches)
+        self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
         #: As torch resolves it: "cuda" becomes "cuda:0".
         self.device = self.tensors[0].device
         #: What steps have needed; kept by `pgccd.memory`.

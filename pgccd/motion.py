@@ -12,20 +12,23 @@ from pgccd import arguments, ops
 from pgccd.arguments import real_rows
 from pgccd.columns import MovingColumns
 from pgccd.faults import first_faults
+from pgccd.times import broadcast_times
 
 PathKind = Literal["rigid", "linear"]
 _PATHS = get_args(PathKind)
 
 
 class RigidMotion(MovingColumns):
-    """Rigid bodies: the centre moves on a straight line, the orientation turns at a constant rate.
+    """Rigid bodies: the origin of the mesh moves on a straight line, the body turns about it at a constant rate.
 
-    R(t) = exp(t [w]x) R0 with the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a
+    A point v of the mesh (in the coordinates given to `Mesh`) is at x(t) = position(t) + R(t) (v - origin), with
+    R(t) = exp(t [w]x) R0 and the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a
     turn, about the vector part of q1 * conj(q0)). With `path="linear"` every vertex moves on the straight line
     between its two end positions instead (the two vertex streams of Du, Liu & Suzumura 2017).
 
     Args:
-        position_t0, position_t1: (N, 3) SBV centres at the two ends of the step, world frame, scene length units.
+        position_t0, position_t1: (N, 3) where the meshes' origins are at the two ends of the step, world frame, scene
+            length units.
         orientation_t0, orientation_t1: (N, 4) unit quaternions (w, x, y, z), body to world.
         path: "rigid" or "linear".
 
@@ -109,7 +112,7 @@ class RigidMotion(MovingColumns):
         rotation: Tensor,
         path: PathKind = "rigid",
     ) -> RigidMotion:
-        """From where the centres go and how the bodies turn; made of another motion's rows, it is that one to the bit.
+        """From where the origins go and how the bodies turn; made of another motion's rows, it is that one to the bit.
 
         Args:
             position_t0, position_t1: (N, 3), as for the constructor.
@@ -160,6 +163,35 @@ class RigidMotion(MovingColumns):
     def body_count(self) -> int:
         return self.position_t0.shape[0]
 
+    def at(self, t: Tensor | float) -> tuple[Tensor, Tensor]:
+        """Poses on the path, by the arithmetic that detection uses.
+
+        Args:
+            t: times in [0, 1], broadcast against the bodies (N,): a number, one time a body (N,), or several times of
+                all bodies, (T, 1), or of each, (T, N).
+
+        Returns:
+            Positions (..., N, 3) and orientations (..., N, 4), unit quaternions.
+
+        Raises:
+            ValueError: t: its shape, or a time outside of [0, 1]; or path: it is "linear", on which a body is not rigid
+                between its end poses.
+
+        Example:
+            >>> position, orientation = motion.at(hits.first_toi(by="scene").clamp(max=1.0))
+            >>> positions, orientations = motion.at(torch.linspace(0, 1, 30)[:, None])  # (30, N, 3), (30, N, 4)
+        """
+        if self.path == "linear":
+            raise ValueError(
+                'path: "linear" moves vertices, not poses: between t0 and t1 a body is not rigid; use `VertexMotion.at`'
+            )
+        time = broadcast_times(t, self.body_count, self.device)
+        columns = (self.position_t0, self.position_t1, self.orientation_t0, self.rotation)
+        rows = (column.expand(*time.shape, -1).reshape(-1, column.shape[1]) for column in columns)
+        position_t0, position_t1, orientation_t0, rotation = rows
+        position, orientation = ops.poses_at(position_t0, position_t1, orientation_t0, rotation, time.reshape(-1))
+        return position.view(*time.shape, 3), orientation.view(*time.shape, 4)
+
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> RigidMotion:
         """The motion of some bodies: a mask (N,), row numbers or a slice.
 
@@ -200,6 +232,19 @@ class VertexMotion(MovingColumns):
         self.x_t0 = real_rows(x_t0, "x_t0", None, 3, None)
         self.x_t1 = real_rows(x_t1, "x_t1", self.x_t0.shape[0], 3, self.device)
         self._check_early()
+
+    def at(self, t: Tensor | float) -> Tensor:
+        """Vertices on the path: (..., X, 3), for times in [0, 1] that broadcast against the vertices (X,): a number,
+        one time a vertex (X,), or (T, 1) or (T, X) for several.
+
+        Raises:
+            ValueError: t: its shape, or a time outside of [0, 1].
+
+        Example:
+            >>> frames = motion.at(torch.linspace(0, 1, 30)[:, None])  # (30, X, 3)
+        """
+        time = broadcast_times(t, self.x_t0.shape[0], self.device)[..., None]
+        return (1.0 - time) * self.x_t0 + time * self.x_t1
 
     def __repr__(self) -> str:
         return f"VertexMotion(vertices={self.x_t0.shape[0]}, device={self.device})"

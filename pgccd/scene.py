@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,8 @@ from pgccd.mesh import Mesh, MeshSet
 
 #: Columns of a scene that say which of its bodies may collide.
 FILTERS = ("group", "mask", "world", "static")
+#: Columns of a scene that may be absent.
+OPTIONAL_COLUMNS = (*FILTERS, "margin")
 
 
 @dataclass(frozen=True)
@@ -44,9 +47,13 @@ class Scene:
         self_collision: bool, or (N,) bool: which bodies are also tested against themselves, as pairs (i, i), while they
             deform (`VertexMotion`); default none. Of a body's features those are tested that share no vertex. Neither
             group, mask nor world keep a body from itself; being static does.
+        margin: thickness of bodies, a number or (N,), scene length units, finite and >= 0: a pair is tested with the
+            separation min_separation + margin_i + margin_j, and a body against itself with min_separation + 2
+            margin_i. Default none. Where a body's true path strays from the one tested by no more than its margin at
+            any time, no contact of the true path is missed.
 
-    `mesh_index`, `group`, `mask`, `world` and `static` may be written to or replaced later; the bodies that are tested
-    against themselves are fixed.
+    `mesh_index`, `group`, `mask`, `world`, `static` and `margin` may be written to or replaced later; the bodies that
+    are tested against themselves are fixed.
 
     Raises:
         ValueError, TypeError: naming the argument.
@@ -68,6 +75,7 @@ class Scene:
         world: Tensor | Sequence[int] | None = None,
         static: Tensor | Sequence[bool] | None = None,
         self_collision: Tensor | Sequence[bool] | bool = False,
+        margin: Tensor | Sequence[float] | float | None = None,
     ) -> None:
         if device is None:
             if isinstance(meshes, MeshSet):
@@ -96,6 +104,9 @@ class Scene:
         self.mask = None if mask is None else _integer_column(mask, "mask", count, self.device)
         self.world = None if world is None else _world_column(world, count, self.device)
         self.static = None if static is None else _bool_column(static, "static", count, self.device)
+        _ = self.world_count  # now, so that a step need not ask a device for it
+        #: (N,) float64, or None where no body has any.
+        self.margin = None if margin is None else _margin_column(margin, count, self.device)
         #: (N,) bool, or None where no body is tested against itself.
         self.self_collision = _self_column(self_collision, count, self.device)
         if self.self_collision is not None and self.static is not None:
@@ -106,9 +117,9 @@ class Scene:
         self.self_colliding_vertices = _vertex_count(meshes, self.mesh_index[self.self_colliding])
 
     @classmethod
-    def of_checked(cls, meshes: MeshSet, mesh_index: Tensor, **filters: Tensor) -> Scene:
-        """Of columns that come from a scene already checked, rows of its `mesh_index`, `group` and so on: nothing is
-        looked at. None of the bodies is tested against itself.
+    def of_checked(cls, meshes: MeshSet, mesh_index: Tensor, **columns: Tensor) -> Scene:
+        """Of columns that come from a scene already checked, rows of its `mesh_index`, `group`, `margin` and so on:
+        nothing is looked at. None of the bodies is tested against itself.
 
         Example:
             >>> part = pgccd.Scene.of_checked(scene.meshes, scene.mesh_index[rows])
@@ -116,8 +127,8 @@ class Scene:
         scene = cls.__new__(cls)
         scene.meshes, scene.device = meshes, meshes.device
         scene.mesh_index, scene.body_count = mesh_index, mesh_index.shape[0]
-        for name in FILTERS:
-            setattr(scene, name, filters.get(name))
+        for name in OPTIONAL_COLUMNS:
+            setattr(scene, name, columns.get(name))
         scene.self_collision, scene.self_colliding_vertices = None, 0
         scene.self_colliding = _rows_of(None, meshes.device)
         return scene
@@ -156,6 +167,13 @@ class Scene:
         begin = (counts.cumsum(0) - counts).to(self.device)
         vertex_count, _, _, block_count = counts.sum(0).tolist()
         return VertexLayout(vertex_count, block_count, begin[:, 0].contiguous(), begin[:, 3].contiguous())
+
+    @functools.cached_property
+    def world_count(self) -> int:
+        """One more than the largest `world`, 1 where there is none."""
+        if self.world is None:
+            return 1
+        return 1 + int(self.world.max()) if self.body_count else 0
 
     def check_columns(self) -> None:
         """Raises TypeError or ValueError if a column was replaced by something else. Values are not looked at."""
@@ -219,6 +237,7 @@ _DTYPES = {
     "mask": torch.int64,
     "world": torch.int32,
     "static": torch.uint8,
+    "margin": torch.float64,
 }
 
 
@@ -271,6 +290,23 @@ def _bool_column(values: Tensor | Sequence[bool], name: str, count: int, device:
     if column.shape != (count,):
         raise ValueError(f"{name}: expected shape ({count},), got {tuple(column.shape)}")
     return column.to(device=device, dtype=torch.uint8).contiguous()
+
+
+def _margin_column(values: Tensor | Sequence[float] | float, count: int, device: torch.device) -> Tensor:
+    column = torch.as_tensor(values)
+    if column.is_complex() or column.dtype == torch.bool:
+        raise TypeError(f"margin: expected lengths, got {column.dtype}")
+    column = column.detach().to(device=device, dtype=torch.float64)
+    if column.dim() == 0:
+        column = column.expand(count)
+    if column.shape != (count,):
+        raise ValueError(f"margin: expected a number or shape ({count},), got {tuple(column.shape)}")
+    if count:
+        faulty = ~((column >= 0.0) & (column < torch.inf))
+        if bool(faulty.any()):
+            body = int(faulty.long().argmax())
+            raise ValueError(f"margin: body {body}: expected a finite length >= 0, got {float(column[body])}")
+    return column.contiguous()
 
 
 def _self_column(values: Tensor | Sequence[bool] | bool, count: int, device: torch.device) -> Tensor | None:

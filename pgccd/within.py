@@ -63,7 +63,9 @@ class Search:
         lost = sum(self._count(f"{stage}_overflow") for stage in ("pairs", "traverse", "contacts"))
         overflow = lost + self.counts[-1:] > 0
         told = (self.broad_phase, self.bodies.scene.body_count, self.bodies.faults)
-        return PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, *told)
+        padded = PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, *told)
+        padded.scene = self.bodies.scene
+        return padded
 
     def _count(self, name: str) -> Tensor:
         return self.counts[COUNT_ROWS[name]].reshape(1)

@@ -139,6 +139,11 @@ case("world range", lambda: scene(world=[0, 2**31]), "world")
 case("self_collision count", lambda: scene(self_collision=[True]), "self_collision", "2")
 case("self_collision type", lambda: scene(self_collision=[1, 0]), "self_collision", "bool")
 case("self_collision number", lambda: scene(self_collision=1), "self_collision", "bool")
+case("margin sign", lambda: scene(margin=[0.0, -1.0]), "margin", "body 1", ">= 0")
+case("margin nan", lambda: scene(margin=[NAN, 0.0]), "margin", "body 0")
+case("margin infinite", lambda: scene(margin=float("inf")), "margin", "finite")
+case("margin count", lambda: scene(margin=[0.1, 0.1, 0.1]), "margin", "3")
+case("margin type", lambda: scene(margin=[True, False]), "margin", "bool")
 case("static type", lambda: scene(static=[0, 1]), "static", "bool")
 case("no faces", lambda: pgccd.Mesh(TRIANGLE, np.zeros((0, 3), int)), "faces")
 case("face range", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2], [0, 1, 3]]), "faces", "face 1", "3 vertices")
@@ -151,6 +156,23 @@ case("vertex nan", lambda: pgccd.Mesh([[0, 0, 0], [1, NAN, 0], [0, 1, 0]], [[0, 
 case("zero radius", lambda: pgccd.Mesh(np.ones((3, 3)), [[0, 1, 2]]), "vertices", "radius 0")
 case("tiny radius", lambda: pgccd.Mesh(1e-40 * np.eye(3), [[0, 1, 2]]), "vertices", "radius")
 case("huge radius", lambda: pgccd.Mesh(1e40 * np.eye(3), [[0, 1, 2]]), "vertices", "radius")
+case("origin shape", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2]], [0.0, 1.0]), "origin", "3 numbers", "(2,)")
+case("origin name", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2]], "middle"), "origin", "centroid", "middle")
+case("origin nan", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2]], [0.0, NAN, 0.0]), "origin", "nan")
+case("origin far", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2]], [1e13, 0.0, 0.0]), "origin", "1e.12 SBV radii")
+case("origin open", lambda: pgccd.Mesh(TRIANGLE, [[0, 1, 2]], "center_of_mass"), "origin", "closed", "no triangle")
+case(
+    "origin inconsistent",
+    lambda: pgccd.Mesh(np.eye(4, 3), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 3, 2]], "center_of_mass"),
+    "origin",
+    "more than one triangle",
+)
+case(
+    "origin flat",
+    lambda: pgccd.Mesh([*TRIANGLE, [1, 1, 0]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "center_of_mass"),
+    "origin",
+    "volume",
+)
 case("from_trimesh", lambda: pgccd.Mesh.from_trimesh(object()), "mesh", "expected triangles, got object")
 QUERY = torch.zeros(2, 4, 3, dtype=torch.float64)
 for _test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):

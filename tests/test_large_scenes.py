@@ -36,7 +36,7 @@ def pebbles_on_terrain(pebbles: int, terrain_body: int) -> Crowd:
     position = np.concatenate([rng.uniform(0, 1, (count, 2)) * [48, 44], rng.uniform(0.4, 0.8, (count, 1))], axis=1)
     velocity = [0.0, 0.0, -0.15] + 0.05 * rng.normal(size=(count, 3))
     orientation, spin = unit_quaternions(rng, count), 0.1 * directions(rng, count)
-    kind[terrain_body], position[terrain_body] = 0, terrain.centre.numpy()
+    kind[terrain_body], position[terrain_body] = 0, 0.0
     velocity[terrain_body], spin[terrain_body], orientation[terrain_body] = 0.0, 0.0, [1.0, 0.0, 0.0, 0.0]
     kinds = [terrain, *(bumpy(rng, 1, size=0.5) for _ in range(3))]
     static = np.arange(count) == terrain_body

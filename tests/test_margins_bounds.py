@@ -122,7 +122,7 @@ def test_hierarchy_of_meshes() -> None:
         turn = unit_quaternions(rng, 1)
         for mesh in (bumpy(rng, 2), contacts.spindle(0.1, 4), contacts.plate(8)):
             x = turned(np.repeat(turn, len(mesh.vertices), axis=0), mesh.vertices.numpy())
-            posed = pgccd.Mesh(x, mesh.faces)
+            posed = pgccd.Mesh(x, mesh.faces, "centroid")
             triangles, blocks, links = prepared(posed)
             assert_encloses(blocks, links, triangles, posed.vertices.numpy())
 
@@ -130,7 +130,7 @@ def test_hierarchy_of_meshes() -> None:
 def test_hierarchy_of_single_triangles() -> None:
     rng = np.random.default_rng(7)
     for _ in range(3000):
-        mesh = pgccd.Mesh(rng.normal(size=(3, 3)), [[0, 1, 2]])
+        mesh = pgccd.Mesh(rng.normal(size=(3, 3)), [[0, 1, 2]], "centroid")
         triangles, blocks, links = prepared(mesh)
         assert_encloses(blocks, links, triangles, mesh.vertices.numpy())
 
@@ -139,6 +139,6 @@ def test_radius_of_a_mesh() -> None:
     """Holds every vertex exactly, as stored."""
     rng = np.random.default_rng(8)
     for _ in range(200):
-        mesh = pgccd.Mesh(torch.from_numpy(rng.normal(size=(4, 3))), [[0, 1, 2], [1, 2, 3]])
+        mesh = pgccd.Mesh(torch.from_numpy(rng.normal(size=(4, 3))), [[0, 1, 2], [1, 2, 3]], "centroid")
         square = Fraction(mesh.radius) ** 2
         assert max(sum(Fraction(c) ** 2 for c in p) for p in mesh.vertices.tolist()) <= square

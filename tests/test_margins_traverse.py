@@ -256,7 +256,7 @@ def test_triangles_without_a_direction(device: torch.device) -> None:
     mesh = pgccd.Mesh(np.concatenate([far - [2.0, 0.0, 0.0], speck]), np.concatenate([faces, [[6, 7, 8]]]))
     wall = contacts.plate(4)
     distance = 0.125
-    place = mesh.centre.numpy() - [distance, 0.0, 0.0]
+    place = mesh.origin.numpy() - [distance, 0.0, 0.0]
     for way in (1.0, -1.0):
         bodies = Bodies(
             [mesh, wall],

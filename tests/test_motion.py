@@ -146,7 +146,9 @@ def test_points_of_contact_against_mpmath(turn: float) -> None:
 def test_more_than_half_a_turn_sweeps_all_the_way_round() -> None:
     # A long bar turning by 270 degrees hits a small body at 200 degrees; the shorter way would never come there.
     bar = pgccd.Mesh(
-        [[0, 0, 0.0], [3, 0.05, 0], [3, -0.05, 0], [3, 0, 0.05]], [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
+        [[0, 0, 0.0], [3, 0.05, 0], [3, -0.05, 0], [3, 0, 0.05]],
+        [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]],
+        origin="centroid",
     )
     small = bumpy(np.random.default_rng(5), 0, size=0.1)
     there = np.radians(200)

@@ -90,6 +90,8 @@ def recorded(device: torch.device) -> list[Call]:
         for closeness in (0.7, 20.0):  # the latter: no pairs, no contacts
             bodies = approaching(rng, (0, 1, 0), (1.0, 1.0, 1.0), closeness=closeness)
             filters = {"group": [1, 1, 3], "mask": [1, 3, 1], "world": [0, 0, 0], "static": [False, False, True]}
+            filters["margin"] = [0.0, 0.1, 0.2]  # type: ignore[assignment]
+            bodies.motion(device=device).at(0.5)
             for options in ({}, filters):
                 scene = pgccd.Scene(bodies.meshes, device=device, **options)
                 for report in ("any", "first", "all", "earliest"):

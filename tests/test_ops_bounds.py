@@ -75,7 +75,9 @@ def calls() -> dict[str, tuple[Any, ...]]:
     most: dict[str, tuple[tuple[int, int], tuple[Any, ...]]] = {}
     for name, arguments in every + recorder.calls:
         tensors = [a for a in torch.utils._pytree.tree_leaves(arguments) if isinstance(a, torch.Tensor)]
-        size = min((t.numel() for t in tensors), default=0), sum(t.numel() for t in tensors)
+        if any(t.shape == (7,) and t.dtype == torch.int64 and t[3] == 0 for t in tensors):
+            continue  # no pairs
+        size = -sum(t.numel() == 0 for t in tensors), sum(t.numel() for t in tensors)
         if name not in most or size > most[name][0]:
             most[name] = size, arguments
     return {name: arguments for name, (_, arguments) in most.items()}
@@ -134,7 +136,7 @@ def change_everything() -> None:
             for m, element in enumerate(value if isinstance(value, list) else []):
                 # Mesh sets and node blocks are made by the package: of these shapes are looked at, and the offsets.
                 is_blocks = isinstance(element, torch.Tensor) and element.dtype == torch.float32
-                is_content = is_blocks or (k == 0 and len(value) == 8 and m < 7)
+                is_content = is_blocks or (k == 0 and len(value) == 10 and m != 7)
                 for other in replacements(element):
                     is_same_shape = isinstance(other, torch.Tensor) and other.shape == element.shape
                     if is_content and is_same_shape and other.dtype == element.dtype:

@@ -25,8 +25,8 @@ def wall(distance: float, normal: tuple[float, float, float]) -> pgccd.Mesh:
 def spinning(
     mesh: pgccd.Mesh, obstacle: pgccd.Mesh, rotation: tuple[float, float, float], device: torch.device
 ) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
-    """The mesh's frame turns about the world's origin, where the obstacle's coordinates are as given."""
-    position = torch.stack([torch.zeros(3, dtype=torch.float64), obstacle.centre]).to(device)
+    """The mesh turns about the zero of its coordinates; the obstacle's coordinates are as given."""
+    position = torch.zeros(2, 3, dtype=torch.float64, device=device)
     orientation = torch.tensor([[1.0, 0, 0, 0]] * 2, dtype=torch.float64, device=device)
     turn = torch.tensor([rotation, (0.0, 0.0, 0.0)], dtype=torch.float64, device=device)
     motion = pgccd.RigidMotion.from_rotation(position, orientation, position, turn)

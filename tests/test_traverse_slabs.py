@@ -86,7 +86,7 @@ def test_the_first_contact_is_not_the_likely_one(device: torch.device, report: L
         late = rng.uniform(0.1, 0.3)
         early, vertex = late * rng.uniform(0.7, 0.95), rng.integers(26, len(start))
         mesh = with_floor((1 - early) * start[vertex] + early * end[vertex], late * (end[0, 2] - start[0, 2]))
-        bodies = moved(replace(bodies, meshes=[bodies.meshes[0], mesh]), mesh.centre.numpy())
+        bodies = replace(bodies, meshes=[bodies.meshes[0], mesh])
         scene, motion = bodies.scene(device), bodies.motion("linear", device)
         every, first = (pgccd.detect(scene, motion, r) for r in ("all", report))
         assert torch.equal(first.toi[0], every.toi.min())

@@ -51,7 +51,8 @@ class RandomBodies:
 
 def scaled_copies(mesh: pgccd.Mesh, size_ratio: float, kinds: int) -> list[pgccd.Mesh]:
     """A mesh in so many sizes, from 1 / `size_ratio` of its own to its own, uniform in their logarithm."""
-    return [pgccd.Mesh(size * mesh.vertices.numpy(), mesh.faces) for size in np.geomspace(1.0 / size_ratio, 1.0, kinds)]
+    sizes = np.geomspace(1.0 / size_ratio, 1.0, kinds)
+    return [pgccd.Mesh(size * mesh.vertices.numpy(), mesh.faces, origin="centroid") for size in sizes]
 
 
 def box_side(bodies: int, radius: np.ndarray, pairs_a_body: float, displacement: float) -> float:

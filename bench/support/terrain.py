@@ -31,7 +31,6 @@ class PebblesOnTerrain:
         self._random = torch.Generator().manual_seed(seed)
         self._ground = Ground(random, triangles)
         terrain = self._ground.mesh()
-        self._centre = terrain.centre
         kind = torch.randint(1, 1 + _KINDS, (1 + pebbles,), generator=self._random)
         kind[0] = 0
         meshes = [terrain, *(pebble_mesh(random) for _ in range(_KINDS))]
@@ -53,7 +52,7 @@ class PebblesOnTerrain:
             velocity = torch.tensor([0.0, 0.0, -_FALL * _RADIUS], dtype=torch.float64).repeat(count, 1)
             orientation = unit_vectors(self._random, count, 4)
             spin = _TURN * unit_vectors(self._random, count, 3)
-            position[0], velocity[0], spin[0] = self._centre, 0.0, 0.0
+            position[0], velocity[0], spin[0] = 0.0, 0.0, 0.0
             orientation[0] = torch.tensor([1.0, 0.0, 0.0, 0.0])
             columns = (column.to(self.scene.device) for column in (position, orientation, velocity, spin))
             yield pgccd.RigidMotion.from_velocity(*columns, dt=1.0)
@@ -106,4 +105,4 @@ def pebble_mesh(random: np.random.Generator, rings: int = 4, ring_size: int = 10
         np.stack([bottom, after[-1], here[-1]], axis=-1),
     ]
     size = _RADIUS * (1.0 - 0.15 * random.uniform(0.0, 1.0, (len(vertices), 1)))
-    return pgccd.Mesh(size * vertices, np.concatenate(faces))
+    return pgccd.Mesh(size * vertices, np.concatenate(faces), origin="centroid")

@@ -91,7 +91,7 @@ inline void check_offsets(const MeshSetView& view, const MeshOffsets& sizes) {
 }
 
 inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
-  STD_TORCH_CHECK(t.size() == 8, "mesh_set: expected 8 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 10, "mesh_set: expected 10 tensors, got ", t.size());
   MeshSetView view;
   view.vertices = rows<double>(t[0], "mesh_set.vertices", {kAnySize, 3});
   view.faces = rows<int32_t>(t[1], "mesh_set.faces", {kAnySize, 3});
@@ -105,11 +105,16 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   view.mesh_count = t[7].size(0) - 1;
   STD_TORCH_CHECK(view.mesh_count >= 0, "mesh_set.offsets: expected at least one row");
   if (!t[7].is_cuda()) check_offsets(view, {t[0].size(0), t[1].size(0), t[2].size(0), t[4].size(0)});
+  // No rows where every mesh has its SBV centre at its origin.
+  const int64_t centres = t[8].size(0) == 0 ? 0 : t[7].size(0) - 1;
+  view.centres = rows<double>(t[8], "mesh_set.centres", {centres, 3});
+  view.reaches = rows<double>(t[9], "mesh_set.reaches", {centres});
+  if (centres == 0) view.centres = view.reaches = nullptr;
   return view;
 }
 
 inline RigidBodies rigid_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t, bool linear_path) {
-  STD_TORCH_CHECK(t.size() == 6, "bodies: expected 6 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 6 || t.size() == 7, "bodies: expected 6 tensors, or 7 with margins, got ", t.size());
   RigidBodies view;
   view.meshes = mesh_set_view(mesh_set);
   view.mesh_index = rows<int32_t>(t[0], "bodies.mesh_index", {kAnySize});
@@ -120,11 +125,12 @@ inline RigidBodies rigid_view(const std::vector<Tensor>& mesh_set, const std::ve
   view.orientation = rows<double>(t[4], "bodies.orientation", {count, 4});
   view.rotation = rows<double>(t[5], "bodies.rotation", {count, 3});
   view.linear_path = linear_path;
+  if (t.size() == 7) view.centres.margin = rows<double>(t[6], "bodies.margin", {count});
   return view;
 }
 
 inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t) {
-  STD_TORCH_CHECK(t.size() == 10, "bodies: expected 10 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 10 || t.size() == 11, "bodies: expected 10 tensors, or 11 with margins, got ", t.size());
   DeformingBodies view;
   view.meshes = mesh_set_view(mesh_set);
   view.mesh_index = rows<int32_t>(t[0], "bodies.mesh_index", {kAnySize});
@@ -140,6 +146,7 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
   view.vertex_begin = rows<int64_t>(t[8], "bodies.vertex_begin", {count});
   view.block_begin = rows<int64_t>(t[9], "bodies.block_begin", {count});
   view.block_count = t[6].size(0);
+  if (t.size() == 11) view.centres.margin = rows<double>(t[10], "bodies.margin", {count});
   return view;
 }
 

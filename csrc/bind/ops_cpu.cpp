@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <chrono>
 
+#include "bind/bounds_ops.h"
 #include "bind/cpu_executor.h"
 #include "bind/detect_ops.h"
 #include "bind/elementary_ops.h"
@@ -19,6 +20,12 @@ class CpuBackend {
 
   void rotations_between(const double* q0, const double* q1, int64_t count, double* rotation) const {
     rotations_between_cpu(executor_, q0, q1, count, rotation);
+  }
+  void poses_at(const RigidPoses& poses, int64_t count, double* position, double* orientation) const {
+    poses_at_cpu(executor_, poses, count, position, orientation);
+  }
+  void moving_spheres(const RigidBodies& bodies, int64_t count, const MovingSpheres& out) const {
+    moving_spheres_cpu(executor_, bodies, count, out);
   }
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const { refit_cpu(executor_, input, bounds); }
 
@@ -215,6 +222,7 @@ class CpuBackend {
 }  // namespace
 
 STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
+  PGCCD_REGISTER_BOUNDS_OPS(library, CpuBackend);
   PGCCD_REGISTER_DETECT_OPS(library, CpuBackend);
   PGCCD_REGISTER_WITHIN_OPS(library, CpuBackend);
   PGCCD_REGISTER_ELEMENTARY_OPS(library, CpuBackend);

@@ -1,6 +1,7 @@
 // The detection operators on a CUDA device.
 #if defined(PGCCD_WITH_CUDA)
 
+#include "bind/bounds_ops.h"
 #include "bind/cuda_backend.h"
 #include "bind/detect_ops.h"
 #include "bind/elementary_ops.h"
@@ -21,6 +22,12 @@ class CudaBackend {
 
   void rotations_between(const double* q0, const double* q1, int64_t count, double* rotation) const {
     rotations_between_cuda(session_.context(), q0, q1, count, rotation);
+  }
+  void poses_at(const RigidPoses& poses, int64_t count, double* position, double* orientation) const {
+    poses_at_cuda(session_.context(), poses, count, position, orientation);
+  }
+  void moving_spheres(const RigidBodies& bodies, int64_t count, const MovingSpheres& out) const {
+    moving_spheres_cuda(session_.context(), bodies, count, out);
   }
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const {
     refit_cuda(session_.context(), input, bounds);
@@ -93,6 +100,7 @@ class CudaBackend {
 }  // namespace
 
 STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
+  PGCCD_REGISTER_BOUNDS_OPS(library, CudaBackend);
   PGCCD_REGISTER_DETECT_OPS(library, CudaBackend);
   PGCCD_REGISTER_WITHIN_OPS(library, CudaBackend);
   PGCCD_REGISTER_ELEMENTARY_OPS(library, CudaBackend);

@@ -1,12 +1,13 @@
 // Every operator of pgccd, on one page. pgccd/ops.py documents them: shapes, units and errors.
 //
 // mesh_set = [vertices (V, 3) f64, faces (F, 3) i32, edges (E, 2) i32, triangles (F, 8) i32, node_blocks (n, 9, 8) f32,
-//             node_links (n, 8, 2) i32, corners (9, F + padding) f32, offsets (meshes + 1, 4) i64] see core/mesh_set.h
+//             node_links (n, 8, 2) i32, corners (9, F + padding) f32, offsets (meshes + 1, 4) i64, centres (meshes, 3),
+//             reaches (meshes,), both without rows where all SBV centres are origins] see core/mesh_set.h
 // rigid bodies = [mesh_index (N,) i32, position_t0 (N, 3), position_t1 (N, 3), radius (N,), orientation (N, 4),
 // rotation (N, 3)] deforming bodies = [mesh_index (N,) i32, position_t0, position_t1, radius, vertices_t0 (X, 3),
 // vertices_t1 (X, 3),
 //                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64]
-//                     see core/bodies.h
+//                     see core/bodies.h; after either list perhaps margin (N,)
 // All that is given is looked at: shapes, dtypes, devices, lengths, and rows that name other rows. On a CPU what is
 // wrong raises an error that names the argument. On a GPU nothing waits to be told: traversals count no pairs and
 // overflow
@@ -32,6 +33,12 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "Tensor block_begin, int block_count) -> (Tensor position_t0, Tensor position_t1, Tensor radius, Tensor "
       "spheres_t0, "
       "Tensor blocks_t1)");
+  library.def(
+      "poses_at(Tensor position_t0, Tensor position_t1, Tensor orientation, Tensor rotation, Tensor time) -> (Tensor "
+      "position, Tensor orientation_at)");
+  library.def(
+      "moving_spheres(Tensor[] mesh_set, Tensor[] bodies, bool linear_path) -> (Tensor centre_t0, Tensor centre_t1, "
+      "Tensor reach)");
   library.def(
       "sweep(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, float min_separation, float tolerance, int axis) -> Tensor");

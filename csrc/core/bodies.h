@@ -1,20 +1,22 @@
-// Where bodies are during one step. Two models, one interface: a body's centre moves on the straight line from
-// position_t0 to position_t1; around it, a point has an offset from the centre that turns at a constant rate (rigid
-// arcs) or is the blend of two end offsets (linear paths).
+// Where bodies are during one step. Two models, one interface: a body's reference point (the origin of a rigid body,
+// the SBV centre of a deforming one) moves on the straight line from position_t0 to position_t1; around it, a point has
+// an offset that turns at a constant rate (rigid arcs) or is the blend of two end offsets (linear paths).
 #pragma once
 
 #include <cstdint>
 
 #include "core/mesh_set.h"
 #include "core/rotation.h"
+#include "core/rounding.h"
 
 namespace pgccd {
 
 struct BodyCentres {
-  const double* position_t0;  // (bodies, 3), world
-  const double* position_t1;  // (bodies, 3), world
-  const double* radius;       // (bodies,) SBV radius
-  int64_t count;              // bodies
+  const double* position_t0;       // (bodies, 3), world
+  const double* position_t1;       // (bodies, 3), world
+  const double* radius;            // (bodies,) SBV radius
+  int64_t count;                   // bodies
+  const double* margin = nullptr;  // (bodies,) thickness, or null: none
 };
 
 struct RigidBodies {
@@ -62,8 +64,14 @@ PGCCD_HD double pair_tolerance(const BodyCentres& centres, int64_t i, int64_t j,
   return tolerance < 0.0 ? -tolerance * smaller(centres.radius[i], centres.radius[j]) : tolerance;
 }
 
-// Offset of body j's centre from body i's: exact up to one rounding each, however far the pair is from the world's
-// origin.
+// What counts as touching for a pair, rounded up so that nothing is missed. A body and itself: twice its margin.
+PGCCD_HD double pair_separation(const BodyCentres& centres, int64_t i, int64_t j, double separation) {
+  if (centres.margin == nullptr) return separation;
+  return add_up(separation, add_up(centres.margin[i], centres.margin[j]));
+}
+
+// Offset of body j's reference point from body i's: exact up to one rounding each, however far the pair is from the
+// world's origin.
 struct RelativeCentre {
   Vec3<double> at_t0;
   Vec3<double> at_t1;

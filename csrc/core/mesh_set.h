@@ -1,5 +1,6 @@
-// Read-only views of meshes that bodies share. Body frame; rows of all meshes concatenated; indices are local to a
-// mesh.
+// Read-only views of meshes that bodies share. Rows of all meshes concatenated; indices are local to a mesh. The body
+// frame has its origin where the mesh's is; what is in float32 is relative to the SBV centre instead, so that it keeps
+// its digits however far that is from the origin.
 #pragma once
 
 #include <cstdint>
@@ -51,7 +52,7 @@ struct CornerColumns {
 };
 
 struct MeshSetView {
-  const double* vertices;        // (vertices, 3)
+  const double* vertices;        // (vertices, 3), body frame
   const int32_t* faces;          // (faces, 3)
   const int32_t* edges;          // (edges, 2)
   const Triangle* triangles;     // (faces), leaf order
@@ -60,6 +61,9 @@ struct MeshSetView {
   CornerColumns corners;         // (9, stride), column entries in the order of `triangles`
   const MeshOffsets* offsets;    // (meshes + 1): the next row ends a mesh's rows
   int64_t mesh_count;
+  // Both null where the SBV centre of every mesh is its origin.
+  const double* centres;  // (meshes, 3) SBV centres, body frame
+  const double* reaches;  // (meshes,) no vertex is further from the origin; the SBV radius where the centre is there
 };
 
 // Triangles a leaf holds at most: as many as there are lanes.

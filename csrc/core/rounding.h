@@ -55,6 +55,8 @@ PGCCD_HD DoubleDouble add_down(DoubleDouble a, DoubleDouble b) {
   return sum - magnitude(sum) * DoubleDouble(4.0 * Precision<DoubleDouble>::unit);
 }
 
+PGCCD_HD double add_up(double a, double b) { return -add_down(-a, -b); }
+
 // The number of another kind that is next to x, from below or above; x itself where the kind is a finer one.
 template <class To>
 PGCCD_HD To round_down(double x) {

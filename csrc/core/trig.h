@@ -9,6 +9,8 @@
 
 namespace pgccd {
 
+constexpr double kLargestAngle = 1e6;
+
 struct SineCosine {
   double sine;
   double cosine;

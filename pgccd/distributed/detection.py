@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -84,5 +85,5 @@ def _earliest(contacts: Contacts, id: Tensor) -> Contacts:
     pairs = id[contacts.pairs[first]]
     first = first[torch.argsort(pairs[:, 1], stable=True)]
     chosen = first[torch.argsort(id[contacts.pairs[first]][:, 0], stable=True)][:1]
-    columns = {name: column[chosen] for name, column in vars(contacts).items() if isinstance(column, Tensor)}
+    columns: dict[str, Any] = {name: c[chosen] for name, c in vars(contacts).items() if isinstance(c, Tensor)}
     return replace(contacts, **columns, stats=replace(contacts.stats, contacts=1))

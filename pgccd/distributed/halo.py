@@ -24,13 +24,13 @@ from pgccd.distributed.halo_room import Room, SentWithin
 from pgccd.distributed.partition import Partition
 from pgccd.host_copy import HostCopy
 
-#: Centres at t0 and t1 (N, 3) and SBV radius (N,) of bodies.
+#: SBV centres at t0 and t1 (N, 3) of bodies, and how far they reach from the way between these (N,).
 Centres = tuple[Tensor, Tensor, Tensor]
 
 
 def centres_of(bodies: MovingBodies) -> Centres:
     """Of moving bodies."""
-    return bodies.position_t0, bodies.position_t1, bodies.radius
+    return bodies.centre_t0, bodies.centre_t1, bodies.reach
 
 
 @dataclass(frozen=True)

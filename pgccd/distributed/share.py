@@ -26,7 +26,7 @@ from pgccd.host_copy import HostCopy
 from pgccd.motion import RigidMotion
 from pgccd.parts import Part, find_part, pairs_of_step
 from pgccd.query import Query
-from pgccd.scene import FILTERS, Scene
+from pgccd.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.stages import StageClock
 
 #: From columns of bodies to their scene and motion: the same bits on every rank that holds a body.
@@ -75,7 +75,8 @@ class Share:
         held, border = self.held, self.parts[-1]
         search = border.start()
         lent = [*held.ghosts.values(), held.border, held.holders, held.border_counts, held.route.rows]
-        lent += [*_columns(self.ghosts).values(), *_columns(border.bodies).values()]
+        for bodies in (self.ghosts, border.bodies):
+            lent += [*_columns(bodies).values(), *centres_of(bodies)]
         lent += [border.pairs, *search.rows, search.counts]
         self.side.lend(lent if border.rows is None else [*lent, border.rows])
 
@@ -226,14 +227,14 @@ _MOTION = ("position_t0", "orientation_t0", "position_t1", "rotation")
 def _columns(bodies: MovingBodies) -> Columns:
     """All that a scene and a motion say of each body."""
     columns = {name: getattr(bodies.motion, name) for name in _MOTION}
-    columns |= {name: getattr(bodies.scene, name) for name in ("mesh_index", "radius", *FILTERS)}
+    columns |= {name: getattr(bodies.scene, name) for name in ("mesh_index", "radius", *OPTIONAL_COLUMNS)}
     return {name: column for name, column in columns.items() if column is not None}
 
 
 def _bodies(like: MovingBodies, columns: Columns) -> MovingBodies:
     """The reverse: bodies of the same meshes on paths of the same kind."""
-    filters = {name: columns[name] for name in FILTERS if name in columns}
-    scene = Scene.of_checked(like.scene.meshes, columns["mesh_index"], **filters)
+    optional = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
+    scene = Scene.of_checked(like.scene.meshes, columns["mesh_index"], **optional)
     scene.radius = columns["radius"]
     position_t0, orientation, position_t1, rotation = (columns[name] for name in _MOTION)
     path = cast(RigidMotion, like.motion).path

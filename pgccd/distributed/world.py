@@ -24,7 +24,7 @@ from pgccd.distributed.share import Options
 from pgccd.distributed.step import cell_loads
 from pgccd.mesh import Mesh, MeshSet
 from pgccd.motion import RigidMotion
-from pgccd.scene import FILTERS, Scene
+from pgccd.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.sim.files import meshes_digest
 from pgccd.stages import StageClock
 
@@ -32,17 +32,17 @@ from pgccd.stages import StageClock
 class World:
     """Bodies spread over ranks by where they are.
 
-    Each rank brings any share of the bodies; they move to the rank that owns the cell of their centre, and again
+    Each rank brings any share of the bodies; they move to the rank that owns the cell of their position, and again
     whenever `move` says that they are elsewhere. Rows of `id`, `position`, `mesh_index` and `payload` are those of the
     bodies this rank owns now, by ascending id.
 
     Args:
         meshes: alike on all ranks.
         lower, upper: corners of the world's box, length units. Bodies may leave it.
-        position: (N, 3) float64 SBV centres of this rank's share of bodies, on the device where all will be.
+        position: (N, 3) float64 where the origins of this rank's share of bodies are, on the device where all will be.
         id: (N,) int64 global ids >= 0, no two alike on any ranks. Default: counted through, rank by rank.
         mesh_index: (N,) integers: which mesh each body is. Default: all the first.
-        group, mask, world, static: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
+        group, mask, world, static, margin: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
         payload: named tensors (N, ...) that travel with the bodies: orientations, velocities, anything.
         comm: between the ranks. Default: one rank.
         report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
@@ -72,6 +72,7 @@ class World:
         mask: Tensor | None = None,
         world: Tensor | None = None,
         static: Tensor | None = None,
+        margin: Tensor | None = None,
         payload: dict[str, Tensor] | None = None,
         comm: Comm | None = None,
         report: narrow.Report = "first",
@@ -88,8 +89,8 @@ class World:
         self.comm = comm or Alone()
         self.options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)
         self.balance, self.path = balance or BalanceOptions(), path
-        filters = {"group": group, "mask": mask, "world": world, "static": static}
-        given: dict[str, Any] = {name: column for name, column in filters.items() if column is not None}
+        optional = {"group": group, "mask": mask, "world": world, "static": static, "margin": margin}
+        given: dict[str, Any] = {name: column for name, column in optional.items() if column is not None}
 
         def prepare() -> Columns:
             arguments.real_tensor(position, "position")
@@ -132,7 +133,7 @@ class World:
 
     @property
     def position(self) -> Tensor:
-        """(N, 3) float64: their centres, as last told."""
+        """(N, 3) float64: where their origins are, as last told."""
         return self._columns["position"]
 
     @property
@@ -143,7 +144,7 @@ class World:
     @property
     def payload(self) -> dict[str, Tensor]:
         """What the user's tensors are now, by name."""
-        own = ("id", "position", "mesh_index", *FILTERS)
+        own = ("id", "position", "mesh_index", *OPTIONAL_COLUMNS)
         return {name.removeprefix("."): column for name, column in self._columns.items() if name not in own}
 
     def step(self, motion: RigidMotion) -> Contacts:
@@ -174,7 +175,7 @@ class World:
         if motion.path != self.path:
             raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
         motion.check_given()
-        own = {name: self._columns[name] for name in ("id", "mesh_index", *FILTERS) if name in self._columns}
+        own = {name: self._columns[name] for name in ("id", "mesh_index", *OPTIONAL_COLUMNS) if name in self._columns}
         own |= motion.columns()
         self.comm.guard.activity = "step"
         clock = StageClock()
@@ -237,9 +238,9 @@ class World:
         return rank_loads(total.cost, self.partition.owner, self.comm.size)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
-        filters: dict[str, Any] = {name: columns[name] for name in FILTERS if name in columns}
+        optional: dict[str, Any] = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
         pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
-        return Scene.of_checked(self._meshes, columns["mesh_index"], **filters), RigidMotion.from_rotation(
+        return Scene.of_checked(self._meshes, columns["mesh_index"], **optional), RigidMotion.from_rotation(
             *pose, path=self.path
         )
 

@@ -21,6 +21,22 @@ def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     return library.operators.rotations_between(orientation_t0.contiguous(), orientation_t1.contiguous())
 
 
+def poses_at(
+    position_t0: Tensor, position_t1: Tensor, orientation: Tensor, rotation: Tensor, time: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Positions (M, 3) and unit quaternions (M, 4) of M rigid bodies on their arcs at the times (M,)."""
+    columns = (position_t0, position_t1, orientation, rotation, time)
+    return library.operators.poses_at(*(column.contiguous() for column in columns))
+
+
+def moving_spheres(
+    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """SBV centres at t0 and t1 (N, 3), and radius (N,) of a ball about the straight way between them that holds the
+    rigid body all along."""
+    return library.operators.moving_spheres(list(mesh_set), list(bodies), linear_path)
+
+
 def refit(
     mesh_set: Sequence[Tensor],
     mesh_index: Tensor,

@@ -35,8 +35,8 @@ def robot_mesh() -> Mesh:
     top, bottom = _distance(np.array([0.0, np.pi]), np.zeros(2))
     vertices = np.concatenate([[[0.0, 0.0, top]], rings.reshape(-1, 3), [[0.0, 0.0, -bottom]]])
     faces = _faces()
-    draft = Mesh(vertices, faces)
-    return Mesh(np.round(draft.vertices.numpy() / draft.radius, _DECIMALS), faces)
+    draft = Mesh(vertices, faces, origin="centroid")
+    return Mesh(np.round(draft.vertices.numpy() / draft.radius, _DECIMALS), faces, origin="centroid")
 
 
 def _distance(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:

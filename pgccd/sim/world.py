@@ -127,8 +127,12 @@ class World:
 
     Args:
         config: what it is like.
-        meshes: the kinds of robots; the robot with id k is of kind k modulo their number. Default: `robot_mesh()`.
+        meshes: the kinds of robots, each with origin="centroid"; the robot with id k is of kind k modulo their number.
+            Default: `robot_mesh()`.
         device: where states and scenes live.
+
+    Raises:
+        ValueError: a mesh has its origin elsewhere.
 
     Example:
         >>> world = pgccd.sim.World(pgccd.sim.WorldConfig(robots=1000))
@@ -142,6 +146,13 @@ class World:
         self.config = config
         self.meshes = MeshSet(list(meshes) if meshes is not None else [robot_mesh()], device)
         self.device = self.meshes.device
+        for index, mesh in enumerate(self.meshes.meshes):
+            # Robots start on a lattice and keep their distances by their SBVs.
+            if bool(mesh.centre_offset.any()):
+                raise ValueError(
+                    f'meshes[{index}]: robots turn about their SBV centres: expected a Mesh with origin="centroid", '
+                    f"got one whose SBV centre is {mesh.centre_offset.tolist()} from its origin"
+                )
         #: Largest SBV radius, length units.
         self.radius = max(mesh.radius for mesh in self.meshes.meshes)
         self.cells = lattice_cells(config.robots)

@@ -63,7 +63,7 @@ def test_families_are_what_they_claim(maker: families.Maker, is_face: bool, bits
 @pytest.mark.parametrize("name", families.UNKNOWN)
 def test_what_is_not_degenerate_is_decided_and_timed(name: str, is_face: bool) -> None:
     family = families.UNKNOWN[name](np.random.default_rng(3), 2000, is_face, 53)
-    for kept in (0.0, 0.01):
+    for kept in (0.0, family.separation or 0.01):
         found = batch.first_within(StraightPaths(family.points_t0, family.points_t1, is_face), kept)
         yes = found.status == YES
         assert (found.status == CLOSE).mean() < (0.02 if name in ("random needles", "near border") else 1e-3)
@@ -117,7 +117,7 @@ def test_distances_are_upper_bounds(is_face: bool) -> None:
 def arc_queries(seed: int, plan: arcs.Plan, is_face: bool, n: int) -> tuple[np.ndarray, Turning, Turning]:
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(n, 4, 3))
-    return (points, *arcs.motions(rng, plan, points, is_face, 1.0))
+    return (points, *arcs.motions(rng, plan, points, is_face, 1.0, clearance=0.06))
 
 
 def intervals(points: np.ndarray, first: Turning, second: Turning, is_face: bool, kept: float) -> Decisions:

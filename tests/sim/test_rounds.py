@@ -60,7 +60,7 @@ def test_same_bits_of_many_worlds(seed: int, pattern: str, kinds: int) -> None:
 
 def same_bits(seed: int, pattern: str, kinds: int) -> None:
     big = robot_mesh()
-    meshes = [big, pgccd.Mesh(0.7 * big.vertices, big.faces)][:kinds]
+    meshes = [big, pgccd.Mesh(0.7 * big.vertices, big.faces, "centroid")][:kinds]
     config = WorldConfig(pattern=pattern, seed=seed, **FAST)
     assert follow(config, 12, True, meshes) == follow(config, 12, False, meshes)
 
@@ -256,7 +256,7 @@ def test_everybody_collides() -> None:
     """All fly through the middle in one step, not quite at the same time."""
     tips = torch.tensor([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=torch.float64)
     faces = [[k, (k + 1) % 4, 4] for k in range(4)] + [[(k + 1) % 4, k, 5] for k in range(4)]
-    octahedron = pgccd.Mesh(tips, torch.tensor(faces, dtype=torch.int32))
+    octahedron = pgccd.Mesh(tips, torch.tensor(faces, dtype=torch.int32), "centroid")
     world, random = World(WorldConfig(robots=64, speed=0.05), [octahedron]), torch.Generator().manual_seed(1)
     state = world.start()
     state.velocity = 10.0 * state.velocity - state.position * (

@@ -150,7 +150,7 @@ def test_what_cannot_be_resumed_says_why(tmp_path: Path) -> None:
         sim.resume(tmp_path, 2)
     robot = sim.robot_mesh()
     with pytest.raises(ValueError, match="^meshes: "):
-        sim.resume(tmp_path, 4, meshes=[pgccd.Mesh(robot.vertices * 1.5, robot.faces)])
+        sim.resume(tmp_path, 4, meshes=[pgccd.Mesh(robot.vertices * 1.5, robot.faces, "centroid")])
     (tmp_path / LOG_FILE).write_text("")
     with pytest.raises(ValueError, match="holds 0 steps"):
         sim.resume(tmp_path, 4)

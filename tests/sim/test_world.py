@@ -97,7 +97,7 @@ def test_skewed_robots_visit_corners_and_leave_again() -> None:
 
 def test_kinds_are_dealt_out_in_turn() -> None:
     big = robot_mesh()
-    small = pgccd.Mesh(0.5 * big.vertices, big.faces)
+    small = pgccd.Mesh(0.5 * big.vertices, big.faces, "centroid")
     world = World(WorldConfig(robots=9), [small, big])
     assert world.radius == big.radius
     assert world.scene(world.start().id).mesh_index.tolist() == [0, 1] * 4 + [0]

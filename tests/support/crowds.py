@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 import pgccd
+from support.origins import recentred
 from support.shapes import bumpy, unit_quaternions
 
 
@@ -44,14 +45,27 @@ def _meshes() -> list[pgccd.Mesh]:
     return [bumpy(rng, 1), bumpy(rng, 0, size=0.4), bumpy(rng, 2, height=0.05, size=6.0)]
 
 
+@cache
+def _links() -> list[pgccd.Mesh]:
+    """With origins outside of them, the last one's far outside."""
+    return [
+        recentred(mesh, joint) for mesh, joint in zip(_meshes()[:2], ([1.5, 0.0, 0.0], [0.0, 7.0, 2.0]), strict=True)
+    ]
+
+
 def _crowd(
-    seed: int, position: np.ndarray, velocity: np.ndarray, mesh_index: np.ndarray | None = None, **rest: object
+    seed: int,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    mesh_index: np.ndarray | None = None,
+    meshes: list[pgccd.Mesh] | None = None,
+    **rest: object,
 ) -> Crowd:
     rng = np.random.default_rng(seed)
     count = len(position)
     index = np.zeros(count) if mesh_index is None else mesh_index
     return Crowd(
-        _meshes(),
+        meshes or _meshes(),
         torch.tensor(index, dtype=torch.int32),
         torch.tensor(position, dtype=torch.float64),
         torch.tensor(unit_quaternions(rng, count)),
@@ -101,6 +115,17 @@ def crowds() -> dict[str, Crowd]:
                 "world": torch.tensor(rng.integers(0, 2, 60)),
             },
             min_separation=0.4,
+        ),
+        "about joints outside of them": _crowd(
+            12, spread, 0.3 * rng.normal(size=spread.shape), np.arange(60) % 2, meshes=_links()
+        ),
+        "with margins": _crowd(
+            13,
+            spread,
+            0.3 * rng.normal(size=spread.shape),
+            np.arange(60) % 2,
+            meshes=_links(),
+            filters={"margin": torch.tensor(rng.uniform(0.0, 0.4, 60))},
         ),
         "far from the origin": _crowd(9, 0.5 * spread + 1e7, 0.4 * rng.normal(size=spread.shape), small),
         "one body": _crowd(10, spread[:1], spread[:1]),

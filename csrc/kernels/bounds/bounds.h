@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "core/bodies.h"
+#include "kernels/bounds/pose_item.h"
 #include "kernels/executor.h"
 
 namespace pgccd {
@@ -11,6 +12,20 @@ namespace pgccd {
 // Rotation vectors of the turns between two orientations, (count, 4) each -> (count, 3), world frame, the shorter way.
 void rotations_between_cpu(const Executor& executor, const double* orientation_t0, const double* orientation_t1,
                            int64_t count, double* rotation);
+
+// Positions (count, 3) and unit quaternions (count, 4) of bodies at a time each.
+void poses_at_cpu(const Executor& executor, const RigidPoses& poses, int64_t count, double* position,
+                  double* orientation);
+
+// Where SBV centres are at both ends (bodies, 3), and the radius of a ball about the straight way between them that
+// holds the body all along (bodies,).
+struct MovingSpheres {
+  double* centre_t0;
+  double* centre_t1;
+  double* reach;
+};
+
+void moving_spheres_cpu(const Executor& executor, const RigidBodies& bodies, int64_t count, const MovingSpheres& out);
 
 struct DeformingInput {
   MeshSetView meshes;

@@ -1,6 +1,7 @@
 #include <vector>
 
 #include "kernels/bounds/bounds.h"
+#include "kernels/bounds/moving_sphere_item.h"
 #include "kernels/bounds/refit_item.h"
 
 namespace pgccd {
@@ -54,6 +55,26 @@ void rotations_between_cpu(const Executor& executor, const double* orientation_t
     for (int64_t b = begin; b < end; ++b) {
       store_vec3(rotation + 3 * b,
                  rotation_between(load_quaternion(orientation_t0 + 4 * b), load_quaternion(orientation_t1 + 4 * b)));
+    }
+  });
+}
+
+void poses_at_cpu(const Executor& executor, const RigidPoses& poses, int64_t count, double* position,
+                  double* orientation) {
+  parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
+    for (int64_t row = begin; row < end; ++row) pose_at(poses, row, position, orientation);
+  });
+}
+
+void moving_spheres_cpu(const Executor& executor, const RigidBodies& bodies, int64_t count, const MovingSpheres& out) {
+  require_rows(executor, count, "bodies.mesh_index", "name meshes",
+               [&](int64_t body) { return names_mesh(bodies, body); });
+  parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
+    for (int64_t b = begin; b < end; ++b) {
+      const MovingSphere sphere = moving_sphere(bodies, b);
+      store_vec3(out.centre_t0 + 3 * b, sphere.centre_t0);
+      store_vec3(out.centre_t1 + 3 * b, sphere.centre_t1);
+      out.reach[b] = sphere.reach;
     }
   });
 }

@@ -1,4 +1,5 @@
 #include "kernels/bounds/bounds_cuda.h"
+#include "kernels/bounds/moving_sphere_item.h"
 #include "kernels/bounds/refit_item.h"
 #include "kernels/device.cuh"
 
@@ -197,6 +198,22 @@ void rotations_between_cuda(const DeviceContext& context, const double* orientat
   for_each_item(context, count, [=] __device__(int64_t b) {
     store_vec3(rotation + 3 * b,
                rotation_between(load_quaternion(orientation_t0 + 4 * b), load_quaternion(orientation_t1 + 4 * b)));
+  });
+}
+
+void poses_at_cuda(const DeviceContext& context, const RigidPoses& poses, int64_t count, double* position,
+                   double* orientation) {
+  for_each_item(context, count, [=] __device__(int64_t row) { pose_at(poses, row, position, orientation); });
+}
+
+void moving_spheres_cuda(const DeviceContext& context, const RigidBodies& bodies, int64_t count,
+                         const MovingSpheres& out) {
+  for_each_item(context, count, [=] __device__(int64_t b) {
+    require_on_device(names_mesh(bodies, b), "bodies.mesh_index: expected rows of meshes");
+    const MovingSphere sphere = moving_sphere(bodies, b);
+    store_vec3(out.centre_t0 + 3 * b, sphere.centre_t0);
+    store_vec3(out.centre_t1 + 3 * b, sphere.centre_t1);
+    out.reach[b] = sphere.reach;
   });
 }
 

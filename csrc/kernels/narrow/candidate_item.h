@@ -57,7 +57,8 @@ template <class Bodies, class Pair>
 PGCCD_HD SearchSettings<double> search_settings(const Bodies& bodies, const Pair& pair, const NarrowSettings& settings,
                                                 double latest) {
   const double tolerance = pair_tolerance(bodies.centres, pair.body[0], pair.body[1], settings.tolerance);
-  return {settings.separation, tolerance, prune_time(latest), settings.nonzero_toi};
+  const double separation = pair_separation(bodies.centres, pair.body[0], pair.body[1], settings.separation);
+  return {separation, tolerance, prune_time(latest), settings.nonzero_toi};
 }
 
 // The same answer as solve_candidate if that is free; false may still be free. For devices, where the few long searches

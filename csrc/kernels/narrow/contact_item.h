@@ -39,6 +39,25 @@ PGCCD_HD Vec3<double> frame_origin(const DeformingBodies&, const DeformingPair&,
   return {0.0, 0.0, 0.0};
 }
 
+// From SBV centre to SBV centre.
+PGCCD_HD Vec3<double> centre_offset(const RigidBodies& bodies, const RigidPair& pair, double t) {
+  Vec3<double> offset = (1.0 - t) * pair.centre.at_t0 + t * pair.centre.at_t1;
+  for (int side = 0; side < 2; ++side) {
+    const Vec3<double> centre = mesh_centre(bodies, pair.body[side]);
+    if (is_centred(centre)) continue;
+    const Spin& spin = pair.spin[side];
+    const Vec3<double> start = pair.orientation[side] * centre;
+    const Vec3<double> now = uses_arcs(bodies) ? rotate(spin, sine_cosine(spin.angle * t), start)
+                                               : (1.0 - t) * start + t * rotate(spin, sine_cosine(spin.angle), start);
+    offset = side == 0 ? offset - now : offset + now;
+  }
+  return offset;
+}
+PGCCD_HD Vec3<double> centre_offset(const DeformingBodies& bodies, const DeformingPair& pair, double t) {
+  const RelativeCentre centre = relative_centre(bodies.centres, pair.body[0], pair.body[1]);
+  return (1.0 - t) * centre.at_t0 + t * centre.at_t1;
+}
+
 template <bool kEdgeEdge, class Bodies, class Pair>
 PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double toi, double u,
                             double v) {
@@ -54,8 +73,7 @@ PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const Featur
   Vec3<double> normal = nearest_points<kEdgeEdge, true>(features).offset;
   if (!(norm(normal) > 0x1p-40 * extent(features))) {
     normal = cross(features.a, features.b);
-    const RelativeCentre centre = relative_centre(bodies.centres, pair.body[0], pair.body[1]);
-    const double along = dot(normal, (1.0 - toi) * centre.at_t0 + toi * centre.at_t1);
+    const double along = dot(normal, centre_offset(bodies, pair, toi));
     if ((along < 0.0) != f.swapped) normal = -normal;
   }
   if (f.swapped) normal = -normal;

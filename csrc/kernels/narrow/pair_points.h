@@ -2,6 +2,7 @@
 #pragma once
 
 #include "core/candidate.h"
+#include "core/centre_arc.h"
 #include "kernels/narrow/paths.h"
 
 namespace pgccd {
@@ -40,8 +41,9 @@ struct RigidPair {
   int32_t mesh[2];
   Mat3<double> orientation[2];
   Spin spin[2];
-  RelativeCentre centre;  // of body j, seen from body i
+  RelativeCentre centre;  // of body j's origin, seen from body i's
   double point_error;
+  double axis_error[2];  // of a point's distance from the axis; 0 for bodies that turn about their SBV centres
 
   PGCCD_HD RigidPair(const RigidBodies& bodies, int64_t i, int64_t j)
       : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, centre(relative_centre(bodies.centres, i, j)) {
@@ -53,7 +55,9 @@ struct RigidPair {
     for (int side = 0; side < 2; ++side) {
       // The angle at a time is rounded relatively, which moves a point by so much more the further it has turned.
       const double units = kRigidPointUnits + 8.0 * spin[side].angle;
-      point_error += units * Precision<double>::unit * bodies.centres.radius[body[side]];
+      const double reach = mesh_reach(bodies, body[side]);
+      point_error += units * Precision<double>::unit * reach;
+      axis_error[side] = is_centred(mesh_centre(bodies, body[side])) ? 0.0 : axis_distance_error(reach);
     }
   }
 
@@ -81,7 +85,8 @@ struct RigidPair {
   PGCCD_HD ArcPath<kEdgeEdge> arc_path(const RigidBodies& bodies, const FeatureVertices& f) const {
     Vec3<double> base[4];
     bases<kEdgeEdge>(bodies, f, base);
-    return {base, spin[f.swapped ? 1 : 0], spin[f.swapped ? 0 : 1], named_centre(f), point_error};
+    const int first = f.swapped ? 1 : 0, second = 1 - first;
+    return {base, spin[first], spin[second], named_centre(f), point_error, axis_error[first], axis_error[second]};
   }
 
   // End positions relative to the first-named body's centre.

@@ -51,7 +51,7 @@ class LinearPath {
   PairError<T> error_;
 };
 
-// A mesh point turning about its body's centre: base + sin(angle t) quarter + versin(angle t) inward (Rodrigues).
+// A mesh point turning about its body's origin: base + sin(angle t) quarter + versin(angle t) inward (Rodrigues).
 struct ArcPoint {
   Vec3<double> base;
   Vec3<double> quarter;  // axis x base; its length is the distance from the axis
@@ -67,14 +67,15 @@ PGCCD_HD Vec3<double> arc_position(const ArcPoint& p, const SineCosine& at) {
   return p.base + (at.sine * p.quarter + at.versine * p.inward);
 }
 
-// Rigid arcs, relative to the centre of the first-named body.
+// Rigid arcs, relative to the origin of the first-named body.
 template <bool kEdgeEdge>
 class ArcPath {
  public:
   static constexpr bool kStraight = false;
 
+  // Distances from the two axes may be computed too small by so much.
   PGCCD_HD ArcPath(const Vec3<double> bases[4], const Spin& first, const Spin& second, const RelativeCentre& centre,
-                   double point_error)
+                   double point_error, double first_axis_error, double second_axis_error)
       : first_angle_(first.angle), second_angle_(second.angle), centre_(centre) {
     double first_radius = 0.0, second_radius = 0.0;
     for (int k = 0; k < 4; ++k) {
@@ -83,6 +84,8 @@ class ArcPath {
       double& radius = is_first ? first_radius : second_radius;
       radius = larger(radius, norm(points_[k].quarter));
     }
+    first_radius += first_axis_error;
+    second_radius += second_axis_error;
     // |x''| <= angle^2 radius for each body; the factor covers the rounding of this very expression.
     curvature_ =
         (1.0 + 0x1p-40) * (first.angle * first.angle * first_radius + second.angle * second.angle * second_radius);
@@ -97,7 +100,7 @@ class ArcPath {
     positions(t, x);
     return feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
   }
-  // Relative to the first-named body's centre at t.
+  // Relative to the first-named body's origin at t.
   PGCCD_HD void positions(double t, Vec3<double> x[4]) const {
     const SineCosine first = sine_cosine(first_angle_ * t);
     const SineCosine second = sine_cosine(second_angle_ * t);

@@ -13,7 +13,7 @@ struct alignas(16) DeformingSweep : PairFrame {
 
   PGCCD_HD DeformingSweep(const DeformingBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings,
                           double until)
-      : PairFrame(bodies, i, j, until) {
+      : PairFrame(bodies, i, j, until, sweep_detail::largest_coordinate(relative_centre(bodies.centres, i, j))) {
     const double distance = sweep_detail::kept_distance(bodies.centres, i, j, settings);
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
   }

@@ -1,9 +1,52 @@
 // A pair of rigid bodies in its local frame.
 #pragma once
 
+#include "core/centre_arc.h"
 #include "kernels/traverse/sweep_frame.h"
 
 namespace pgccd {
+
+// What is known of the way of the second body's SBV centre relative to the first's. Where both are at their bodies'
+// origins it is straight, and all but the offset is zero.
+struct CentrePath {
+  double offset;                     // bound of its coordinates during the step
+  double from_axis[2] = {0.0, 0.0};  // of each centre: distance from the axis through the origin
+  double rounding = 0.0;             // of the computed centres, and what the narrow phase cannot tell from a touch
+
+  PGCCD_HD CentrePath(const RigidBodies& bodies, int64_t i, int64_t j) {
+    const RelativeCentre origins = relative_centre(bodies.centres, i, j);
+    offset = sweep_detail::largest_coordinate(origins);
+    if (bodies.meshes.centres == nullptr) return;
+    RelativeCentre centres = origins;
+    const int64_t body[2] = {i, j};
+    double bulge = 0.0, point_error = 0.0, reach = 0.0;
+    bool is_straight = true;
+    for (int side = 0; side < 2; ++side) {
+      const Vec3<double> centre = mesh_centre(bodies, body[side]);
+      const Spin spin = make_spin(load_vec3(bodies.rotation + 3 * body[side]));
+      const double its_reach = mesh_reach(bodies, body[side]);
+      reach = larger(reach, its_reach);
+      point_error += (kRigidPointUnits + 8.0 * spin.angle) * Precision<double>::unit * its_reach;
+      if (is_centred(centre)) continue;
+      is_straight = false;
+      const Mat3<double> at_t0 = rotation_matrix(load_quaternion(bodies.orientation + 4 * body[side]));
+      const double sign = side == 0 ? -1.0 : 1.0;
+      const Vec3<double> start = at_t0 * centre;
+      centres.at_t0 = centres.at_t0 + sign * start;
+      centres.at_t1 = centres.at_t1 + sign * rotate(spin, sine_cosine(spin.angle), start);
+      from_axis[side] = distance_from_axis(at_t0, spin, centre);
+      if (!bodies.linear_path) bulge += arc_bulge(spin.angle, from_axis[side]);
+    }
+    if (is_straight) return;
+    offset = sweep_detail::largest_coordinate(centres) + bulge;
+    // As in the narrow phase, which takes a distance below 4 point errors and 64 units of the extent for a touch; and
+    // once more the error of points, for the centres.
+    const double apart = sweep_detail::largest_coordinate(origins);
+    point_error += 8.0 * Precision<double>::unit * apart;
+    rounding = 5.0 * point_error + 64.0 * Precision<double>::unit * (6.0 * (3.0 * reach + apart));
+    offset += rounding;
+  }
+};
 
 struct alignas(16) RigidSweep : PairFrame {
   float inflation;  // distance to keep, chord deviation and rounding, local units
@@ -17,7 +60,11 @@ struct alignas(16) RigidSweep : PairFrame {
   int32_t unused[3] = {};  // instead of padding, which would be copied unset
 
   PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until)
-      : PairFrame(bodies, i, j, until) {
+      : RigidSweep(bodies, i, j, settings, until, CentrePath(bodies, i, j)) {}
+
+  PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until,
+                      const CentrePath& path)
+      : PairFrame(bodies, i, j, until, path.offset) {
     const BodyCentres& centres = bodies.centres;
     segment_count = 1;
     tilt = bodies.linear_path ? 1.5f : 0.5f;
@@ -26,14 +73,16 @@ struct alignas(16) RigidSweep : PairFrame {
       const double ri = centres.radius[i], rj = centres.radius[j];
       const double turn_i = norm_squared(load_vec3(bodies.rotation + 3 * i));
       const double turn_j = norm_squared(load_vec3(bodies.rotation + 3 * j));
-      const double bend = 0.125 * (horizon * horizon) * (turn_i * ri + turn_j * rj);
+      // The distance of a body's points from its axis, which goes through its origin, is at most:
+      const double rho_i = path.from_axis[0] + ri, rho_j = path.from_axis[1] + rj;
+      const double bend = 0.125 * (horizon * horizon) * (turn_i * rho_i + turn_j * rho_j);
       // Chords may stray by a fiftieth of the smaller body; with the last segment count they may stray further, and
       // that is still covered.
       const double wanted = std::sqrt(bend / (0.02 * smaller(ri, rj)));
       segment_count = wanted > kMaxSegments ? kMaxSegments : (wanted > 1.0 ? static_cast<int>(std::ceil(wanted)) : 1);
       deviation = bend / (static_cast<double>(segment_count) * segment_count);
     }
-    const double distance = sweep_detail::kept_distance(centres, i, j, settings) + deviation;
+    const double distance = sweep_detail::kept_distance(centres, i, j, settings) + deviation + path.rounding;
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
   }
 
@@ -43,8 +92,9 @@ struct alignas(16) RigidSweep : PairFrame {
 
   // Segment boundary k of segment_count.
   PGCCD_HD LocalPose pose(const RigidBodies& bodies, int k) const {
-    const RelativeCentre centre = relative_centre(bodies.centres, body[0], body[1]);
+    const RelativeCentre origins = relative_centre(bodies.centres, body[0], body[1]);
     const double t = horizon * (static_cast<double>(k) / segment_count);
+    Vec3<double> shift = (1.0 - t) * origins.at_t0 + t * origins.at_t1;
     LocalPose out;
     for (int side = 0; side < 2; ++side) {
       const Mat3<double> at_t0 = rotation_matrix(load_quaternion(bodies.orientation + 4 * body[side]));
@@ -53,21 +103,23 @@ struct alignas(16) RigidSweep : PairFrame {
       if (k > 0)
         at_t = bodies.linear_path ? sweep_detail::blend(at_t0, spun(spin, at_t0, 1.0), t) : spun(spin, at_t0, t);
       (side == 0 ? out.first : out.second) = sweep_detail::scaled(scale, at_t);
+      const Vec3<double> centre = mesh_centre(bodies, body[side]);
+      if (!is_centred(centre)) shift = side == 0 ? shift - at_t * centre : shift + at_t * centre;
     }
-    out.shift = cast<float>(scale * ((1.0 - t) * centre.at_t0 + t * centre.at_t1));
+    out.shift = cast<float>(scale * shift);
     return out;
   }
 
   PGCCD_HD const NodeBlock& block(const RigidBodies& bodies, int side, int32_t block) const {
     return bodies.meshes.node_blocks[first_block[side] + block];
   }
-  // Body-frame centre of a node; the same at both ends of a segment.
+  // Centre of a node relative to the SBV centre, body axes; the same at both ends of a segment.
   PGCCD_HD Vec3<float> node_centre(const RigidBodies& bodies, int side, int32_t block_index, int slot, int) const {
     const NodeBlock& b = block(bodies, side, block_index);
     return {b.x[slot], b.y[slot], b.z[slot]};
   }
 
-  // Body frame -> local frame, at the boundary with pose p.
+  // Relative to the SBV centre, body axes -> local frame, at the boundary with pose p.
   template <class T>
   PGCCD_HD static Vec3<T> place(const LocalPose& p, int side, Vec3<T> v) {
     if (side == 0) return sweep_detail::transform(p.first, v);

@@ -1,5 +1,5 @@
 // A body pair as the traversal sees it, from t = 0 to a horizon: both hierarchies in one local frame that moves with
-// the first body's centre, scaled by a power of two to about unit size, in float32. Time is cut into segments short
+// the first body's SBV centre, scaled by a power of two to about unit size, in float32. Time is cut into segments short
 // enough for chords to follow the rotation; the inflation covers what is left of the arcs, and all float32 rounding.
 #pragma once
 
@@ -25,9 +25,9 @@ struct SweepSettings {
 
 // Poses at one segment boundary, scale included. It and sweeps are aligned so that they can be copied in few pieces.
 struct alignas(16) LocalPose {
-  Mat3<float> first;   // body frame of i -> local
-  Mat3<float> second;  // body frame of j -> local, without the shift
-  Vec3<float> shift;   // centre of j
+  Mat3<float> first;   // body axes of i -> local
+  Mat3<float> second;  // body axes of j -> local, without the shift
+  Vec3<float> shift;   // SBV centre of j
   float unused[3] = {};
 };
 
@@ -45,14 +45,18 @@ namespace sweep_detail {
 constexpr double kSmallestSize = 0x1p-126;
 constexpr double kSmallestScale = 0x1p-126;
 
-PGCCD_HD double local_scale(const BodyCentres& centres, int64_t i, int64_t j, const RelativeCentre& centre) {
-  const double size =
-      2.0 * ((centres.radius[i] + centres.radius[j]) + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)));
+PGCCD_HD double largest_coordinate(const RelativeCentre& centre) {
+  return larger(max_abs(centre.at_t0), max_abs(centre.at_t1));
+}
+
+// `offset`: no coordinate of one SBV centre relative to the other is larger during the step.
+PGCCD_HD double local_scale(const BodyCentres& centres, int64_t i, int64_t j, double offset) {
+  const double size = 2.0 * ((centres.radius[i] + centres.radius[j]) + offset);
   return inverse_power_of_two(larger(size, kSmallestSize));
 }
 
 PGCCD_HD double kept_distance(const BodyCentres& centres, int64_t i, int64_t j, const SweepSettings& settings) {
-  return settings.separation + pair_tolerance(centres, i, j, settings.tolerance);
+  return pair_separation(centres, i, j, settings.separation) + pair_tolerance(centres, i, j, settings.tolerance);
 }
 
 PGCCD_HD float rounded_up(double x) { return static_cast<float>(x) * (1.0f + 2.0f * Precision<float>::unit); }
@@ -87,8 +91,9 @@ struct PairFrame {
   float local_scale, inverse_scale;  // the same in float, perhaps 0; and 1 / scale, or 0 beyond the range of float
 
   template <class Bodies>
-  PGCCD_HD PairFrame(const Bodies& bodies, int64_t i, int64_t j, double until) : body{i, j}, horizon(until) {
-    scale = sweep_detail::local_scale(bodies.centres, i, j, relative_centre(bodies.centres, i, j));
+  PGCCD_HD PairFrame(const Bodies& bodies, int64_t i, int64_t j, double until, double offset)
+      : body{i, j}, horizon(until) {
+    scale = sweep_detail::local_scale(bodies.centres, i, j, offset);
     local_scale = static_cast<float>(scale);
     inverse_scale = scale < sweep_detail::kSmallestScale ? 0.0f : static_cast<float>(1.0 / scale);
     for (int side = 0; side < 2; ++side) {

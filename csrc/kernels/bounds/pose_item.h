@@ -1,0 +1,34 @@
+// Where a rigid body on its arc is at a time, by the arithmetic of the narrow phase.
+#pragma once
+
+#include <cmath>
+
+#include "core/rotation.h"
+
+namespace pgccd {
+
+struct RigidPoses {
+  const double* position_t0;  // (count, 3)
+  const double* position_t1;  // (count, 3)
+  const double* orientation;  // (count, 4) at t0
+  const double* rotation;     // (count, 3)
+  const double* time;         // (count,) in [0, 1]
+};
+
+PGCCD_HD void pose_at(const RigidPoses& poses, int64_t row, double* position, double* orientation) {
+  const double t = poses.time[row];
+  store_vec3(position + 3 * row,
+             (1.0 - t) * load_vec3(poses.position_t0 + 3 * row) + t * load_vec3(poses.position_t1 + 3 * row));
+  const Spin spin = make_spin(load_vec3(poses.rotation + 3 * row));
+  const double half_angle = 0.5 * (spin.angle * t);
+  Quaternion turn{NAN, {NAN, NAN, NAN}};  // of input that checks report
+  if (half_angle <= kLargestAngle) {
+    const SineCosine half = sine_cosine(half_angle);
+    turn = {half.cosine, half.sine * spin.axis};
+  }
+  const Quaternion now = turn * normalized(load_quaternion(poses.orientation + 4 * row));
+  orientation[4 * row] = now.w;
+  store_vec3(orientation + 4 * row + 1, now.v);
+}
+
+}  // namespace pgccd

@@ -1,0 +1,64 @@
+"""The point of a mesh that poses refer to."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+#: A point (3,) in the coordinates of the vertices, or the name of one.
+Origin = npt.ArrayLike | Tensor | Literal["centroid", "center_of_mass"]
+
+
+def origin_point(origin: Origin, points: np.ndarray, faces: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """The origin meant, (3,) in the coordinates of the points.
+
+    Args:
+        origin: as for `pgccd.Mesh`.
+        points: (V, 3).
+        faces: (F, 3).
+        centre: (3,) the SBV centre.
+
+    Raises:
+        ValueError: origin: it is neither a finite point nor a name, or the surface bounds no solid.
+    """
+    if isinstance(origin, str):
+        if origin == "centroid":
+            return centre.copy()
+        if origin == "center_of_mass":
+            return _center_of_mass(points, faces, centre)
+    expected = 'origin: expected a point (3 numbers), "centroid" or "center_of_mass"'
+    try:
+        raw = origin.detach().cpu().numpy() if isinstance(origin, Tensor) else np.asarray(origin)
+        point = np.array(raw, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{expected}, got {origin!r}") from error
+    if point.shape != (3,):
+        raise ValueError(f"{expected}, got shape {point.shape}")
+    if not np.isfinite(point).all():
+        raise ValueError(f"{expected}, got {point.tolist()}")
+    return point
+
+
+def _center_of_mass(points: np.ndarray, faces: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Of the solid that the surface bounds, as a sum over tetrahedra with a common apex at `centre`."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    directed = edges[:, 0] * len(points) + edges[:, 1]
+    names, counts = np.unique(directed, return_counts=True)
+    advice = 'origin="center_of_mass" needs a closed, consistently oriented surface'
+    if (counts > 1).any():
+        a, b = divmod(int(names[np.argmax(counts > 1)]), len(points))
+        raise ValueError(f"origin: {advice}, but more than one triangle passes from vertex {a} to vertex {b}")
+    is_open = ~np.isin(edges[:, 1] * len(points) + edges[:, 0], directed)
+    if is_open.any():
+        a, b = edges[np.argmax(is_open)].tolist()
+        raise ValueError(f"origin: {advice}, but no triangle passes from vertex {b} to vertex {a}")
+    corners = points[faces] - centre
+    volumes = np.einsum("fk,fk->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    total = float(volumes.sum())
+    # Less than rounding may have left of nothing.
+    if not abs(total) > 1e-12 * float(np.abs(volumes).sum()):
+        raise ValueError('origin: origin="center_of_mass" needs a surface around a volume that is not zero')
+    return np.asarray(centre + (volumes[:, None] * corners.sum(axis=1)).sum(axis=0) / (4.0 * total))
