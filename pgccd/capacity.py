@@ -122,12 +122,16 @@ class Capacity:
         return [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches, self.open, self.contacts]
 
 
+_NAMES = tuple(field.name for field in fields(Capacity))
+
+
 def check_capacity(capacity: Capacity) -> None:
     """Raises TypeError or ValueError unless this is room that rows can be numbered in."""
     if not isinstance(capacity, Capacity):
         hint = ": see Capacity.guess and Stats.needed" if isinstance(capacity, int) else ""
         raise TypeError(f"capacity: expected a pgccd.Capacity, got {arguments.describe(capacity)}{hint}")
-    for name, number in vars(capacity).items():
+    for name in _NAMES:
+        number = getattr(capacity, name)
         if not 0 <= number <= _MOST:
             raise ValueError(f"capacity: {name}: expected a number of rows from 0 to 2^31 - 1, got {number}")
 

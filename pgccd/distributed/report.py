@@ -56,7 +56,7 @@ def _in_global_ids(found: Detection) -> Columns:
 
 
 def _all_fields(columns: Columns) -> dict[str, Any]:
-    return {field.name: columns.get(field.name) for field in fields(Contacts) if field.name != "stats"}
+    return {field.name: columns.get(field.name) for field in fields(Contacts) if field.name not in ("stats", "scene")}
 
 
 def _canonical_order(pairs: Tensor) -> Tensor:
