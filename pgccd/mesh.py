@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from pgccd import _host, arguments, mesh_files
-from pgccd.origin import Origin, origin_point
+from pgccd.origin import Origin, checked_origin, origin_point
 
 # Triangles a leaf of the hierarchy holds at most: one for each lane of a vector unit.
 LEAF_SIZE = 8
@@ -127,6 +127,7 @@ class Mesh:
         Example:
             >>> robot = pgccd.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=3))
         """
+        checked_origin(origin)
         return cls._of_geometry(mesh_files.joined_geometry(mesh), origin, weld)
 
     @classmethod
@@ -149,6 +150,7 @@ class Mesh:
             >>> rock.welded_vertices
             0
         """
+        checked_origin(origin)
         loaded = mesh_files.load_geometry(path)
         try:
             return cls._of_geometry(mesh_files.joined_geometry(loaded), origin, weld)
@@ -164,6 +166,7 @@ class Mesh:
             >>> parts = pgccd.Mesh.load_all("rock.ply")
             >>> scene = pgccd.Scene(parts)
         """
+        checked_origin(origin)
         loaded, part = mesh_files.load_geometry(path, apart=True), ""
         meshes = []
         try:

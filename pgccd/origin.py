@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from pgccd import arguments
+
 #: A point (3,) in the coordinates of the vertices, or the name of one.
 Origin = npt.ArrayLike | Tensor | Literal["centroid", "center_of_mass"]
 
@@ -24,17 +26,28 @@ def origin_point(origin: Origin, points: np.ndarray, faces: np.ndarray, centre: 
     Raises:
         ValueError: origin: it is neither a finite point nor a name, or the surface bounds no solid.
     """
-    if isinstance(origin, str):
-        if origin == "centroid":
-            return centre.copy()
-        if origin == "center_of_mass":
-            return _center_of_mass(points, faces, centre)
+    named = checked_origin(origin)
+    if isinstance(named, str):
+        return centre.copy() if named == "centroid" else _center_of_mass(points, faces, centre)
+    return named
+
+
+def checked_origin(origin: Origin) -> np.ndarray | str:
+    """The point (3,) or the name given.
+
+    Raises:
+        TypeError, ValueError: origin: it is neither a finite point nor a name.
+    """
+    if isinstance(origin, str) and origin in ("centroid", "center_of_mass"):
+        return origin
     expected = 'origin: expected a point (3 numbers), "centroid" or "center_of_mass"'
     try:
-        raw = origin.detach().cpu().numpy() if isinstance(origin, Tensor) else np.asarray(origin)
+        raw = origin.detach().cpu().double().numpy() if isinstance(origin, Tensor) else np.asarray(origin)
+        if raw.dtype.kind not in "iuf":
+            raise TypeError(f"numbers of type {raw.dtype}")
         point = np.array(raw, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{expected}, got {origin!r}") from error
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:  # of meta tensors, say
+        raise ValueError(f"{expected}, got {arguments.describe(origin)}") from error
     if point.shape != (3,):
         raise ValueError(f"{expected}, got shape {point.shape}")
     if not np.isfinite(point).all():

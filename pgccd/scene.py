@@ -293,9 +293,14 @@ def _bool_column(values: Tensor | Sequence[bool], name: str, count: int, device:
 
 
 def _margin_column(values: Tensor | Sequence[float] | float, count: int, device: torch.device) -> Tensor:
-    column = torch.as_tensor(values)
-    if column.is_complex() or column.dtype == torch.bool:
+    try:
+        column = torch.as_tensor(values)
+        is_meta = column.is_meta
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise TypeError(f"margin: expected lengths, got {arguments.describe(values)}") from error
+    if is_meta or column.is_complex() or column.dtype in (torch.bool, torch.float16, torch.bfloat16):
         raise TypeError(f"margin: expected lengths, got {column.dtype}")
+    arguments.refuse_gradient(column, "margin")
     column = column.detach().to(device=device, dtype=torch.float64)
     if column.dim() == 0:
         column = column.expand(count)

@@ -35,7 +35,7 @@ class Trajectory:
         TypeError, ValueError: naming the argument, and the first offending waypoint and body or vertex.
 
     Example:
-        >>> trajectory = pgccd.Trajectory(position, orientation)  # (T, N, 3), (T, N, 4)
+        >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))  # (T, N, 3), (T, N, 4)
         >>> hits = pgccd.detect(scene, trajectory)
         >>> hits.segment, hits.toi, hits.time
     """
@@ -73,8 +73,8 @@ class Trajectory:
             IndexError: there is no such segment.
 
         Example:
-            >>> motion = trajectory.segment(int(hits.segment[0]))
-            >>> position, orientation = motion.at(hits.toi[0])
+            >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))
+            >>> position, orientation = trajectory.segment(0).at(0.5)
         """
         if not 0 <= index < self.segment_count:
             raise IndexError(f"index: expected a segment in [0, {self.segment_count}), got {index}")

@@ -77,8 +77,8 @@ _RIGID = [
     Mutant(
         "arc-deviation-first-body-only",
         TRAVERSE + "rigid_sweep.h",
-        "(turn_i * ri + turn_j * rj)",
-        "(turn_i * ri)",
+        "(turn_i * rho_i + turn_j * rho_j)",
+        "(turn_i * rho_i)",
         ON_TRAVERSE,
     ),
     Mutant(
@@ -176,15 +176,15 @@ _TREE = [
     Mutant(
         "kept-distance-0.999",
         TRAVERSE + "sweep_frame.h",
-        "settings.separation + pair_tolerance(centres, i, j, settings.tolerance)",
-        "0.999 * (settings.separation + pair_tolerance(centres, i, j, settings.tolerance))",
+        "pair_separation(centres, i, j, settings.separation) + pair_tolerance(centres, i, j, settings.tolerance)",
+        "0.999 * pair_separation(centres, i, j, settings.separation)",
         ON_TRAVERSE,
     ),
     Mutant(
         "kept-distance-without-tolerance",
         TRAVERSE + "sweep_frame.h",
-        "settings.separation + pair_tolerance(centres, i, j, settings.tolerance)",
-        "settings.separation",
+        "pair_separation(centres, i, j, settings.separation) + pair_tolerance(centres, i, j, settings.tolerance)",
+        "pair_separation(centres, i, j, settings.separation)",
         ON_TRAVERSE,
     ),
     Mutant(

@@ -84,17 +84,28 @@ def calls(folder: Path) -> dict[str, Call]:
     hits = pgccd.detect(scene, motion)
     config = {field: getattr(sim.WorldConfig(), field) for field in sim.WorldConfig.__dataclass_fields__}
     all_worlds = {"meshes": [mesh], "lower": (0, 0, 0), "upper": (9, 9, 9), "position": motion.position_t0}
-    all_worlds |= {"id": torch.arange(2), "mesh_index": [0, 0], **filters, "payload": {}, **options}
+    all_worlds |= {
+        "id": torch.arange(2),
+        "mesh_index": [0, 0],
+        **filters,
+        "margin": [0.0, 0.1],
+        "payload": {},
+        **options,
+    }
     all_worlds |= {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}
     return {
-        "Mesh": Call(pgccd.Mesh, {"vertices": mesh.vertices, "faces": mesh.faces}, {"vertices": ("faces",)}),
-        "Mesh.from_trimesh": Call(pgccd.Mesh.from_trimesh, {"mesh": mesh, "weld": True}),
-        "Mesh.load": Call(pgccd.Mesh.load, {"path": folder / "mesh.obj", "weld": True}),
-        "Mesh.load_all": Call(pgccd.Mesh.load_all, {"path": folder / "mesh.obj", "weld": True}),
+        "Mesh": Call(
+            pgccd.Mesh,
+            {"vertices": mesh.vertices, "faces": mesh.faces, "origin": "centroid"},
+            {"vertices": ("faces", "origin")},
+        ),
+        "Mesh.from_trimesh": Call(pgccd.Mesh.from_trimesh, {"mesh": mesh, "origin": "centroid", "weld": True}),
+        "Mesh.load": Call(pgccd.Mesh.load, {"path": folder / "mesh.obj", "origin": "centroid", "weld": True}),
+        "Mesh.load_all": Call(pgccd.Mesh.load_all, {"path": folder / "mesh.obj", "origin": "centroid", "weld": True}),
         "MeshSet": Call(pgccd.MeshSet, {"meshes": [mesh], "device": "cpu"}),
         "Scene": Call(
             pgccd.Scene,
-            {"meshes": [mesh], "mesh_index": [0, 0], "device": "cpu", **filters, "self_collision": True},
+            {"meshes": [mesh], "mesh_index": [0, 0], "device": "cpu", **filters, "self_collision": True, "margin": 0.1},
             {"mesh_index": ("group",)},
         ),
         "Scene.to": Call(scene.to, {"device": "cpu"}),
