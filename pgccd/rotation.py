@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pgccd import arguments
+from pgccd import arguments, ops
 
 
 def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
-    """Orientations after a turn: exp(rotation) orientation, of length one.
+    """Orientations after a turn: exp(rotation) orientation, of length one, by the arithmetic of detection.
 
     Args:
         orientation: (N, 4) float32 or float64 unit quaternions (w, x, y, z), body to world.
@@ -32,10 +32,7 @@ def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
             raise ValueError(f"{name}: expected shape ({expected}, {width}), got {tuple(values.shape)}")
         if values.device != orientation.device:
             raise ValueError(f"{name}: expected device {orientation.device}, got {values.device}")
-    w, v = orientation.double().split([1, 3], dim=1)
-    turn = rotation.double()
-    angle = torch.linalg.vector_norm(turn, dim=1, keepdim=True)
-    # sinc is of pi times its argument, and 1 at 0.
-    c, s = torch.cos(0.5 * angle), 0.5 * torch.sinc(angle / (2.0 * torch.pi)) * turn
-    turned = torch.cat([c * w - (s * v).sum(dim=1, keepdim=True), c * v + w * s + torch.linalg.cross(s, v)], dim=1)
+    start, turn = orientation.double().contiguous(), rotation.double().contiguous()
+    nowhere, end = torch.zeros_like(turn), torch.ones_like(turn[:, 0])
+    _, turned = ops.poses_at(nowhere, nowhere, start, turn, end)
     return torch.nn.functional.normalize(turned, dim=1).to(orientation.dtype)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -133,9 +132,10 @@ class Scene:
         scene.self_colliding = _rows_of(None, meshes.device)
         return scene
 
-    # What follows from `mesh_index`.
+    # What follows from `mesh_index`, and from `world`.
     _radius: _Derived | None = None
     _layout: _Derived | None = None
+    _world_count: _Derived | None = None
 
     @property
     def radius(self) -> Tensor:
@@ -168,12 +168,14 @@ class Scene:
         vertex_count, _, _, block_count = counts.sum(0).tolist()
         return VertexLayout(vertex_count, block_count, begin[:, 0].contiguous(), begin[:, 3].contiguous())
 
-    @functools.cached_property
+    @property
     def world_count(self) -> int:
         """One more than the largest `world`, 1 where there is none."""
         if self.world is None:
             return 1
-        return 1 + int(self.world.max()) if self.body_count else 0
+        if self._world_count is None or not self._world_count.is_of(self.world):
+            self._world_count = _Derived(self.world, 1 + int(self.world.max()) if self.body_count else 0)
+        return self._world_count.value
 
     def check_columns(self) -> None:
         """Raises TypeError or ValueError if a column was replaced by something else. Values are not looked at."""
@@ -198,7 +200,7 @@ class Scene:
         meshes = self.meshes.to(device)
         moved = copy.copy(self)
         moved.meshes, moved.device = meshes, meshes.device
-        moved._radius = moved._layout = None
+        moved._radius = moved._layout = moved._world_count = None
         for name in (*_DTYPES, "self_collision", "self_colliding"):
             column = getattr(self, name)
             if column is not None:

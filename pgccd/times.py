@@ -5,12 +5,15 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pgccd import arguments
+
 
 def broadcast_times(t: Tensor | float, count: int, device: torch.device) -> Tensor:
     """`t` as (..., count) float64."""
     time = t if isinstance(t, Tensor) else torch.tensor(t, dtype=torch.float64)
     if time.is_complex() or time.dtype == torch.bool:
         raise TypeError(f"t: expected times, got {time.dtype}")
+    arguments.refuse_gradient(time, "t")
     time = time.detach().to(device=device, dtype=torch.float64)
     try:
         shape = torch.broadcast_shapes(time.shape, (count,))

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd import narrow
+from pgccd import arguments, narrow
 from pgccd.contacts import By, Contacts, first_time
 from pgccd.faults import LARGEST_COORDINATE, UNIT_TOLERANCE
 from pgccd.motion import PathKind, RigidMotion, VertexMotion
@@ -200,10 +200,7 @@ def _first_of_pairs(pairs: Tensor, count: int) -> Tensor:
 
 
 def _waypoints(values: Tensor, name: str, width: int, like: Tensor | None) -> Tensor:
-    if not isinstance(values, Tensor):
-        raise TypeError(f"{name}: expected a tensor, got {type(values).__name__}")
-    if values.dtype not in (torch.float32, torch.float64):
-        raise TypeError(f"{name}: expected float32 or float64, got {values.dtype}")
+    arguments.real_tensor(values, name)
     if values.dim() != 3 or values.shape[2] != width or values.shape[0] < 2:
         raise ValueError(f"{name}: expected shape (T, N, {width}) with T >= 2, got {tuple(values.shape)}")
     if like is not None and values.shape[:2] != like.shape[:2]:

@@ -8,7 +8,7 @@ import pytest
 import torch
 from oracle import rigid
 from support.origins import recentred
-from support.shapes import bumpy, height_field, tensors, unit_quaternions
+from support.shapes import bumpy, height_field, tensors, tetrahedron, unit_quaternions
 
 import pgccd
 
@@ -131,3 +131,25 @@ def test_first_times_of_nobody(device: torch.device) -> None:
     hits = pgccd.detect(scene, pgccd.RigidMotion(*empty))
     assert float(hits.first_toi()) == float("inf")
     assert hits.first_toi("body").shape == (0,) and hits.first_toi("world").shape == (1,)
+
+
+def test_worlds_written_later() -> None:
+    scene = pgccd.Scene([tetrahedron()] * 2, world=[0, 0])
+    x = torch.tensor([[0.0, 0, 0], [4.0, 0, 0]])
+    q = torch.tensor([[1.0, 0, 0, 0]] * 2)
+    motion = pgccd.RigidMotion(x, q, 0.5 * x, q)
+    assert pgccd.detect(scene, motion).first_toi("world").shape == (1,)
+    scene.world[:] = 3  # type: ignore[index]
+    first = pgccd.detect(scene, motion).first_toi("world")
+    assert first.isinf().tolist() == [True, True, True, False]
+
+
+def test_gradients_are_refused() -> None:
+    motion = random_motion(3, torch.device("cpu"))
+    with pytest.raises(ValueError, match="^t: requires grad"):
+        motion.at(torch.tensor(0.5, requires_grad=True))
+    points = torch.rand(3, 4, 3, requires_grad=True)
+    with pytest.raises(ValueError, match="^position: requires grad"):
+        pgccd.Trajectory(points)
+    with torch.no_grad():
+        assert pgccd.Trajectory(points).segment_count == 2
