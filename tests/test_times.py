@@ -137,7 +137,7 @@ def test_worlds_written_later() -> None:
     scene = pgccd.Scene([tetrahedron()] * 2, world=[0, 0])
     x = torch.tensor([[0.0, 0, 0], [4.0, 0, 0]])
     q = torch.tensor([[1.0, 0, 0, 0]] * 2)
-    motion = pgccd.RigidMotion(x, q, 0.5 * x, q)
+    motion = pgccd.RigidMotion(x, q, 0.1 * x, q)
     assert pgccd.detect(scene, motion).first_toi("world").shape == (1,)
     scene.world[:] = 3  # type: ignore[index]
     first = pgccd.detect(scene, motion).first_toi("world")
