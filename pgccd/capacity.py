@@ -44,7 +44,7 @@ class Capacity:
     tasks: int = 0  #: node pairs that one launch of the traversal leaves to the next
     leaf_pairs: int = 0  #: pairs of leaves
     candidates: int = 0  #: feature pairs
-    open: int = 0  #: feature pairs that take more than a glance
+    open: int = 0  #: feature pairs that quick rejection leaves
     launches: int = 4  #: of the traversal, after the first
     long_rows: bool = False  #: may one body have more than 32 partners of larger index?
 

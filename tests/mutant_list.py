@@ -39,6 +39,8 @@ ON_TIES = ("test_ties.py",)
 ON_DEGENERATE = ("test_narrow_degenerate.py",)
 ON_SPIN = ("test_spinning.py",)
 ON_PASSING = ("test_narrow_at_scale.py",)
+ON_ORIGIN = ("test_origin_bounds.py",)
+ON_MARGIN = ("test_margin.py",)
 
 _LOCAL_ROUNDING = "kLocalRounding, 64 units of the whole local frame, includes it"
 _SPARE = "the 32 units of the extent have room for it: the projected gap itself needs at most 12"
@@ -1197,4 +1199,170 @@ _DISTRIBUTED = [
     ),
 ]
 
-MUTANTS = _RIGID + _DEFORMING + _TREE + _DIRECTIONS + _CERTIFICATES + _PATIENT + _CORE + _BROAD + _BOUNDS + _DISTRIBUTED
+_ORIGIN = [
+    Mutant(
+        "origin-from-axis-zero",
+        TRAVERSE + "rigid_sweep.h",
+        "path.from_axis[0] + ri",
+        "0.0 * path.from_axis[0] + ri",
+        ON_ORIGIN,
+    ),
+    Mutant(
+        "origin-from-axis-0.995",
+        TRAVERSE + "rigid_sweep.h",
+        "path.from_axis[0] + ri",
+        "0.995 * path.from_axis[0] + ri",
+        ON_ORIGIN,
+    ),
+    Mutant(
+        "origin-from-axis-of-the-second-0.995",
+        TRAVERSE + "rigid_sweep.h",
+        "path.from_axis[1] + rj",
+        "0.995 * path.from_axis[1] + rj",
+        ON_ORIGIN,
+    ),
+    Mutant(
+        "origin-from-axis-0.999",
+        TRAVERSE + "rigid_sweep.h",
+        "path.from_axis[0] + ri",
+        "0.999 * path.from_axis[0] + ri",
+        ON_ORIGIN,
+        equivalent="one segment's deviation is at most a fiftieth of the smaller radius, and kLocalRounding at least"
+        " 0.15 % of that; with more segments it is a larger part",
+    ),
+    Mutant(
+        "origin-bulge-0.999",
+        CORE + "centre_arc.h",
+        "smaller(0.125 * angle * angle, 2.0) * radius",
+        "0.999 * smaller(0.125 * angle * angle, 2.0) * radius",
+        ON_ORIGIN,
+    ),
+    Mutant(
+        "origin-bulge-diameter",
+        CORE + "centre_arc.h",
+        "smaller(0.125 * angle * angle, 2.0)",
+        "smaller(0.125 * angle * angle, 1.999)",
+        ON_ORIGIN,
+    ),
+    Mutant(
+        "origin-bulge-rounding",
+        CORE + "centre_arc.h",
+        "(1.0 + 0x1p-50)",
+        "(1.0 + 0.0)",
+        ON_ORIGIN,
+        within="radius * (1.0 + 0x1p-50)",
+        equivalent="8 units of the bulge, at most 16 of the centre's distance, of the 256 that the centre is allowed",
+    ),
+    Mutant(
+        "origin-offset-error-zero",
+        CORE + "centre_arc.h",
+        "(kRigidPointUnits + 8.0 * angle) * Precision<double>::unit * norm(centre)",
+        "0.0",
+        ON_ORIGIN,
+    ),
+    Mutant(
+        "origin-sum-rounding-zero",
+        BOUNDS + "moving_sphere_item.h",
+        "2.0 * Precision<double>::unit * (larger(max_abs(p0), max_abs(p1)) + norm(centre))",
+        "0.0",
+        ON_ORIGIN,
+    ),
+    Mutant(
+        "origin-reach-rounding",
+        BOUNDS + "moving_sphere_item.h",
+        "(1.0 + 0x1p-50)",
+        "(1.0 + 0.0)",
+        ON_ORIGIN,
+        within="(radius + bulge + rounding) * (1.0 + 0x1p-50)",
+        equivalent="two roundings of the reach, of which the predicate and the boxes add 2^-42",
+    ),
+    Mutant(
+        "origin-local-frame-without-bulge",
+        TRAVERSE + "rigid_sweep.h",
+        "sweep_detail::largest_coordinate(centres) + bulge",
+        "sweep_detail::largest_coordinate(centres) + 0.0 * bulge",
+        ON_ORIGIN,
+        equivalent="it only sets the scale. Where bodies touch, the ends of their segment are too far apart for"
+        " kLocalRounding only if a segment turns by more than 0.02: the arcs then stray less than the deviation allows,"
+        " by more than those roundings",
+    ),
+    Mutant(
+        "origin-traversal-rounding-zero",
+        TRAVERSE + "rigid_sweep.h",
+        "5.0 * point_error + 64.0 * Precision<double>::unit * (6.0 * (3.0 * reach + apart))",
+        "0.0",
+        ON_ORIGIN,
+    ),
+    Mutant(
+        "origin-point-error-of-the-radius",
+        NARROW + "pair_points.h",
+        "mesh_reach(bodies, body[side])",
+        "bodies.centres.radius[body[side]]",
+        ON_NARROW,
+    ),
+]
+
+_MARGIN = [
+    Mutant(
+        "margin-not-kept",
+        CORE + "bodies.h",
+        "add_up(separation, add_up(centres.margin[i], centres.margin[j]))",
+        "separation",
+        ON_MARGIN,
+    ),
+    Mutant(
+        "margin-0.999",
+        CORE + "bodies.h",
+        "add_up(separation, add_up(centres.margin[i], centres.margin[j]))",
+        "add_up(separation, 0.999 * add_up(centres.margin[i], centres.margin[j]))",
+        ON_MARGIN,
+    ),
+    Mutant(
+        "margin-not-rounded-up",
+        CORE + "bodies.h",
+        "add_up(separation, add_up(centres.margin[i], centres.margin[j]))",
+        "separation + (centres.margin[i] + centres.margin[j])",
+        ON_MARGIN,
+        equivalent=f"one unit of the separation: {_SPARE}",
+    ),
+    Mutant(
+        "margin-not-in-reach",
+        "pgccd/bodies.py",
+        "self.reach = (self.reach + scene.margin) * (1.0 + 2.0**-50)",
+        "self.reach = self.reach * (1.0 + 2.0**-50)",
+        ON_MARGIN,
+        switched=False,
+    ),
+    Mutant(
+        "margin-in-reach-0.999",
+        "pgccd/bodies.py",
+        "self.reach = (self.reach + scene.margin) * (1.0 + 2.0**-50)",
+        "self.reach = (self.reach + 0.999 * scene.margin) * (1.0 + 2.0**-50)",
+        ON_MARGIN,
+        switched=False,
+    ),
+    Mutant(
+        "margin-in-reach-rounding",
+        "pgccd/bodies.py",
+        "self.reach = (self.reach + scene.margin) * (1.0 + 2.0**-50)",
+        "self.reach = self.reach + scene.margin",
+        ON_MARGIN,
+        equivalent="one rounding of the reach, to which the predicate and the boxes add 2^-42",
+        switched=False,
+    ),
+]
+
+MUTANTS = [
+    *_RIGID,
+    *_DEFORMING,
+    *_TREE,
+    *_DIRECTIONS,
+    *_CERTIFICATES,
+    *_PATIENT,
+    *_CORE,
+    *_BROAD,
+    *_BOUNDS,
+    *_ORIGIN,
+    *_MARGIN,
+    *_DISTRIBUTED,
+]

@@ -288,16 +288,19 @@ def found_contact(
     return rows if len(rows[0]) else None
 
 
-def specks(rng: np.random.Generator, n: int, turns: int, size: float) -> Meetings:
+def specks(rng: np.random.Generator, n: int, turns: int, size: float, reach: float) -> Meetings:
     """Bodies of unit size in one place, with a tiny triangle each, far from their centres. At the end of the step a
     corner of the one triangle is nearest to the other, above its middle; a little earlier, and after `turns` whole
-    turns, it was further away by as much as the triangles are large.
+    turns, it was further away by as much as the triangles are large. The bodies turn about points `reach` away.
     """
     frame = contacts.spindle(0.5, 1)
     tip = np.array([[0.0, 0.0, 0.0], [0.25, -1.0, -0.5], [-0.5, -1.0, 0.25]]) * size + [1.5, 0.0, 0.0]
     flat = np.array([[-1.0, 0.0, -1.0], [2.0, 0.0, -1.0], [-1.0, 0.0, 2.0]]) * size + [1.5, 0.0, 0.0]
     meshes = [
-        pgccd.Mesh(np.concatenate([frame.vertices.numpy(), x]), np.concatenate([frame.faces.numpy(), [[6, 7, 8]]]))
+        pgccd.Mesh(
+            np.concatenate([frame.vertices.numpy(), x]) + [reach, 0.0, 0.0],
+            np.concatenate([frame.faces.numpy(), [[6, 7, 8]]]),
+        )
         for x in (tip, flat)
     ]
     orientation = np.repeat(unit_quaternions(rng, n), 2, axis=0)
@@ -317,10 +320,12 @@ def specks(rng: np.random.Generator, n: int, turns: int, size: float) -> Meeting
     )
 
 
+@pytest.mark.parametrize("reach", [0.0, 1e3])
 @pytest.mark.parametrize("turns", [0, 1000, 100_000])
-def test_tiny_features_far_from_their_centres(turns: int) -> None:
-    """They are known as well as their bodies' size and angle allow, which is all that they are off by."""
-    meetings = specks(np.random.default_rng([9, turns]), 30, turns, 1e-5 if turns else 1e-9)
+def test_tiny_features_far_from_their_origins(turns: int, reach: float) -> None:
+    """They are known as well as their distance from the origin and the angle allow."""
+    size = (1e-5 if turns else 1e-9) * max(1.0, reach)
+    meetings = specks(np.random.default_rng([9, turns]), 30, turns, size, reach)
     moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion("linear"))
     for k in range(len(meetings)):
         (key,) = meetings.touching(k)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 import torch
-from support.origins import STILL, about_z, all_contacts, product, recentred, turn_of
+from strategies import contacts
+from support.candidates import assert_touching, missed
+from support.origins import STILL, about_z, all_contacts, moved_to, product, recentred, turn_of
 from support.shapes import Bodies, directions, tensors, tetrahedron, turned, unit_quaternions
 
 import pgccd
@@ -95,6 +98,37 @@ def _exact_point(position: np.ndarray, quaternion: np.ndarray, point: np.ndarray
     return np.array([p[k] + r[k] + 2 * (w * once[k] + twice[k]) / size for k in range(3)], dtype=object)
 
 
+def test_swept_spheres_cover_the_rounding_of_centres(device: torch.device) -> None:
+    """Spheres that touch by their exact centres, where those computed are three units of their distance from the
+    origin further apart."""
+    rng = np.random.default_rng(6)
+    link = recentred(tetrahedron(), -1e9 * directions(rng, 1)[0])
+    ball = pgccd.Mesh(tetrahedron().vertices, tetrahedron().faces, "centroid")
+    touching = link.radius + ball.radius
+    tried, zero = unit_quaternions(rng, 400), np.zeros(3)
+    x, q = tensors(np.zeros((400, 3)), tried)
+    computed = pgccd.MovingBodies(pgccd.Scene([link], torch.zeros(400).long()), pgccd.RigidMotion(x, q, x, q)).centre_t0
+    position, orientation = [], []
+    for at, centre in zip(tried, computed.numpy(), strict=True):
+        exact = _exact_point(zero, at, link.centre_offset.numpy())
+        error = np.array([float(Fraction(float(c)) - e) for c, e in zip(centre, exact, strict=True)])
+        if np.linalg.norm(error) < 3.0 * 2.0**-53 * 1e9:
+            continue
+        back = error / np.linalg.norm(error)
+        place = np.array([float(e - Fraction(touching * b)) for e, b in zip(exact, back, strict=True)])
+        gap = sum((Fraction(float(p)) - e) ** 2 for p, e in zip(place, exact, strict=True))
+        if gap <= Fraction(touching) ** 2:
+            position += [zero, place]
+            orientation += [at, STILL]
+    assert len(position) > 10
+    kinds = torch.arange(len(position)) % 2
+    scene = pgccd.Scene([link, ball], kinds, device=device, world=torch.arange(len(position)) // 2)
+    x, q = tensors(np.array(position), np.array(orientation), device=device)
+    moving = pgccd.MovingBodies(scene, pgccd.RigidMotion(x, q, x, q))
+    for find in (pgccd.broad.sweep, pgccd.broad.grid, pgccd.broad.lbvh):
+        assert len(find(moving, tolerance=0.0)) == len(position) // 2, "missed"
+
+
 @pytest.mark.parametrize("reach", [1e6, 1e9, 9e11])
 @pytest.mark.parametrize("along", [False, True], ids=["resting", "screw"])
 def test_nothing_is_missed_however_far_origins_are(reach: float, along: bool, device: torch.device) -> None:
@@ -163,3 +197,20 @@ def test_segments_of_a_fast_spin_follow_the_arc_about_the_origin(turn: float, de
         hits = all_contacts(bodies, device, min_separation=separation, tolerance=0.0)
         found = hits.toi[(hits.toi - when).abs() < 1e-3]
         assert len(found), "missed"
+
+
+@pytest.mark.parametrize("reach", [10.0, 1e3, 1e5])
+def test_tips_graze_where_large_arcs_have_used_up_their_deviation(reach: float, device: torch.device) -> None:
+    """Spindles that turn about points `reach` behind them, but travel back as fast: near t = 1/2 their tips only bulge
+    towards each other, by just less than chords of a single segment may stray."""
+    turn = np.sqrt(0.0798 / (reach + 1.0))
+    meetings = contacts.tips(np.random.default_rng(5), 30, (turn, turn), time=np.full(30, 0.5))
+    behind = [-reach * mesh.vertices.numpy()[0] for mesh in meetings.bodies.meshes]
+    bodies = moved_to(meetings.bodies, behind)
+    half_way = [product(turn_of(0.5 * w), q) for w, q in zip(bodies.rotation, bodies.orientation_t0, strict=True)]
+    back = np.cross(bodies.rotation, turned(np.array(half_way), np.array(behind)))
+    start, velocity = bodies.position_t0 - 0.5 * back, bodies.velocity + back
+    meetings = replace(meetings, bodies=replace(bodies, position_t0=start, velocity=velocity))
+    barely = 1e-14 * max(reach, 100.0)
+    assert_touching(meetings, barely)
+    assert missed(meetings, device, barely) == []

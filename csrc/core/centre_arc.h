@@ -21,15 +21,10 @@ PGCCD_HD double mesh_reach(const RigidBodies& bodies, int64_t body) {
                                           : bodies.meshes.reaches[bodies.mesh_index[body]];
 }
 
-// By how much a distance from the axis that is computed for points at most `reach` from the origin may be too small:
-// rotation matrix 8 units an entry and product 5, axis 3, cross product 3, norm 2.
-PGCCD_HD double axis_distance_error(double reach) { return 64.0 * Precision<double>::unit * reach; }
-
-// An upper bound of the distance of the SBV centre from the axis, given the body's orientation at t0. 0 for a centre at
-// the origin.
+// The distance of the SBV centre from the axis, given the body's orientation at t0. 0 for a centre at the origin.
 PGCCD_HD double distance_from_axis(const Mat3<double>& at_t0, const Spin& spin, Vec3<double> centre) {
   if (is_centred(centre)) return 0.0;
-  return norm(cross(spin.axis, at_t0 * centre)) + axis_distance_error(norm(centre));
+  return norm(cross(spin.axis, at_t0 * centre));
 }
 
 // An arc of that angle and radius strays from its chord by at most so much: from linear interpolation in time by

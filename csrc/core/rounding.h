@@ -32,7 +32,8 @@ struct Precision<DoubleDouble> {
 // Computed offsets of mesh points from their body's centre differ from the exact path by at most this many units of the
 // SBV radius: rotation matrix of a quaternion (8 units an entry), one product (5), axis (3), two cross products and the
 // Rodrigues sum (60 in all at worst, versine <= 2), sine and versine (4 each), and a rotation vector taken from two
-// orientations (16).
+// orientations (16). Another 36 cover arcs whose radius is computed 18 units too small: they stray from their chords by
+// twice their radius at most.
 constexpr double kRigidPointUnits = 256.0;
 
 // Largest power of two not above 1 / x, for x > 0: scaling by it is exact.

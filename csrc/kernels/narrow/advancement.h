@@ -13,9 +13,9 @@
 namespace pgccd {
 
 // A search goes through up to three phases. Most candidates are free, and most of those are seen to be in the first;
-// nearly all others end in the second. Only the third treats slender and tiny features with care, takes long strides
-// past grazing ones, clears whole turns of spinning bodies, and tells near misses from touches: all that would slow the
-// others down.
+// nearly all others end in the second, which considers the interiors of slender features too. Only the third copes with
+// tiny features, takes long strides past grazing ones, clears whole turns of spinning bodies, and tells near misses
+// from touches: all that would slow the others down.
 enum class Phase { kQuick, kPlain, kPatient };
 constexpr int kQuickAdvances = 2;
 constexpr int kPlainAdvances = 24;
@@ -40,7 +40,9 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
 
   T t = progress.t;
   FeaturePair<T> now = path.at(t);
-  Nearest<T> nearest = nearest_points<kEdgeEdge, kIsPatient>(now);
+  // The plain phase begins as the quick one, so that it makes no difference whether that came before.
+  bool with_slender = kIsPatient || (kPhase == Phase::kPlain && progress.advances >= kQuickAdvances);
+  Nearest<T> nearest = nearest_points<kEdgeEdge>(now, with_slender);
   T distance = norm(nearest.offset);
   if (!(progress.goal < T(0))) {
     goal = progress.goal;
@@ -78,7 +80,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
       bool is_touch = true;
       if constexpr (Path::kStraight) {
         is_touch = !(goal > wanted) &&
-                   certainly_touch<kEdgeEdge, kIsPatient>(path, t, now, nearest, distance, separation, noise);
+                   certainly_touch<kEdgeEdge>(path, t, now, nearest, distance, separation, noise, with_slender);
       }
       if (is_touch) return stop(Status::kTouch);
       if constexpr (!kIsPatient) return leave_open();
@@ -119,7 +121,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
         stride = T(4) * larger(stride, next - t);
         const T far_time = t + stride < t_end ? t + stride : t_end;
         const FeaturePair<T> far = path.at(far_time);
-        const Nearest<T> far_nearest = nearest_points<kEdgeEdge, true>(far);
+        const Nearest<T> far_nearest = nearest_points<kEdgeEdge>(far);
         const T far_duration = far_time - t;
         const T far_apart = separation + path.deviation(far_duration) * (T(1) + T(16) * unit);
         const T turned = turning_direction<kEdgeEdge>(now, far, direction, direction_of(far_nearest), far_apart, error);
@@ -132,14 +134,18 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
       }
     }
 
-    if (!(next > t)) {
+    if (!(next < T(1))) return free();
+    if (next > t) {
+      t = next;
+      now = t == t_end ? end : path.at(t);
+      if (kPhase == Phase::kPlain && advances + 1 >= kQuickAdvances) with_slender = true;
+    } else if (kPhase == Phase::kPlain && !with_slender) {
+      with_slender = true;
+    } else {
       if constexpr (!kIsPatient) return leave_open();
       break;
     }
-    if (!(next < T(1))) return free();
-    t = next;
-    now = t == t_end ? end : path.at(t);
-    nearest = nearest_points<kEdgeEdge, kIsPatient>(now);
+    nearest = nearest_points<kEdgeEdge>(now, with_slender);
     distance = norm(nearest.offset);
   }
   return stop(if_spent);

@@ -11,18 +11,24 @@ namespace pgccd {
 PGCCD_HD bool uses_arcs(const RigidBodies& bodies) { return !bodies.linear_path; }
 PGCCD_HD bool uses_arcs(const DeformingBodies&) { return false; }
 
+// Calls `use` with the path of the feature pair, in double.
+template <bool kEdgeEdge, class Bodies, class Pair, class Use>
+PGCCD_HD auto with_path(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, const Use& use) {
+  if constexpr (std::is_same_v<Bodies, RigidBodies>) {
+    if (uses_arcs(bodies)) return use(pair.template arc_path<kEdgeEdge>(bodies, f));
+  }
+  Vec3<double> t0[4], t1[4];
+  pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
+  return use(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error));
+}
+
 // `progress`: none, or what a quick rejection has left.
 template <bool kEdgeEdge, class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
                                         const SearchSettings<double>& settings, Progress<double> progress) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
-    if (uses_arcs(bodies)) {
-      return advance_to_contact<kEdgeEdge>(pair.template arc_path<kEdgeEdge>(bodies, f), settings, progress);
-    }
-    Vec3<double> t0[4], t1[4];
-    pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-    Outcome<double> outcome =
-        advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error), settings, progress);
+    Outcome<double> outcome = with_path<kEdgeEdge>(
+        bodies, pair, f, [&](const auto& path) { return advance_to_contact<kEdgeEdge>(path, settings, progress); });
     // What rounding did to the points themselves, no finer arithmetic would undo.
     if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
     return outcome;
@@ -31,21 +37,6 @@ PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, 
     pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
     return solve_straight<kEdgeEdge>(t0, t1, settings).outcome;
   }
-}
-
-template <bool kEdgeEdge, class Bodies, class Pair>
-PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
-                               const SearchSettings<double>& settings, Progress<double>& progress) {
-  if constexpr (std::is_same_v<Bodies, RigidBodies>) {
-    if (uses_arcs(bodies)) {
-      const auto path = pair.template arc_path<kEdgeEdge>(bodies, f);
-      return is_quickly_free<kEdgeEdge>(path, settings, progress);
-    }
-  }
-  Vec3<double> t0[4], t1[4];
-  pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-  const LinearPath<kEdgeEdge, double> path(t0, t1, pair.point_error);
-  return is_quickly_free<kEdgeEdge>(path, settings, progress);
 }
 
 // A candidate is dropped only if the toi that it would report, a double, is later than `latest`. A finer arithmetic
@@ -61,17 +52,34 @@ PGCCD_HD SearchSettings<double> search_settings(const Bodies& bodies, const Pair
   return {separation, tolerance, prune_time(latest), settings.nonzero_toi};
 }
 
-// The same answer as solve_candidate if that is free; false may still be free. For devices, where the few long searches
-// would hold up the many short ones of their warp.
+// The answer of `solve_candidate` where the quick phase finds it: true if free.
 template <class Bodies, class Pair>
-PGCCD_HD bool free_at_a_glance(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
-                               const NarrowSettings& settings, Progress<double>& progress) {
+PGCCD_HD bool is_quickly_free(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
+                              const NarrowSettings& settings, Progress<double>& progress) {
   const SearchSettings<double> search = search_settings(bodies, pair, settings, static_cast<double>(INFINITY));
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    return free_at_a_glance<true>(bodies, pair, f, search, progress);
+    return with_path<true>(bodies, pair, f,
+                           [&](const auto& path) { return is_quickly_free<true>(path, search, progress); });
   }
-  return free_at_a_glance<false>(bodies, pair, f, search, progress);
+  return with_path<false>(bodies, pair, f,
+                          [&](const auto& path) { return is_quickly_free<false>(path, search, progress); });
+}
+
+// The answer of `solve_candidate` where the plain phase finds it, kOpen otherwise.
+template <class Bodies, class Pair>
+PGCCD_HD Outcome<double> solve_plainly(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
+                                       const NarrowSettings& settings, double latest, Progress<double> progress) {
+  const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
+  const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
+  if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
+    return with_path<true>(bodies, pair, f, [&](const auto& path) {
+      return advance_in_phase<true, Phase::kPlain>(path, search, progress);
+    });
+  }
+  return with_path<false>(bodies, pair, f, [&](const auto& path) {
+    return advance_in_phase<false, Phase::kPlain>(path, search, progress);
+  });
 }
 
 template <class Bodies, class Pair>

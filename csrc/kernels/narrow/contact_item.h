@@ -70,7 +70,7 @@ PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const Featur
 
   // The gap gives the normal unless rounding drowns it; then the features' own normal does, turned to lead from centre
   // to centre.
-  Vec3<double> normal = nearest_points<kEdgeEdge, true>(features).offset;
+  Vec3<double> normal = nearest_points<kEdgeEdge>(features).offset;
   if (!(norm(normal) > 0x1p-40 * extent(features))) {
     normal = cross(features.a, features.b);
     const double along = dot(normal, centre_offset(bodies, pair, toi));

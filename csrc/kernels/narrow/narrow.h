@@ -27,7 +27,7 @@ struct NarrowInput {
 
 // Room for a narrow phase that nobody waits for.
 struct ContactCapacity {
-  int64_t open;      // candidates that need more than a glance
+  int64_t open;      // candidates that the quick phase leaves
   int64_t contacts;  // rows
 };
 

@@ -43,7 +43,8 @@ std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& 
     int64_t c = begin;
     while (c < end) {
       const int32_t row = input.candidates.items[c].pair;
-      const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * row], input.pairs[2 * row + 1]);
+      const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * int64_t{row}],
+                                               input.pairs[2 * int64_t{row} + 1]);
       for (; c < end && input.candidates.items[c].pair == row; ++c) {
         double* pair_best = bounded ? &best[row] : nullptr;
         const double latest = bounded ? latest_useful(input.report, *pair_best) : kNever;
@@ -95,7 +96,8 @@ ContactRows to_rows(const Executor& executor, const Bodies& bodies, const Narrow
     for (int64_t row = begin; row < end; ++row) {
       const Candidate& c = input.candidates.items[found[row].candidate];
       const Outcome<double>& outcome = found[row].outcome;
-      const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * c.pair], input.pairs[2 * c.pair + 1]);
+      const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * int64_t{c.pair}],
+                                               input.pairs[2 * int64_t{c.pair} + 1]);
       const ContactPlace at = contact_place(bodies, pair, c, outcome.toi, outcome.u, outcome.v);
       out.pair[row] = c.pair;
       out.kind[row] = static_cast<int8_t>(c.kind);

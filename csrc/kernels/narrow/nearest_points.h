@@ -76,10 +76,10 @@ PGCCD_HD Nearest<T> from_segment(const SegmentCase<T>& c, T u, T v) {
 
 // The offset joins two points of the features to within 64 u of the extent: its length bounds the distance from above.
 // No certificate of freedom rests on its accuracy.
-// `kWithSlender`: features whose normal is inaccurate are looked at inside too, not only along their borders, which may
-// be further apart.
-template <bool kEdgeEdge, bool kWithSlender, class T>
-PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
+// `with_slender`: also considers the interiors of features whose normal is inaccurate; otherwise their borders, which
+// may be further apart, stand for them.
+template <bool kEdgeEdge, class T>
+PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p, bool with_slender = true) {
   using nearest_detail::from_segment;
   using nearest_detail::nearest_on_segment;
   const Vec3<T> normal = cross(p.a, p.b);
@@ -102,9 +102,9 @@ PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p) {
     const T along = dot(normal, p.r);
     return {(along / normal_squared) * normal, along < T(0) ? -normal : normal, u / normal_squared, v / normal_squared};
   }
-  if constexpr (kWithSlender) {
+  if (with_slender && has_normal && is_slender) {
     Nearest<T> interior;
-    if (has_normal && is_slender && nearest_detail::nearest_of_slender<kEdgeEdge>(p, normal, interior)) return interior;
+    if (nearest_detail::nearest_of_slender<kEdgeEdge>(p, normal, interior)) return interior;
   }
 
   auto best = nearest_on_segment(p.r, p.b);

@@ -43,7 +43,6 @@ struct RigidPair {
   Spin spin[2];
   RelativeCentre centre;  // of body j's origin, seen from body i's
   double point_error;
-  double axis_error[2];  // of a point's distance from the axis; 0 for bodies that turn about their SBV centres
 
   PGCCD_HD RigidPair(const RigidBodies& bodies, int64_t i, int64_t j)
       : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, centre(relative_centre(bodies.centres, i, j)) {
@@ -55,9 +54,7 @@ struct RigidPair {
     for (int side = 0; side < 2; ++side) {
       // The angle at a time is rounded relatively, which moves a point by so much more the further it has turned.
       const double units = kRigidPointUnits + 8.0 * spin[side].angle;
-      const double reach = mesh_reach(bodies, body[side]);
-      point_error += units * Precision<double>::unit * reach;
-      axis_error[side] = is_centred(mesh_centre(bodies, body[side])) ? 0.0 : axis_distance_error(reach);
+      point_error += units * Precision<double>::unit * mesh_reach(bodies, body[side]);
     }
   }
 
@@ -86,7 +83,7 @@ struct RigidPair {
     Vec3<double> base[4];
     bases<kEdgeEdge>(bodies, f, base);
     const int first = f.swapped ? 1 : 0, second = 1 - first;
-    return {base, spin[first], spin[second], named_centre(f), point_error, axis_error[first], axis_error[second]};
+    return {base, spin[first], spin[second], named_centre(f), point_error};
   }
 
   // End positions relative to the first-named body's centre.

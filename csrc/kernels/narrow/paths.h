@@ -73,9 +73,8 @@ class ArcPath {
  public:
   static constexpr bool kStraight = false;
 
-  // Distances from the two axes may be computed too small by so much.
   PGCCD_HD ArcPath(const Vec3<double> bases[4], const Spin& first, const Spin& second, const RelativeCentre& centre,
-                   double point_error, double first_axis_error, double second_axis_error)
+                   double point_error)
       : first_angle_(first.angle), second_angle_(second.angle), centre_(centre) {
     double first_radius = 0.0, second_radius = 0.0;
     for (int k = 0; k < 4; ++k) {
@@ -84,8 +83,6 @@ class ArcPath {
       double& radius = is_first ? first_radius : second_radius;
       radius = larger(radius, norm(points_[k].quarter));
     }
-    first_radius += first_axis_error;
-    second_radius += second_axis_error;
     // |x''| <= angle^2 radius for each body; the factor covers the rounding of this very expression.
     curvature_ =
         (1.0 + 0x1p-40) * (first.angle * first.angle * first_radius + second.angle * second.angle * second_radius);

@@ -79,10 +79,10 @@ PGCCD_HD bool pass_through(const FeaturePair<T>& start, const FeaturePair<T>& en
 }
 
 // Looks for such a proof just after a time at which the primitives are `distance` apart, by one Newton step.
-// `kWithSlender` as for `nearest_points`.
-template <bool kEdgeEdge, bool kWithSlender, class T, class Path>
+// `with_slender` as for `nearest_points`.
+template <bool kEdgeEdge, class T, class Path>
 PGCCD_HD bool certainly_touch(const Path& path, T t, const FeaturePair<T>& now, const Nearest<T>& nearest, T distance,
-                              T separation, T noise) {
+                              T separation, T noise, bool with_slender) {
   using touching_detail::determinant;
   const FeaturePair<T> velocity = path.velocity();
   if (separation > T(0)) {
@@ -91,7 +91,7 @@ PGCCD_HD bool certainly_touch(const Path& path, T t, const FeaturePair<T>& now, 
     const T speed = -dot(nearest.offset, closing) / distance;
     const T until = smaller(t + T(4) * ((distance - separation) + noise) / speed, T(1));
     if (!(until > t)) return false;
-    const T distance_then = norm(nearest_points<kEdgeEdge, kWithSlender>(path.at(until)).offset);
+    const T distance_then = norm(nearest_points<kEdgeEdge>(path.at(until), with_slender).offset);
     return distance_then + noise < separation;
   }
   const PairError<T> error = path.error();

@@ -103,10 +103,10 @@ PGCCD_HD double free_while_spinning(const ArcPath<kEdgeEdge>& path, double t, Ve
                                     double separation) {
   const whole_turns_detail::SpunPair<kEdgeEdge> pair(path, t);
   if (!pair.any()) return t;
-  const Vec3<double> between_circles = direction_of(nearest_points<kEdgeEdge, true>(pair.hubs(1.0)));
+  const Vec3<double> between_circles = direction_of(nearest_points<kEdgeEdge>(pair.hubs(1.0)));
   double until = larger(t, pair.free_until(direction, separation));
   until = larger(until, pair.free_until(between_circles, separation));
-  const Vec3<double> from_centre = direction_of(nearest_points<kEdgeEdge, true>(pair.hubs(0.0)));
+  const Vec3<double> from_centre = direction_of(nearest_points<kEdgeEdge>(pair.hubs(0.0)));
   until = larger(until, pair.free_until(from_centre, separation));
   for (int k = 0; k < 4; ++k) {
     if (!pair.spins(k)) continue;

@@ -1,0 +1,48 @@
+"""Do the traversal's candidates include the features that touch?"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import torch
+from strategies import contacts
+from strategies.contacts import Meetings
+
+import pgccd
+
+
+def missed(
+    meetings: Meetings,
+    device: torch.device,
+    separation: float,
+    tolerance: float = 0.0,
+    path: Literal["rigid", "linear"] = "rigid",
+    horizon: np.ndarray | None = None,
+) -> list[int]:
+    """Which pairs' touching features are not all candidates."""
+    bodies = pgccd.MovingBodies(meetings.bodies.scene(device), meetings.bodies.motion(path, device))
+    return missed_among(meetings, bodies, separation, tolerance, horizon)
+
+
+def missed_among(
+    meetings: Meetings,
+    bodies: pgccd.MovingBodies,
+    separation: float,
+    tolerance: float = 0.0,
+    horizon: np.ndarray | None = None,
+) -> list[int]:
+    """The same of bodies in any motion."""
+    pairs = torch.tensor(meetings.pairs, device=bodies.device)
+    until = None if horizon is None else torch.tensor(horizon, device=bodies.device)
+    found, _ = pgccd.traverse.bvtt(bodies, pairs, separation, tolerance, until)
+    rows: list[set[tuple[int, ...]]] = [set() for _ in range(len(meetings))]
+    for row in found.tolist():
+        rows[row[0]].add(tuple(row[1:]))
+    return [k for k in range(len(meetings)) if meetings.touching(k) - rows[k]]
+
+
+def assert_touching(meetings: Meetings, separation: float) -> None:
+    """In exact arithmetic, at the times chosen."""
+    assert all(contacts.distance_at(meetings, k) <= separation for k in range(len(meetings)))
+    assert all(meetings.touching(k) for k in range(len(meetings)))
