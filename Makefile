@@ -5,8 +5,8 @@ VENV_PYTHON := .venv/bin/python
 # The two steps leave a stamp each, so that they run again only when their inputs have changed.
 ENVIRONMENT := .venv/pgccd-environment
 EXTENSION := build/pgccd-extension
-# What is compiled depends on PGCCD_CUDA: another wish is a newer file.
-WISH := build/pgccd-cuda-$(or $(PGCCD_CUDA),auto)
+# What is compiled depends on PGCCD_CUDA: a new value is a new file.
+CUDA_SETTING := build/pgccd-cuda-$(or $(PGCCD_CUDA),auto)
 # Folders are listed along with files, so that a removed source is noticed too.
 EXTENSION_INPUTS := setup.py $(wildcard build_support/*.py) $(shell find csrc)
 CPP_FILES = find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cuh' -o -name '*.cu'
@@ -49,10 +49,10 @@ clean:
 	rm -rf build out pgccd/*.so *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
 
-$(WISH):
+$(CUDA_SETTING):
 	@mkdir -p build && rm -f build/pgccd-cuda-* && touch $@
 
-$(ENVIRONMENT): bootstrap.py pyproject.toml $(WISH)
+$(ENVIRONMENT): bootstrap.py pyproject.toml $(CUDA_SETTING)
 	$(PYTHON) bootstrap.py
 	@touch $@ $(EXTENSION)
 

@@ -78,13 +78,13 @@ def main() -> None:
     LOG.parent.mkdir(exist_ok=True)
     LOG.write_text("")
     create_environment()
-    wish = os.environ.get("PGCCD_CUDA", "auto")
-    if wish not in ("auto", "0", "1"):
-        raise SystemExit(f"PGCCD_CUDA={wish}: expected auto, 0 or 1")
+    setting = os.environ.get("PGCCD_CUDA", "auto")
+    if setting not in ("auto", "0", "1"):
+        raise SystemExit(f"PGCCD_CUDA={setting}: expected auto, 0 or 1")
     torch = install_torch()
     install_packages()
-    if torch["cuda"] is not None and wish != "0":
-        install_cuda_compiler(torch["cuda"], has_gpu=torch["gpus"] > 0, is_forced=wish == "1")
+    if torch["cuda"] is not None and setting != "0":
+        install_cuda_compiler(torch["cuda"], has_gpu=torch["gpus"] > 0, is_forced=setting == "1")
     install_project()
     say(f"ready after {time.monotonic() - started:.0f} s")
 

@@ -27,7 +27,7 @@ def find_cuda_toolkit(torch_cuda_version: str) -> CudaToolkit | None:
 
 
 def architecture_flags(architectures: str) -> list[str]:
-    """What nvcc is to be told for a list such as "8.0;9.0+PTX" (names as in TORCH_CUDA_ARCH_LIST).
+    """The options of nvcc for a list such as "8.0;9.0+PTX" (names as in TORCH_CUDA_ARCH_LIST).
 
     torch adds such flags itself only if no other flag contains "arch", which `-march` does.
     """

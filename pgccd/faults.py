@@ -1,4 +1,4 @@
-"""What can be wrong with the numbers of a motion, found by `ops.first_faults` and told by name."""
+"""Invalid numbers in motions: `ops.first_faults` finds them, errors name the column and the row."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Faults:
         row: what a row of them is.
         count: number of rows.
         sources: by name of a column, the argument it follows from.
-        radius: (N,) of bodies that deform; then a faulty body is told before the columns.
+        radius: (N,) of bodies that deform; then an invalid radius is reported before the columns.
     """
 
     names: tuple[str, ...]

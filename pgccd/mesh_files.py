@@ -35,7 +35,7 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
 
     Args:
         path: of the file.
-        apart: whether objects and groups of an obj file are told apart.
+        apart: whether objects and groups of an obj file become meshes of their own.
 
     Raises:
         FileNotFoundError, ValueError, ImportError: as `pgccd.Mesh.load`.
@@ -100,7 +100,7 @@ def clean(geometry: Geometry, weld: bool) -> CleanGeometry:
         ValueError: a vertex is not finite, a face names none, or no face is left.
     """
     vertices, faces = geometry.vertices, geometry.faces
-    # Told here by their rows in the file.
+    # Before welding, so that errors name rows of the file.
     finite = np.isfinite(vertices).all(axis=1)
     if not finite.all():
         first = int(np.argmin(finite))

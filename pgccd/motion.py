@@ -23,7 +23,8 @@ class RigidMotion(MovingColumns):
 
     A point v of the mesh (in the coordinates given to `Mesh`) is at x(t) = position(t) + R(t) (v - origin), with
     R(t) = exp(t [w]x) R0 and the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a
-    turn, about the vector part of q1 * conj(q0)). With `path="linear"` every vertex moves on the straight line
+    turn, about the vector part of q1 * conj(q0); within some 1e-15 rad of half a turn, rounding decides the way: use
+    `from_rotation` there). With `path="linear"` every vertex moves on the straight line
     between its two end positions instead (the two vertex streams of Du, Liu & Suzumura 2017).
 
     Args:

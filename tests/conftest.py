@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 import torch
 from hypothesis import HealthCheck, settings
@@ -21,6 +23,9 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.markexpr = "not slow"
     if getattr(config.option, "dist", "no") == "load":  # of xdist, where it is installed
         config.option.dist = "loadgroup"
+    # Workers share the cores.
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    torch.set_num_threads(max(1, torch.get_num_threads() // workers))
 
 
 @pytest.fixture(params=DEVICES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -80,6 +81,7 @@ def stages_alone(bodies: pgccd.MovingBodies) -> None:
         pgccd.narrow.contacts(bodies, pairs, candidates, report)
 
 
+@functools.cache
 def recorded(device: torch.device) -> list[Call]:
     """Calls of the operators as the package itself makes them, with all that is optional there and not there."""
     recorder = Recorder(ops.library.operators)

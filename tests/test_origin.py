@@ -128,24 +128,20 @@ def _pair(rng: np.random.Generator, reach: float, turn: float, along: bool) -> B
 def test_arcs_about_any_origin_agree_with_the_oracle(
     reach: float, turn: float, along: bool, device: torch.device
 ) -> None:
-    contacts = 0
-    for seed in range(2):
-        rng = np.random.default_rng([seed, int(reach), int(turn), along])
-        bodies = _pair(rng, reach, turn, along)
-        rows, truth = rows_of(all_contacts(bodies, device)), rigid_truth(bodies)
-        assert_nothing_missed(rows, truth)
-        # 4 errors of a point on each of two bodies, and 64 units of the extent, in place of the tolerance.
-        noise = (8 * (256 + 8 * turn) + 64 * 18) * 2.0**-53 * max(mesh.reach for mesh in bodies.meshes)
-        within = max(1e-6 * min(mesh.radius for mesh in bodies.meshes), 1.1 * noise)
-        assert_rigid_rows_close(rows, bodies, within + 1e-12 * (reach + 10.0))
-        contacts += len(truth.contacts)
-    assert contacts > (20 if reach < 1e6 else 1)
+    bodies = _pair(np.random.default_rng([int(reach), int(turn), along]), reach, turn, along)
+    rows, truth = rows_of(all_contacts(bodies, device)), rigid_truth(bodies)
+    assert_nothing_missed(rows, truth)
+    # 4 errors of a point on each of two bodies, and 64 units of the extent, in place of the tolerance.
+    noise = (8 * (256 + 8 * turn) + 64 * 18) * 2.0**-53 * max(mesh.reach for mesh in bodies.meshes)
+    within = max(1e-6 * min(mesh.radius for mesh in bodies.meshes), 1.1 * noise)
+    assert_rigid_rows_close(rows, bodies, within + 1e-12 * (reach + 10.0))
+    assert len(truth.contacts) > (10 if reach < 1e6 else 0)
 
 
-@pytest.mark.parametrize("turn", [20.0, 40.0])
+@pytest.mark.parametrize("turn", [20.0, pytest.param(40.0, marks=pytest.mark.slow)])
 def test_many_turns_about_a_joint(turn: float, device: torch.device) -> None:
     contacts = 0
-    for seed in range(2):
+    for seed in range(1 if turn < 40.0 else 2):
         rng = np.random.default_rng([seed, int(turn)])
         mesh, other = bumpy(rng, 0), bumpy(rng, 0)
         link = recentred(mesh, np.array([3.0, 0.0, 0.0]))
@@ -161,7 +157,7 @@ def test_many_turns_about_a_joint(turn: float, device: torch.device) -> None:
         assert_nothing_missed(rows, truth)
         assert_rigid_rows_close(rows, bodies, 1e-6)
         contacts += len(truth.contacts)
-    assert contacts > 20
+    assert contacts > 10
 
 
 @pytest.mark.parametrize("path", ["rigid", "linear"])

@@ -143,7 +143,7 @@ def test_known_contacts_of_a_cube_and_a_wall() -> None:
 
 
 @given(bumpy_spheres(0), boxes(), pose_motions(scale=1.0), pose_motions(scale=1.0))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3, deadline=None)
 def test_rigid_detection_is_every_pair(
     first: TriMesh, second: TriMesh, motion_a: PoseMotion, motion_b: PoseMotion
 ) -> None:

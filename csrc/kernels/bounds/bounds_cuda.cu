@@ -18,7 +18,7 @@ struct Refit {
   int32_t* pending;                     // (blocks) children's blocks not done yet
 };
 
-constexpr int32_t kNobody = -1;
+constexpr int32_t kNoBody = -1;
 
 // A body's mesh and its rows.
 struct RefitBody {
@@ -89,7 +89,7 @@ __global__ void __launch_bounds__(kBlockThreads) name_bodies(Refit refit) {
   const RefitBody body = refit_body(refit.input, index);
   for (int64_t block = threadIdx.x % kWarp; block < body.block_count; block += kWarp) {
     const int32_t other = atomicExch(refit.body_of_block + body.first_block + block, static_cast<int32_t>(index));
-    require_on_device(other == kNobody, "block_begin: expected blocks of one body each");
+    require_on_device(other == kNoBody, "block_begin: expected blocks of one body each");
   }
 }
 
@@ -100,7 +100,7 @@ __global__ void __launch_bounds__(kBlockThreads) sum_chunks(Refit refit) {
   if (task >= 2 * refit.input.block_count) return;
   const int end = static_cast<int>(task % 2);
   const int64_t row = task / 2;
-  if (refit.body_of_block[row] == kNobody) return;
+  if (refit.body_of_block[row] == kNoBody) return;
   const RefitBody body = body_of_block(refit, row);
   const int64_t first = (row - body.first_block) * kMeanChunk;
   if (first >= body.face_count) return;
@@ -131,7 +131,7 @@ __global__ void __launch_bounds__(kBlockThreads) place_centres(Refit refit) {
 __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
   const int lane = threadIdx.x % kWarp;
   const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
-  if (row >= refit.input.block_count || refit.body_of_block[row] == kNobody) return;
+  if (row >= refit.input.block_count || refit.body_of_block[row] == kNoBody) return;
   const RefitBody body = body_of_block(refit, row);
   const int64_t block = row - body.first_block;
   const BodyShape shape = body_shape(refit, body.index);
@@ -162,7 +162,7 @@ __global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
   const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, leader = lane - slot;
   const unsigned members = 0xffu << leader;
   const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kBlockWidth;
-  if (row >= refit.input.block_count || refit.body_of_block[row] == kNobody) return;
+  if (row >= refit.input.block_count || refit.body_of_block[row] == kNoBody) return;
   const RefitBody body = body_of_block(refit, row);
   const BodyShape shape = body_shape(refit, body.index);
   const int64_t first = body.first_block;

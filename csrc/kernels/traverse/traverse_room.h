@@ -28,7 +28,7 @@ constexpr int64_t kMostBlocksWithin = 0xffffffff;
 struct TraverseRoom {
   uint32_t poses, tasks, leaves, candidates;
 
-  // Of tasks, only those that launches took over are told.
+  // Of tasks, only those that one launch left to the next are counted.
   PGCCD_HD bool holds(const TraverseCounters& seen) const {
     return fits(seen.poses, poses) && fits(seen.most_rest, tasks) && fits(seen.leaves, leaves) &&
            fits(candidates_of(seen), candidates) && fits(seen.blocks_within, kMostBlocksWithin);
