@@ -138,3 +138,15 @@ def real_rows(values: Any, name: str, count: int | None, width: int, device: tor
     if values.dtype == torch.float64 and not values.requires_grad and values.is_contiguous():
         return values  # as it mostly is: converting it all the same takes a tenth of a call for two bodies
     return values.detach().to(torch.float64).contiguous()
+
+
+def check_corners(points: np.ndarray, faces: np.ndarray) -> None:
+    """ValueError unless vertices (V, 3) are finite and faces (F, 3) name some of them."""
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        first = int(np.argmin(finite))
+        raise ValueError(f"vertices: vertex {first} is not finite: {points[first].tolist()}")
+    out_of_range = ((faces < 0) | (faces >= len(points))).any(axis=1)
+    if out_of_range.any():
+        first = int(np.argmax(out_of_range))
+        raise ValueError(f"faces: face {first} is {faces[first].tolist()}, but there are {len(points)} vertices")

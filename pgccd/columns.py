@@ -83,7 +83,7 @@ class MovingColumns:
             self.faults.raise_from(first)
 
     def check_given(self) -> None:
-        """Raises ValueError if an argument that no column keeps was invalid. Waits for the GPU if its result is not there yet."""
+        """Raises ValueError if an argument that no column keeps was invalid. May wait for a GPU."""
         if self._given_faults is not None:
             self.check()
             self._given, self._given_faults = (), None

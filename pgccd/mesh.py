@@ -283,14 +283,7 @@ def _as_array(values: npt.ArrayLike | Tensor, dtype: type, name: str) -> np.ndar
 def _check_faces(points: np.ndarray, faces: np.ndarray) -> None:
     if len(faces) == 0:
         raise ValueError("faces: the mesh holds no triangles")
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.all():
-        first = int(np.argmin(finite))
-        raise ValueError(f"vertices: vertex {first} is not finite: {points[first].tolist()}")
-    out_of_range = ((faces < 0) | (faces >= len(points))).any(axis=1)
-    if out_of_range.any():
-        first = int(np.argmax(out_of_range))
-        raise ValueError(f"faces: face {first} is {faces[first].tolist()}, but there are {len(points)} vertices")
+    arguments.check_corners(points, faces)
     repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     if repeats.any():
         first = int(np.argmax(repeats))

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from pgccd import arguments
+
 
 @dataclass(frozen=True)
 class Geometry:
@@ -101,14 +103,7 @@ def clean(geometry: Geometry, weld: bool) -> CleanGeometry:
     """
     vertices, faces = geometry.vertices, geometry.faces
     # Before welding, so that errors name rows of the file.
-    finite = np.isfinite(vertices).all(axis=1)
-    if not finite.all():
-        first = int(np.argmin(finite))
-        raise ValueError(f"vertices: vertex {first} is not finite: {vertices[first].tolist()}")
-    wrong = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
-    if wrong.any():
-        first = int(np.argmax(wrong))
-        raise ValueError(f"faces: face {first} is {faces[first].tolist()}, but there are {len(vertices)} vertices")
+    arguments.check_corners(vertices, faces)
     source = np.arange(len(vertices))
     if weld:
         source, twin = _unique_rows(vertices)

@@ -31,7 +31,7 @@ BROAD = "csrc/kernels/broad/"
 BOUNDS = "csrc/kernels/bounds/"
 
 ON_TRAVERSE = ("test_margins_traverse.py",)
-ON_NARROW = ("test_margins_narrow.py",)
+ON_NARROW = ("test_margins_narrow.py", "test_margins_candidates.py")
 ON_BROAD = ("test_margins_broad.py",)
 ON_BOUNDS = ("test_margins_bounds.py",)
 ON_CORE = ("test_margins_core.py",)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from strategies import contacts
 from strategies.contacts import Meetings
+from support.candidates import found_contact
 from support.shapes import directions
-from test_margins_narrow import found_contact
 from test_margins_traverse import BARELY, assert_touching, missed
 
 import pgccd

@@ -133,7 +133,7 @@ class World:
 
     @property
     def position(self) -> Tensor:
-        """(N, 3) float64: where their origins are, as last told."""
+        """(N, 3) float64: where their origins are, as last given."""
         return self._columns["position"]
 
     @property

@@ -1,4 +1,4 @@
-"""Do the traversal's candidates include the features that touch?"""
+"""What the traversal and the narrow phase make of features that touch."""
 
 from __future__ import annotations
 
@@ -46,3 +46,18 @@ def assert_touching(meetings: Meetings, separation: float) -> None:
     """In exact arithmetic, at the times chosen."""
     assert all(contacts.distance_at(meetings, k) <= separation for k in range(len(meetings)))
     assert all(meetings.touching(k) for k in range(len(meetings)))
+
+
+def found_contact(
+    meetings: Meetings,
+    moving: pgccd.MovingBodies,
+    k: int,
+    key: tuple[int, int, int],
+    min_separation: float,
+    tolerance: float | None = 0.0,
+) -> tuple[torch.Tensor, ...] | None:
+    """What the narrow phase makes of one feature pair: None, or the columns of its contact."""
+    pairs = torch.tensor(meetings.pairs[k : k + 1])
+    candidate = torch.tensor([[0, *key]], dtype=torch.int32)
+    rows = pgccd.narrow.contacts(moving, pairs, candidate, "all", min_separation, tolerance=tolerance)
+    return rows if len(rows[0]) else None
