@@ -824,13 +824,6 @@ _PATIENT = [
         ON_DEGENERATE,
     ),
     Mutant(
-        "moving-normal-of-vanishing-length",
-        NARROW + "certificates.h",
-        "!(longest_squared > T(Precision<T>::smallest_square))",
-        "false",
-        ON_DEGENERATE,
-    ),
-    Mutant(
         "slender-distance-along-the-normal",
         NARROW + "nearest_points.h",
         "T(0x1p-6) * parallel_squared",

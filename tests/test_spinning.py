@@ -23,13 +23,20 @@ def wall(distance: float, normal: tuple[float, float, float]) -> pgccd.Mesh:
 
 
 def spinning(
-    mesh: pgccd.Mesh, obstacle: pgccd.Mesh, rotation: tuple[float, float, float], device: torch.device
+    mesh: pgccd.Mesh,
+    obstacle: pgccd.Mesh,
+    rotation: tuple[float, float, float],
+    device: torch.device,
+    travel: float = 0.0,
 ) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
-    """The mesh turns about the zero of its coordinates; the obstacle's coordinates are as given."""
+    """The mesh turns about the zero of its coordinates, which travels against x; the obstacle's coordinates are as
+    given."""
     position = torch.zeros(2, 3, dtype=torch.float64, device=device)
+    end = position.clone()
+    end[0, 0] = -travel
     orientation = torch.tensor([[1.0, 0, 0, 0]] * 2, dtype=torch.float64, device=device)
     turn = torch.tensor([rotation, (0.0, 0.0, 0.0)], dtype=torch.float64, device=device)
-    motion = pgccd.RigidMotion.from_rotation(position, orientation, position, turn)
+    motion = pgccd.RigidMotion.from_rotation(position, orientation, end, turn)
     return pgccd.Scene([mesh, obstacle], device=device), motion
 
 
@@ -93,7 +100,29 @@ def test_arc_that_bulges_into_the_circle(device: torch.device, depth: float) -> 
     motion = pgccd.RigidMotion.from_rotation(position, columns[0], position, columns[1])
     found = pgccd.detect(pgccd.Scene([needle, hook], device=device), motion, "first")
     assert len(found) == 1
-    assert 0.3 < float(found.toi) < 0.5 + 1e-9
+    # The needle sweeps over the tip at the latest half a turn after that is within its circle.
+    away = np.linspace(0.0, 0.5, 100_001)
+    reach = np.sqrt(arm**2 + (arm + 1 - depth) ** 2 - 2 * arm * (arm + 1 - depth) * np.cos(2 * half * away))
+    entry = 0.5 - float(away[reach < 1.0].max())
+    assert entry - 1e-4 < float(found.toi) < entry + math.pi / 298
+
+
+@pytest.mark.parametrize("separation", [0.0, 0.25])
+def test_tip_comes_within_reach_after_many_turns(device: torch.device, separation: float) -> None:
+    """A spike drifts towards a wall; from t = 1/2 on its tip comes within the separation once a turn."""
+    spike = pgccd.Mesh(
+        [[0, 0, 0], [0.1, 0.02, 0.01], [0.1, -0.02, 0.01], [1, 0, 0]], [[0, 2, 1], [1, 2, 3], [0, 1, 3], [0, 3, 2]]
+    )
+    tip = spike.vertices[3].numpy()
+    radius, start = math.hypot(tip[0], tip[1]), math.atan2(tip[1], tip[0])
+    obstacle = wall(radius + separation + 5e-4, (-1, 0, 0))
+    scene, motion = spinning(spike, obstacle, (0.0, 0.0, 300.0), device, travel=1e-3)
+    found = pgccd.detect(scene, motion, "first", separation, pairs=torch.tensor([[0, 1]], device=device))
+    nearest = (math.pi - start + 2 * math.pi * np.arange(100)) / 300.0
+    first = float(nearest[nearest > 0.5].min())
+    assert 0.5 - first + 2 * math.pi / 300.0 > 2e-3  # a turn earlier it is out of the tolerance too
+    assert len(found) == 1 and found.status.tolist() == [pgccd.TOUCH]
+    assert first - 1e-4 < float(found.toi) <= first
 
 
 @pytest.mark.parametrize("depth", [-1e-4, 1e-4])

@@ -16,6 +16,9 @@ inline World world_view(const std::vector<int64_t>& integers, const std::vector<
   STD_TORCH_CHECK(scales.size() == 8, "world scales: expected 8 values, got ", scales.size());
   STD_TORCH_CHECK(integers[0] > 0 && integers[1] > 0 && integers[2] > 0 && integers[3] > 0,
                   "world integers: expected at least one robot and one cell an axis");
+  // So that products of them do not overflow.
+  STD_TORCH_CHECK(larger(larger(integers[1], integers[2]), integers[3]) <= 1 << 20 && integers[0] < int64_t{1} << 31,
+                  "world integers: expected less than 2^31 robots and at most 2^20 cells an axis");
   STD_TORCH_CHECK(integers[4] == 0 || integers[4] == 1, "world integers: unknown movement pattern ", integers[4]);
   return {integers[0],
           {integers[1], integers[2], integers[3]},

@@ -26,8 +26,7 @@ constexpr int kBlockWidth = 8;
 
 // What bounds all vertices of each node's triangles: a sphere, and a slab low <= normal . (vertex - centre) <= high
 // about the same centre. Neighbouring triangles of a surface make a thin slab, and two surfaces that face each other
-// are told apart by it. Empty slots hold NaN: what has such a radius meets
-// nothing.
+// are told apart by it. Empty slots hold NaN: what has such a radius meets nothing.
 struct NodeBlock {
   float x[kBlockWidth], y[kBlockWidth], z[kBlockWidth], radius[kBlockWidth];
   float normal_x[kBlockWidth], normal_y[kBlockWidth], normal_z[kBlockWidth];  // unit, to within float32 rounding
@@ -37,7 +36,7 @@ constexpr int kBlockColumns = 9;
 
 struct NodeLink {
   int32_t first;           // inner node: the block of its children; leaf: its first triangle
-  int32_t triangle_count;  // 0 for inner nodes and empty slots
+  int32_t triangle_count;  // 0 for inner nodes, -1 for empty slots
 };
 
 struct MeshOffsets {

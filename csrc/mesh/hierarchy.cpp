@@ -97,7 +97,7 @@ class Builder {
       for (int slot = 0; slot < kBlockWidth; ++slot) {
         if (slot >= static_cast<int>(task.nodes.size())) {
           set_volume(task.block, slot, {{NAN, NAN, NAN}, {NAN, NAN, NAN}, NAN, NAN, NAN});
-          tree_.links[task.block][slot] = {0, 0};
+          tree_.links[task.block][slot] = {0, -1};
           continue;
         }
         const BinaryNode& node = binary_[task.nodes[slot]];

@@ -33,10 +33,7 @@ PGCCD_HD Vec3<double> corner_sum(const int32_t* faces, int64_t face_count, int64
 // Number of used slots: they come first.
 PGCCD_HD int used_slots(const NodeLink* links, int64_t block) {
   int count = 0;
-  while (count < kBlockWidth &&
-         (links[block * kBlockWidth + count].first | links[block * kBlockWidth + count].triangle_count)) {
-    ++count;
-  }
+  while (count < kBlockWidth && links[block * kBlockWidth + count].triangle_count >= 0) ++count;
   return count;
 }
 

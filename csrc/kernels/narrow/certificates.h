@@ -151,7 +151,8 @@ PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end,
     c3 = -c3;
   }
   const T longest_squared = larger(larger(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2));
-  if (!(longest_squared > T(Precision<T>::smallest_square))) return T(0);  // lengths would lose to underflow
+  // Exact enough where c0 is above the rounding: the normal is longer than (u extent)^2 then, whose square is far from
+  // underflow.
   const T longest = square_root(longest_squared);
   const T rounding = determinant_rounding(lengths_of(start, end), error);
   const T threshold = distance * longest * (T(1) + T(16) * u) + rounding;

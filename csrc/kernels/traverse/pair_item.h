@@ -53,12 +53,16 @@ class PairTree {
     return static_cast<int32_t>(offsets[1].block - offsets[0].block);
   }
   PGCCD_HD bool is_leaf(int side, int32_t node) const { return link(side, node).triangle_count > 0; }
-  PGCCD_HD bool is_leaf_pair(NodePair nodes) const { return is_leaf(0, nodes.first) && is_leaf(1, nodes.second); }
+  // False for empty slots too: nothing is looked for below them, whatever their bounds are.
+  PGCCD_HD bool has_children(int side, int32_t node) const { return link(side, node).triangle_count == 0; }
+  PGCCD_HD bool is_leaf_pair(NodePair nodes) const {
+    return !has_children(0, nodes.first) && !has_children(1, nodes.second);
+  }
 
   // The larger sphere of an inner pair is split.
   PGCCD_HD SplitPair split(NodePair nodes) const {
-    const bool split_first =
-        is_leaf(1, nodes.second) || (!is_leaf(0, nodes.first) && radius(0, nodes.first) >= radius(1, nodes.second));
+    const bool split_first = !has_children(1, nodes.second) ||
+                             (has_children(0, nodes.first) && radius(0, nodes.first) >= radius(1, nodes.second));
     const int32_t block = split_first ? link(0, nodes.first).first : link(1, nodes.second).first;
     return {block, split_first ? nodes.second : nodes.first, split_first};
   }

@@ -80,6 +80,7 @@ uint32_t triangles_reaching(const PairTree<Bodies>& tree, const MovingPoints<3, 
 template <class Bodies, class Emit>
 void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
   const NodeLink first = tree.link(0, leaves.first), second = tree.link(1, leaves.second);
+  if (first.triangle_count < 0 || second.triangle_count < 0) return;
   const auto triangles = [&](int side) { return tree.bodies().meshes.triangles + tree.sweep().first_face[side]; };
   const Triangle *first_triangles = triangles(0) + first.first, *second_triangles = triangles(1) + second.first;
   const float distance = tree.sweep().inflation;
