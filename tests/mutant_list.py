@@ -478,6 +478,13 @@ _CERTIFICATES = [
         equivalent="the cubic changes by less than 6 |a||b||r|, so that its 128 units are more than 16 of time",
     ),
     Mutant(
+        "phases-hand-on-complete-advances",
+        NARROW + "advancement.h",
+        "Progress<T>{t, goal, advances}",
+        "Progress<T>{t, goal, kQuickAdvances}",
+        ("test_search_phases.py",),
+    ),
+    Mutant(
         "advance-deviation-0.999",
         NARROW + "advancement.h",
         "separation + path.deviation(duration) * (T(1) + T(16) * unit)",

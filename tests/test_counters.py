@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from support.host_program import run_program
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
-
-CSRC = Path(__file__).resolve().parents[1] / "csrc"
 
 # What decides on a device whether lists were long enough, as compiled for the host.
 PROGRAM = """
@@ -79,15 +76,7 @@ int main() {
 
 
 def test_counts_beyond_32_bits(tmp_path: Path) -> None:
-    compiler = shutil.which("c++") or shutil.which("g++")
-    if compiler is None:
-        pytest.skip("no C++ compiler")
-    source, program = tmp_path / "counters.cpp", tmp_path / "counters"
-    source.write_text(PROGRAM)
-    flags = ["-std=c++20", "-O0", "-march=x86-64-v3"]
-    subprocess.run([compiler, *flags, f"-I{CSRC}", str(source), "-o", str(program)], check=True)
-    done = subprocess.run([str(program)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
+    run_program(PROGRAM, tmp_path, "-O0")
 
 
 @pytest.mark.cuda

@@ -25,7 +25,7 @@ constexpr int kMaxRefinements = 64;
 // After so many advances each, whole turns of spinning bodies are tried to be cleared at once.
 constexpr int kSpinPeriod = 32;
 
-// From `progress` on. Leaves there where it stopped, unless it is free; or nothing, where more would have to be known.
+// From `progress` on, to which it writes where it stopped; or nothing, where another goal was tried.
 template <bool kEdgeEdge, Phase kPhase, class T, class Path>
 PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
   constexpr bool kIsPatient = kPhase == Phase::kPatient;
@@ -40,7 +40,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
 
   T t = progress.t;
   FeaturePair<T> now = path.at(t);
-  // The plain phase begins as the quick one, so that it makes no difference whether that came before.
+  // The plain phase begins as the quick one: it makes no difference whether that came before.
   bool with_slender = kIsPatient || (kPhase == Phase::kPlain && progress.advances >= kQuickAdvances);
   Nearest<T> nearest = nearest_points<kEdgeEdge>(now, with_slender);
   T distance = norm(nearest.offset);
@@ -61,11 +61,6 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
     progress = is_first_goal ? Progress<T>{t, goal, advances} : Progress<T>{};
     return {status, t, nearest.u, nearest.v};
   };
-  const auto leave_open = [&]() -> Outcome<T> {
-    const Outcome<T> open = stop(Status::kOpen);
-    if constexpr (kPhase == Phase::kQuick) progress = {};  // only complete quick phases are gone on from
-    return open;
-  };
   const auto free = []() -> Outcome<T> { return {Status::kFree, static_cast<T>(INFINITY), T(0), T(0)}; };
   for (; advances < most_advances; ++advances) {
     if constexpr (kIsPatient) {
@@ -77,13 +72,14 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
       }
     }
     if (!(distance > separation + goal)) {
+      if constexpr (kPhase == Phase::kQuick) return stop(Status::kOpen);
       bool is_touch = true;
       if constexpr (Path::kStraight) {
         is_touch = !(goal > wanted) &&
                    certainly_touch<kEdgeEdge>(path, t, now, nearest, distance, separation, noise, with_slender);
       }
       if (is_touch) return stop(Status::kTouch);
-      if constexpr (!kIsPatient) return leave_open();
+      if constexpr (!kIsPatient) return stop(Status::kOpen);
       if (!(distance > separation + noise)) return stop(Status::kUndecided);
       is_first_goal = false;
       goal = noise;
@@ -97,7 +93,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
       direction = direction_of(nearest);
     } else {
       const T squared = norm_squared(nearest.direction);
-      if (!(squared > T(Precision<T>::smallest_square))) return leave_open();
+      if (!(squared > T(Precision<T>::smallest_square))) return stop(Status::kOpen);
       direction = (T(1) / square_root(squared)) * nearest.direction;
     }
     const T remaining = T(1) - t;
@@ -142,7 +138,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
     } else if (kPhase == Phase::kPlain && !with_slender) {
       with_slender = true;
     } else {
-      if constexpr (!kIsPatient) return leave_open();
+      if constexpr (!kIsPatient) return stop(Status::kOpen);
       break;
     }
     nearest = nearest_points<kEdgeEdge>(now, with_slender);

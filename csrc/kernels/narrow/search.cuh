@@ -30,11 +30,13 @@ struct SearchCounters {
 };
 
 struct OpenCandidate {
-  double t, goal;  // of the progress that the quick phase made
-  int32_t row;     // of the candidates
+  double t, goal;  // the progress that the quick phase made, as the next
+  int32_t advances;
+  int32_t row;  // of the candidates
   int32_t pair;
+  int32_t unused;  // instead of padding, which would be copied unset
 
-  PGCCD_HD Progress<double> progress() const { return {t, goal, goal < 0.0 ? 0 : kQuickAdvances}; }
+  PGCCD_HD Progress<double> progress() const { return {t, goal, advances}; }
 };
 
 // Contacts, in any order; and per pair the earliest toi so far, unless all are to be reported.

@@ -28,7 +28,9 @@ __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies
     Progress<double> progress;
     if (is_quickly_free(bodies, pair, candidate, search.input.settings, progress)) continue;
     const uint32_t at = warp_append(&search.counters->open, 1);
-    if (at < search.capacity) search.open[at] = {progress.t, progress.goal, static_cast<int32_t>(c), candidate.pair};
+    if (at < search.capacity) {
+      search.open[at] = {progress.t, progress.goal, progress.advances, static_cast<int32_t>(c), candidate.pair, 0};
+    }
     if (search.least != nullptr) atomicMin(search.least + candidate.pair, toi_bits(progress.t));
   }
 }

@@ -1,0 +1,24 @@
+"""C++ programs over the headers of csrc, for what only devices do: compiled for the host, with the library's flags."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+CSRC = Path(__file__).resolve().parents[2] / "csrc"
+FLAGS = ("-std=c++20", "-march=x86-64-v3", "-ffp-contract=off")
+
+
+def run_program(text: str, folder: Path, optimization: str = "-O2") -> None:
+    """Fails with what the program prints unless it returns 0."""
+    compiler = shutil.which("c++") or shutil.which("g++")
+    if compiler is None:
+        pytest.skip("no C++ compiler")
+    source, program = folder / "program.cpp", folder / "program"
+    source.write_text(text)
+    subprocess.run([compiler, *FLAGS, optimization, f"-I{CSRC}", str(source), "-o", str(program)], check=True)
+    done = subprocess.run([str(program)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
