@@ -444,6 +444,13 @@ _CERTIFICATES = [
         " it",
     ),
     Mutant(
+        "lengths-without-root-three",
+        NARROW + "certificates.h",
+        "T(1.7320509)",
+        "T(1)",
+        ("test_certificates.py",),
+    ),
+    Mutant(
         "difference-error-1.01",
         NARROW + "certificates.h",
         "T(1.01) * difference_error(error)",
