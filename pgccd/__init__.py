@@ -18,10 +18,10 @@ from pgccd.scene import Scene
 from pgccd.trajectory import Trajectory, TrajectoryContacts
 
 if _TYPE_CHECKING:
-    from pgccd import about, distributed, files, sim, viz
+    from pgccd import about, baselines, distributed, files, sim, viz
 
 # Imported when first used: they bring more along than detection needs.
-_LATER = ("about", "distributed", "files", "sim", "viz")
+_LATER = ("about", "baselines", "distributed", "files", "sim", "viz")
 
 __version__: str = _build_information()["version"]
 
@@ -52,6 +52,7 @@ __all__ = [
     "TrajectoryContacts",
     "VertexMotion",
     "about",
+    "baselines",
     "broad",
     "detect",
     "distributed",

@@ -62,6 +62,22 @@ def _(position_t0: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
     return torch.empty_like(position_t0), torch.empty_like(position_t0)
 
 
+@torch.library.register_fake("pgccd::voxels_touched")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], *_rest: object) -> tuple[Tensor, Tensor]:
+    count = _unknown_count()
+    return bodies[0].new_empty((count, 3), dtype=torch.int32), bodies[0].new_empty((count,), dtype=torch.int64)
+
+
+@torch.library.register_fake("pgccd::voxel_boxes")
+def _(mesh_set: list[Tensor], bodies: list[Tensor], *_rest: object) -> Tensor:
+    return bodies[0].new_empty((_unknown_count(), 32), dtype=torch.uint8)
+
+
+@torch.library.register_fake("pgccd::voxel_pairs")
+def _(boxes: Tensor, *_rest: object) -> Tensor:
+    return boxes.new_empty((_unknown_count(), 4), dtype=torch.int64)
+
+
 def _fake_rows(count: int | torch.SymInt, like: Tensor) -> tuple[Tensor, Tensor]:
     return like.new_empty((count,), dtype=torch.int64), like.new_empty((1,), dtype=torch.int64)
 

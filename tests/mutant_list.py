@@ -29,10 +29,12 @@ TRAVERSE = "csrc/kernels/traverse/"
 NARROW = "csrc/kernels/narrow/"
 BROAD = "csrc/kernels/broad/"
 BOUNDS = "csrc/kernels/bounds/"
+VOXEL = "csrc/kernels/voxel/"
 
 ON_TRAVERSE = ("test_margins_traverse.py",)
 ON_NARROW = ("test_margins_narrow.py", "test_margins_candidates.py")
 ON_BROAD = ("test_margins_broad.py",)
+ON_VOXELS = ("test_voxels.py",)
 ON_BOUNDS = ("test_margins_bounds.py",)
 ON_CORE = ("test_margins_core.py",)
 ON_TIES = ("test_ties.py",)
@@ -1359,6 +1361,37 @@ _MARGIN = [
     ),
 ]
 
+_VOXELS = [
+    Mutant(
+        "voxel-box-bulge-zero",
+        VOXEL + "triangle_box_item.h",
+        "bodies.linear_path ? 0.0 : arc_bulge(spin.angle, norm(cross(spin.axis, start)))",
+        "0.0",
+        ON_VOXELS,
+    ),
+    Mutant(
+        "voxel-box-separation-0.999",
+        VOXEL + "triangle_box_item.h",
+        "0.5 * (input.separation + tolerance) + margin",
+        "0.4995 * (input.separation + tolerance) + margin",
+        ON_VOXELS,
+    ),
+    Mutant(
+        "voxel-box-float-rounding-zero",
+        VOXEL + "triangle_box_item.h",
+        "0x1p-23 * (farthest + separation)",
+        "0.0",
+        ON_VOXELS,
+    ),
+    Mutant(
+        "voxel-half-open-territory",
+        VOXEL + "voxel_pairs_cpu.cpp",
+        "grid_.along_axis(larger(a.lower[axis], b.lower[axis])) != place[axis]",
+        "false",
+        ON_VOXELS,
+    ),
+]
+
 MUTANTS = [
     *_RIGID,
     *_DEFORMING,
@@ -1372,4 +1405,5 @@ MUTANTS = [
     *_ORIGIN,
     *_MARGIN,
     *_DISTRIBUTED,
+    *_VOXELS,
 ]

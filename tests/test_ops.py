@@ -13,6 +13,7 @@ from support.shapes import approaching, tensors
 
 import pgccd
 from pgccd import ops
+from pgccd.baselines import PCCCD
 from pgccd.distributed import Partition
 from pgccd.sim.partners import FIRST_CONTACTS
 from pgccd.within import counts_of_given, lower_first_toi
@@ -114,6 +115,8 @@ def recorded(device: torch.device) -> list[Call]:
             moving = pgccd.MovingBodies(scene, bodies.motion(device=device))
             ops.swept_boxes(moving.position_t0, moving.position_t1, moving.radius, 0.01, -1e-6)
             share_out(moving)
+            if device.type == "cpu" and closeness == 0.7:
+                PCCCD(bodies.meshes).detect(bodies.motion(), mesh_index=scene.mesh_index)
             pairs = pgccd.broad.sweep(moving)
             first = torch.full((scene.body_count,), torch.inf, dtype=torch.float64, device=device)
             asked = moving.mesh_set, moving.tensors, False, pairs, counts_of_given(pairs)

@@ -45,11 +45,17 @@ INDICES = [
     ("simulate_first_toi", (2,), "pairs"),
     ("simulate_concerned_motion", (4,), "pairs"),
     ("simulate_tally", (3,), "pairs"),
+    ("voxels_touched", (1, 0), "mesh"),
+    ("voxel_boxes", (1, 0), "mesh"),
+    ("voxel_boxes", (6,), "voxels"),
+    ("voxel_boxes", (7,), "counts"),
+    ("voxel_pairs", (1,), "segments"),
+    ("voxel_pairs", (3,), "first_segment"),
     *((name, (0, 7), "mesh_set.offsets") for name in ("refit", "traverse_rigid", "narrow_deforming")),
 ]
 LENGTHS = ("sweep", "grid", "lbvh", "pairs_within", "swept_boxes", "border_bodies", "near_ghosts", "owned_pairs")
 LENGTHS += ("holders_of", "traverse_rigid", "narrow_rigid", "contacts_within_rigid", "lower_first_toi_rigid")
-LENGTHS += ("vertex_face", "edge_edge")
+LENGTHS += ("vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
 PROGRAM = "import sys; sys.path.insert(0, {tests!r}); import test_ops_bounds; test_ops_bounds.{function}()"
 
 

@@ -50,6 +50,7 @@ from pgccd.ops.territory import (
     owned_pairs,
     rows_by_rank,
 )
+from pgccd.ops.voxel import voxel_boxes, voxel_pairs, voxels_touched
 
 __all__ = [
     "Centres",
@@ -95,4 +96,7 @@ __all__ = [
     "traverse_rigid",
     "unpack_rows",
     "vertex_face",
+    "voxel_boxes",
+    "voxel_pairs",
+    "voxels_touched",
 ]

@@ -1,0 +1,249 @@
+"""PCCCD: voxel-based parallel collision detection on CPUs, extended to continuous collision detection.
+
+The algorithm of Lawlor & Kale, "A voxel-based parallel collision detection algorithm" (ICS 2002), which Du, Liu &
+Suzumura (2017) compare with under this name: bodies stay on the ranks that brought them; a sparse regular grid of
+voxels carries the work instead. What is different here: boxes are those of triangles' sweeps over a step, and the pairs
+found are solved by pgccd's own certified tests. All voxels' boxes for one rank travel in one message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments, narrow, ops
+from pgccd.baselines.triangle_pairs import feature_candidates
+from pgccd.baselines.voxel_boxes import VoxelContents, send_boxes
+from pgccd.baselines.voxel_directory import VoxelDirectory, greedy_ranks, voxel_keys
+from pgccd.bodies import MovingBodies
+from pgccd.broad import operator_tolerance
+from pgccd.contacts import Contacts, Stats
+from pgccd.distributed.agreement import require_agreement, together
+from pgccd.distributed.comm import Alone, Comm
+from pgccd.distributed.exchange import Columns, make_route, take_rows
+from pgccd.mesh import Mesh, MeshSet
+from pgccd.motion import RigidMotion
+from pgccd.query import Query
+from pgccd.scene import Scene
+from pgccd.sim.files import meshes_digest
+from pgccd.stages import StageClock
+
+_COLUMNS = ("kind", "features", "status", "toi", "coordinates", "point", "normal")
+
+# Voxels of so many times a triangle's mean edge are the fastest, or within a tenth of that: bench/figure4.py.
+_EDGES_A_VOXEL = 6.0
+
+
+@dataclass(frozen=True)
+class VoxelStats:
+    """What one rank did in one call of `PCCCD.detect`."""
+
+    boxes: int  #: sent, one for each voxel that a triangle's sweep touches
+    voxels: int  #: that live here and had boxes
+    box_pairs: int  #: pairs of triangles' boxes accepted here
+    body_pairs: int  #: they are of
+    candidates: int  #: feature pairs solved here
+    unresolved: int  #: of them
+    #: By stage: contribute, locate, exchange, synchronize, bisect, fetch, narrow, report.
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+class PCCCD:
+    """Finds the collisions of rigid bodies on any number of CPU ranks.
+
+    Args:
+        meshes: alike on all ranks.
+        voxel_size: length of a voxel's edge. Default: 6 mean edges of the meshes' triangles.
+        comm: between the ranks. Default: one rank.
+        report: "first": the earliest contact of each pair of bodies; "all": every touching feature pair.
+        min_separation, tolerance, nonzero_toi: as for `pgccd.detect`.
+
+    Raises:
+        TypeError, ValueError: naming the argument; on all ranks.
+
+    Example:
+        >>> hits = pgccd.baselines.PCCCD([rock]).detect(pgccd.RigidMotion(x0, q0, x1, q1))
+    """
+
+    def __init__(
+        self,
+        meshes: Sequence[Mesh],
+        voxel_size: float | None = None,
+        *,
+        comm: Comm | None = None,
+        report: Literal["first", "all"] = "first",
+        min_separation: float = 0.0,
+        tolerance: float | None = None,
+        nonzero_toi: bool = False,
+    ) -> None:
+        self.comm = comm or Alone()
+
+        def prepare() -> tuple[MeshSet, Query, float]:
+            arguments.choice(report, "report", ("first", "all"))
+            mesh_set = MeshSet(meshes)
+            size = _EDGES_A_VOXEL * _mean_edge(mesh_set.meshes) if voxel_size is None else voxel_size
+            if not arguments.length(size, "voxel_size") > 0.0:
+                raise ValueError(f"voxel_size: expected a length > 0, got {size}")
+            return mesh_set, Query(report, min_separation, tolerance, nonzero_toi), size
+
+        self._meshes, self._query, self.voxel_size = together(self.comm, prepare)
+        facts = {"meshes": meshes_digest(self._meshes.meshes), "voxel_size": self.voxel_size, "query": self._query}
+        require_agreement(self.comm, facts)
+        self._directory = VoxelDirectory(self.comm)
+        self._contents: VoxelContents | None = None
+        self.stats: VoxelStats | None = None  #: of the last call of `detect`
+
+    def detect(self, motion: RigidMotion, id: Tensor | None = None, mesh_index: Tensor | None = None) -> Contacts:
+        """Finds the collisions of one step.
+
+        Args:
+            motion: of the bodies that this rank brings, on the CPU; of the same path on all ranks.
+            id: (N,) int64 global ids >= 0, no two alike on any ranks. Default: counted through, rank by rank.
+            mesh_index: (N,) integers: which mesh each body is. Default: all the first.
+
+        Returns:
+            All contacts of bodies that this rank brought (with any others), `pairs` in global ids i < j, sorted.
+
+        Raises:
+            TypeError, ValueError: naming the argument.
+        """
+        if not isinstance(motion, RigidMotion):
+            raise TypeError(f"motion: expected a pgccd.RigidMotion, got {arguments.describe(motion)}")
+        if motion.device.type != "cpu":
+            raise ValueError(f"motion: expected one on the CPU, got one on {motion.device}")
+        count = motion.body_count
+        index = torch.zeros(count, dtype=torch.int32) if mesh_index is None else mesh_index
+        bodies = MovingBodies(Scene(self._meshes, index), motion)
+        bodies_before = self._bodies_before(count)
+        if id is None:
+            id = torch.arange(count) + bodies_before[self.comm.rank]
+        if not isinstance(id, Tensor) or id.dtype != torch.int64 or id.shape != (count,):
+            raise ValueError(f"id: expected ({count},) int64, got {arguments.describe(id)}")
+        own = {"id": id, "mesh_index": bodies.scene.mesh_index, **motion.columns()}
+        self.comm.guard.activity = "step"
+        clock = StageClock()
+
+        settings = (self._query.min_separation, operator_tolerance(self._query.tolerance))
+        contents, boxes_sent = send_boxes(
+            self.comm, self._directory, bodies, bodies_before[:-1], self.voxel_size, settings, clock
+        )
+        self._contents = contents
+        with clock.stage("synchronize"):
+            self.comm.barrier()
+        with clock.stage("bisect"):
+            triangle_pairs = ops.voxel_pairs(
+                contents.boxes, contents.segments, contents.voxels, contents.first_segment, self.voxel_size
+            )
+        with clock.stage("fetch"):
+            columns, owner, triangle_pairs = self._fetch(own, bodies_before, triangle_pairs)
+        with clock.stage("narrow"):
+            pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
+            scene = Scene.of_checked(self._meshes, columns["mesh_index"])
+            found = MovingBodies(scene, RigidMotion.from_rotation(*pose, path=motion.path))
+            pairs, candidates = feature_candidates(found, triangle_pairs)
+            rest = (pairs, candidates, *settings, self._query.nonzero_toi, narrow.REPORTS[self._query.report])
+            row, *rows = ops.narrow_rigid(found.mesh_set, found.tensors, found.linear_path, *rest)
+        with clock.stage("report"):
+            of_contacts = pairs[row.long()]
+            contacts = {"pairs": columns["id"][of_contacts]} | dict(zip(_COLUMNS, rows, strict=True))
+            told = self._report(contacts, owner[of_contacts])
+        unresolved = int((contacts["status"] == narrow.Status.UNRESOLVED).sum())
+        self.stats = VoxelStats(
+            boxes_sent,
+            len(contents.voxels),
+            len(triangle_pairs),
+            len(pairs),
+            len(candidates),
+            unresolved,
+            clock.seconds,
+        )
+        stats = Stats(
+            bodies=count,
+            pcs=len(pairs),
+            candidates=len(candidates),
+            contacts=len(told["toi"]),
+            unresolved=unresolved,
+            broad_phase="voxels",
+            chunks=1,
+            seconds=clock.seconds,
+        )
+        return Contacts(**told, stats=stats)
+
+    def balance(self) -> None:
+        """Moves voxels between ranks so that each has as many boxes as the others, by the last call of `detect`: the
+        largest voxels first, each to the rank that has least so far. All ranks must call this.
+
+        Raises:
+            RuntimeError: nothing has been detected yet.
+        """
+        if self._contents is None:
+            raise RuntimeError("nothing has been detected yet")
+        keys = voxel_keys(self._contents.voxels)
+        everywhere = torch.arange(self.comm.size).repeat_interleave(len(keys))
+        route = make_route(self.comm, torch.arange(len(keys)).repeat(self.comm.size), everywhere)
+        told = route.forward({"key": keys, "boxes": self._contents.counts}).wait()
+        self._directory.move(told["key"], greedy_ranks(told["boxes"], self.comm.size))
+
+    def _bodies_before(self, count: int) -> Tensor:
+        """(ranks + 1,) int64: bodies on ranks before each; all."""
+        counts = self.comm.all_gather(torch.tensor([count]))[:, 0]
+        return torch.cat([torch.zeros(1, dtype=torch.int64), counts.cumsum(0)])
+
+    def _fetch(self, own: Columns, bodies_before: Tensor, triangle_pairs: Tensor) -> tuple[Columns, Tensor, Tensor]:
+        """Brings the bodies of pairs here.
+
+        Args:
+            own: columns of the bodies of this rank.
+            bodies_before: see `_bodies_before`.
+            triangle_pairs: (K, 4) int64 from `ops.voxel_pairs`: bodies are numbered over all ranks.
+
+        Returns:
+            Columns of these bodies (M,), by ascending id; the ranks (M,) that brought them; and triangle_pairs with
+            rows of these as bodies, i < j.
+        """
+        wanted, body = torch.unique(triangle_pairs[:, ::2], return_inverse=True)
+        owner = torch.searchsorted(bodies_before, wanted, right=True) - 1
+        route = make_route(self.comm, torch.arange(len(wanted)), owner)
+        asked = route.forward({"row": wanted - bodies_before[owner]}).wait()["row"]
+        # They come back in the order of `wanted`: by rank.
+        columns = route.back(take_rows(own, asked)).wait()
+        order = torch.argsort(columns["id"])
+        place = torch.empty_like(order)
+        place[order] = torch.arange(len(order))
+        body = place[body]
+        triangle = triangle_pairs[:, 1::2]
+        ordered, side = body.sort(dim=1)
+        triangle_pairs = torch.stack([ordered, triangle.gather(1, side)], dim=2).flatten(1)
+        return take_rows(columns, order), owner[order], triangle_pairs
+
+    def _report(self, contacts: Columns, owner: Tensor) -> Columns:
+        """Tells contacts to the ranks `owner` (K, 2) of their bodies; returns what this rank is told, sorted. With
+        report="first" voxels of different ranks may each have found a first contact of the same pair."""
+        everything = torch.arange(len(owner))
+        second = everything[owner[:, 0] != owner[:, 1]]
+        rows, destination = torch.cat([everything, second]), torch.cat([owner[:, 0], owner[second, 1]])
+        told = make_route(self.comm, rows, destination).forward(contacts).wait()
+        keys = [told["pairs"][:, 0], told["pairs"][:, 1], told["kind"], *told["features"].unbind(dim=1)]
+        if self._query.report == "first":
+            keys.insert(2, told["toi"])
+        order = everything.new_tensor(range(len(told["toi"])))
+        for key in reversed(keys):
+            order = order[torch.argsort(key[order], stable=True)]
+        if self._query.report == "first":
+            pairs = told["pairs"][order]
+            is_first = torch.ones(len(order), dtype=torch.bool)
+            is_first[1:] = (pairs[1:] != pairs[:-1]).any(dim=1)
+            order = order[is_first]
+        return take_rows(told, order)
+
+
+def _mean_edge(meshes: Sequence[Mesh]) -> float:
+    lengths = []
+    for mesh in meshes:
+        corners = mesh.vertices[mesh.faces.long()]
+        lengths.append((corners - corners.roll(1, dims=1)).norm(dim=2).flatten())
+    return float(torch.cat(lengths).mean()) if lengths else 1.0
