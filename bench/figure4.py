@@ -1,0 +1,76 @@
+"""Figure 4 of Du, Liu & Suzumura (2017): how many times as fast as PCCCD a step is, with and without load balancing.
+
+    python bench/figure4.py                  # whatever this machine has: GPUs, or a small version on its CPU
+    python bench/figure4.py --device cpu --robots 10000 20000
+
+Ranks are started by the script: four, or as many as there are GPUs if these are fewer. A step of the simulation is
+timed as a whole (detection, resolution of collisions, migration, balance); of PCCCD only the detection, of the same
+motions, on as many ranks with all cores of the machine. All must find the same contacts.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from support import evaluation, results
+from support.evaluation import Case, Steps
+
+from pgccd import sim
+
+_ROBOTS = {"cpu": [1_000, 2_000, 4_000, 8_000], "cuda": [10_000, 20_000, 30_000, 40_000]}
+# The paper's.
+_RANKS, _THRESHOLD = 4, 0.15
+
+
+def main() -> None:
+    """Runs the benchmark."""
+    arguments = parse_arguments()
+    device = arguments.device
+    ranks = arguments.ranks or (min(_RANKS, evaluation.gpus()) if device == "cuda" else _RANKS)
+    steps = Steps(arguments.steps_before, arguments.steps_settling, arguments.rounds, arguments.baseline_rounds)
+    cases = [
+        case
+        for pattern in sim.PATTERNS
+        for robots in arguments.robots or _ROBOTS[device]
+        for case in (
+            Case("PCCCD", "cpu", ranks, robots, pattern),
+            Case("PGCCD", device, ranks, robots, pattern),
+            Case("PGCCD+LB", device, ranks, robots, pattern, _THRESHOLD),
+        )
+    ]
+    rows = with_speedups(evaluation.measure(cases, steps, arguments.seed))
+    results.table([flat(row) for row in rows])
+    results.write("figure4", device, {"ranks": ranks, "steps": vars(steps), "rows": rows}, arguments.out)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = evaluation.parser(__doc__)
+    parser.add_argument("--robots", type=int, nargs="+", help=f"default: {_ROBOTS}")
+    parser.add_argument("--ranks", type=int, help="default: 4, or the number of GPUs if there are fewer")
+    return parser.parse_args()
+
+
+def with_speedups(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Adds how many times as fast as PCCCD in the same world each is."""
+    base = {(row["robots"], row["pattern"]): row["ms"]["median"] for row in rows if row["system"] == "PCCCD"}
+    rows = [row | {"speedup": base[row["robots"], row["pattern"]] / row["ms"]["median"]} for row in rows]
+    return sorted(rows, key=lambda row: (row["pattern"], row["robots"], row["system"]))
+
+
+def flat(row: dict[str, Any]) -> dict[str, Any]:
+    """A row of the table."""
+    return {
+        "system": row["system"],
+        "world": row["pattern"],
+        "robots": row["robots"],
+        "ms": row["ms"]["median"],
+        "speedup": row["speedup"],
+        "imbalance": row.get("imbalance"),
+        "contacts": row.get("contacts"),
+    }
+
+
+if __name__ == "__main__":
+    main()

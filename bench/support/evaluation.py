@@ -1,0 +1,120 @@
+"""The evaluation of Du, Liu & Suzumura (2017) run again: cases, and the ranks that measure them.
+
+A world is first moved on by one process. From there ranks make the same steps again: those of the simulation (PGCCD,
+with or without load balancing), and those of the voxel-based baseline (PCCCD), which detects the collisions of the same
+planned motions. Both must find the contacts of the one process, which their hashes tell.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from pgccd import sim
+from support import results
+
+_RANKS_PROGRAM = Path(__file__).resolve().parents[1] / "evaluation_ranks.py"
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Which steps of a world are made, and measured."""
+
+    before: int  #: by one process
+    settling: int  #: by ranks, while cells change hands, before those that are timed
+    timed: int
+    baseline: int  #: of these, by PCCCD
+
+
+@dataclass(frozen=True)
+class Case:
+    """One point of a figure."""
+
+    system: str  #: "PCCCD", "PGCCD" or "PGCCD+LB"
+    device: str  #: "cpu" or "cuda"
+    ranks: int
+    robots: int
+    pattern: str
+    threshold: float = 0.15  #: of the paper's policy, in "PGCCD+LB"
+
+
+def parser(description: str | None) -> argparse.ArgumentParser:
+    """A parser with what the figures share."""
+    shared = results.parser(description)
+    shared.add_argument("--device", choices=("cpu", "cuda"), default="cuda" if gpus() else "cpu")
+    shared.add_argument("--steps-before", type=int, default=120, help="made by one process first")
+    shared.add_argument("--steps-settling", type=int, default=40, help="made by ranks before the first is timed")
+    shared.add_argument("--rounds", type=int, default=20, help="steps timed")
+    shared.add_argument("--baseline-rounds", type=int, default=3, help="of these, by PCCCD")
+    shared.add_argument("--seed", type=int, default=0)
+    return shared
+
+
+def measure(cases: Iterable[Case], steps: Steps, seed: int = 0) -> list[dict[str, Any]]:
+    """A row for each case: the case, milliseconds a step, and more by system."""
+    cases = list(cases)
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for robots, pattern in dict.fromkeys((case.robots, case.pattern) for case in cases):
+            device = "cuda" if any(case.device == "cuda" for case in cases) else "cpu"
+            prepare(folder, sim.WorldConfig(robots=robots, pattern=pattern, seed=seed), steps, device)
+        # Starting ranks takes longer than most cases: those of as many ranks share them.
+        for ranks, device in dict.fromkeys((case.ranks, case.device) for case in cases):
+            shared = [case for case in cases if (case.ranks, case.device) == (ranks, device)]
+            rows += _on_ranks(folder, shared, steps, ranks, device)
+    return rows
+
+
+def world_file(folder: Path, robots: int, pattern: str) -> Path:
+    """Where `prepare` leaves a world."""
+    return folder / f"{robots}-{pattern}.pt"
+
+
+def prepare(folder: Path, config: sim.WorldConfig, steps: Steps, device: str) -> None:
+    """Moves a world on: the state from which ranks start, the states in which PCCCD detects, and the hashes of the
+    contacts of all steps from there."""
+    world = sim.World(config, device=device)
+    state = world.start()
+    scene = world.scene(state.id)
+    start, states, hashes = None, [], []
+    for index in range(steps.before + steps.settling + steps.timed):
+        if index == steps.before:
+            start = state.to("cpu").columns
+        timed = index - steps.before - steps.settling
+        if 0 <= timed < steps.baseline:
+            states.append(state.to("cpu").columns)
+        made = sim.make_step(world, scene, state, index)
+        state = made.after
+        if index >= steps.before:
+            hashes.append(made.record["contacts_hash"])
+    content = {"config": asdict(config), "start": start, "states": states, "hashes": hashes}
+    torch.save(content, world_file(folder, config.robots, config.pattern))
+
+
+def _on_ranks(folder: Path, cases: list[Case], steps: Steps, ranks: int, device: str) -> list[dict[str, Any]]:
+    (folder / "cases.json").write_text(
+        json.dumps({"cases": [asdict(case) for case in cases], "steps": asdict(steps), "device": device})
+    )
+    launch = [sys.executable]
+    if ranks > 1:
+        launch += ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(ranks)]
+    threads = max(1, len(os.sched_getaffinity(0)) // ranks)
+    environment = os.environ | {"OMP_NUM_THREADS": str(threads)}
+    subprocess.run([*launch, str(_RANKS_PROGRAM), str(folder)], check=True, env=environment)
+    return json.loads((folder / "rows.json").read_text())
+
+
+def gpus() -> int:
+    """Those there are."""
+    return torch.cuda.device_count() if torch.cuda.is_available() else 0
