@@ -29,16 +29,12 @@ def main() -> None:
     device = arguments.device
     ranks = arguments.ranks or (min(_RANKS, evaluation.gpus()) if device == "cuda" else _RANKS)
     steps = Steps(arguments.steps_before, arguments.steps_settling, arguments.rounds, arguments.baseline_rounds)
-    cases = [
-        case
-        for pattern in sim.PATTERNS
-        for robots in arguments.robots or _ROBOTS[device]
-        for case in (
-            Case("PCCCD", "cpu", ranks, robots, pattern),
-            Case("PGCCD", device, ranks, robots, pattern),
-            Case("PGCCD+LB", device, ranks, robots, pattern, _THRESHOLD),
-        )
-    ]
+    cases = []
+    for robots in arguments.robots or _ROBOTS[device]:
+        cases += [Case("PCCCD", "cpu", ranks, robots, pattern) for pattern in sim.PATTERNS]
+        for system in ("PGCCD", "PGCCD+LB"):
+            worlds = evaluation.WORLDS.values()
+            cases += [Case(system, device, ranks, robots, pattern, _THRESHOLD, axes) for pattern, axes in worlds]
     rows = with_speedups(evaluation.measure(cases, steps, arguments.seed))
     results.table([flat(row) for row in rows])
     results.write("figure4", device, {"ranks": ranks, "steps": vars(steps), "rows": rows}, arguments.out)
@@ -56,14 +52,14 @@ def with_speedups(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Adds how many times as fast as PCCCD in the same world each is."""
     base = {(row["robots"], row["pattern"]): row["ms"]["median"] for row in rows if row["system"] == "PCCCD"}
     rows = [row | {"speedup": base[row["robots"], row["pattern"]] / row["ms"]["median"]} for row in rows]
-    return sorted(rows, key=lambda row: (row["pattern"], row["robots"], row["system"]))
+    return sorted(rows, key=lambda row: (row["pattern"], row["axes"], row["robots"], row["system"]))
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
     """A row of the table."""
     return {
         "system": row["system"],
-        "world": row["pattern"],
+        "world": evaluation.world_of(row),
         "robots": row["robots"],
         "ms": row["ms"]["median"],
         "speedup": row["speedup"],

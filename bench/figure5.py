@@ -50,7 +50,7 @@ def flat(row: dict[str, Any]) -> dict[str, Any]:
     """A row of the table."""
     return {
         "system": row["system"],
-        "world": row["pattern"],
+        "world": evaluation.world_of(row),
         "robots": row["robots"],
         "ranks": row["ranks"],
         "ms": row["ms"]["median"],

@@ -14,8 +14,6 @@ from typing import Any
 from support import evaluation, results
 from support.evaluation import Case, Steps
 
-from pgccd import sim
-
 _ROBOTS = {"cpu": 2_000, "cuda": 10_000}
 _THRESHOLDS = (0.05, 0.10, 0.15, 0.20, 0.25, 0.30)
 
@@ -28,9 +26,9 @@ def main() -> None:
     robots = arguments.robots or _ROBOTS[device]
     steps = Steps(arguments.steps_before, arguments.steps_settling, arguments.rounds, 0)
     cases = []
-    for pattern in sim.PATTERNS:
-        cases += [Case(system, device, ranks, robots, pattern) for system in ("PGCCD", "PGCCD, by cost")]
-        cases += [Case("PGCCD+LB", device, ranks, robots, pattern, threshold) for threshold in _THRESHOLDS]
+    for pattern, axes in evaluation.WORLDS.values():
+        policies = [("PGCCD", 0.0), ("PGCCD, by cost", 0.0), *(("PGCCD+LB", threshold) for threshold in _THRESHOLDS)]
+        cases += [Case(system, device, ranks, robots, pattern, threshold, axes) for system, threshold in policies]
     rows = evaluation.measure(cases, steps, arguments.seed)
     results.table([flat(row) for row in rows])
     results.write("figure6", device, {"ranks": ranks, "steps": vars(steps), "rows": rows}, arguments.out)
@@ -48,7 +46,7 @@ def flat(row: dict[str, Any]) -> dict[str, Any]:
     """A row of the table."""
     return {
         "system": row["system"],
-        "world": row["pattern"],
+        "world": evaluation.world_of(row),
         "threshold": row["threshold"] if row["system"] == "PGCCD+LB" else None,
         "ms": row["ms"]["median"],
         "imbalance": row["imbalance"],

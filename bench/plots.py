@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt  # noqa: E402  (the backend first)
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter  # noqa: E402
-from support import cluster_plots, results  # noqa: E402
+from support import cluster_plots, evaluation_plots, results  # noqa: E402
 
 Result = dict[str, Any]
 
@@ -228,6 +228,9 @@ _FIGURES: dict[str, Callable[[Result], Figure]] = {
     "narrow_phase": _narrow_phase,
     "cluster_scaling": cluster_plots.scaling,
     "frame_pairs": cluster_plots.frame_pairs,
+    "figure4": evaluation_plots.figure4,
+    "figure5": evaluation_plots.figure5,
+    "figure6": evaluation_plots.figure6,
 }
 
 

@@ -40,7 +40,7 @@ def test_compiler_is_downloaded_only_where_it_is_needed(
     monkeypatch.setattr(bootstrap, "run", lambda what, *_, **__: commands.append(what) or True)
     monkeypatch.setattr(bootstrap, "say", lambda _: None)
     monkeypatch.setattr(bootstrap, "install_torch", lambda: {"version": "2.13.0", "cuda": "13.0", "gpus": gpus})
-    for name in ("create_environment", "install_packages", "install_project"):
+    for name in ("create_environment", "install_packages", "install_project", "cache_bytecode"):
         monkeypatch.setattr(bootstrap, name, lambda: None)
     monkeypatch.setattr(bootstrap, "LOG", tmp_path / "build" / "log")
     monkeypatch.chdir(tmp_path)

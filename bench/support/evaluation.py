@@ -26,6 +26,16 @@ from support import results
 _RANKS_PROGRAM = Path(__file__).resolve().parents[1] / "evaluation_ranks.py"
 
 
+# What figures compare: a pattern, and the axes that space is cut along. The skewed world's robots gather in the eight
+# corners. Of 2 x 2 x 1 boxes each has two of them; of four slabs the two in the middle have none.
+WORLDS = {"random": ("random", 3), "skewed": ("skewed", 3), "skewed, in slabs": ("skewed", 1)}
+
+
+def world_of(row: dict[str, Any]) -> str:
+    """Its name."""
+    return next(name for name, world in WORLDS.items() if world == (row["pattern"], row["axes"]))
+
+
 @dataclass(frozen=True)
 class Steps:
     """Which steps of a world are made, and measured."""
@@ -46,6 +56,7 @@ class Case:
     robots: int
     pattern: str
     threshold: float = 0.15  #: of the paper's policy, in "PGCCD+LB"
+    axes: int = 3  #: that subspaces are cut along: 3 gives boxes, 1 slabs
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
