@@ -18,7 +18,7 @@ PARALLEL = $$($(VENV_PYTHON) -c "import xdist" 2>/dev/null && echo "-n 2")
 SANITIZED = tests/test_rows.py tests/test_traverse.py tests/test_capacity.py tests/test_self_collision_in_room.py \
 	tests/sim tests/distributed/test_territory.py -m "cuda and not slow" -k "not graph and not compile and not one_wait"
 
-.PHONY: demo test sanitize lint bench build clean
+.PHONY: demo test sanitize lint bench bench-peers build clean
 
 demo: $(EXTENSION)
 	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 20 --world random --out out/demo
@@ -39,6 +39,9 @@ lint: $(ENVIRONMENT)
 	$(VENV_PYTHON) -m mypy
 
 bench: $(EXTENSION)
+	for script in figure4 figure5 figure6 ablations plots; do $(VENV_PYTHON) bench/$$script.py || exit; done
+
+bench-peers: $(EXTENSION)
 	for script in $(sort $(wildcard bench/bench_*.py)); do $(VENV_PYTHON) $$script || exit; done
 
 build: $(ENVIRONMENT)

@@ -18,7 +18,7 @@ from support.evaluation import Case, Steps
 
 from pgccd import sim
 
-_ROBOTS = {"cpu": [1_000, 2_000, 4_000, 8_000], "cuda": [10_000, 20_000, 30_000, 40_000]}
+_ROBOTS = {"cpu": [1_000, 3_000, 8_000], "cuda": [10_000, 20_000, 30_000, 40_000]}
 # The paper's.
 _RANKS, _THRESHOLD = 4, 0.15
 

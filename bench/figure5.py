@@ -16,7 +16,7 @@ from support.evaluation import Case, Steps
 
 from pgccd import sim
 
-_ROBOTS = {"cpu": [2_000, 8_000], "cuda": [40_000, 100_000, 1_000_000, 4_000_000]}
+_ROBOTS = {"cpu": [4_000], "cuda": [40_000, 100_000, 1_000_000, 4_000_000]}
 _THRESHOLD = 0.15
 
 

@@ -231,6 +231,7 @@ _FIGURES: dict[str, Callable[[Result], Figure]] = {
     "figure4": evaluation_plots.figure4,
     "figure5": evaluation_plots.figure5,
     "figure6": evaluation_plots.figure6,
+    "ablations": evaluation_plots.ablations,
 }
 
 

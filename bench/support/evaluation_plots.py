@@ -107,3 +107,21 @@ def _share_y(panels: Any) -> None:
             axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
             axes.yaxis.set_minor_locator(NullLocator())
             axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def ablations(result: Result) -> Figure:
+    """Each question's variants, relative to the first."""
+    questions = list(dict.fromkeys(row["question"] for row in result["rows"]))
+    figure, panels = plt.subplots(1, len(questions), figsize=(2.6 * len(questions), 3.6))
+    for axes, question in zip(panels, questions, strict=True):
+        rows = [row for row in result["rows"] if row["question"] == question]
+        names = [row["variant"].replace(" ", "\n", 1) for row in rows]
+        heights = [row["ms"]["median"] for row in rows]
+        axes.bar(names, heights, color=[_COLOURS["PGCCD"], *[_COLOURS["PCCCD"]] * (len(rows) - 1)])
+        for name, height in zip(names, heights, strict=True):
+            axes.text(name, height, f"{height:.3g}", ha="center", va="bottom", fontsize=7)
+        axes.set(title=question, ylim=(0, 1.15 * max(heights)))
+        axes.tick_params(axis="x", labelsize=7)
+    panels[0].set_ylabel("milliseconds")
+    figure.suptitle(f"{result['robots']:,} robots, one thing changed at a time", fontsize=9)
+    return figure
