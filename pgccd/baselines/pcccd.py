@@ -18,7 +18,7 @@ from torch import Tensor
 from pgccd import arguments, narrow, ops
 from pgccd.baselines.triangle_pairs import feature_candidates
 from pgccd.baselines.voxel_boxes import VoxelContents, send_boxes
-from pgccd.baselines.voxel_directory import VoxelDirectory, greedy_ranks, voxel_keys
+from pgccd.baselines.voxel_directory import VoxelDirectory, greedy_ranks, run_starts, voxel_keys
 from pgccd.bodies import MovingBodies
 from pgccd.broad import operator_tolerance
 from pgccd.contacts import Contacts, Stats
@@ -230,14 +230,11 @@ class PCCCD:
         keys = [told["pairs"][:, 0], told["pairs"][:, 1], told["kind"], *told["features"].unbind(dim=1)]
         if self._query.report == "first":
             keys.insert(2, told["toi"])
-        order = everything.new_tensor(range(len(told["toi"])))
+        order = torch.arange(len(told["toi"]))
         for key in reversed(keys):
             order = order[torch.argsort(key[order], stable=True)]
         if self._query.report == "first":
-            pairs = told["pairs"][order]
-            is_first = torch.ones(len(order), dtype=torch.bool)
-            is_first[1:] = (pairs[1:] != pairs[:-1]).any(dim=1)
-            order = order[is_first]
+            order = order[run_starts(told["pairs"][order])]
         return take_rows(told, order)
 
 

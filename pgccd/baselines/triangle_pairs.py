@@ -36,9 +36,9 @@ def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor) -> tuple[Te
         return torch.stack([row[pair].int(), torch.full_like(feature_i, int(kind)), feature_i, feature_j], dim=1)
 
     pair, corner = vertices_i.nonzero(as_tuple=True)
-    vertex_face = listed(Kind.VF_AB, pair, of_i[pair, corner], of_j[pair, _FACE])
+    vertex_face = listed(Kind.VF_AB, pair, of_i[:, _VERTEX][pair, corner], of_j[pair, _FACE])
     pair, corner = vertices_j.nonzero(as_tuple=True)
-    face_vertex = listed(Kind.VF_BA, pair, of_i[pair, _FACE], of_j[pair, corner])
+    face_vertex = listed(Kind.VF_BA, pair, of_i[pair, _FACE], of_j[:, _VERTEX][pair, corner])
     pair, first, second = (edges_i[:, :, None] & edges_j[:, None, :]).nonzero(as_tuple=True)
     edge_edge = listed(Kind.EE, pair, of_i[:, _EDGE][pair, first], of_j[:, _EDGE][pair, second])
     return pairs, torch.cat([vertex_face, face_vertex, edge_edge])

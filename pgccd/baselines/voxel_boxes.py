@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.baselines.voxel_directory import VoxelDirectory, voxel_keys
+from pgccd.baselines.voxel_directory import VoxelDirectory, run_starts, voxel_keys
 from pgccd.bodies import MovingBodies
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import make_route
@@ -78,7 +78,6 @@ def _by_voxel(boxes: Tensor, voxels: Tensor, counts: Tensor, first_body: Tensor)
     keys = voxel_keys(voxels)
     order = torch.argsort(keys, stable=True)
     keys = keys[order]
-    is_first = torch.ones_like(keys, dtype=torch.bool)
-    is_first[1:] = keys[1:] != keys[:-1]
+    is_first = run_starts(keys)
     first_segment = torch.cat([is_first.nonzero()[:, 0], keys.new_tensor([len(keys)])])
     return VoxelContents(boxes, segments[order], voxels[order][is_first], first_segment)

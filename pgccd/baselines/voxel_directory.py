@@ -68,6 +68,14 @@ class VoxelDirectory:
         return self._ranks[row]
 
 
+def run_starts(values: Tensor) -> Tensor:
+    """(K,) bool: which of the sorted values (K,) or rows (K, n) differ from the one before them."""
+    starts = torch.ones(len(values), dtype=torch.bool)
+    differ = values[1:] != values[:-1]
+    starts[1:] = differ if differ.dim() == 1 else differ.any(dim=1)
+    return starts
+
+
 def _find(sorted_keys: Tensor, keys: Tensor) -> tuple[Tensor, Tensor]:
     """Row of each key among sorted ones, and whether it is there."""
     if not len(sorted_keys):
@@ -79,10 +87,8 @@ def _find(sorted_keys: Tensor, keys: Tensor) -> tuple[Tensor, Tensor]:
 def _first_of_each(keys: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     """Each key once, with the value that came with it first."""
     order = torch.argsort(keys, stable=True)
-    keys, values = keys[order], values[order]
-    is_first = torch.ones_like(keys, dtype=torch.bool)
-    is_first[1:] = keys[1:] != keys[:-1]
-    return keys[is_first], values[is_first]
+    is_first = run_starts(keys[order])
+    return keys[order][is_first], values[order][is_first]
 
 
 def _merge(keys: Tensor, values: Tensor, more_keys: Tensor, more_values: Tensor) -> tuple[Tensor, Tensor]:
