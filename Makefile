@@ -42,7 +42,8 @@ bench: $(EXTENSION)
 	for script in figure4 figure5 figure6 ablations plots; do $(VENV_PYTHON) bench/$$script.py || exit; done
 
 bench-peers: $(EXTENSION)
-	for script in $(sort $(wildcard bench/bench_*.py)); do $(VENV_PYTHON) $$script || exit; done
+	$(VENV_PYTHON) bench/peers.py
+	$(VENV_PYTHON) bench/plots.py
 
 build: $(ENVIRONMENT)
 	$(VENV_PYTHON) setup.py --quiet build_ext --inplace

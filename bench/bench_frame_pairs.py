@@ -1,12 +1,9 @@
 """Every colliding vertex-face and edge-edge pair of public simulation frame pairs, self-collisions included.
 
-Reads a folder of public ground truth (Belgrod et al. 2023), in NumPy files:
-  scenes/NAME.npz  vertices_t0, vertices_t1 (V, 3), faces (F, 3), edges (E, 2); vf_pairs, ee_pairs (k, 2) and
-                   *_collides (k,): all truly colliding pairs, and some others
-
-Each scene is one body that deforms and collides with itself. Vertices are in device memory before the clock starts,
-contacts are there when it stops. The mesh and the shape of its hierarchy, which last for all frames of a simulation,
-are made before. What is found is compared with the list: any other contact is a false positive.
+Reads a folder of public ground truth; bench/support/frame_pairs.py says what is in it. Each scene is one body that
+deforms and collides with itself. Vertices are in device memory before the clock starts, contacts are there when it
+stops. The mesh and the shape of its hierarchy, which last for all frames of a simulation, are made before. What is
+found is compared with the list: any other contact is "extra", a false positive.
 
 Without --data nothing is measured.
 """
@@ -17,9 +14,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from support import results, timing
+from support import frame_pairs, results, timing
 
 import pgccd
 
@@ -43,27 +39,19 @@ def main() -> None:
     if arguments.data is None:
         print("--data names no folder: nothing to measure")
         return
-    rows = []
-    for path in sorted(arguments.data.glob("scenes/*.npz")):
-        with np.load(path) as file:
-            frames = dict(file)
-        rows += [measure(path.stem, frames, report, arguments) for report in _REPORTS]
+    rows = [measure(pair, report, arguments) for pair in frame_pairs.load(arguments.data) for report in _REPORTS]
     results.table([flat(row) for row in rows])
     content = {"tolerance": arguments.tolerance, "min_separation": arguments.min_separation, "rows": rows}
     results.write("frame_pairs", arguments.device, content, arguments.out)
 
 
-def measure(
-    name: str, frames: dict[str, np.ndarray], report: pgccd.narrow.Report, arguments: argparse.Namespace
-) -> dict[str, Any]:
+def measure(pair: frame_pairs.FramePair, report: pgccd.narrow.Report, arguments: argparse.Namespace) -> dict[str, Any]:
     """Times and counts of one frame pair."""
-    mesh = pgccd.Mesh(frames["vertices_t0"], frames["faces"])
-    scene = pgccd.Scene([mesh], device=arguments.device, self_collision=True)
-    ends = [torch.from_numpy(frames[f"vertices_{end}"]).to(scene.device) for end in ("t0", "t1")]
+    scene, motion, mesh = pair.scene(arguments.device), pair.motion(arguments.device), pair.mesh
     options = {"tolerance": arguments.tolerance}
 
     def detect() -> pgccd.Contacts:
-        return pgccd.detect(scene, pgccd.VertexMotion(*ends), report, arguments.min_separation, **options)
+        return pgccd.detect(scene, motion, report, arguments.min_separation, **options)
 
     spent: list[float] = []
     stages: dict[str, list[float]] = {}
@@ -76,7 +64,7 @@ def measure(
             stages.setdefault(stage, []).append(part)
     counts = {count: getattr(hits.stats, count) for count in ("pcs", "node_tests", "candidates", "contacts")}
     return {
-        "scene": name,
+        "scene": pair.name,
         "report": report,
         "vertices": len(mesh.vertices),
         "edges": len(mesh.edges),
@@ -86,35 +74,13 @@ def measure(
         **counts,
         "unresolved": hits.stats.unresolved,
         "earliest_toi": float(hits.toi.min()) if len(hits) else None,
-        **(errors(mesh, frames, hits) if report == "all" and arguments.min_separation == 0.0 else {}),
+        **(pair.errors(hits) if report == "all" and arguments.min_separation == 0.0 else {}),
     }
-
-
-def errors(mesh: pgccd.Mesh, frames: dict[str, np.ndarray], hits: pgccd.Contacts) -> dict[str, int]:
-    """What is missing of the truly colliding pairs, and what was found beside them."""
-    # Scenes number edges otherwise than meshes do.
-    weights = np.array([len(frames["vertices_t0"]), 1])
-    of_mesh, of_scene = (np.sort(edges, axis=1) @ weights for edges in (mesh.edges.long().numpy(), frames["edges"]))
-    edge_pairs = np.sort(np.searchsorted(of_mesh, of_scene)[frames["ee_pairs"]], axis=1)[frames["ee_collides"]]
-    face_pairs = frames["vf_pairs"][frames["vf_collides"]]
-    true = np.concatenate([keys(pgccd.VF_AB, face_pairs), keys(pgccd.EE, edge_pairs)])
-    found = keys(hits.kind.cpu().numpy(), hits.features.cpu().numpy())
-    return {
-        "true": len(true),
-        "missed": len(np.setdiff1d(true, found)),
-        "false_positives": len(np.setdiff1d(found, true)),
-    }
-
-
-def keys(kind: int | np.ndarray, features: np.ndarray) -> np.ndarray:
-    """(k,) int64, one number a feature pair (k, 2)."""
-    first, second = features.astype(np.int64).T
-    return (np.int64(1) << 60) * kind + (first << 30) + second
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
     """A row of the table."""
-    counts = ("pcs", "node_tests", "candidates", "contacts", "unresolved", "true", "missed", "false_positives")
+    counts = ("pcs", "node_tests", "candidates", "contacts", "unresolved", "true", "missed", "extra")
     return {
         "scene": row["scene"],
         "report": row["report"],

@@ -46,7 +46,8 @@ def measure_simulation(comm: distributed.Comm, case: Case, steps: Steps, given: 
     config = sim.WorldConfig(**given["config"])
     world = sim.World(config, device=device)
     x, y, z = world.half_extent
-    partition = distributed.Partition.uniform((-x, -y, -z), (x, y, z), comm.size, axes=case.axes, device=device)
+    upper = (2.0 * x * case.stretch - x, y, z)
+    partition = distributed.Partition.uniform((-x, -y, -z), upper, comm.size, axes=case.axes, device=device)
     mine = {name: column[comm.rank :: comm.size].to(device) for name, column in given["start"].items()}
     policy = _POLICIES[case.system]
     balance = distributed.BalanceOptions(policy, threshold=case.threshold)

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt  # noqa: E402  (the backend first)
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter  # noqa: E402
-from support import cluster_plots, evaluation_plots, results  # noqa: E402
+from support import cluster_plots, evaluation_plots, peer_plots, results  # noqa: E402
 
 Result = dict[str, Any]
 
@@ -73,34 +73,10 @@ def _world(result: Result) -> Figure:
 
 
 def _broad_phase(result: Result) -> Figure:
-    scenes = result.get("scenes", [])
-    figure, panels = plt.subplots(1, 1 + bool(scenes), figsize=(6.5 + 4.5 * bool(scenes), 3.2), squeeze=False)
-    axes = panels[0][0]
-    rows = result["rows"]
-    names = [row["method"] for row in rows]
-    own = [row["ms"]["median"] for row in rows]
-    extra = [(row["exact_test_ms"] or {"median": 0.0})["median"] for row in rows]
-    axes.barh(names, own, color=[_colour(name) for name in names])
-    if any(extra):
-        axes.barh(
-            names,
-            extra,
-            left=own,
-            color="none",
-            edgecolor=_PEER,
-            linewidth=0.8,
-            label="exact test of the surplus (NumPy)",
-        )
-        axes.legend(frameon=False, fontsize=7, loc="upper right")
-    for row, (name, width) in zip(rows, zip(names, own, strict=True), strict=True):
-        axes.text(width * 1.03 + extra[names.index(name)], name, f"{row['ms']['median']:.3g}", va="center", fontsize=7)
-    axes.set(xscale="log", xlabel="milliseconds", xlim=(min(own) / 2, max(own) * 4))
-    _label_1_2_5(axes)
-    where = "one GPU" if "gpu" in result["made"]["device"] else "one CPU thread"
-    axes.set_title(f"{result['bodies']:,} swept spheres, {result['true_pairs_a_body']} true pairs a body, {where}")
-    axes.invert_yaxis()
-    if scenes:
-        _broad_phase_scenes(panels[0][1], scenes)
+    figure, axes = plt.subplots(figsize=(6.5, 4.0))
+    _broad_phase_scenes(axes, result["scenes"])
+    where = "one GPU" if "gpu" in result["made"]["device"] else f"{result['threads']} CPU thread"
+    axes.set_title(f"{result['bodies']:,} swept spheres by scene (true pairs a body), {where}")
     return figure
 
 
@@ -110,7 +86,7 @@ def _broad_phase_scenes(axes: Axes, scenes: list[Result]) -> None:
         axes.barh(places, [scene["ms"][name] for scene in scenes], height=0.25, color=colour, label=name)
     labels = [f"{scene['scene']} ({scene['pairs_a_body']:.2g})" for scene in scenes]
     axes.set_yticks(range(len(scenes)), labels, fontsize=7)
-    axes.set(xscale="log", xlabel="milliseconds", title="pgccd's, by scene (true pairs a body)")
+    axes.set(xscale="log", xlabel="milliseconds")
     _label_1_2_5(axes)
     axes.invert_yaxis()
     axes.legend(frameon=False, fontsize=7)
@@ -120,58 +96,6 @@ def _label_1_2_5(axes: Axes) -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-
-
-def _pair(result: Result) -> Figure:
-    figure, axes = plt.subplots(figsize=(7.5, 3.6))
-    rows = [row for row in result["rows"] if "straight" not in row["method"]]
-    names = [row["method"] for row in rows]
-    for offset, sort, hatch in ((-0.2, "free_ms", ""), (0.2, "colliding_ms", "///")):
-        widths = [row[sort]["median"] for row in rows]
-        places = [index + offset for index in range(len(rows))]
-        colours = [_colour(name) for name in names]
-        axes.barh(places, widths, height=0.38, color=colours, hatch=hatch, edgecolor="white", label=sort[:-3])
-        for place, width in zip(places, widths, strict=True):
-            axes.text(width * 1.06, place, f"{width:.3g}", va="center", fontsize=7)
-    labels = [
-        f"{row['method']}\n" + (f"{row['missed']} missed, {row['other_toi']} other toi" if "missed" in row else "exact")
-        for row in rows
-    ]
-    axes.set_yticks(range(len(rows)), labels)
-    axes.set(xscale="log", xlabel="milliseconds a pair (median)")
-    axes.set_title(
-        f"First toi of two bodies of {result['triangles']} triangles, one CPU thread\n"
-        f"({result['colliding']} of {result['pairs']} pairs collide)"
-    )
-    axes.invert_yaxis()
-    axes.legend(frameon=False, fontsize=7)
-    return figure
-
-
-def _ten_thousand(result: Result) -> Figure:
-    figure, axes = plt.subplots(figsize=(6.5, 2.6))
-    rows = result["rows"]
-    start = 0.0
-    for stage in (stage for stage in _STAGES if stage in rows[0]["stage_ms"]):
-        part = rows[0]["stage_ms"][stage]
-        axes.barh(rows[0]["method"], part, left=start, color=_STAGES.get(stage), label=stage)
-        start += part
-    for row in rows[1:]:
-        axes.barh(row["method"], row["ms"]["median"], color=_PEER)
-    for row in rows:
-        axes.errorbar(
-            row["ms"]["median"],
-            row["method"],
-            xerr=[[row["ms"]["median"] - row["ms"]["low10"]], [row["ms"]["high90"] - row["ms"]["median"]]],
-            color="black",
-            linewidth=0.8,
-            capsize=3,
-        )
-    axes.set(xlabel="milliseconds a step (median; bars from 10 % to 90 %)")
-    axes.set_title(f"{result['robots']:,} robots, one whole step")
-    axes.invert_yaxis()
-    axes.legend(frameon=False, fontsize=7, ncols=2)
-    return figure
 
 
 def _narrow_phase(result: Result) -> Figure:
@@ -223,8 +147,7 @@ _FIGURES: dict[str, Callable[[Result], Figure]] = {
     "world": _world,
     "broad_phase": _broad_phase,
     "growth": _growth,
-    "pair": _pair,
-    "ten_thousand": _ten_thousand,
+    "peers": peer_plots.peers,
     "narrow_phase": _narrow_phase,
     "cluster_scaling": cluster_plots.scaling,
     "frame_pairs": cluster_plots.frame_pairs,

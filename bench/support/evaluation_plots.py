@@ -20,12 +20,12 @@ _BY_SIZE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 
 def figure4(result: Result) -> Figure:
     """How many times as fast as PCCCD, by number of robots; and times."""
-    figure, panels = plt.subplots(2, 3, figsize=(12, 6.4), sharex=True)
-    for (above, below), (world, (pattern, _)) in zip(panels.T, WORLDS.items(), strict=True):
+    figure, panels = plt.subplots(2, len(WORLDS), figsize=(15, 6.4), sharex=True)
+    for (above, below), (world, space) in zip(panels.T, WORLDS.items(), strict=True):
         for system in ("PGCCD", "PGCCD+LB", "PCCCD"):
-            # Space is nothing to PCCCD.
-            same = [row for row in result["rows"] if (row["system"], row["pattern"]) == (system, pattern)]
-            rows = same if system == "PCCCD" else [row for row in same if world_of(row) == world]
+            # How space is cut is nothing to PCCCD. Of its numbers of ranks the best has a speedup of 1.
+            same = [row for row in result["rows"] if (row["system"], row["pattern"]) == (system, space.pattern)]
+            rows = [row for row in same if (row["speedup"] == 1 if system == "PCCCD" else world_of(row) == world)]
             robots = [row["robots"] for row in rows]
             label = f"{system}, {'GPU' if rows and rows[0]['device'] == 'cuda' else 'CPU'}"
             if system != "PCCCD":
@@ -70,30 +70,35 @@ def figure5(result: Result) -> Figure:
 
 
 def figure6(result: Result) -> Figure:
-    """Time of a step, and imbalance, by the threshold of load balancing."""
-    figure, panels = plt.subplots(2, 3, figsize=(12, 6.0), sharex=True)
+    """Time of a step relative to that without balancing, and imbalance, by the threshold of load balancing."""
+    figure, panels = plt.subplots(2, len(WORLDS), figsize=(15, 6.0), sharex=True)
+    sizes = sorted({row["robots"] for row in result["rows"]})
     for (above, below), world in zip(panels.T, WORLDS, strict=True):
-        rows = [row for row in result["rows"] if world_of(row) == world]
-        _threshold_panel(above, rows, lambda row: row["ms"]["median"])
-        _threshold_panel(below, rows, lambda row: row["imbalance"])
-        above.set(title=f"{world}, {rows[0]['robots']:,} robots, {result['ranks']} ranks")
+        for robots, colour in zip(sizes, _BY_SIZE, strict=False):
+            rows = [row for row in result["rows"] if world_of(row) == world and row["robots"] == robots]
+            unbalanced = next(row["ms"]["median"] for row in rows if row["system"] == "PGCCD")
+            _threshold_panel(above, rows, lambda row, base=unbalanced: row["ms"]["median"] / base, colour)
+            _threshold_panel(below, rows, lambda row: row["imbalance"], colour)
+        above.set(title=f"{world}, {result['ranks']} ranks")
         below.set(xlabel="threshold (%)")
-    panels[0][0].set_ylabel("milliseconds a step")
+    panels[0][0].set_ylabel("time of a step over that without balancing")
     panels[1][0].set_ylabel("largest load over mean load")
-    for row in panels:
+    for row, low in zip(panels, (0.0, 1.0), strict=True):
         _share_y(row)
+        for axes in row:
+            axes.set_ylim(bottom=low)
     panels[0][-1].legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 
-def _threshold_panel(axes: Axes, rows: list[Row], value: Any) -> None:
+def _threshold_panel(axes: Axes, rows: list[Row], value: Any, colour: str) -> None:
     balanced = sorted((row for row in rows if row["system"] == "PGCCD+LB"), key=lambda row: row["threshold"])
     thresholds = [100 * row["threshold"] for row in balanced]
-    axes.plot(thresholds, [value(row) for row in balanced], "s-", color=_COLOURS["PGCCD+LB"], label="one cell a step")
-    for system, label in (("PGCCD", "no balancing"), ("PGCCD, by cost", "by cost (default)")):
-        for row in rows:
-            if row["system"] == system:
-                axes.axhline(value(row), linestyle="--", color=_COLOURS[system], label=label)
+    size = f"{rows[0]['robots']:,}"
+    axes.plot(thresholds, [value(row) for row in balanced], "s-", color=colour, label=f"{size}, one cell a step")
+    for system, label, style in (("PGCCD", "no balancing", ":"), ("PGCCD, by cost", "by cost (default)", "--")):
+        height = next(value(row) for row in rows if row["system"] == system)
+        axes.axhline(height, linestyle=style, color=colour, label=f"{size}, {label}")
     axes.set_xticks(thresholds)
 
 

@@ -23,7 +23,7 @@ from pgccd import _host
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "bench" / "results"
-_PEERS = ("ipctk", "python-fcl", "pybullet", "scipy", "warp-lang")
+_PEERS = ("coal", "ipctk", "mujoco", "newton", "pybullet", "python-fcl", "scipy", "warp-lang")
 
 
 _begin = time.perf_counter()
@@ -35,14 +35,19 @@ def _busy_seconds() -> float:
     return sum(map(int, (user, nice, system, *rest))) / os.sysconf("SC_CLK_TCK")
 
 
-_busy_before = _busy_seconds() - time.process_time()
+def _own_seconds() -> float:
+    """Processor time of this process and of those it started and waited for."""
+    return sum(os.times()[:4])
+
+
+_busy_before = _busy_seconds() - _own_seconds()
 
 
 def cores_busy_with_others() -> float:
     """How many cores other processes kept busy on average since this one started: above 0.1 or so, times are
     doubtful.
     """
-    others = _busy_seconds() - time.process_time() - _busy_before
+    others = _busy_seconds() - _own_seconds() - _busy_before
     return round(max(0.0, others / (time.perf_counter() - _begin)), 2)
 
 

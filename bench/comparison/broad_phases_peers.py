@@ -11,29 +11,43 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-
 from support import peers
 from support.scenes import MovingSpheres
 
+from comparison.program import Program
+
 ReadPairs = Callable[[], np.ndarray]
-Prepare = Callable[[MovingSpheres], Callable[[], ReadPairs]]
+FindPairs = Callable[[], ReadPairs]
+Prepare = Callable[[MovingSpheres], FindPairs]
 
 
-def available() -> dict[str, Prepare]:
-    """The broad phases that can be used here, by name."""
-    found: dict[str, Prepare] = {}
+def available(device: str) -> dict[Program, Prepare]:
+    """The broad phases that can be used here. On a GPU only what runs there."""
+    found: dict[Program, Prepare] = {}
+    if peers.load("warp") is not None:
+        from comparison import warp_spheres
+
+        where = "GPU" if device == "cuda" else "CPU, 1 thread"
+        program = Program(
+            "Warp HashGrid", "warp-lang", "exact pairs (a kernel of ours)", "radii of several sizes", where
+        )
+        found[program] = lambda scene: _warp(warp_spheres.hash_grid(scene, device))
+        program = Program("Warp Bvh", "warp-lang", "exact pairs (a kernel of ours)", device=where)
+        found[program] = lambda scene: _warp(warp_spheres.bvh(scene, device))
+    if device == "cuda":
+        return found
     ipctk = peers.load_ipctk()
     if ipctk is not None:
         # BruteForce is quadratic and left out.
         for name in ("LBVH", "HashGrid", "SpatialHash", "SweepAndPrune"):
-            found[f"ipctk {name}"] = lambda scene, name=name: _ipctk(ipctk, getattr(ipctk, name), scene)
+            program = Program(f"ipctk {name}", "ipctk", "pairs of boxes", "radii of several sizes")
+            found[program] = lambda scene, name=name: _ipctk(ipctk, getattr(ipctk, name), scene)
     spatial = peers.load("scipy.spatial")
     if spatial is not None:
-        found["SciPy cKDTree"] = lambda scene: _kd_tree(spatial, scene)
-    if peers.load("warp") is not None:
-        from support import warp_hash_grid
-
-        found["Warp HashGrid"] = lambda scene: _warp(warp_hash_grid.prepare(scene))
+        program = Program(
+            "SciPy cKDTree", "scipy", "pairs of points within a distance", "motion; radii of several sizes"
+        )
+        found[program] = lambda scene: _kd_tree(spatial, scene)
     return found
 
 
@@ -66,9 +80,9 @@ def _ipctk(ipctk: Any, broad_phase: Any, scene: MovingSpheres) -> Callable[[], R
     return find
 
 
-def _warp(find_pairs: Callable[[], np.ndarray]) -> Callable[[], ReadPairs]:
+def _warp(find_pairs: Callable[[], Any]) -> FindPairs:
     def find() -> ReadPairs:
         pairs = find_pairs()
-        return lambda: pairs.astype(np.int64)
+        return lambda: pairs.numpy().astype(np.int64)
 
     return find

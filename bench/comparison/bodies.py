@@ -1,0 +1,90 @@
+"""Which of many robots collide in a step of the standard world, in full swing."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from support import timing
+from support.scenes import MixedWorld
+
+import pgccd
+from comparison import bodies_peers
+from comparison.program import Program, row
+from pgccd import sim
+
+
+class BodiesProgram(Protocol):
+    """A world in the form of one program."""
+
+    program: Program
+
+    def load(self, state: sim.RobotState) -> None:
+        """Takes the poses and velocities at the start of a step; not timed."""
+
+    def find(self) -> Any:
+        """Finds what collides in the step; timed."""
+
+    def pairs(self) -> np.ndarray | None:
+        """(k, 2) bodies found by the last call, any order, repeated or not; not timed. None: it names no pairs."""
+
+
+def measure(robots: int, device: str, rounds: int, seed: int = 0) -> list[dict[str, Any]]:
+    """Rows of all programs that are installed. What pgccd finds is exact: others are compared with it."""
+    world = MixedWorld(robots, 40, device, seed)
+    programs: list[BodiesProgram] = [Detection(world, report, device) for report in ("first", "any")]
+    programs += bodies_peers.available(world, device)
+    spent: dict[str, list[float]] = {each.program.name: [] for each in programs}
+    counts: dict[str, np.ndarray] = {}
+    for index, state in enumerate(itertools.islice(world, 1 + rounds)):
+        true = np.zeros(0, dtype=np.int64)
+        for each in programs:
+            each.load(state)
+            duration, _ = timing.seconds(each.find, device)
+            if index:
+                spent[each.program.name].append(duration)
+            pairs = each.pairs()
+            if pairs is None:
+                continue
+            found = keys(pairs, robots)
+            if each is programs[0]:
+                true = found
+            if index:
+                errors = (len(true), len(np.setdiff1d(true, found)), len(np.setdiff1d(found, true)))
+                counts[each.program.name] = np.array(errors) + counts.get(each.program.name, 0)
+    return [
+        row(
+            "many bodies",
+            each.program,
+            spent[each.program.name],
+            robots=robots,
+            **dict(zip(("true", "missed", "extra"), counts.get(each.program.name, np.zeros(0)).tolist(), strict=False)),
+        )
+        for each in programs
+    ]
+
+
+def keys(pairs: np.ndarray, bodies: int) -> np.ndarray:
+    """One number a pair, sorted, each once."""
+    return np.unique(np.sort(np.asarray(pairs, dtype=np.int64).reshape(-1, 2), axis=1) @ np.array([bodies, 1]))
+
+
+class Detection:
+    """pgccd on the device of the world."""
+
+    def __init__(self, world: MixedWorld, report: pgccd.narrow.Report, device: str) -> None:
+        self._world, self._report = world, report
+        answers = {"first": "certified toi and features of each pair", "any": "which pairs"}[report]
+        where = "GPU" if device == "cuda" else f"CPU, {torch.get_num_threads()} threads"
+        self.program = Program(f'pgccd, report="{report}"', "pgccd", f"{answers}; meshes on arcs", device=where)
+
+    def load(self, state: sim.RobotState) -> None:
+        self._motion = self._world.world.motion(state)
+
+    def find(self) -> None:
+        self._hits = pgccd.detect(self._world.scene, self._motion, self._report)
+
+    def pairs(self) -> np.ndarray:
+        return self._hits.pairs.cpu().numpy()

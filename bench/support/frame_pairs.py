@@ -1,0 +1,63 @@
+"""Two frames of a public simulation (Belgrod et al. 2023), and what truly collides between them, in NumPy files:
+
+scenes/NAME.npz  vertices_t0, vertices_t1 (V, 3), faces (F, 3), edges (E, 2); vf_pairs, ee_pairs (k, 2) and
+                 *_collides (k,): all truly colliding pairs, and some others
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+import pgccd
+
+
+@dataclass
+class FramePair:
+    """One mesh that deforms and collides with itself."""
+
+    name: str
+    arrays: dict[str, np.ndarray]
+
+    def __post_init__(self) -> None:
+        self.mesh = pgccd.Mesh(self.arrays["vertices_t0"], self.arrays["faces"])
+
+    def scene(self, device: str) -> pgccd.Scene:
+        """The mesh and the shape of its hierarchy, which last for all frames of a simulation."""
+        return pgccd.Scene([self.mesh], device=device, self_collision=True)
+
+    def motion(self, device: str) -> pgccd.VertexMotion:
+        """Its vertices in both frames, in the device's memory."""
+        return pgccd.VertexMotion(
+            *(torch.from_numpy(self.arrays[f"vertices_{end}"]).to(device) for end in ("t0", "t1"))
+        )
+
+    def errors(self, hits: pgccd.Contacts) -> dict[str, int]:
+        """What contacts of report "all" lack of the truly colliding pairs, and what they have beside them."""
+        # Scenes number edges otherwise than meshes do.
+        weights = np.array([len(self.arrays["vertices_t0"]), 1])
+        both = (self.mesh.edges.long().numpy(), self.arrays["edges"])
+        of_mesh, of_scene = (np.sort(edges, axis=1) @ weights for edges in both)
+        edge_pairs = np.sort(np.searchsorted(of_mesh, of_scene)[self.arrays["ee_pairs"]], axis=1)
+        face_pairs = self.arrays["vf_pairs"][self.arrays["vf_collides"]]
+        true = np.concatenate([_keys(pgccd.VF_AB, face_pairs), _keys(pgccd.EE, edge_pairs[self.arrays["ee_collides"]])])
+        found = _keys(hits.kind.cpu().numpy(), hits.features.cpu().numpy())
+        missed, extra = np.setdiff1d(true, found), np.setdiff1d(found, true)
+        return {"true": len(true), "missed": len(missed), "extra": len(extra)}
+
+
+def load(data: Path) -> Iterator[FramePair]:
+    """All frame pairs of a folder that holds scenes/."""
+    for path in sorted(data.glob("scenes/*.npz")):
+        with np.load(path) as file:
+            yield FramePair(path.stem, dict(file))
+
+
+def _keys(kind: int | np.ndarray, features: np.ndarray) -> np.ndarray:
+    """(k,) int64, one number a feature pair (k, 2)."""
+    first, second = features.astype(np.int64).T
+    return (np.int64(1) << 60) * kind + (first << 30) + second
