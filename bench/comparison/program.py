@@ -8,6 +8,8 @@ from typing import Any
 
 from support import timing
 
+import pgccd
+
 
 @dataclass(frozen=True)
 class Program:
@@ -36,4 +38,4 @@ def row(question: str, program: Program, seconds: list[float], **counts: Any) ->
 
 def version(package: str) -> str:
     """The one that is installed."""
-    return importlib.metadata.version(package)
+    return pgccd.__version__ if package == "pgccd" else importlib.metadata.version(package)
