@@ -1,4 +1,4 @@
-"""Two ways to find all contacts of the bodies of many ranks, counted on the standard world:
+"""Two ways to find all contacts of the bodies of many ranks, counted on the standard model:
 
   once   ghosts where CBVs reach; each pair is tested by one rank, the owner of its boxes' reference point; contacts are
          told to the owners of both bodies (what `pgccd.distributed` does)
@@ -34,14 +34,14 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
     parser.add_argument("--steps", type=int, default=20, help="before the one that is looked at")
     arguments = parser.parse_args()
-    world = sim.World(sim.WorldConfig(robots=arguments.robots))
-    state = world.start()
-    scene = world.scene(state.id)
+    model = sim.Model(sim.ModelConfig(robots=arguments.robots))
+    state = model.start()
+    scene = model.scene(state.id)
     for index in range(arguments.steps):
-        state = sim.make_step(world, scene, state, index).after
-    last = sim.make_step(world, scene, state, arguments.steps)
-    bodies = MovingBodies(scene, world.motion(last.before))
-    rows = [count(world, bodies, last.contacts.pairs, ranks, arguments) for ranks in arguments.ranks]
+        state = sim.make_step(model, scene, state, index).after
+    last = sim.make_step(model, scene, state, arguments.steps)
+    bodies = MovingBodies(scene, model.motion(last.before))
+    rows = [count(model, bodies, last.contacts.pairs, ranks, arguments) for ranks in arguments.ranks]
     results.table(rows)
     results.write(
         "ghosting", "cpu", {"robots": arguments.robots, "steps": arguments.steps, "rows": rows}, arguments.out
@@ -49,10 +49,10 @@ def main() -> None:
 
 
 def count(
-    world: sim.World, bodies: MovingBodies, contacts: Tensor, ranks: int, arguments: argparse.Namespace
+    model: sim.Model, bodies: MovingBodies, contacts: Tensor, ranks: int, arguments: argparse.Namespace
 ) -> dict[str, Any]:
     """One row."""
-    x, y, z = world.half_extent
+    x, y, z = model.half_extent
     partition = Partition.uniform((-x, -y, -z), (x, y, z), ranks, cells=arguments.cells)
     centres = [bodies.position_t0, bodies.position_t1, bodies.radius]
     lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
@@ -87,9 +87,9 @@ def ghosts(partition: Partition, centres: list[Tensor], owner: Tensor, separatio
 def reach(partition: Partition, centres: list[Tensor], rows: Tensor, separation: float = 0.0) -> Tensor:
     """(B, ranks) uint8: 1 where one of the rows (B,) reaches a cell of the rank."""
     ranks = partition.ranks
-    reached, _ = ops.holders_of(centres, separation, 0.0, partition.territory(0), rows, ranks)
+    reached, _ = ops.replica_ranks(centres, separation, 0.0, partition.subdomain(0), rows, ranks)
     # A rank is told of others alone.
-    reached[:, 0] = ops.holders_of(centres, separation, 0.0, partition.territory(ranks - 1), rows, ranks)[0][:, 0]
+    reached[:, 0] = ops.replica_ranks(centres, separation, 0.0, partition.subdomain(ranks - 1), rows, ranks)[0][:, 0]
     return reached
 
 

@@ -73,15 +73,15 @@ def main() -> None:
 
 def count(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """The decompositions of one world."""
-    world = sim.World(sim.WorldConfig(robots=arguments.robots))
+    model = sim.Model(sim.ModelConfig(robots=arguments.robots))
     begin = time.perf_counter()
-    counts = [Counts(world, ranks, arguments) for ranks in arguments.ranks]
+    counts = [Counts(model, ranks, arguments) for ranks in arguments.ranks]
     for first in range(0, arguments.robots, _BLOCK):
-        state = world.start(torch.arange(first, min(arguments.robots, first + _BLOCK)))
-        # Anywhere: in the lattice of the start, whole layers would lie on one side of a border.
+        state = model.start(torch.arange(first, min(arguments.robots, first + _BLOCK)))
+        # Anywhere: in the lattice of the start, whole layers would lie on one side of a boundary.
         place = ops.random_uniforms(state.id, 0, 0, 0)[:, :3] - 0.5
-        state.position = 2.0 * place * torch.tensor(world.half_extent, dtype=torch.float64)
-        motion, radius = world.motion(state), world.scene(state.id).radius
+        state.position = 2.0 * place * torch.tensor(model.half_extent, dtype=torch.float64)
+        motion, radius = model.motion(state), model.scene(state.id).radius
         for each in counts:
             each.add(motion, radius)
     print(f"counted in {time.perf_counter() - begin:.0f} s")
@@ -152,8 +152,8 @@ class Measured:
 class Counts:
     """The decomposition for one number of ranks, counted block by block."""
 
-    def __init__(self, world: sim.World, ranks: int, arguments: argparse.Namespace) -> None:
-        x, y, z = world.half_extent
+    def __init__(self, model: sim.Model, ranks: int, arguments: argparse.Namespace) -> None:
+        x, y, z = model.half_extent
         upper = (x, y, z)
         self.partition = Partition.uniform((-x, -y, -z), upper, ranks, axes=arguments.axes, cells=arguments.cells)
         self.bodies = torch.zeros(self.partition.cell_count, dtype=torch.int64)
@@ -169,9 +169,9 @@ class Counts:
         owner = partition.owner[centre]
         first, last = (partition.cell_of(corner) for corner in ops.swept_boxes(*centres, 0.0, 0.0))
         for rows in torch.nonzero(first != last)[:, 0].split(max(1, _BLOCK // ranks)):
-            reached, _ = ops.holders_of(centres, 0.0, 0.0, partition.territory(0), rows, ranks)
+            reached, _ = ops.replica_ranks(centres, 0.0, 0.0, partition.subdomain(0), rows, ranks)
             if ranks > 1:  # a rank is told of others alone
-                reached[:, 0] = ops.holders_of(centres, 0.0, 0.0, partition.territory(1), rows, ranks)[0][:, 0]
+                reached[:, 0] = ops.replica_ranks(centres, 0.0, 0.0, partition.subdomain(1), rows, ranks)[0][:, 0]
             row, destination = torch.nonzero(reached).unbind(dim=1)
             source = owner[rows[row]]
             away = source != destination
@@ -188,7 +188,7 @@ class Counts:
         return {
             "ranks": ranks,
             "robots": int(own.sum()),
-            "subspaces": partition.subspaces,
+            "subdomains": partition.subdomains,
             "cells": partition.cell_count,
             "table_bytes": 8 * partition.cell_count,
             "bodies_a_rank": spread(own),

@@ -80,13 +80,13 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
     """One row; the same on all ranks."""
     weak = arguments.robots_a_rank is not None
     robots = arguments.robots_a_rank * comm.size if weak else arguments.robots
-    config = sim.WorldConfig(robots=robots, pattern=arguments.pattern, seed=arguments.seed)
+    config = sim.ModelConfig(robots=robots, pattern=arguments.pattern, seed=arguments.seed)
     device = distributed.choose_device(arguments.device)
-    fleet = start(comm, config, device, arguments)
+    simulation = start(comm, config, device, arguments)
     for index in range(arguments.steps_before):
-        fleet.step(index)
-    state, begin = fleet.state, arguments.steps_before
-    durations, records = follow(comm, begin, arguments.rounds, lambda index: fleet.step(index, more=True))
+        simulation.step(index)
+    state, begin = simulation.state, arguments.steps_before
+    durations, records = follow(comm, begin, arguments.rounds, lambda index: simulation.step(index, more=True))
     everybody = comm.gather_objects((durations, [parts_of(*step) for step in zip(records, durations, strict=True)]))
     whole = [max(steps) for steps in zip(*(times for times, _ in everybody), strict=True)]
     parts = [steps for _, steps in everybody]
@@ -94,11 +94,11 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
     ranks = [record["ranks"] for record in records]
     single: list[float] = []
     if comm.size == 1:
-        scene, begun = fleet.world.scene(state.id), None
+        scene, begun = simulation.model.scene(state.id), None
 
         def advance(index: int) -> sim.Step:
             nonlocal state, begun
-            made = sim.make_step(fleet.world, scene, state, index, ahead=ahead(arguments), begun=begun, more=True)
+            made = sim.make_step(simulation.model, scene, state, index, ahead=ahead(arguments), begun=begun, more=True)
             state, begun = made.after, made.next
             return made
 
@@ -129,18 +129,18 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
 
 
 def start(
-    comm: distributed.Comm, config: sim.WorldConfig, device: torch.device, arguments: argparse.Namespace
-) -> distributed.Fleet:
+    comm: distributed.Comm, config: sim.ModelConfig, device: torch.device, arguments: argparse.Namespace
+) -> distributed.DistributedSimulation:
     """The world before step 0."""
-    world = sim.World(config, device=device)
-    x, y, z = world.half_extent
+    model = sim.Model(config, device=device)
+    x, y, z = model.half_extent
     partition = distributed.Partition.uniform(
         (-x, -y, -z), (x, y, z), comm.size, axes=arguments.axes, cells=arguments.cells, device=device
     )
-    share = distributed.starting_share(comm, world, partition)
+    share = distributed.starting_share(comm, model, partition)
     balance = distributed.BalanceOptions(arguments.balance)
-    return distributed.Fleet(
-        comm, world, partition, share, balance, not arguments.no_overlap, ahead=ahead(arguments, comm.size)
+    return distributed.DistributedSimulation(
+        comm, model, partition, share, balance, not arguments.no_overlap, ahead=ahead(arguments, comm.size)
     )
 
 

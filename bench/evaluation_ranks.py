@@ -43,19 +43,19 @@ def main() -> None:
 def measure_simulation(comm: distributed.Comm, case: Case, steps: Steps, given: dict[str, Any]) -> dict[str, Any]:
     """Whole steps of the simulation."""
     device = distributed.choose_device(case.device)
-    config = sim.WorldConfig(**given["config"])
-    world = sim.World(config, device=device)
-    x, y, z = world.half_extent
+    config = sim.ModelConfig(**given["config"])
+    model = sim.Model(config, device=device)
+    x, y, z = model.half_extent
     upper = (2.0 * x * case.stretch - x, y, z)
     partition = distributed.Partition.uniform((-x, -y, -z), upper, comm.size, axes=case.axes, device=device)
     mine = {name: column[comm.rank :: comm.size].to(device) for name, column in given["start"].items()}
     policy = _POLICIES[case.system]
     balance = distributed.BalanceOptions(policy, threshold=case.threshold)
-    fleet = distributed.Fleet(comm, world, partition, sim.RobotState(**mine), balance)
+    simulation = distributed.DistributedSimulation(comm, model, partition, sim.RobotState(**mine), balance)
     made, ends = [], []
     comm.barrier()
     for index in range(steps.before, steps.before + steps.settling + steps.timed):
-        made.append(fleet.step(index, more=True))
+        made.append(simulation.step(index, more=True))
         ends.append(time.perf_counter())
     records = [step.record for step in made]
     _require_hashes([record["contacts_hash"] for record in records], given["hashes"], case)
@@ -74,16 +74,16 @@ def measure_simulation(comm: distributed.Comm, case: Case, steps: Steps, given: 
 
 def measure_baseline(comm: distributed.Comm, case: Case, steps: Steps, given: dict[str, Any]) -> dict[str, Any]:
     """Detection by PCCCD; each rank has a block of robots, as they stood on the lattice at the start."""
-    config = sim.WorldConfig(**given["config"])
-    world = sim.World(config)
+    config = sim.ModelConfig(**given["config"])
+    model = sim.Model(config)
     begin, end = (rank * case.robots // comm.size for rank in (comm.rank, comm.rank + 1))
-    baseline = PCCCD(world.meshes.meshes, comm=comm, nonzero_toi=True)
+    baseline = PCCCD(model.meshes.meshes, comm=comm, nonzero_toi=True)
     durations, stages, boxes = [], [], 0
     for number, columns in enumerate(given["states"]):
         mine = sim.RobotState(**{name: column[begin:end] for name, column in columns.items()})
         index = steps.before + steps.settling + number
-        motion = world.motion(world.plan(mine, index))
-        scene = world.scene(mine.id)
+        motion = model.motion(model.plan(mine, index))
+        scene = model.scene(mine.id)
         if number == 0:
             baseline.detect(motion, mine.id, scene.mesh_index)  # creates the voxels
         comm.barrier()
@@ -107,7 +107,7 @@ def measure_baseline(comm: distributed.Comm, case: Case, steps: Steps, given: di
             name: timing.rounded(1e3 * value) for name, value in zip(names, of_ranks.amax(dim=0).tolist(), strict=True)
         },
         "boxes_a_triangle": timing.rounded(
-            boxes_in_all / len(durations) / (case.robots * len(world.meshes.meshes[0].faces))
+            boxes_in_all / len(durations) / (case.robots * len(model.meshes.meshes[0].faces))
         ),
         "voxel_size": timing.rounded(baseline.voxel_size),
     }

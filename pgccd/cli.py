@@ -80,7 +80,7 @@ def _build_parser() -> argparse.ArgumentParser:
     add("--out", type=Path, metavar="DIR", help="where the log, checkpoints and pictures go (out/simulate)")
     add("--checkpoint-every", type=int, default=0, metavar="K", help="steps between checkpoints (one at the end)")
     add("--resume", type=Path, metavar="DIR", help="continue the run in this folder")
-    add("--no-pictures", action="store_true", help="leave out world.png and world.html")
+    add("--no-pictures", action="store_true", help="leave out model.png and model.html")
     command.add_arguments(simulate)
     simulate.set_defaults(run=_simulate)
 
@@ -160,7 +160,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
         folder = command.folder_to_resume(comm, options, out)
         on_ranks = distributed.on_first(comm, lambda: command.needs_ranks(comm, folder))
         if on_ranks:
-            spread: dict[str, Any] = {"options": command.fleet_options(options)}
+            spread: dict[str, Any] = {"options": command.distributed_options(options)}
             spread["keep_last_step"] = not options.no_pictures
             start: Callable[..., sim.Run] = functools.partial(distributed.run, comm, **spread)
             go_on: Callable[..., sim.Run] = functools.partial(distributed.resume, comm, **spread)
@@ -174,9 +174,9 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
                 return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
     except (ValueError, OSError) as error:
         raise ArgumentError("--resume", error) from error
-    wishes = {"robots": options.robots, "pattern": options.world, "seed": options.seed}
+    wishes = {"robots": options.robots, "pattern": options.model, "seed": options.seed}
     try:
-        config = sim.WorldConfig(**{name: value for name, value in wishes.items() if value is not None})
+        config = sim.ModelConfig(**{name: value for name, value in wishes.items() if value is not None})
     except ValueError as error:
         field, _, problem = str(error).partition(": ")
         raise ArgumentError("--" + field.replace("pattern", "world"), problem) from error

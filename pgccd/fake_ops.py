@@ -82,13 +82,13 @@ def _fake_rows(count: int | torch.SymInt, like: Tensor) -> tuple[Tensor, Tensor]
     return like.new_empty((count,), dtype=torch.int64), like.new_empty((1,), dtype=torch.int64)
 
 
-@torch.library.register_fake("pgccd::border_bodies")
+@torch.library.register_fake("pgccd::boundary_bodies")
 def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, ...]:
     count = centres[2].shape[0]
     return centres[2].new_empty((count,), dtype=torch.uint8), *_fake_rows(count, centres[2])
 
 
-@torch.library.register_fake("pgccd::holders_of")
+@torch.library.register_fake("pgccd::replica_ranks")
 def _(
     centres: list[Tensor],
     min_separation: float,
@@ -104,7 +104,7 @@ def _(
 
 
 @torch.library.register_fake("pgccd::rows_by_rank")
-def _(holders: Tensor, rows: Tensor, counts: Tensor, rooms: list[int]) -> Tensor:
+def _(replica_ranks: Tensor, rows: Tensor, counts: Tensor, rooms: list[int]) -> Tensor:
     return rows.new_empty((sum(rooms),))
 
 
@@ -276,7 +276,7 @@ def _(first: Tensor, robots: Tensor | None, pairs: Tensor, toi: Tensor) -> None:
     return None
 
 
-@torch.library.register_fake("pgccd::simulate_concerned_motion")
+@torch.library.register_fake("pgccd::simulate_affected_motion")
 def _(
     own: list[Tensor],
     ghosts: list[Tensor],

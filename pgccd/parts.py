@@ -136,7 +136,7 @@ def find_part(
     query: Query,
     broad_phase: broad.BroadPhase = "auto",
     select: Select | None = None,
-    in_vain: Tensor | None = None,
+    discard: Tensor | None = None,
     name: str = "found",
     rows: Tensor | None = None,
 ) -> Part:
@@ -146,7 +146,7 @@ def find_part(
     Args:
         bodies, query, broad_phase: as for `find_contacts`.
         select: which of the pairs are searched. Default: all.
-        in_vain: (1,) int64, left on the device: if it is not 0, nobody will look at the outcome, and a GPU does little.
+        discard: (1,) int64, left on the device: if it is not 0, nobody will look at the outcome, and a GPU does little.
         name, rows: as for `Part`.
 
     Raises:
@@ -168,8 +168,8 @@ def find_part(
             bodies.raise_faults(bodies.first_faults().tolist())
         return Part(name, query, bodies, find_pairs(), rows=rows)
     invalid = bodies.first_faults()[-1:]
-    if in_vain is not None:
-        invalid = torch.maximum(invalid, in_vain)
+    if discard is not None:
+        invalid = torch.maximum(invalid, discard)
     pairs, counts = broad.find_pairs_within(bodies, separation, broad_phase, capacity, invalid, tolerance)
     if select is not None:
         pairs, count = select(pairs)

@@ -22,7 +22,7 @@ class StageClock:
     Example:
         >>> clock = StageClock()
         >>> with clock.stage("plan"):
-        ...     state = world.plan(state, step)
+        ...     state = model.plan(state, step)
     """
 
     def __init__(self) -> None:

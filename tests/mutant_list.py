@@ -1199,7 +1199,7 @@ _DISTRIBUTED = [
         switched=False,
     ),
     Mutant(
-        "fleet-without-census",
+        "distributed-simulation-without-census",
         "pgccd/distributed/step.py",
         "Census(tally.robots, tally.id_hash).require(self._expected)",
         "pass",
@@ -1384,7 +1384,7 @@ _VOXELS = [
         ON_VOXELS,
     ),
     Mutant(
-        "voxel-half-open-territory",
+        "voxel-half-open-subdomain",
         VOXEL + "voxel_pairs_cpu.cpp",
         "grid_.along_axis(larger(a.lower[axis], b.lower[axis])) != place[axis]",
         "false",

@@ -81,17 +81,17 @@ def two_bodies() -> dict[str, Any]:
 @functools.cache
 def of_robots() -> dict[str, Any]:
     """Names that examples of the nanorobot world use."""
-    world = sim.World(sim.WorldConfig(robots=50, speed=0.3))
-    state, comm = world.start(), distributed.Alone()
-    scene = world.scene(state.id)
-    step = sim.make_step(world, scene, state, 0)
-    moved = world.plan(state, 0)
-    hits = pgccd.detect(scene, world.motion(moved), FIRST_CONTACTS.report)
-    names = {"world": world, "state": state, "scene": scene, "step": step, "hits": hits, "comm": comm}
-    settled = sim.settle(hits.pairs, hits.toi, len(state), lambda *_: None)  # type: ignore[arg-type]
+    model = sim.Model(sim.ModelConfig(robots=50, speed=0.3))
+    state, comm = model.start(), distributed.Alone()
+    scene = model.scene(state.id)
+    step = sim.make_step(model, scene, state, 0)
+    moved = model.plan(state, 0)
+    hits = pgccd.detect(scene, model.motion(moved), FIRST_CONTACTS.report)
+    names = {"model": model, "state": state, "scene": scene, "step": step, "hits": hits, "comm": comm}
+    resolved = sim.resolve_collisions(hits.pairs, hits.toi, len(state), lambda *_: None)  # type: ignore[arg-type]
     partition = distributed.Partition.uniform((0, 0, 0), (30, 30, 30), 1)
     loads = distributed.CellLoads(*(torch.zeros(len(partition.owner), dtype=torch.int64) for _ in range(3)))
-    names |= {"settled": settled, "find_contacts": lambda *_: None, "partition": partition, "loads": loads}
+    names |= {"resolved": resolved, "find_contacts": lambda *_: None, "partition": partition, "loads": loads}
     return names | {"id": state.id, "mood": state.position, "x": state.position}
 
 
@@ -127,7 +127,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     np.savez(tmp_path / "poses.npz", **{name: names[short].numpy() for name, short in poses.items()})
     scene = {"meshes": ["rock.ply"], "mesh_index": [0, 0], "poses": "poses.npz"}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
-    sim.run(sim.WorldConfig(robots=20), 1, tmp_path / "out" / "try")
+    sim.run(sim.ModelConfig(robots=20), 1, tmp_path / "out" / "try")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

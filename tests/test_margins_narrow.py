@@ -39,7 +39,7 @@ def ask(
 
 
 def shapes(rng: np.random.Generator, n: int, is_face: bool, scale: float = 1.0) -> np.ndarray:
-    """(n, 4, 3): features apart, their nearest points inside both or on borders, in equal parts."""
+    """(n, 4, 3): features apart, their nearest points inside both or on boundaries, in equal parts."""
     points = rng.normal(size=(n, 4, 3))
     inside = touching_points(rng, n, is_face, False)
     turn = unit_quaternions(rng, n)
@@ -160,20 +160,20 @@ def test_corners_at_distances_that_are_exact(is_face: bool) -> None:
 # Proofs of touching.
 
 
-def hardly(rng: np.random.Generator, n: int, is_face: bool, border: bool) -> tuple[np.ndarray, np.ndarray]:
+def hardly(rng: np.random.Generator, n: int, is_face: bool, boundary: bool) -> tuple[np.ndarray, np.ndarray]:
     """Queries (n, 4, 3) that decide by roundings: a vertex or an edge that ends in the plane of the other, inside, or
-    that passes the plane right through a border; at random times and in random directions.
+    that passes the plane right through a boundary; at random times and in random directions.
     """
-    flat = touching_points(rng, n, is_face, border)
+    flat = touching_points(rng, n, is_face, boundary)
     turn = unit_quaternions(rng, n)
     v, w = turn[:, None, 1:], turn[:, None, :1]
     flat = flat + 2 * np.cross(v, np.cross(v, flat) + w * flat)
-    # Half of them along the axis that the plane is seen along, so that what passes a border stays on it.
+    # Half of them along the axis that the plane is seen along, so that what passes a boundary stays on it.
     normal = turned(turn, np.tile([0.0, 0.0, 1.0], (n, 1)))
     axis = np.eye(3)[np.abs(normal).argmax(axis=1)][:, None]
     travel = np.where(rng.random((n, 1, 1)) < 0.5, rng.normal(size=(n, 1, 3)), axis)
     moved = slice(0, 1) if is_face else slice(0, 2)
-    t = rng.uniform(0.2, 0.8, (n, 1, 1)) if border else 1.0
+    t = rng.uniform(0.2, 0.8, (n, 1, 1)) if boundary else 1.0
     start, end = flat.copy(), flat.copy()
     start[:, moved] -= t * travel
     end[:, moved] += (1.0 - t) * travel
@@ -181,11 +181,11 @@ def hardly(rng: np.random.Generator, n: int, is_face: bool, border: bool) -> tup
 
 
 @KINDS
-@pytest.mark.parametrize("border", [False, True])
+@pytest.mark.parametrize("boundary", [False, True])
 @pytest.mark.parametrize("tolerance", [1e-6, 0.0])
-def test_proofs_of_touching_are_right(is_face: bool, border: bool, tolerance: float) -> None:
+def test_proofs_of_touching_are_right(is_face: bool, boundary: bool, tolerance: float) -> None:
     """What float64 has proven to touch does; and what is free by less than that is free all the same."""
-    start, end = hardly(np.random.default_rng(5), 400, is_face, border)
+    start, end = hardly(np.random.default_rng(5), 400, is_face, boundary)
     found = ask(start, end, is_face, tolerance=tolerance)
     hits = (linear.vertex_face_many if is_face else linear.edge_edge_many)(start, end)
     touching = np.array([hit is not None for hit in hits])
@@ -250,7 +250,7 @@ def test_fast_features_are_not_late(is_face: bool, speed: float) -> None:
 
 
 @KINDS
-def test_slender_features_are_measured_by_their_borders(is_face: bool) -> None:
+def test_slender_features_are_measured_by_their_boundaries(is_face: bool) -> None:
     """Corners nearly in one line, edges nearly parallel: rounding makes up their normal, which is not used."""
     rng = np.random.default_rng(8)
     n = 300

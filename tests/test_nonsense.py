@@ -82,7 +82,7 @@ def calls(folder: Path) -> dict[str, Call]:
     filters: dict[str, Any] = dict.fromkeys(("group", "mask", "world"), [0, 1]) | {"static": [False, True]}
     world = distributed.World([mesh], (0, 0, 0), (9, 9, 9), motion.position_t0, payload={"v": torch.ones(2, 3)})
     hits = pgccd.detect(scene, motion)
-    config = {field: getattr(sim.WorldConfig(), field) for field in sim.WorldConfig.__dataclass_fields__}
+    config = {field: getattr(sim.ModelConfig(), field) for field in sim.ModelConfig.__dataclass_fields__}
     all_worlds = {"meshes": [mesh], "lower": (0, 0, 0), "upper": (9, 9, 9), "position": motion.position_t0}
     all_worlds |= {
         "id": torch.arange(2),
@@ -163,7 +163,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "integrate_orientation": Call(
             pgccd.integrate_orientation, {"orientation": motion.orientation_t0, "rotation": motion.rotation}
         ),
-        "sim.WorldConfig": Call(sim.WorldConfig, config),
+        "sim.ModelConfig": Call(sim.ModelConfig, config),
         "distributed.World": Call(
             distributed.World, all_worlds, {"position": ("mesh_index", "group", "id"), "mesh_index": ("group",)}
         ),

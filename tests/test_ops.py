@@ -39,17 +39,17 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     """Calls the operators by which ranks share bodies out, as one of two."""
     partition = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 2, cells=2, device=moving.device)
     centres = [moving.position_t0, moving.position_t1, moving.radius]
-    territory = partition.territory(1)
-    reach, border, _ = ops.border_bodies(centres, 0.01, -1e-6, territory)
-    rows = torch.arange(len(border), device=moving.device)
-    holders, counts = ops.holders_of(centres, 0.01, -1e-6, territory, rows, 2, [2, len(border) - 2])
-    ops.rows_by_rank(holders, rows, counts, [3, 0])
+    subdomain = partition.subdomain(1)
+    reach, boundary, _ = ops.boundary_bodies(centres, 0.01, -1e-6, subdomain)
+    rows = torch.arange(len(boundary), device=moving.device)
+    replica_ranks, counts = ops.replica_ranks(centres, 0.01, -1e-6, subdomain, rows, 2, [2, len(boundary) - 2])
+    ops.rows_by_rank(replica_ranks, rows, counts, [3, 0])
     ops.counts_to_tell(counts, [3, 0], counts[:1], 4)
     pairs = torch.combinations(rows)
     for held in (None, rows):
-        ops.owned_pairs(pairs, held, rows, centres, 0.01, -1e-6, reach, territory)
-    ops.near_ghosts(centres, [column[:1] for column in centres], 0.01, -1e-6, territory)
-    ops.leaving_bodies(moving.position_t0, territory, 2)
+        ops.owned_pairs(pairs, held, rows, centres, 0.01, -1e-6, reach, subdomain)
+    ops.near_ghosts(centres, [column[:1] for column in centres], 0.01, -1e-6, subdomain)
+    ops.leaving_bodies(moving.position_t0, subdomain, 2)
 
 
 def move_rows(device: torch.device) -> None:

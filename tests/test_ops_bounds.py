@@ -36,14 +36,14 @@ INDICES = [
     ("lower_first_toi_rigid", (1,), "owners"),
     ("lower_first_toi_rigid", (5,), "pairs"),
     ("take_rows", (2,), "rows"),
-    ("holders_of", (4,), "owner"),
-    ("holders_of", (6,), "bodies"),
+    ("replica_ranks", (4,), "owner"),
+    ("replica_ranks", (6,), "bodies"),
     ("owned_pairs", (0,), "pairs"),
     ("owned_pairs", (1,), "rows"),
     ("leaving_bodies", (2,), "owner"),
     ("simulate_slow_down", (0,), "robots"),
     ("simulate_first_toi", (2,), "pairs"),
-    ("simulate_concerned_motion", (4,), "pairs"),
+    ("simulate_affected_motion", (4,), "pairs"),
     ("simulate_tally", (3,), "pairs"),
     ("voxels_touched", (1, 0), "mesh"),
     ("voxel_boxes", (1, 0), "mesh"),
@@ -53,8 +53,8 @@ INDICES = [
     ("voxel_pairs", (3,), "first_segment"),
     *((name, (0, 7), "mesh_set.offsets") for name in ("refit", "traverse_rigid", "narrow_deforming")),
 ]
-LENGTHS = ("sweep", "grid", "lbvh", "pairs_within", "swept_boxes", "border_bodies", "near_ghosts", "owned_pairs")
-LENGTHS += ("holders_of", "traverse_rigid", "narrow_rigid", "contacts_within_rigid", "lower_first_toi_rigid")
+LENGTHS = ("sweep", "grid", "lbvh", "pairs_within", "swept_boxes", "boundary_bodies", "near_ghosts", "owned_pairs")
+LENGTHS += ("replica_ranks", "traverse_rigid", "narrow_rigid", "contacts_within_rigid", "lower_first_toi_rigid")
 LENGTHS += ("vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
 PROGRAM = "import sys; sys.path.insert(0, {tests!r}); import test_ops_bounds; test_ops_bounds.{function}()"
 
@@ -69,11 +69,11 @@ def calls() -> dict[str, tuple[Any, ...]]:
     recorder = Recorder(ops.library.operators)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ops.library, "operators", recorder)
-        world = sim.World(sim.WorldConfig(robots=60))
-        scene, state = world.scene(torch.arange(60)), world.start()
+        model = sim.Model(sim.ModelConfig(robots=60))
+        scene, state = model.scene(torch.arange(60)), model.start()
         for ahead in (True, False):
             for index in range(3):
-                state = sim.make_step(world, scene, state, index, ahead=ahead).after
+                state = sim.make_step(model, scene, state, index, ahead=ahead).after
         ops.simulate_hash([state.id, state.position])
         ops.random_uniforms(state.id, 1, 2, 3)
         robots = torch.arange(5)

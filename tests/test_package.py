@@ -60,7 +60,7 @@ def test_mypy_outside_the_tree(tmp_path: Path) -> None:
         "import pgccd\n"
         "reveal_type(pgccd.Stats().contacts)\n"
         "reveal_type(pgccd.files.load_motion('poses.npz'))\n"
-        "reveal_type(pgccd.sim.WorldConfig().robots)\n"
+        "reveal_type(pgccd.sim.ModelConfig().robots)\n"
     )
     environment = os.environ | {"MYPYPATH": str(ROOT)}
     command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "program.py"]

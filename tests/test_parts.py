@@ -157,8 +157,8 @@ def test_pairs_found_in_a_room(device: torch.device, room: str, monkeypatch: pyt
 
     for select in (None, even):
         for vain in (None, 0, 1):
-            in_vain = None if vain is None else torch.tensor([vain], device=device)
-            part = find_part(bodies, whole.query, select=select, in_vain=in_vain)
+            discard = None if vain is None else torch.tensor([vain], device=device)
+            part = find_part(bodies, whole.query, select=select, discard=discard)
             part.start()
             if vain == 1:  # no pairs, and so nothing to search
                 assert bool((part.pairs < 0).all()) and part.start().read().pairs_written == 0

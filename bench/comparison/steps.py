@@ -26,8 +26,8 @@ FindStep = Callable[[np.ndarray, np.ndarray], Callable[[], float]]
 def line_search(robots: int, directions: int, device: str, seed: int = 0) -> list[dict[str, Any]]:
     """Robots as soft bodies that stand on a lattice, apart: each direction is a rigid motion and a smooth deformation
     of each. They keep a distance of a thousandth of their radius, also each from itself."""
-    world = sim.World(sim.WorldConfig(robots=robots, seed=seed))
-    mesh, state = world.meshes.meshes[0], world.start()
+    model = sim.Model(sim.ModelConfig(robots=robots, seed=seed))
+    mesh, state = model.meshes.meshes[0], model.start()
     start = rotate(state.orientation, mesh.vertices) + state.position[:, None]
     distance = 1e-3 * mesh.radius
     random = torch.Generator().manual_seed(seed)

@@ -28,7 +28,7 @@ _RANKS_PROGRAM = Path(__file__).resolve().parents[1] / "evaluation_ranks.py"
 
 @dataclass(frozen=True)
 class Space:
-    """A world, and how space is cut for its ranks."""
+    """A model, and how space is cut for its ranks."""
 
     pattern: str
     axes: int = 3  #: that space is cut along: 3 gives boxes, 1 slabs
@@ -95,7 +95,7 @@ def measure(cases: Iterable[Case], steps: Steps, seed: int = 0) -> list[dict[str
         folder = Path(name)
         for robots, pattern in dict.fromkeys((case.robots, case.pattern) for case in cases):
             device = "cuda" if any(case.device == "cuda" for case in cases) else "cpu"
-            prepare(folder, sim.WorldConfig(robots=robots, pattern=pattern, seed=seed), steps, device)
+            prepare(folder, sim.ModelConfig(robots=robots, pattern=pattern, seed=seed), steps, device)
         # Starting ranks takes longer than most cases: those of as many ranks share them.
         for ranks, device in dict.fromkeys((case.ranks, case.device) for case in cases):
             shared = [case for case in cases if (case.ranks, case.device) == (ranks, device)]
@@ -108,12 +108,12 @@ def world_file(folder: Path, robots: int, pattern: str) -> Path:
     return folder / f"{robots}-{pattern}.pt"
 
 
-def prepare(folder: Path, config: sim.WorldConfig, steps: Steps, device: str) -> None:
+def prepare(folder: Path, config: sim.ModelConfig, steps: Steps, device: str) -> None:
     """Moves a world on: the state from which ranks start, the states in which PCCCD detects, and the hashes of the
     contacts of all steps from there."""
-    world = sim.World(config, device=device)
-    state = world.start()
-    scene = world.scene(state.id)
+    model = sim.Model(config, device=device)
+    state = model.start()
+    scene = model.scene(state.id)
     start, states, hashes = None, [], []
     for index in range(steps.before + steps.settling + steps.timed):
         if index == steps.before:
@@ -121,7 +121,7 @@ def prepare(folder: Path, config: sim.WorldConfig, steps: Steps, device: str) ->
         timed = index - steps.before - steps.settling
         if 0 <= timed < steps.baseline:
             states.append(state.to("cpu").columns)
-        made = sim.make_step(world, scene, state, index)
+        made = sim.make_step(model, scene, state, index)
         state = made.after
         if index >= steps.before:
             hashes.append(made.record["contacts_hash"])

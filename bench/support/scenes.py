@@ -21,8 +21,8 @@ class MixedWorld:
     def __init__(
         self, robots: int, steps_before: int, device: torch.device | str = "cpu", seed: int = 0, pattern: str = "random"
     ) -> None:
-        world = sim.World(sim.WorldConfig(robots=robots, pattern=pattern, seed=seed), device=device)
-        self._set(world, world.start(), 0)
+        model = sim.Model(sim.ModelConfig(robots=robots, pattern=pattern, seed=seed), device=device)
+        self._set(model, model.start(), 0)
         for _ in range(steps_before):
             self.advance()
 
@@ -30,26 +30,26 @@ class MixedWorld:
     def from_checkpoint(cls, checkpoint: sim.Checkpoint, device: torch.device | str = "cpu") -> MixedWorld:
         """The world of a run of the standard robot, where its checkpoint left it."""
         mixed = cls.__new__(cls)
-        world = sim.World(checkpoint.config, device=device)
-        mixed._set(world, checkpoint.state.to(world.device), checkpoint.steps_made)
+        model = sim.Model(checkpoint.config, device=device)
+        mixed._set(model, checkpoint.state.to(model.device), checkpoint.steps_made)
         return mixed
 
-    def _set(self, world: sim.World, state: sim.RobotState, steps_made: int) -> None:
-        self.world = world
+    def _set(self, model: sim.Model, state: sim.RobotState, steps_made: int) -> None:
+        self.model = model
         self.state = state
-        self.scene = world.scene(state.id)
+        self.scene = model.scene(state.id)
         self.steps_made = steps_made
 
     def advance(self) -> sim.Step:
         """Makes one step."""
-        step = sim.make_step(self.world, self.scene, self.state, self.steps_made)
+        step = sim.make_step(self.model, self.scene, self.state, self.steps_made)
         self.state = step.after
         self.steps_made += 1
         return step
 
     def __iter__(self) -> Iterator[sim.RobotState]:
         while True:
-            yield self.world.plan(self.state, self.steps_made)
+            yield self.model.plan(self.state, self.steps_made)
             self.advance()
 
 
@@ -82,7 +82,7 @@ def random_spheres(
     count: int, seed: int, speed: float = 0.1, fraction: float = 0.25, size_ratio: float = 1.0
 ) -> MovingSpheres:
     """Centres uniform in a box that the spheres would fill to `fraction`, free to overlap; steps as in the standard
-    world, in proportion to the radii. These are 1, or lie between 1 / `size_ratio` and 1, uniform in their logarithm.
+    model, in proportion to the radii. These are 1, or lie between 1 / `size_ratio` and 1, uniform in their logarithm.
 
     On average 4 x `fraction` spheres of one size overlap pairwise at rest for each sphere: about one pair a body.
     """

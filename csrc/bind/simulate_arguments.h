@@ -5,7 +5,7 @@
 #include "kernels/simulate/hash_item.h"
 #include "kernels/simulate/pair_motion_item.h"
 #include "kernels/simulate/robot.h"
-#include "kernels/simulate/settle_item.h"
+#include "kernels/simulate/resolution_item.h"
 #include "kernels/simulate/world.h"
 
 namespace pgccd::bind {

@@ -105,16 +105,16 @@ struct SimulateOps {
   // Pairs, what `MovingBodies.tensors` are of their robots, counts.
   using PairsAndMotion = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
-  static PairsAndMotion simulate_concerned_motion(const TensorList& own, const TensorList& ghosts,
+  static PairsAndMotion simulate_affected_motion(const TensorList& own, const TensorList& ghosts,
                                                   const Tensor& fraction, const Tensor& changed, const Tensor& pairs,
                                                   const Tensor& mesh_radius, int64_t room) {
     STD_TORCH_CHECK(room >= 0 && room < (int64_t{1} << 31), "room: expected a number in [0, 2^31), got ", room);
-    ConcernedMotion given;
+    AffectedMotion given;
     given.own = moving_robots(own, "own");
     given.ghosts = moving_robots(ghosts, "ghosts");
     const int64_t held = given.own.count + given.ghosts.count;
     given.fraction = rows<double>(fraction, "fraction", {held});
-    given.concerned = {rows<int64_t>(pairs, "pairs", {kAnySize, 2}), rows<uint8_t>(changed, "changed", {held}), held};
+    given.affected = {rows<int64_t>(pairs, "pairs", {kAnySize, 2}), rows<uint8_t>(changed, "changed", {held}), held};
     given.pair_count = pairs.size(0);
     STD_TORCH_CHECK(given.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
     given.mesh_radius = rows<double>(mesh_radius, "mesh_radius", {kAnySize});
@@ -129,7 +129,7 @@ struct SimulateOps {
     given.motion = {data<int32_t>(mesh_index), data<double>(position_t0), data<double>(radius),
                     data<double>(orientation), data<double>(position_t1), data<double>(rotation)};
     given.counts = data<int64_t>(counts);
-    Backend(fraction).concerned_motion(given);
+    Backend(fraction).affected_motion(given);
     return {found, mesh_index, position_t0, position_t1, radius, orientation, rotation, counts};
   }
 
@@ -174,8 +174,8 @@ struct SimulateOps {
   library.impl("simulate_slow_all_down",                                                                        \
                TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_slow_all_down>::call));                   \
   library.impl("simulate_first_toi", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_first_toi>::call)); \
-  library.impl("simulate_concerned_motion",                                                                     \
-               TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_concerned_motion>::call));                \
+  library.impl("simulate_affected_motion",                                                                     \
+               TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_affected_motion>::call));                \
   library.impl("simulate_tally", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_tally>::call));         \
   library.impl("simulate_hash", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_hash>::call));           \
   library.impl("random_uniforms", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::random_uniforms>::call))

@@ -30,7 +30,7 @@ class SimulateOnCpu {
     slow_all_down_cpu(executor_, robots, changes);
   }
   void first_toi(const FirstToiInput& contacts, double* first) const { first_toi_cpu(executor_, contacts, first); }
-  void concerned_motion(const ConcernedMotion& given) const { concerned_motion_cpu(executor_, given); }
+  void affected_motion(const AffectedMotion& given) const { affected_motion_cpu(executor_, given); }
   void tally_step(const StepOutcome& outcome, StepTally* tally) const { tally_step_cpu(executor_, outcome, tally); }
   void hash_rows(const HashColumns& columns, uint64_t* sum) const { hash_rows_cpu(executor_, columns, sum); }
 

@@ -34,7 +34,7 @@ class SimulateOnCuda {
   void first_toi(const FirstToiInput& contacts, double* first) const {
     first_toi_cuda(session_.context(), contacts, first);
   }
-  void concerned_motion(const ConcernedMotion& given) const { concerned_motion_cuda(session_.context(), given); }
+  void affected_motion(const AffectedMotion& given) const { affected_motion_cuda(session_.context(), given); }
   void tally_step(const StepOutcome& outcome, StepTally* tally) const {
     tally_step_cuda(session_.context(), outcome, tally);
   }

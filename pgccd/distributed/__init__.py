@@ -12,8 +12,8 @@ from pgccd.distributed.launch import choose_device, connect
 from pgccd.distributed.mpi_comm import MpiComm
 from pgccd.distributed.partition import Partition, factorise
 from pgccd.distributed.placement import Placement, find_placement
-from pgccd.distributed.runner import FleetOptions, find_checkpoint, resume, run
-from pgccd.distributed.step import Fleet, RankStep, starting_share
+from pgccd.distributed.runner import DistributedOptions, find_checkpoint, resume, run
+from pgccd.distributed.step import DistributedSimulation, RankStep, starting_share
 from pgccd.distributed.torch_comm import TorchComm
 from pgccd.distributed.world import World
 
@@ -24,8 +24,8 @@ __all__ = [
     "CellLoads",
     "Comm",
     "DisagreementError",
-    "Fleet",
-    "FleetOptions",
+    "DistributedSimulation",
+    "DistributedOptions",
     "MpiComm",
     "Partition",
     "Placement",

@@ -212,7 +212,7 @@ def several_cells(
     """Cells from the most loaded ranks to the least loaded ones, one after the other, until the loads are even enough.
 
     A cell goes if what it takes off the most loaded rank, over the horizon, is more than moving its bodies costs. Of
-    those that fit, cells that border on the receiver go first: they keep territories, and so halos, compact.
+    those that fit, cells that boundary on the receiver go first: they keep subdomains, and so halos, compact.
 
     Args:
         partition: for which cells are neighbours.
@@ -247,7 +247,7 @@ def several_cells(
         if not worth.any():
             break
         score = np.where(worth, gain - weights[cells] * options.moving, -np.inf)
-        near = worth & _borders_on(grid, cells, taker)
+        near = worth & _boundarys_on(grid, cells, taker)
         if near.any() and score[near].max() >= 0.5 * score.max():
             score = np.where(near, score, -np.inf)
         cell = int(cells[np.argmax(score)])  # of equal ones the first
@@ -259,7 +259,7 @@ def several_cells(
     return torch.from_numpy(table)
 
 
-def _borders_on(grid: np.ndarray, cells: np.ndarray, rank: int) -> np.ndarray:
+def _boundarys_on(grid: np.ndarray, cells: np.ndarray, rank: int) -> np.ndarray:
     """(len(cells),) bool: has a face in common with a cell of this rank."""
     at = np.stack(np.unravel_index(cells, grid.shape), axis=1)
     found = np.zeros(len(cells), dtype=bool)

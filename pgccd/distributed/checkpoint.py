@@ -24,7 +24,7 @@ from torch import Tensor
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.partition import Partition
 from pgccd.sim.files import CHECKPOINT_FOLDER
-from pgccd.sim.world import RobotState, WorldConfig
+from pgccd.sim.model import ModelConfig, RobotState
 
 POINTER = "newest.json"
 _OWNERS = "owners.json"
@@ -35,7 +35,7 @@ _FORMAT = 1
 class Header:
     """A run between two steps, without its robots."""
 
-    config: WorldConfig
+    config: ModelConfig
     steps_made: int
     steps_wanted: int
     meshes: str  #: their `meshes_digest`
@@ -45,7 +45,7 @@ class Header:
 class _Owners:
     """Who owned which cell, in plain numbers."""
 
-    subspaces: Sequence[int]
+    subdomains: Sequence[int]
     cells: Sequence[int]
     owner: Sequence[int]
 
@@ -77,7 +77,7 @@ class Checkpoints:
         counts = self._comm.all_gather(torch.tensor([len(state)]))[:, 0].tolist()
         begin, total = sum(counts[: self._comm.rank]), sum(counts)
         columns = {name: column.detach().to("cpu", copy=True) for name, column in state.columns.items()}
-        owner = _Owners(partition.subspaces, partition.cells, partition.owner.tolist())
+        owner = _Owners(partition.subdomains, partition.cells, partition.owner.tolist())
         done: Future[None] = Future()
 
         def work() -> None:
@@ -151,7 +151,7 @@ def newest_header(folder: Path) -> Header | None:
         if content["format"] != _FORMAT:
             raise ValueError(f"its format is {content['format']}, this version reads {_FORMAT}")
         config = content["config"] | {"stay_steps": tuple(content["config"]["stay_steps"])}
-        return Header(WorldConfig(**config), content["steps_made"], content["steps_wanted"], content["meshes"])
+        return Header(ModelConfig(**config), content["steps_made"], content["steps_wanted"], content["meshes"])
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not a checkpoint of a simulation: {error}") from error
 
@@ -171,7 +171,7 @@ def read_owners(folder: Path, partition: Partition) -> list[int] | None:
         owners = _Owners(**json.loads(path.read_text()))
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{root} does not say who owned which cell: {error}") from error
-    same = (*owners.subspaces, *owners.cells) == (*partition.subspaces, *partition.cells)
+    same = (*owners.subdomains, *owners.cells) == (*partition.subdomains, *partition.cells)
     return list(owners.owner) if same else None
 
 

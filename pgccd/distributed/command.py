@@ -19,7 +19,7 @@ from pgccd.distributed.comm import Comm
 from pgccd.distributed.guard import RankFailureError
 from pgccd.distributed.launch import DEFAULT_TIMEOUT, TRANSPORTS, connect
 from pgccd.distributed.placement import find_placement
-from pgccd.distributed.runner import FleetOptions, find_checkpoint
+from pgccd.distributed.runner import DistributedOptions, find_checkpoint
 from pgccd.sim.files import forget_checkpoints
 
 _FAILURE_CODE = 70
@@ -37,9 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--balance", choices=POLICIES, default="cost", help="how cells change hands (cost)")
 
 
-def fleet_options(options: argparse.Namespace) -> FleetOptions:
+def distributed_options(options: argparse.Namespace) -> DistributedOptions:
     """Of the command line."""
-    return FleetOptions(options.axes, options.cells, BalanceOptions(options.balance))
+    return DistributedOptions(options.axes, options.cells, BalanceOptions(options.balance))
 
 
 @contextmanager

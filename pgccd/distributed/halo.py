@@ -40,9 +40,9 @@ class Held:
     own_id: Tensor  #: (N,) int64, ascending
     ghosts: Columns  #: of G bodies, "id" among them, in the order in which they came: by owner, then by id
     route: Route  #: that brought them: its rows count own bodies
-    border: Tensor  #: (B,) int64, ascending: rows of own bodies that others hold too
-    holders: Tensor  #: (B, ranks) uint8: 1 for each of these others
-    border_counts: Tensor  #: (ranks,) int64: how many of these bodies each of them holds
+    boundary: Tensor  #: (B,) int64, ascending: rows of own bodies that others hold too
+    replica_ranks: Tensor  #: (B, ranks) uint8: 1 for each of these others
+    boundary_counts: Tensor  #: (ranks,) int64: how many of these bodies each of them holds
 
     def __len__(self) -> int:
         return self.own_count + self.ghost_count
@@ -58,7 +58,7 @@ class Held:
     @property
     def room(self) -> Room:
         """For the halo of the next step."""
-        return Room.after(self.route.sent, self.route.received, len(self.border))
+        return Room.after(self.route.sent, self.route.received, len(self.boundary))
 
     @functools.cached_property
     def id(self) -> Tensor:
@@ -91,17 +91,17 @@ class Halo:
         kept: tuple[float, float],
     ) -> None:
         self._comm, self._own, self._bodies = comm, dict(own), bodies
-        self._where = centres_of(bodies), *kept, partition.territory(comm.rank)
+        self._where = centres_of(bodies), *kept, partition.subdomain(comm.rank)
         nobody = own["id"][:0]
         #: (N,) uint8: 1 for own bodies that reach cells of others.
         self.reach = nobody.to(torch.uint8)
         #: (B,) int64: rows of these.
-        self._border = nobody
+        self._boundary = nobody
         self._arrival: Arrival | None = None
         self._within: SentWithin | None = None
         found = bodies.first_faults()
         if comm.size > 1:
-            self.reach, self._border, self._count = ops.border_bodies(*self._where)
+            self.reach, self._boundary, self._count = ops.boundary_bodies(*self._where)
             found = torch.cat([self._count, found])
         self._found = HostCopy(found)
 
@@ -116,19 +116,19 @@ class Halo:
         count, *faults = ([0] if self._comm.size == 1 else []) + self._found.numpy().tolist()
         self._bodies.raise_faults(faults)
         self._bodies.checked = True
-        self._border = self._border[:count]
+        self._boundary = self._boundary[:count]
 
     def send_within(self, room: Room) -> None:
         """Sends them without waiting for anything. If a rank turns out to be short of room, `wait` sends them again."""
-        self._within = SentWithin(self._comm, room, self._own, self._where, self._border, self._count)
+        self._within = SentWithin(self._comm, room, self._own, self._where, self._boundary, self._count)
 
     def send(self) -> None:
         """Sends them, once ranks have told one another how many are to come. Checks the bodies, if that has not been
         done."""
         self.check()
-        self._holders, self._counts = ops.holders_of(*self._where, self._border, self._comm.size)
+        self._replica_ranks, self._counts = ops.replica_ranks(*self._where, self._boundary, self._comm.size)
         sent, received = torch.stack([self._counts, self._comm.exchange_counts(self._counts)]).tolist()
-        rows = ops.rows_by_rank(self._holders, self._border, self._counts, sent)
+        rows = ops.rows_by_rank(self._replica_ranks, self._boundary, self._counts, sent)
         self._route = Route(self._comm, rows, sent, received)
         self._arrival = self._route.forward(self._own)
 
@@ -138,17 +138,17 @@ class Halo:
         if self._comm.size == 1:
             self.check()
             ghosts = {name: column[:0] for name, column in self._own.items()}
-            holders = id.new_empty((0, 1), dtype=torch.uint8)
-            return Held(id, ghosts, Route(self._comm, id[:0], [0], [0]), id[:0], holders, id.new_zeros(1))
+            replica_ranks = id.new_empty((0, 1), dtype=torch.uint8)
+            return Held(id, ghosts, Route(self._comm, id[:0], [0], [0]), id[:0], replica_ranks, id.new_zeros(1))
         if self._within is not None:
             self.check()
-            within, self._within = self._within.wait(len(self._border)), None
+            within, self._within = self._within.wait(len(self._boundary)), None
             if within is not None:
-                return Held(id, within.ghosts, within.route, self._border, within.holders, within.counts)
+                return Held(id, within.ghosts, within.route, self._boundary, within.replica_ranks, within.counts)
         if self._arrival is None:
             self.send()
         assert self._arrival is not None
-        return Held(id, self._arrival.wait(), self._route, self._border, self._holders, self._counts)
+        return Held(id, self._arrival.wait(), self._route, self._boundary, self._replica_ranks, self._counts)
 
 
 class HeldExchange:
@@ -170,12 +170,12 @@ class HeldExchange:
             self._shared = held.own_id[:0], [0]
             return
         received, ghost = held.route.received, torch.arange(held.ghost_count, device=held.own_id.device)
-        territory, row = partition.territory(comm.rank), ghost + held.own_count
-        holders, counts = ops.holders_of(ghosts, *kept, territory, ghost, comm.size, received)
+        subdomain, row = partition.subdomain(comm.rank), ghost + held.own_count
+        replica_ranks, counts = ops.replica_ranks(ghosts, *kept, subdomain, ghost, comm.size, received)
         before = sum(received[: comm.rank])
-        self._holders = torch.cat([holders[:before], held.holders, holders[before:]])
-        self._rows = torch.cat([row[:before], held.border, row[before:]])
-        self._counts = counts + held.border_counts
+        self._replica_ranks = torch.cat([replica_ranks[:before], held.replica_ranks, replica_ranks[before:]])
+        self._rows = torch.cat([row[:before], held.boundary, row[before:]])
+        self._counts = counts + held.boundary_counts
         # On its way while bodies are tested.
         self._known = HostCopy(self._counts)
 
@@ -183,7 +183,7 @@ class HeldExchange:
     def _shared(self) -> tuple[Tensor, list[int]]:
         """Rows of bodies that others hold too, by rank; and how many for each rank."""
         counts: list[int] = self._known.numpy().tolist()
-        return ops.rows_by_rank(self._holders, self._rows, self._counts, counts), counts
+        return ops.rows_by_rank(self._replica_ranks, self._rows, self._counts, counts), counts
 
     @functools.cached_property
     def _twice(self) -> Tensor:

@@ -27,12 +27,12 @@ class Room:
 
     sent: list[int]  #: to each rank
     received: list[int]  #: from each
-    border: int  #: own bodies that others need
+    boundary: int  #: own bodies that others need
 
     @classmethod
-    def after(cls, sent: list[int], received: list[int], border: int) -> Room:
+    def after(cls, sent: list[int], received: list[int], boundary: int) -> Room:
         """Of the next step, if so many were sent, received and needed in this one."""
-        return cls([_room(count) for count in sent], [_room(count) for count in received], _room(border))
+        return cls([_room(count) for count in sent], [_room(count) for count in received], _room(boundary))
 
 
 def _room(count: int) -> int:
@@ -46,7 +46,7 @@ class Sent:
 
     route: Route
     ghosts: Columns
-    holders: Tensor  #: (B, ranks) uint8: which ranks hold each of the own bodies that others need
+    replica_ranks: Tensor  #: (B, ranks) uint8: which ranks hold each of the own bodies that others need
     counts: Tensor  #: (ranks,) int64: how many each holds
 
 
@@ -57,8 +57,8 @@ class SentWithin:
         comm: between the ranks.
         room: what fits.
         own: columns of this rank's own bodies.
-        where: centres of these, separation, tolerance, and the territory, as for `pgccd.ops.holders_of`.
-        border: (N,) int64: rows of those that others need, then rows of -1.
+        where: centres of these, separation, tolerance, and the subdomain, as for `pgccd.ops.replica_ranks`.
+        boundary: (N,) int64: rows of those that others need, then rows of -1.
         count: (1,) int64, left on the device: how many these are.
     """
 
@@ -67,20 +67,20 @@ class SentWithin:
         comm: Comm,
         room: Room,
         own: Columns,
-        where: tuple[tuple[Tensor, Tensor, Tensor], float, float, ops.Territory],
-        border: Tensor,
+        where: tuple[tuple[Tensor, Tensor, Tensor], float, float, ops.Subdomain],
+        boundary: Tensor,
         count: Tensor,
     ) -> None:
         self._comm, self._room, self._own = comm, room, own
-        border = border[: room.border]
-        self._holders, self._counts = ops.holders_of(*where, border, comm.size)
-        self._rows = ops.rows_by_rank(self._holders, border, self._counts, room.sent)
+        boundary = boundary[: room.boundary]
+        self._replica_ranks, self._counts = ops.replica_ranks(*where, boundary, comm.size)
+        self._rows = ops.rows_by_rank(self._replica_ranks, boundary, self._counts, room.sent)
         # Each rank tells all others whether it is short of room.
-        told = ops.counts_to_tell(self._counts, room.sent, count, room.border)
+        told = ops.counts_to_tell(self._counts, room.sent, count, room.boundary)
         self._told = HostCopy(torch.stack([told, comm.exchange_counts(told)]))
         self._pending = comm.exchange(pack(own, self._rows), room.sent, room.received)
 
-    def wait(self, border_count: int) -> Sent | None:
+    def wait(self, boundary_count: int) -> Sent | None:
         """What was sent; None, on all ranks, if one of them was short of room."""
         told = self._told.numpy()
         packed = self._pending.wait()
@@ -89,7 +89,7 @@ class SentWithin:
         sent, received = told[:, :, 0].tolist()
         route = Route(self._comm, _filled(self._rows, self._room.sent, sent), sent, received)
         ghosts = unpack(_filled(packed, self._room.received, received), self._own)
-        return Sent(route, ghosts, self._holders[:border_count], self._counts)
+        return Sent(route, ghosts, self._replica_ranks[:boundary_count], self._counts)
 
 
 def _filled(rows: Tensor, rooms: list[int], counts: list[int]) -> Tensor:

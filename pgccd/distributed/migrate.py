@@ -30,7 +30,7 @@ class Leaving:
         self._comm = comm
         #: counts (ranks,) int64: how many to each.
         self._rows, self._by_destination, self.counts = ops.leaving_bodies(
-            position, partition.territory(comm.rank), comm.size
+            position, partition.subdomain(comm.rank), comm.size
         )
 
     def route(self, sent: list[int], received: list[int]) -> tuple[Route, Tensor]:

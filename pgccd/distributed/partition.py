@@ -1,8 +1,8 @@
 """The two-level uniform decomposition (Du, Liu & Suzumura 2017, 4.1) as pure functions of tensors.
 
-The world's box is cut into one subspace a rank, each subspace into cells. A table, the same on every rank, says who
-owns a cell: at first the rank of its subspace, later whatever balancing decides. Cells at the border of the box extend
-to infinity, so that a body that leaves the box is never lost.
+The world's box is cut into one subdomain a rank, each subdomain into cells. A table, the same on every rank, holds the
+owner of each cell: at first the rank of its subdomain, later the one that load balancing chose. Cells at the boundary
+of the box extend to infinity, so that a body that leaves the box is never lost.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Point = tuple[float, float, float]
 
 
 def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
-    """Subspaces along x, y and z: the factorisation whose subspaces have the least surface.
+    """Subdomains along x, y and z: the factorisation whose subdomains have the least surface.
 
     Args:
         ranks: their number, the product of the three.
@@ -62,8 +62,8 @@ class Partition:
 
     lower: Point  #: of the world's box, length units
     upper: Point
-    subspaces: Triple  #: along x, y and z; their product is the number of ranks
-    cells: Triple  #: of each subspace
+    subdomains: Triple  #: along x, y and z; their product is the number of ranks
+    cells: Triple  #: of each subdomain
     owner: Tensor  #: (cell_count,) int64: the rank of each cell; x varies slowest, z fastest
 
     @classmethod
@@ -77,13 +77,13 @@ class Partition:
         cells: int | Triple = 16,
         device: torch.device | str = "cpu",
     ) -> Partition:
-        """Every cell owned by the rank of its subspace.
+        """Every cell owned by the rank of its subdomain.
 
         Args:
             lower, upper: corners of the world's box, length units.
-            ranks: number of subspaces.
+            ranks: number of subdomains.
             axes: see `factorise`.
-            cells: of each subspace; m stands for (m, m, 1), the paper's m x m cells in X-Y.
+            cells: of each subdomain; m stands for (m, m, 1), the paper's m x m cells in X-Y.
             device: where the table lives.
 
         Raises:
@@ -107,23 +107,23 @@ class Partition:
         each = cast(Triple, (cells, cells, 1) if isinstance(cells, int) else tuple(cells))
         if len(each) != 3 or not all(isinstance(count, int) and 1 <= count <= 2**20 for count in each):
             raise ValueError(f"cells: expected integers in [1, 2^20], got {cells}")
-        subspaces = factorise(ranks, extent, axes)
-        shape = [count * parts for count, parts in zip(each, subspaces, strict=True)]
+        subdomains = factorise(ranks, extent, axes)
+        shape = [count * parts for count, parts in zip(each, subdomains, strict=True)]
         if math.prod(shape) > 2**31:
             raise ValueError(f"cells: {math.prod(shape)} cells in all; expected at most 2^31")
         x, y, z = (torch.arange(size, device=device) // part for size, part in zip(shape, each, strict=True))
-        owner = (x[:, None, None] * subspaces[1] + y[:, None]) * subspaces[2] + z
+        owner = (x[:, None, None] * subdomains[1] + y[:, None]) * subdomains[2] + z
         low, high = (cast(Point, tuple(float(x) for x in corner)) for corner in (lower, upper))
-        return cls(low, high, subspaces, each, owner.flatten())
+        return cls(low, high, subdomains, each, owner.flatten())
 
     @property
     def ranks(self) -> int:
-        return math.prod(self.subspaces)
+        return math.prod(self.subdomains)
 
     @property
     def grid(self) -> Triple:
         """Cells of the whole box along x, y and z."""
-        return cast(Triple, tuple(a * b for a, b in zip(self.subspaces, self.cells, strict=True)))
+        return cast(Triple, tuple(a * b for a, b in zip(self.subdomains, self.cells, strict=True)))
 
     @property
     def cell_count(self) -> int:
@@ -164,7 +164,7 @@ class Partition:
         """The same for the operators: lower corner, cells a length unit, number of cells; along x, y, z each."""
         return [*self.lower, *(1.0 / size for size in self.cell_size), *map(float, self.grid)]
 
-    def territory(self, rank: int) -> tuple[list[float], Tensor, int]:
+    def subdomain(self, rank: int) -> tuple[list[float], Tensor, int]:
         """What the operators want to know of a rank's cells."""
         return self.frame, self.owner, rank
 

@@ -17,7 +17,7 @@ from pgccd.distributed.checkpoint import Checkpoints, Header, load_share, newest
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns, make_route, take_rows
 from pgccd.distributed.partition import Partition, Triple
-from pgccd.distributed.step import Fleet, RankStep, starting_share
+from pgccd.distributed.step import DistributedSimulation, RankStep, starting_share
 from pgccd.mesh import Mesh
 from pgccd.sim.files import (
     CHECKPOINT_FILE,
@@ -28,32 +28,32 @@ from pgccd.sim.files import (
     meshes_digest,
     write_json,
 )
+from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
 from pgccd.sim.runner import Run, drive
 from pgccd.sim.step import Step
-from pgccd.sim.world import RobotState, World, WorldConfig
 
 
 @dataclass(frozen=True)
-class FleetOptions:
+class DistributedOptions:
     """How a world is spread over ranks. No result depends on it."""
 
-    axes: int = 3  #: that subspaces are cut along: 1 (slabs), 2 or 3
-    cells: int | Triple = 16  #: of each subspace: m stands for m x m in X-Y
+    axes: int = 3  #: that subdomains are cut along: 1 (slabs), 2 or 3
+    cells: int | Triple = 16  #: of each subdomain: m stands for m x m in X-Y
     balance: BalanceOptions = field(default_factory=BalanceOptions)
     overlap: bool = True  #: test own bodies while ghosts are under way
 
 
 def run(
     comm: Comm,
-    config: WorldConfig,
+    config: ModelConfig,
     steps: int,
     folder: str | Path,
     *,
     meshes: Sequence[Mesh] | None = None,
     device: torch.device | str = "cpu",
     broad_phase: BroadPhase = "auto",
-    options: FleetOptions | None = None,
+    options: DistributedOptions | None = None,
     checkpoint_every: int = 0,
     progress: Progress | None = None,
     keep_last_step: bool = False,
@@ -79,25 +79,25 @@ def run(
 
     Example:
         >>> with pgccd.distributed.connect() as comm:
-        ...     pgccd.distributed.run(comm, pgccd.sim.WorldConfig(robots=10**6), 100, "out/million")
+        ...     pgccd.distributed.run(comm, pgccd.sim.ModelConfig(robots=10**6), 100, "out/million")
     """
-    folder, options = Path(folder), options or FleetOptions()
+    folder, options = Path(folder), options or DistributedOptions()
     if steps < 0:
         raise ValueError(f"steps: expected a number >= 0, got {steps}")
-    world = together(comm, lambda: World(config, meshes, device))
-    _compare(comm, world, steps, folder, checkpoint_every, options)
+    model = together(comm, lambda: Model(config, meshes, device))
+    _compare(comm, model, steps, folder, checkpoint_every, options)
 
     def prepare() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         forget_checkpoints(folder)  # an earlier run's would not fit the log that starts now
-        write_json(folder / WORLD_FILE, world.describe())
+        write_json(folder / WORLD_FILE, model.describe())
 
     on_first(comm, prepare)
-    partition = _partition(comm, world, options)
-    fleet = Fleet(
-        comm, world, partition, starting_share(comm, world, partition), options.balance, options.overlap, broad_phase
+    partition = _partition(comm, model, options)
+    simulation = DistributedSimulation(
+        comm, model, partition, starting_share(comm, model, partition), options.balance, options.overlap, broad_phase
     )
-    return _continue(fleet, 0, steps, folder, checkpoint_every, progress, keep_last_step)
+    return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_last_step)
 
 
 def resume(
@@ -108,7 +108,7 @@ def resume(
     meshes: Sequence[Mesh] | None = None,
     device: torch.device | str = "cpu",
     broad_phase: BroadPhase = "auto",
-    options: FleetOptions | None = None,
+    options: DistributedOptions | None = None,
     checkpoint_every: int = 0,
     progress: Progress | None = None,
     keep_last_step: bool = False,
@@ -127,15 +127,15 @@ def resume(
     Example:
         >>> pgccd.distributed.resume(comm, "out/million", steps=200)
     """
-    folder, options = Path(folder), options or FleetOptions()
+    folder, options = Path(folder), options or DistributedOptions()
     header, is_single = on_first(comm, lambda: find_checkpoint(folder))
-    world = together(comm, lambda: World(header.config, meshes, device))
-    if meshes_digest(world.meshes.meshes) != header.meshes:
+    model = together(comm, lambda: Model(header.config, meshes, device))
+    if meshes_digest(model.meshes.meshes) != header.meshes:
         raise ValueError(f"meshes: the run in {folder} was made with others")
     steps = header.steps_wanted if steps is None else steps
     if steps < header.steps_made:
         raise ValueError(f"steps: the run in {folder} has made {header.steps_made} already, got {steps}")
-    _compare(comm, world, steps, folder, checkpoint_every, options)
+    _compare(comm, model, steps, folder, checkpoint_every, options)
 
     def read() -> RobotState:
         if not is_single:
@@ -143,13 +143,13 @@ def resume(
         whole = load_checkpoint(folder).state
         return RobotState(**take_rows(whole.columns, torch.arange(comm.rank, len(whole), comm.size)))
 
-    state = together(comm, read).to(world.device)
-    partition = _partition(comm, world, options)
+    state = together(comm, read).to(model.device)
+    partition = _partition(comm, model, options)
     owners = None if is_single else on_first(comm, lambda: read_owners(folder, partition))
     if owners is not None:
         partition = partition.with_owner(torch.tensor(owners))
-    fleet = Fleet(comm, world, partition, state, options.balance, options.overlap, broad_phase)
-    return _continue(fleet, header.steps_made, steps, folder, checkpoint_every, progress, keep_last_step)
+    simulation = DistributedSimulation(comm, model, partition, state, options.balance, options.overlap, broad_phase)
+    return _continue(simulation, header.steps_made, steps, folder, checkpoint_every, progress, keep_last_step)
 
 
 def find_checkpoint(folder: Path) -> tuple[Header, bool]:
@@ -169,49 +169,51 @@ def find_checkpoint(folder: Path) -> tuple[Header, bool]:
     return newest, False
 
 
-def _compare(comm: Comm, world: World, steps: int, folder: Path, checkpoint_every: int, options: FleetOptions) -> None:
-    facts = {"configuration": world.config, "steps": steps, "folder": str(folder), "options": options}
-    facts |= {"checkpoint_every": checkpoint_every, "device": world.device.type}
-    facts |= {"meshes": meshes_digest(world.meshes.meshes), "transport": comm.transport}
+def _compare(
+    comm: Comm, model: Model, steps: int, folder: Path, checkpoint_every: int, options: DistributedOptions
+) -> None:
+    facts = {"configuration": model.config, "steps": steps, "folder": str(folder), "options": options}
+    facts |= {"checkpoint_every": checkpoint_every, "device": model.device.type}
+    facts |= {"meshes": meshes_digest(model.meshes.meshes), "transport": comm.transport}
     require_agreement(comm, facts)
 
 
-def _partition(comm: Comm, world: World, options: FleetOptions) -> Partition:
-    x, y, z = world.half_extent
+def _partition(comm: Comm, model: Model, options: DistributedOptions) -> Partition:
+    x, y, z = model.half_extent
     return Partition.uniform(
-        (-x, -y, -z), (x, y, z), comm.size, axes=options.axes, cells=options.cells, device=world.device
+        (-x, -y, -z), (x, y, z), comm.size, axes=options.axes, cells=options.cells, device=model.device
     )
 
 
-class _FleetMachine:
-    """A fleet as `drive` sees it."""
+class _SimulationMachine:
+    """A simulation as `drive` sees it."""
 
-    def __init__(self, fleet: Fleet, folder: Path, digest: str) -> None:
-        self.fleet, self._digest = fleet, digest
-        self._checkpoints = Checkpoints(fleet.comm, folder)
+    def __init__(self, simulation: DistributedSimulation, folder: Path, digest: str) -> None:
+        self.simulation, self._digest = simulation, digest
+        self._checkpoints = Checkpoints(simulation.comm, folder)
         self.last_step: RankStep | None = None
         self._wish = False
 
     def stops(self, wish: bool) -> bool:
         # All learn of it at the end of the step to come, with all else.
         self._wish = wish
-        return self.last_step.wished if self.last_step is not None else self.fleet.comm.any(wish)
+        return self.last_step.wished if self.last_step is not None else self.simulation.comm.any(wish)
 
     def step(self, index: int, more: bool) -> RankStep:
-        self.last_step = self.fleet.step(index, self._wish, more)
+        self.last_step = self.simulation.step(index, self._wish, more)
         return self.last_step
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
-        self.fleet.verify()
-        header = Header(self.fleet.world.config, steps_made, steps_wanted, self._digest)
-        self._checkpoints.begin(header, self.fleet.state, self.fleet.partition)
+        self.simulation.verify()
+        header = Header(self.simulation.model.config, steps_made, steps_wanted, self._digest)
+        self._checkpoints.begin(header, self.simulation.state, self.simulation.partition)
 
     def finish(self) -> None:
         self._checkpoints.finish()
 
 
 def _continue(
-    fleet: Fleet,
+    simulation: DistributedSimulation,
     steps_made: int,
     steps: int,
     folder: Path,
@@ -219,17 +221,17 @@ def _continue(
     progress: Progress | None,
     keep_last_step: bool,
 ) -> Run:
-    comm, world = fleet.comm, fleet.world
-    machine = _FleetMachine(fleet, folder, meshes_digest(world.meshes.meshes))
+    comm, model = simulation.comm, simulation.model
+    machine = _SimulationMachine(simulation, folder, meshes_digest(model.meshes.meshes))
     log = together(comm, lambda: StepLog(folder, steps_made) if comm.rank == 0 else None)
     made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
     comm.barrier()  # rank 0 has made the last checkpoint whole
-    state, last_step = fleet.state, None
+    state, last_step = simulation.state, None
     if keep_last_step:
-        state = gather_state(comm, fleet.state)
+        state = gather_state(comm, simulation.state)
         last_step = None if machine.last_step is None else gather_step(comm, machine.last_step, state)
     records = [] if log is None else log.records
-    return Run(world, state, made, records, last_step, interrupted=made < steps)
+    return Run(model, state, made, records, last_step, interrupted=made < steps)
 
 
 def gather_columns(comm: Comm, columns: Columns) -> Columns:
@@ -248,7 +250,7 @@ def gather_state(comm: Comm, state: RobotState) -> RobotState:
 def gather_step(comm: Comm, step: RankStep, after: RobotState) -> Step:
     """A whole step on rank 0, as a single process makes it. The row of a robot is its id."""
     held, found = step.detection.held, step.detection.contacts
-    own = step.settlement.fraction[: len(step.before)].contiguous()
+    own = step.resolution.fraction[: len(step.before)].contiguous()
     before = gather_columns(comm, step.before.columns | {"fraction": own})
     before = take_rows(before, torch.argsort(before["id"]))
     fraction = before.pop("fraction")
@@ -257,5 +259,5 @@ def gather_step(comm: Comm, step: RankStep, after: RobotState) -> Step:
     contacts = gather_columns(comm, columns)
     order = torch.argsort(contacts["pairs"][:, 0] * max(1, len(fraction)) + contacts["pairs"][:, 1])
     whole = Contacts(**take_rows(contacts, order), stats=found.stats)
-    settlement = replace(step.settlement, fraction=fraction)
-    return Step(step.index, RobotState(**before), settlement, after, lambda: whole, lambda: step.record)
+    resolution = replace(step.resolution, fraction=fraction)
+    return Step(step.index, RobotState(**before), resolution, after, lambda: whole, lambda: step.record)

@@ -72,13 +72,13 @@ class Share:
         """Says that the current stream goes on reading all this while the side stream works for the next step."""
         if self.ghosts is None:
             return
-        held, border = self.held, self.parts[-1]
-        search = border.start()
-        lent = [*held.ghosts.values(), held.border, held.holders, held.border_counts, held.route.rows]
-        for bodies in (self.ghosts, border.bodies):
+        held, boundary = self.held, self.parts[-1]
+        search = boundary.start()
+        lent = [*held.ghosts.values(), held.boundary, held.replica_ranks, held.boundary_counts, held.route.rows]
+        for bodies in (self.ghosts, boundary.bodies):
             lent += [*_columns(bodies).values(), *centres_of(bodies)]
-        lent += [border.pairs, *search.rows, search.counts]
-        self.side.lend(lent if border.rows is None else [*lent, border.rows])
+        lent += [boundary.pairs, *search.rows, search.counts]
+        self.side.lend(lent if boundary.rows is None else [*lent, boundary.rows])
 
 
 class OwnSearch:
@@ -94,7 +94,7 @@ class OwnSearch:
         options: what to find.
         clock: stages are timed here.
         begin: called with each part as soon as it is known.
-        in_vain: see `find_part`.
+        discard: see `find_part`.
         room: of the halo, if it can be foreseen; the same on all ranks. On GPUs ghosts are then sent at once.
 
     Raises:
@@ -113,7 +113,7 @@ class OwnSearch:
         options: Options,
         clock: StageClock,
         begin: Callable[[Part], object],
-        in_vain: Tensor | None = None,
+        discard: Tensor | None = None,
         room: Room | None = None,
     ) -> None:
         self._comm, self._partition, self._build, self._options = comm, partition, build, options
@@ -123,7 +123,7 @@ class OwnSearch:
             self._bodies = bodies = MovingBodies(*build(own), wait=False)
         with clock.stage("halo"):
             self._halo = halo = Halo(comm, partition, own, bodies, self._kept)
-        self._where = *self._kept, halo.reach, partition.territory(comm.rank)
+        self._where = *self._kept, halo.reach, partition.subdomain(comm.rank)
         self._side = SideStream(bodies.device, options.overlap and comm.size > 1)
         if comm.size > 1:
             with self._side, clock.stage("halo"):
@@ -139,7 +139,7 @@ class OwnSearch:
 
         with clock.stage("broad"):
             select = owned if comm.size > 1 else None
-            self._part = find_part(bodies, options.query, options.broad_phase, select, in_vain)
+            self._part = find_part(bodies, options.query, options.broad_phase, select, discard)
         begin(self._part)
 
     @cached_property
@@ -160,10 +160,10 @@ class OwnSearch:
         A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the
         box around all ghosts.
         """
-        territory = self._where[-1]
+        subdomain = self._where[-1]
         own, ghosts = centres_of(self._bodies), centres_of(self._ghosts)
         with self._side, self._clock.stage("halo"):
-            near, found = ops.near_ghosts(own, ghosts, *self._kept, territory)
+            near, found = ops.near_ghosts(own, ghosts, *self._kept, subdomain)
             return near, HostCopy(found)
 
     def exchange(self) -> HeldExchange:
@@ -183,13 +183,13 @@ class OwnSearch:
         with self._side:
             with self._clock.stage("halo"):
                 rows = _with_ghosts(near[: int(near_count.numpy()[0])], held)
-                at_border = _bodies(self._bodies, _taken(self._bodies, ghosts, rows))
+                at_boundary = _bodies(self._bodies, _taken(self._bodies, ghosts, rows))
 
                 def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
-                    return ops.owned_pairs(pairs, rows, held.id, centres_of(at_border), *self._where)
+                    return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *self._where)
 
                 find = options.query, options.broad_phase, owned
-                with_ghosts = find_part(at_border, *find, name="with ghosts", rows=rows)
+                with_ghosts = find_part(at_boundary, *find, name="with ghosts", rows=rows)
             self._begin(with_ghosts)
         self._side.join()
         return Share(held, [self._part, with_ghosts], ghosts, self._side, self._kept)

@@ -1,4 +1,4 @@
-"""One step of the nanorobot world on many ranks: plan, halo, detect, settle, respond, balance, migrate."""
+"""One step of the nanorobot world on many ranks: plan, halo, detect, resolve_collisions, respond, balance, migrate."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from pgccd.distributed.step_reports import Reports
 from pgccd.motion import RigidMotion
 from pgccd.parts import Part, contacts_of_step
 from pgccd.scene import Scene
+from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
-from pgccd.sim.response import Settlement, respond
+from pgccd.sim.response import Resolution, respond
 from pgccd.sim.rounds import Pace, goes_ahead, knows_rounds
-from pgccd.sim.step import Settled, settle_step
+from pgccd.sim.step import ResolvedStep, resolve_step
 from pgccd.sim.tally import Tally, count_step
-from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
 
 # Robots made at a time at the start of a world.
 _BLOCK_ROBOTS = 1 << 20
 # Up to so many ranks, each tells all how many robots leave it for whom together with its tally; with more, those
-# concerned alone.
+# affected alone.
 _TELLS_MOVES = 64
 # Robots that have left stay with their rank as long as there are so many times more ghosts: each may be one.
 _MOST_AWAY = 4
@@ -46,7 +46,7 @@ class RankStep:
 
     index: int  #: from 0
     before: RobotState  #: of the robots owned, as planned
-    settlement: Settlement  #: of the robots held
+    resolution: Resolution  #: of the robots held
     wished: bool  #: whether any rank was given a wish
     find: Callable[[], Detection]  #: gives `detection`
     tell: Callable[[], dict[str, Any]]  #: gives `record`
@@ -58,7 +58,7 @@ class RankStep:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Of the whole world: the line in steps.jsonl, the same on all ranks but for the times."""
+        """Of the whole model: the line in steps.jsonl, the same on all ranks but for the times."""
         return self.tell()
 
 
@@ -74,12 +74,12 @@ class _Begun:
     clock: StageClock
 
 
-class Fleet:
+class DistributedSimulation:
     """A world's robots, spread over ranks.
 
     Args:
         comm: between the ranks.
-        world: the rules, the same on all ranks, on this rank's device.
+        model: the rules, the same on all ranks, on this rank's device.
         partition: the same on all ranks.
         state: of any share of the robots; all ranks together have each robot once.
         balance: how cells change hands.
@@ -89,14 +89,14 @@ class Fleet:
     `state` is that of the robots this rank has.
 
     Example:
-        >>> fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
-        >>> fleet.step(0).record["contacts"]
+        >>> simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition))
+        >>> simulation.step(0).record["contacts"]
     """
 
     def __init__(
         self,
         comm: Comm,
-        world: World,
+        model: Model,
         partition: Partition,
         state: RobotState,
         balance: BalanceOptions | None = None,
@@ -104,15 +104,15 @@ class Fleet:
         broad_phase: BroadPhase = "auto",
         ahead: bool | None = None,
     ) -> None:
-        self.comm, self.world, self.partition = comm, world, partition
+        self.comm, self.model, self.partition = comm, model, partition
         self.balance = balance or BalanceOptions()
         # nonzero_toi: robots that part after a contact are free.
         self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
-        # The fleet's own, so that all ranks know the same number of rounds.
-        self._pace = Pace() if goes_ahead(ahead, world.device, comm.size) else None
-        self._expected = Census.of_range(world.config.robots)
+        # The simulation's own, so that all ranks know the same number of rounds.
+        self._pace = Pace() if goes_ahead(ahead, model.device, comm.size) else None
+        self._expected = Census.of_range(model.config.robots)
         #: Whether a step that follows at once is begun before the outcome of the one before is known.
-        self.begins_early = world.device.type != "cpu" and overlap
+        self.begins_early = model.device.type != "cpu" and overlap
         self._begun: _Begun | None = None
         self._room: Room | None = None
         # In the last step: nothing was about to change hands.
@@ -146,7 +146,7 @@ class Fleet:
         exchange, share = begun.search.exchange(), begun.search.with_ghosts()
         self._room = share.held.room
         with clock.stage("halo"):
-            partners = Partners(self.world, planned.moving_columns, share.held.ghosts, share.pairs)
+            partners = Partners(self.model, planned.moving_columns, share.held.ghosts, share.pairs)
         after: RobotState = planned
         leaving: Leaving | None = None
         keeps = more and self.begins_early and self._was_calm
@@ -162,13 +162,15 @@ class Fleet:
                 moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
                 return torch.cat([counted, self._told_by_host(share, wish), leaving.counts.sum()[None], *moves])
 
-        def begin_next(in_vain: Tensor) -> None:
-            self._begun = self._begin(index + 1, after, in_vain)
+        def begin_next(discard: Tensor) -> None:
+            self._begun = self._begin(index + 1, after, discard)
 
         meanwhile = begin_next if keeps else None
-        settled = settle_step(share.parts, len(share.held), partners, self._pace, conclude, clock, exchange, meanwhile)
-        reports = Reports.of(settled)
-        is_level, moved_cells = self._balance(index, share, settled, planned, reports, clock)
+        resolved = resolve_step(
+            share.parts, len(share.held), partners, self._pace, conclude, clock, exchange, meanwhile
+        )
+        reports = Reports.of(resolved)
+        is_level, moved_cells = self._balance(index, share, resolved, planned, reports, clock)
         with clock.stage("migrate"):
             known = None
             if leaving is not None and moved_cells == 0 and reports.moves.size:
@@ -183,30 +185,30 @@ class Fleet:
             self._begun = self._begin(index + 1, self.state)
         tally = Tally.of(reports.work, reports.counted)
         Census(tally.robots, tally.id_hash).require(self._expected)
-        settled.learn()
+        resolved.learn()
 
         def tell() -> dict[str, Any]:
-            record = tally.record(index, settled.settlement.rounds, clock)
+            record = tally.record(index, resolved.resolution.rounds, clock)
             return record | {"ranks": reports.record(moved_cells)}
 
         def find() -> Detection:
             share.lend()
             return Detection(share, contacts_of_step(share.parts))
 
-        return RankStep(index, planned, settled.settlement, bool(reports.wish.any()), find, tell)
+        return RankStep(index, planned, resolved.resolution, bool(reports.wish.any()), find, tell)
 
-    def _begin(self, index: int, state: RobotState, in_vain: Tensor | None = None) -> _Begun:
+    def _begin(self, index: int, state: RobotState, discard: Tensor | None = None) -> _Begun:
         """Plans a step, and begins to search pairs of own robots."""
         if self._begun is not None:
             self._begun.search.give_up()
             self._begun = None
         clock = StageClock()
         with clock.stage("plan"):
-            planned = self.world.plan(state, index)
+            planned = self.model.plan(state, index)
         begin = Part.start if knows_rounds(self._pace) else Part.begin
         own = planned.moving_columns
         where = self.comm, self.partition, own, self._build, self.options, clock
-        search = OwnSearch(*where, begin, in_vain, self._room)
+        search = OwnSearch(*where, begin, discard, self._room)
         return _Begun(index, state, self.partition, planned, search, clock)
 
     def _has_begun(self, index: int) -> bool:
@@ -228,17 +230,17 @@ class Fleet:
         return begun
 
     def _told_by_host(self, share: Share, wish: bool) -> Tensor:
-        return torch.tensor([len(share.held), self._arrived, int(wish)]).to(self.world.device, non_blocking=True)
+        return torch.tensor([len(share.held), self._arrived, int(wish)]).to(self.model.device, non_blocking=True)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
         pose = (columns["position"], columns["orientation"], columns["velocity"], columns["angular_velocity"])
-        return self.world.scene(columns["id"]), RigidMotion.from_velocity(*pose, dt=1.0)
+        return self.model.scene(columns["id"]), RigidMotion.from_velocity(*pose, dt=1.0)
 
     def _balance(
         self,
         index: int,
         share: Share,
-        settled: Settled,
+        resolved: ResolvedStep,
         planned: RobotState,
         reports: Reports,
         clock: StageClock,
@@ -251,7 +253,7 @@ class Fleet:
             loads = RankLoads(reports.robots, reports.worked("pcs"), reports.worked("contacts"), seconds)
             if loads.are_level(self.balance):
                 return True, 0
-            settled.learn()  # so that contacts need not be waited for
+            resolved.learn()  # so that contacts need not be waited for
             seen = cell_loads(self.partition, planned.position, Detection(share, contacts_of_step(share.parts)))
             total = CellLoads.unstacked(self.comm.sum(seen.stacked()))
             shared_out = rebalance(self.partition, total, self.balance, torch.tensor(seconds, dtype=torch.float64))
@@ -272,12 +274,12 @@ def cell_loads(partition: Partition, position: Tensor, found: Detection) -> Cell
     return CellLoads(*(torch.bincount(cell, minlength=partition.cell_count) for cell in cells))
 
 
-def starting_share(comm: Comm, world: World, partition: Partition) -> RobotState:
+def starting_share(comm: Comm, model: Model, partition: Partition) -> RobotState:
     """The robots that start in this rank's cells."""
     parts = []
-    for begin in range(0, world.config.robots, _BLOCK_ROBOTS):
-        end = min(world.config.robots, begin + _BLOCK_ROBOTS)
-        block = world.start(torch.arange(begin, end, device=world.device))
+    for begin in range(0, model.config.robots, _BLOCK_ROBOTS):
+        end = min(model.config.robots, begin + _BLOCK_ROBOTS)
+        block = model.start(torch.arange(begin, end, device=model.device))
         here = torch.nonzero(partition.owner_of(block.position) == comm.rank)[:, 0]
         parts.append(take_rows(block.columns, here))
     return RobotState(**{name: torch.cat([part[name] for part in parts]) for name in parts[0]})

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from pgccd.distributed.balance import imbalance
-from pgccd.sim.step import Settled
+from pgccd.sim.step import ResolvedStep
 from pgccd.sim.tally import COUNTED, WORK, Rows
 
 
@@ -25,10 +25,10 @@ class Reports:
     moves: Rows  #: (ranks, ranks): how many of them are in cells of each; (ranks, 0) if that is told later
 
     @classmethod
-    def of(cls, settled: Settled) -> Reports:
-        """`settled`: as `Fleet.step` had it concluded."""
-        counted, rest = settled.told[:, :COUNTED], settled.told[:, COUNTED:]
-        return cls(settled.work, counted, rest[:, 0], rest[:, 1], rest[:, 2], rest[:, 3], rest[:, 4:])
+    def of(cls, resolved: ResolvedStep) -> Reports:
+        """`resolved`: as `DistributedSimulation.step` had it concluded."""
+        counted, rest = resolved.told[:, :COUNTED], resolved.told[:, COUNTED:]
+        return cls(resolved.work, counted, rest[:, 0], rest[:, 1], rest[:, 2], rest[:, 3], rest[:, 4:])
 
     @property
     def robots(self) -> list[int]:

@@ -29,7 +29,7 @@ from pgccd.ops.library import take_scratch_peak
 from pgccd.ops.rows import merge_rows, pack_rows, take_rows, unpack_rows
 from pgccd.ops.simulate import (
     random_uniforms,
-    simulate_concerned_motion,
+    simulate_affected_motion,
     simulate_first_toi,
     simulate_hash,
     simulate_plan,
@@ -39,30 +39,30 @@ from pgccd.ops.simulate import (
     simulate_start,
     simulate_tally,
 )
-from pgccd.ops.territory import (
+from pgccd.ops.subdomain import (
     Centres,
-    Territory,
-    border_bodies,
+    Subdomain,
+    boundary_bodies,
     counts_to_tell,
-    holders_of,
     leaving_bodies,
     near_ghosts,
     owned_pairs,
+    replica_ranks,
     rows_by_rank,
 )
 from pgccd.ops.voxel import voxel_boxes, voxel_pairs, voxels_touched
 
 __all__ = [
     "Centres",
-    "Territory",
-    "border_bodies",
+    "Subdomain",
+    "boundary_bodies",
     "contacts_within_deforming",
     "contacts_within_rigid",
     "counts_to_tell",
     "edge_edge",
     "first_faults",
     "grid",
-    "holders_of",
+    "replica_ranks",
     "lbvh",
     "leaving_bodies",
     "lower_first_toi_rigid",
@@ -79,7 +79,7 @@ __all__ = [
     "refit",
     "rotations_between",
     "rows_by_rank",
-    "simulate_concerned_motion",
+    "simulate_affected_motion",
     "simulate_first_toi",
     "simulate_hash",
     "simulate_plan",

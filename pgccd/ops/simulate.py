@@ -46,7 +46,7 @@ def simulate_first_toi(first: Tensor, robots: Tensor | None, pairs: Tensor, toi:
     library.operators.simulate_first_toi(first, robots, pairs, toi)
 
 
-def simulate_concerned_motion(
+def simulate_affected_motion(
     own: Sequence[Tensor],
     ghosts: Sequence[Tensor],
     fraction: Tensor,
@@ -63,7 +63,7 @@ def simulate_concerned_motion(
     own, ghosts: the first five columns of a state; rows of ghosts follow own ones. mesh_radius (M,): the robot with id
     k has mesh k modulo M.
     """
-    return library.operators.simulate_concerned_motion(
+    return library.operators.simulate_affected_motion(
         list(own), list(ghosts), fraction, changed, pairs, mesh_radius, room
     )
 

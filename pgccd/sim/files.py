@@ -1,4 +1,4 @@
-"""What a run leaves in its folder: `world.json`, `steps.jsonl` and `checkpoint.pt` (or `checkpoints/`)."""
+"""What a run leaves in its folder: `model.json`, `steps.jsonl` and `checkpoint.pt` (or `checkpoints/`)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any, TextIO
 import torch
 
 from pgccd.mesh import Mesh
-from pgccd.sim.world import RobotState, WorldConfig
+from pgccd.sim.model import ModelConfig, RobotState
 
 WORLD_FILE = "world.json"
 LOG_FILE = "steps.jsonl"
@@ -27,7 +27,7 @@ _FORMAT = 1
 class Checkpoint:
     """A run between two steps."""
 
-    config: WorldConfig
+    config: ModelConfig
     steps_made: int
     steps_wanted: int
     meshes: str  #: their `meshes_digest`
@@ -83,7 +83,7 @@ def load_checkpoint(folder: Path) -> Checkpoint:
             raise ValueError(f"its format is {content['format']}, this version reads {_FORMAT}")
         config = content["config"] | {"stay_steps": tuple(content["config"]["stay_steps"])}
         return Checkpoint(
-            WorldConfig(**config),
+            ModelConfig(**config),
             content["steps_made"],
             content["steps_wanted"],
             content["meshes"],

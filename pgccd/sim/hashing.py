@@ -10,7 +10,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.sim.world import RobotState
+from pgccd.sim.model import RobotState
 
 
 def hashed_columns(state: RobotState) -> list[Tensor]:

@@ -10,7 +10,7 @@ from pgccd.contacts import Contacts
 from pgccd.detect import detect
 from pgccd.memory import memory_limit
 from pgccd.query import Query
-from pgccd.sim.world import World
+from pgccd.sim.model import Model
 from pgccd.within import lower_first_toi
 
 #: What is asked of the whole step, and in every round of settling. nonzero_toi: robots that part after a contact are
@@ -22,13 +22,13 @@ class Partners:
     """What settling asks, answered for potentially colliding pairs.
 
     Args:
-        world: the rules.
+        model: the rules.
         own, ghosts: `moving_columns` of planned states; rows of ghosts follow own ones.
         pairs: (P, 2) int64 rows, the robot of smaller id first.
     """
 
-    def __init__(self, world: World, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, pairs: Tensor) -> None:
-        self._world, self._pairs = world, pairs
+    def __init__(self, model: Model, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, pairs: Tensor) -> None:
+        self._world, self._pairs = model, pairs
         self._own = list(own.values())
         self._ghosts = [column[:0] if ghosts is None else ghosts[name] for name, column in own.items()]
         #: Room that each round needed, where rounds were waited for.
@@ -43,7 +43,7 @@ class Partners:
         """See `FindContacts`."""
         # A slowed robot stays within the volume it was to sweep: it meets nobody but its partners in the PCS.
         given = self._own, self._ghosts, fraction, changed.view(torch.uint8), self._pairs
-        _, _, counts = self._world.concerned_pairs(*given, 0)
+        _, _, counts = self._world.affected_pairs(*given, 0)
         # Read together: on a GPU every look at a number waits for it.
         goes_on, count, *_ = torch.cat([anybody, counts]).tolist()
         if not goes_on:
@@ -51,7 +51,7 @@ class Partners:
         if not count:
             self.needed.append(Capacity(0, 0))
             return self._pairs[:0], fraction[:0]
-        pairs, bodies, _ = self._world.concerned_pairs(*given, count)
+        pairs, bodies, _ = self._world.affected_pairs(*given, count)
         scene, motion = self._world.pair_motion(bodies)
         # nonzero_toi: as for the whole step.
         contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=self._copies_of(count))
@@ -65,7 +65,7 @@ class Partners:
         if room.pairs > len(self._copies):
             self._copies = self._copies_of(room.pairs)
         given = self._own, self._ghosts, fraction, changed, self._pairs
-        pairs, bodies, pair_counts = self._world.concerned_pairs(*given, room.pairs)
+        pairs, bodies, pair_counts = self._world.affected_pairs(*given, room.pairs)
         copies, meshes = self._copies[: room.pairs], self._world.meshes.tensors
         return lower_first_toi(first, pairs, meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, room)
 

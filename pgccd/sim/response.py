@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.sim.world import RobotState
+from pgccd.sim.model import RobotState
 
 # A robot makes this much of the way to its toi: at the toi itself it may be within the tolerance of contact, and
 # would be told so again.
@@ -41,7 +41,7 @@ class FindContacts(Protocol):
 
 
 class Exchange(Protocol):
-    """What `settle` must know from others when robots are spread over ranks."""
+    """What `resolve_collisions` must know from others when robots are spread over ranks."""
 
     @property
     def rank(self) -> int: ...
@@ -83,7 +83,7 @@ class OneRank:
 
 
 @dataclass
-class Settlement:
+class Resolution:
     """How much of the step each robot makes, so that none collides."""
 
     fraction: Tensor  #: (N,) float64 in [0, 1]; below 1 for those that collide
@@ -114,9 +114,9 @@ def first_collisions(pairs: Tensor, toi: Tensor, body_count: int) -> Tensor:
     return first.scatter_reduce_(0, pairs.reshape(-1), _of_both(toi), "amin")
 
 
-def settle(
+def resolve_collisions(
     pairs: Tensor, toi: Tensor, body_count: int, find_contacts: FindContacts, exchange: Exchange | None = None
-) -> Settlement:
+) -> Resolution:
     """Decides how much of the step each robot makes.
 
     A robot stops (just before) its first toi. It then stands where others expected it to move on, so the slowed-down
@@ -132,7 +132,7 @@ def settle(
         exchange: how ranks agree; default: there is one.
 
     Example:
-        >>> settled = pgccd.sim.settle(hits.pairs, hits.toi, len(state), find_contacts)
+        >>> resolved = pgccd.sim.resolve_collisions(hits.pairs, hits.toi, len(state), find_contacts)
     """
     rows = pairs.reshape(-1)
     exchange = exchange or OneRank(rows)
@@ -150,7 +150,7 @@ def settle(
         anybody = exchange.gather(changes.any().long().reshape(1)).amax(dim=0)
         found = find_contacts(changed, fraction, anybody)
         if found is None:
-            return Settlement(fraction, rounds, secondary_contacts)
+            return Resolution(fraction, rounds, secondary_contacts)
         changed.index_fill_(0, rows, False)
         first.index_fill_(0, rows, torch.inf)
         pairs, toi = found
@@ -178,7 +178,7 @@ def respond(state: RobotState, fraction: Tensor) -> RobotState:
         fraction: (N,) float64 in [0, 1].
 
     Example:
-        >>> state = pgccd.sim.respond(state, settled.fraction)
+        >>> state = pgccd.sim.respond(state, resolved.fraction)
     """
     position, orientation, velocity, angular_velocity = ops.simulate_respond(list(state.columns.values()), fraction)
     return replace(

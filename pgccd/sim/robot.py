@@ -1,4 +1,4 @@
-"""The robot of the nanorobot world: a closed genus-0 mesh of 352 vertices and 700 triangles."""
+"""The robot of the nanorobot model: a closed genus-0 mesh of 352 vertices and 700 triangles."""
 
 from __future__ import annotations
 

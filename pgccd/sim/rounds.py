@@ -19,7 +19,7 @@ from pgccd import ops
 from pgccd.capacity import COUNT_ROWS, Capacity, Counts
 from pgccd.host_copy import HostCopy
 from pgccd.parts import Part
-from pgccd.sim.response import Exchange, Settlement, limits_of
+from pgccd.sim.response import Exchange, Resolution, limits_of
 from pgccd.sim.tally import Rows
 from pgccd.stages import StageClock
 
@@ -99,13 +99,13 @@ Meanwhile = Callable[[Tensor], None]
 class Ahead:
     """What came of a step of which only the end was waited for."""
 
-    settlement: Settlement
+    resolution: Resolution
     told: Rows  #: (ranks, k): what each concluded
     counts: NDArray[np.int64]  #: (ranks, parts, 21): `Counts` of each one's search for the contacts of the whole step
     secondary_contacts: NDArray[np.int64]  #: (ranks,)
 
 
-def settle_ahead(
+def resolve_ahead(
     parts: Sequence[Part],
     body_count: int,
     start_round: StartRound,
@@ -115,8 +115,8 @@ def settle_ahead(
     clock: StageClock,
     meanwhile: Meanwhile | None = None,
 ) -> Ahead | None:
-    """What `settle` decides, to the bit. Rounds are made without knowing whether they are needed: after the last one
-    nobody has changed, and nothing comes of more.
+    """The result of `resolve_collisions`, to the bit. Rounds are enqueued before it is known whether they are needed: a
+    round after the last one that changed a robot changes nothing.
 
     The host waits once, for the contacts of the whole step too, unless there are more rounds than in the last steps.
     What decides how many are made is known to all ranks.
@@ -180,8 +180,8 @@ def settle_ahead(
         if not all(goes_on):
             rounds = goes_on.index(False)
             pace.learn(rounds, partial(_needed, made[:rounds]))
-            settlement = Settlement(fraction, rounds, int(secondary_contacts[exchange.rank]))
-            return Ahead(settlement, told[:, end:], of_parts, secondary_contacts)
+            resolution = Resolution(fraction, rounds, int(secondary_contacts[exchange.rank]))
+            return Ahead(resolution, told[:, end:], of_parts, secondary_contacts)
         more = _MORE_ROUNDS
         changes = torch.zeros(more, dtype=torch.int64, device=device)
 

@@ -1,4 +1,4 @@
-"""Runs of the nanorobot world: steps, progress, log, checkpoints."""
+"""Runs of the nanorobot model: steps, progress, log, checkpoints."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from pgccd.sim.files import (
     save_checkpoint,
     write_json,
 )
+from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress, Silent
 from pgccd.sim.step import Step, make_step
-from pgccd.sim.world import RobotState, World, WorldConfig
 
 
 @dataclass
 class Run:
     """A run so far."""
 
-    world: World
+    model: Model
     state: RobotState
     steps_made: int
     records: list[dict[str, Any]]  #: the lines of steps.jsonl, from step 0
@@ -43,7 +43,7 @@ class Run:
 
 
 def run(
-    config: WorldConfig,
+    config: ModelConfig,
     steps: int,
     folder: str | Path,
     *,
@@ -53,7 +53,7 @@ def run(
     checkpoint_every: int = 0,
     progress: Progress | None = None,
 ) -> Run:
-    """Simulates a world from its start and writes `world.json`, `steps.jsonl` and `checkpoint.pt` into a folder.
+    """Simulates a world from its start and writes `model.json`, `steps.jsonl` and `checkpoint.pt` into a folder.
 
     Ctrl-C (or SIGTERM) ends it after the step under way, with a checkpoint; a second one ends it at once, and the last
     checkpoint stays.
@@ -72,17 +72,17 @@ def run(
         ValueError: naming the argument.
 
     Example:
-        >>> finished = pgccd.sim.run(pgccd.sim.WorldConfig(robots=1000), steps=10, folder="out/try")
+        >>> finished = pgccd.sim.run(pgccd.sim.ModelConfig(robots=1000), steps=10, folder="out/try")
         >>> sum(record["contacts"] for record in finished.records)
     """
     folder = Path(folder)
     if steps < 0:
         raise ValueError(f"steps: expected a number >= 0, got {steps}")
-    world = World(config, meshes, device)
+    model = Model(config, meshes, device)
     folder.mkdir(parents=True, exist_ok=True)
     forget_checkpoints(folder)  # an earlier run's would not fit the log that starts now
-    write_json(folder / WORLD_FILE, world.describe())
-    return _continue(world, world.start(), 0, steps, folder, broad_phase, checkpoint_every, progress)
+    write_json(folder / WORLD_FILE, model.describe())
+    return _continue(model, model.start(), 0, steps, folder, broad_phase, checkpoint_every, progress)
 
 
 def resume(
@@ -112,14 +112,14 @@ def resume(
     """
     folder = Path(folder)
     checkpoint = load_checkpoint(folder)
-    world = World(checkpoint.config, meshes, device)
-    if meshes_digest(world.meshes.meshes) != checkpoint.meshes:
+    model = Model(checkpoint.config, meshes, device)
+    if meshes_digest(model.meshes.meshes) != checkpoint.meshes:
         raise ValueError(f"meshes: the run in {folder} was made with others")
     steps = checkpoint.steps_wanted if steps is None else steps
     if steps < checkpoint.steps_made:
         raise ValueError(f"steps: the run in {folder} has made {checkpoint.steps_made} already, got {steps}")
-    state = checkpoint.state.to(world.device)
-    return _continue(world, state, checkpoint.steps_made, steps, folder, broad_phase, checkpoint_every, progress)
+    state = checkpoint.state.to(model.device)
+    return _continue(model, state, checkpoint.steps_made, steps, folder, broad_phase, checkpoint_every, progress)
 
 
 class HasRecord(Protocol):
@@ -154,10 +154,10 @@ class Machine(Protocol):
 class _WorldMachine:
     """All robots in this process."""
 
-    def __init__(self, world: World, state: RobotState, folder: Path, broad_phase: BroadPhase) -> None:
-        self.world, self.state, self._folder, self._broad_phase = world, state, folder, broad_phase
-        self._scene = world.scene(state.id)
-        self._digest = meshes_digest(world.meshes.meshes)
+    def __init__(self, model: Model, state: RobotState, folder: Path, broad_phase: BroadPhase) -> None:
+        self.model, self.state, self._folder, self._broad_phase = model, state, folder, broad_phase
+        self._scene = model.scene(state.id)
+        self._digest = meshes_digest(model.meshes.meshes)
         self.last_step: Step | None = None
 
     def stops(self, wish: bool) -> bool:
@@ -166,13 +166,13 @@ class _WorldMachine:
     def step(self, index: int, more: bool) -> HasRecord:
         begun = None if self.last_step is None else self.last_step.next
         self.last_step = make_step(
-            self.world, self._scene, self.state, index, self._broad_phase, begun=begun, more=more
+            self.model, self._scene, self.state, index, self._broad_phase, begun=begun, more=more
         )
         self.state = self.last_step.after
         return self.last_step
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
-        checkpoint = Checkpoint(self.world.config, steps_made, steps_wanted, self._digest, self.state)
+        checkpoint = Checkpoint(self.model.config, steps_made, steps_wanted, self._digest, self.state)
         save_checkpoint(self._folder, checkpoint)
 
     def finish(self) -> None:
@@ -180,7 +180,7 @@ class _WorldMachine:
 
 
 def _continue(
-    world: World,
+    model: Model,
     state: RobotState,
     steps_made: int,
     steps: int,
@@ -189,10 +189,10 @@ def _continue(
     checkpoint_every: int,
     progress: Progress | None,
 ) -> Run:
-    machine = _WorldMachine(world, state, folder, broad_phase)
+    machine = _WorldMachine(model, state, folder, broad_phase)
     log = StepLog(folder, steps_made)
     made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
-    return Run(world, machine.state, made, log.records, machine.last_step, interrupted=made < steps)
+    return Run(model, machine.state, made, log.records, machine.last_step, interrupted=made < steps)
 
 
 def drive(

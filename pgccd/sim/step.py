@@ -1,4 +1,4 @@
-"""One step of the world: plan, detect, settle, respond."""
+"""One step of the model: plan, detect, resolve_collisions, respond."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pgccd.contacts import Contacts
 from pgccd.host_copy import HostCopy
 from pgccd.parts import Part, contacts_of_step, find_part, pairs_of_step, search_seconds
 from pgccd.scene import Scene
+from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
-from pgccd.sim.response import Exchange, OneRank, Settlement, respond, settle
-from pgccd.sim.rounds import Meanwhile, Pace, goes_ahead, knows_rounds, settle_ahead
+from pgccd.sim.response import Exchange, OneRank, Resolution, resolve_collisions, respond
+from pgccd.sim.rounds import Meanwhile, Pace, goes_ahead, knows_rounds, resolve_ahead
 from pgccd.sim.tally import WORK, Rows, Tally, count_step, work_of_counts, work_of_stats
-from pgccd.sim.world import RobotState, World
 from pgccd.stages import StageClock
 
 
@@ -44,7 +44,7 @@ class Step:
 
     index: int  #: from 0
     before: RobotState  #: as planned: poses at t0, velocities of the step
-    settlement: Settlement
+    resolution: Resolution
     after: RobotState
     find: Callable[[], Contacts]  #: gives `contacts`
     tell: Callable[[], dict[str, Any]]  #: gives `record`
@@ -67,34 +67,34 @@ class Step:
 
 
 def begin_step(
-    world: World,
+    model: Model,
     scene: Scene,
     state: RobotState,
     index: int,
     broad_phase: broad.BroadPhase = "auto",
-    in_vain: Tensor | None = None,
+    discard: Tensor | None = None,
 ) -> Begun:
     """Gives a GPU the first work of a step, mostly without waiting; elsewhere finds the PCS.
 
     Args:
-        world, scene, state, index, broad_phase: as for `make_step`.
-        in_vain: see `find_part`.
+        model, scene, state, index, broad_phase: as for `make_step`.
+        discard: see `find_part`.
     """
     clock = StageClock()
     with clock.stage("plan"):
-        before = world.plan(state, index)
-        motion = world.motion(before)
+        before = model.plan(state, index)
+        motion = model.motion(before)
     with clock.stage("broad"):
         bodies = MovingBodies(scene, motion, wait=scene.device.type == "cpu")
         faults = HostCopy(bodies.first_faults())
-        part = find_part(bodies, FIRST_CONTACTS, broad_phase, in_vain=in_vain)
+        part = find_part(bodies, FIRST_CONTACTS, broad_phase, discard=discard)
     if scene.device.type != "cpu":
         part.start()
     return Begun(index, state, before, part, faults, clock)
 
 
 def make_step(
-    world: World,
+    model: Model,
     scene: Scene,
     state: RobotState,
     index: int,
@@ -106,8 +106,8 @@ def make_step(
     """Moves the robots by one step.
 
     Args:
-        world: the rules.
-        scene: `world.scene(state.id)`.
+        model: the rules.
+        scene: `model.scene(state.id)`.
         state: of all robots, after step `index` - 1.
         index: number of the step, from 0.
         broad_phase: as for `detect`.
@@ -121,15 +121,15 @@ def make_step(
         ValueError: the state is invalid.
 
     Example:
-        >>> step = pgccd.sim.make_step(world, scene, world.start(), 0)
+        >>> step = pgccd.sim.make_step(model, scene, model.start(), 0)
         >>> step.after, step.record["contacts"]
     """
     if begun is not None and begun.index == index and _follows(begun, state):
         begun.clock.restart()
     else:
-        begun = begin_step(world, scene, state, index, broad_phase)
+        begun = begin_step(model, scene, state, index, broad_phase)
     before, clock = begun.before, begun.clock
-    partners = Partners(world, before.moving_columns, None, begun.part.pairs)
+    partners = Partners(model, before.moving_columns, None, begun.part.pairs)
     after, begun_next = before, None
 
     def conclude(pairs: Tensor, toi: Tensor, fraction: Tensor) -> Tensor:
@@ -139,23 +139,23 @@ def make_step(
         with clock.stage("hash"):
             return count_step(after, fraction, before.id, pairs, toi)
 
-    def begin_next(in_vain: Tensor) -> None:
+    def begin_next(discard: Tensor) -> None:
         nonlocal begun_next
-        begun_next = begin_step(world, scene, after, index + 1, broad_phase, in_vain)
+        begun_next = begin_step(model, scene, after, index + 1, broad_phase, discard)
 
     pace = _pace_of(scene) if goes_ahead(ahead, scene.device) else None
     meanwhile = begin_next if more and _begins_early(scene) else None
-    settled = settle_step([begun.part], scene.body_count, partners, pace, conclude, clock, meanwhile=meanwhile)
+    resolved = resolve_step([begun.part], scene.body_count, partners, pace, conclude, clock, meanwhile=meanwhile)
     begun.part.bodies.raise_faults(begun.faults.numpy().tolist())
-    settled.learn()
+    resolved.learn()
     clock.stop()
 
     def tell() -> dict[str, Any]:
-        return Tally.of(settled.work, settled.told).record(index, settled.settlement.rounds, clock)
+        return Tally.of(resolved.work, resolved.told).record(index, resolved.resolution.rounds, clock)
 
     find = partial(contacts_of_step, [begun.part])
     return Step(
-        index, before, settled.settlement, after, find, tell, begun_next if _follows(begun_next, after) else None
+        index, before, resolved.resolution, after, find, tell, begun_next if _follows(begun_next, after) else None
     )
 
 
@@ -170,17 +170,17 @@ def _follows(begun: Begun | None, state: RobotState) -> bool:
 
 
 @dataclass
-class Settled:
+class ResolvedStep:
     """How a step ended."""
 
-    settlement: Settlement  #: what robots make of the step
+    resolution: Resolution  #: what robots make of the step
     work: Rows  #: (ranks, 6), see `WORK`
     told: Rows  #: (ranks, k): what each concluded
     #: Takes note of what the step needed, the first time it is called; a GPU may be given more urgent work before.
     learn: Callable[[], None]
 
 
-def settle_step(
+def resolve_step(
     parts: Sequence[Part],
     body_count: int,
     partners: Partners,
@@ -189,7 +189,7 @@ def settle_step(
     clock: StageClock,
     exchange: Exchange | None = None,
     meanwhile: Meanwhile | None = None,
-) -> Settled:
+) -> ResolvedStep:
     """Finds the contacts of a step, and decides how much of it each robot makes.
 
     Args:
@@ -211,7 +211,7 @@ def settle_step(
         rows = [part.start().rows for part in parts]
         given = _joined([part.in_step(pairs) for part, (pairs, *_) in zip(parts, rows, strict=True)])
         given_fraction = partial(conclude, given, _joined([columns[4] for columns in rows]))
-        ahead = settle_ahead(parts, body_count, partners.start_round, exchange, pace, given_fraction, clock, meanwhile)
+        ahead = resolve_ahead(parts, body_count, partners.start_round, exchange, pace, given_fraction, clock, meanwhile)
         if ahead is not None:
             work = work_of_counts(ahead.counts, ahead.secondary_contacts)
 
@@ -221,21 +221,21 @@ def settle_step(
                     part.learn(counts)
                     clock.add(search_seconds(counts))
 
-            return Settled(ahead.settlement, work, ahead.told, cache(learn))
+            return ResolvedStep(ahead.resolution, work, ahead.told, cache(learn))
     contacts = contacts_of_step(parts)
     # There may not have been room for all pairs.
     partners.look_among(pairs_of_step(parts))
     clock.add(search_seconds(contacts.stats))
     with clock.stage("respond"):
-        settlement = settle(contacts.pairs, toi_of(contacts), body_count, partners, exchange)
+        resolution = resolve_collisions(contacts.pairs, toi_of(contacts), body_count, partners, exchange)
     if pace is not None:
         pace.learn(len(partners.needed), lambda: partners.needed)
-    told = torch.tensor(work_of_stats(contacts.stats, settlement.secondary_contacts))
+    told = torch.tensor(work_of_stats(contacts.stats, resolution.secondary_contacts))
     told = told.to(device, non_blocking=True)
-    concluded = conclude(contacts.pairs, toi_of(contacts), settlement.fraction)
+    concluded = conclude(contacts.pairs, toi_of(contacts), resolution.fraction)
     with clock.stage("gather"):
         numbers = exchange.gather(torch.cat([told, concluded])).cpu().numpy()
-    return Settled(settlement, numbers[:, : len(WORK)], numbers[:, len(WORK) :], lambda: None)
+    return ResolvedStep(resolution, numbers[:, : len(WORK)], numbers[:, len(WORK) :], lambda: None)
 
 
 def _joined(columns: list[Tensor]) -> Tensor:

@@ -11,7 +11,7 @@ from pgccd.sim.runner import Run
 def totals(run: Run) -> dict[str, Any]:
     """Robots, steps, pcs and contacts of all steps together, and mean seconds a step."""
     return {
-        "robots": run.world.config.robots,
+        "robots": run.model.config.robots,
         "steps": run.steps_made,
         "pcs": _sum(run, "pcs"),
         "contacts": _sum(run, "contacts"),
@@ -21,7 +21,7 @@ def totals(run: Run) -> dict[str, Any]:
 
 def summary_lines(run: Run) -> list[str]:
     """A table: figure, value, what to compare it with."""
-    steps, robots = max(1, len(run.records)), run.world.config.robots
+    steps, robots = max(1, len(run.records)), run.model.config.robots
     pcs, contacts, stopped = _sum(run, "pcs"), _sum(run, "contacts"), _sum(run, "stopped")
     slowest = max((record["seconds"] for record in run.records), default=0.0)
     rows = [
@@ -48,7 +48,7 @@ def _sum(run: Run, name: str) -> Any:
 
 
 def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
-    """`world.html` and `world.png` of a run's last step.
+    """`model.html` and `model.png` of a run's last step.
 
     Returns:
         Their paths, by "page" and "picture".
@@ -58,18 +58,18 @@ def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
     """
     from pgccd import viz  # it knows this package: on loading, the other way round
 
-    kinds = ", ".join(f"{len(mesh.faces):,}" for mesh in run.world.meshes.meshes)
+    kinds = ", ".join(f"{len(mesh.faces):,}" for mesh in run.model.meshes.meshes)
     caption = [
-        f"{len(run.state):,} robots of {kinds} triangles, {run.world.config.pattern} world, after step {run.steps_made}"
+        f"{len(run.state):,} robots of {kinds} triangles, {run.model.config.pattern} model, after step {run.steps_made}"
     ]
     if run.last_step is None:
-        snapshot = viz.Snapshot.of_state(run.world, run.state, caption)
+        snapshot = viz.Snapshot.of_state(run.model, run.state, caption)
     else:
         record = run.last_step.record
         caption.append(f"{record['pcs']:,} potentially colliding pairs")
         caption.append(f"{record['contacts']:,} contacts, each with its time of impact")
         caption.append(f"{record['stopped']:,} robots stopped")
-        caption.append(f"{1e3 * record['seconds']:,.1f} ms for the step on {run.world.device.type}")
-        snapshot = viz.Snapshot.of_step(run.world, run.last_step, caption)
+        caption.append(f"{1e3 * record['seconds']:,.1f} ms for the step on {run.model.device.type}")
+        snapshot = viz.Snapshot.of_step(run.model, run.last_step, caption)
     page = viz.world_page(folder / "world.html", snapshot)
     return {"page": page, "picture": viz.world_picture(folder / "world.png", snapshot)}

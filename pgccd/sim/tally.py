@@ -13,7 +13,7 @@ from pgccd import ops
 from pgccd.capacity import COUNT_ROWS
 from pgccd.contacts import Stats
 from pgccd.sim.hashing import hashed_columns
-from pgccd.sim.world import RobotState
+from pgccd.sim.model import RobotState
 from pgccd.stages import StageClock
 
 #: (ranks, k) int64: a row for each rank.
@@ -100,7 +100,7 @@ class Tally:
             "state_hash": f"{self.state_hash:016x}",
             "stopped": self.stopped,
             "secondary_contacts": self.secondary_contacts,
-            "settle_rounds": rounds,
+            "resolution_rounds": rounds,
             "touching_at_t0": self.touching_at_t0,
             "candidates": self.candidates,
             "unresolved": self.unresolved,

@@ -31,7 +31,7 @@ def world_page(path: str | Path, snapshot: Snapshot) -> Path:
         The path.
 
     Example:
-        >>> pgccd.viz.world_page("world.html", pgccd.viz.Snapshot.of_step(world, step))
+        >>> pgccd.viz.world_page("model.html", pgccd.viz.Snapshot.of_step(model, step))
     """
     motion = snapshot.motion or _at_rest(snapshot)
     # The colliding ones first, then the others in a random order: any first part of the list is an even sample.

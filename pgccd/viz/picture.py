@@ -34,7 +34,7 @@ def world_picture(path: str | Path, snapshot: Snapshot) -> Path:
         ImportError: matplotlib is not installed.
 
     Example:
-        >>> pgccd.viz.world_picture("world.png", pgccd.viz.Snapshot.of_step(world, step))
+        >>> pgccd.viz.world_picture("model.png", pgccd.viz.Snapshot.of_step(model, step))
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

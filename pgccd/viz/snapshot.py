@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pgccd.mesh import Mesh
 from pgccd.narrow import Kind
-from pgccd.sim import RobotState, Step, World
+from pgccd.sim import Model, RobotState, Step
 from pgccd.sim.response import respond
 from pgccd.viz.raster import rotation_matrices
 
@@ -51,7 +51,7 @@ class Snapshot:
     """A world at one moment, as numpy arrays.
 
     Example:
-        >>> pgccd.viz.world_picture("world.png", pgccd.viz.Snapshot.of_step(world, step, ["After step 7"]))
+        >>> pgccd.viz.world_picture("model.png", pgccd.viz.Snapshot.of_step(model, step, ["After step 7"]))
     """
 
     meshes: list[Mesh]
@@ -65,33 +65,33 @@ class Snapshot:
     impact: Impact | None = None
 
     @classmethod
-    def of_state(cls, world: World, state: RobotState, caption: Sequence[str] = ()) -> Snapshot:
+    def of_state(cls, model: Model, state: RobotState, caption: Sequence[str] = ()) -> Snapshot:
         """A world between two steps; nobody is marked."""
         return cls(
-            world.meshes.meshes,
-            (state.id % len(world.meshes)).cpu().numpy(),
+            model.meshes.meshes,
+            (state.id % len(model.meshes)).cpu().numpy(),
             state.position.cpu().numpy(),
             state.orientation.cpu().numpy(),
             np.zeros(len(state), dtype=bool),
-            np.array(world.half_extent),
+            np.array(model.half_extent),
             list(caption),
         )
 
     @classmethod
-    def of_step(cls, world: World, step: Step, caption: Sequence[str] = ()) -> Snapshot:
+    def of_step(cls, model: Model, step: Step, caption: Sequence[str] = ()) -> Snapshot:
         """A world after a step, with the robots that collided in it."""
-        snapshot = cls.of_state(world, step.after, caption)
-        snapshot.colliding = step.settlement.stopped.cpu().numpy()
+        snapshot = cls.of_state(model, step.after, caption)
+        snapshot.colliding = step.resolution.stopped.cpu().numpy()
         before, contacts = step.before, step.contacts
         point = torch.zeros((0, 3)) if contacts.point is None else contacts.point
         columns = [before.position, before.orientation, before.velocity, before.angular_velocity]
-        columns += [step.settlement.fraction, before.id[contacts.pairs], step.toi, point]
+        columns += [step.resolution.fraction, before.id[contacts.pairs], step.toi, point]
         snapshot.motion = Motion(*(column.cpu().numpy() for column in columns))
-        snapshot.impact = _impact(world, step)
+        snapshot.impact = _impact(model, step)
         return snapshot
 
 
-def _impact(world: World, step: Step) -> Impact | None:
+def _impact(model: Model, step: Step) -> Impact | None:
     """The contact whose toi is nearest the middle of the step: there is something to see before and after it."""
     contacts = step.contacts
     if len(contacts) == 0:
@@ -103,8 +103,8 @@ def _impact(world: World, step: Step) -> Impact | None:
     whole = torch.ones_like(step.toi[row])
     moments = [respond(RobotState(**columns), part.repeat(2)) for part in (0.0 * whole, step.toi[row], whole)]
     ids = (int(columns["id"][0]), int(columns["id"][1]))
-    kinds = (ids[0] % len(world.meshes), ids[1] % len(world.meshes))
-    meshes = [world.meshes.meshes[kind] for kind in kinds]
+    kinds = (ids[0] % len(model.meshes), ids[1] % len(model.meshes))
+    meshes = [model.meshes.meshes[kind] for kind in kinds]
     kind = Kind(int(_row(contacts.kind, row)))
     features = _row(contacts.features, row).tolist()
     normal = _row(contacts.normal, row).cpu().numpy()

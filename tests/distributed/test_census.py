@@ -11,7 +11,7 @@ from support.shapes import tetrahedron
 from torch import Tensor
 
 from pgccd import sim
-from pgccd.distributed import Alone, Fleet, Partition, World, migrate, starting_share
+from pgccd.distributed import Alone, DistributedSimulation, Partition, World, migrate, starting_share
 from pgccd.distributed import world as world_module
 from pgccd.distributed.exchange import Columns, take_rows
 from pgccd.distributed.migrate import Census
@@ -71,15 +71,15 @@ def test_a_body_with_another_id(monkeypatch: pytest.MonkeyPatch) -> None:
         world.move(world.position)
 
 
-def test_a_fleet_notices() -> None:
+def test_a_simulation_notices() -> None:
     """Robots that are gone or there twice when a step begins."""
-    world = sim.World(sim.WorldConfig(robots=40, seed=1))
+    world = sim.Model(sim.ModelConfig(robots=40, seed=1))
     upper = world.half_extent
     for rows in (torch.arange(39), torch.cat([torch.arange(40), torch.tensor([39])])):
         comm = Alone()
         partition = Partition.uniform(tuple(-x for x in upper), upper, 1, cells=2)
-        fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
-        fleet.step(0)
-        fleet.state = sim.RobotState(**take_rows(fleet.state.columns, rows))
+        simulation = DistributedSimulation(comm, world, partition, starting_share(comm, world, partition))
+        simulation.step(0)
+        simulation.state = sim.RobotState(**take_rows(simulation.state.columns, rows))
         with pytest.raises(RuntimeError, match="expected 40 bodies"):
-            fleet.step(1)
+            simulation.step(1)

@@ -32,7 +32,7 @@ from pgccd.cli import main
 pytestmark = pytest.mark.ranks
 
 WORLD = ["--robots", "150", "--world", "skewed", "--seed", "4", "--no-pictures"]
-CONFIG = sim.WorldConfig(robots=150, pattern="skewed", seed=4)
+CONFIG = sim.ModelConfig(robots=150, pattern="skewed", seed=4)
 SIMULATE = ["-m", "pgccd", "simulate"]
 WHERE = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
 

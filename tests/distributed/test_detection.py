@@ -71,15 +71,15 @@ def find(comm: Comm, name: str, device: torch.device = torch.device("cpu")) -> l
             )
             hits = world.step(motion)
             expected_pairs = ids[whole.pairs]
-            concerned = torch.isin(expected_pairs, world.id.cpu()).any(dim=1)
+            affected = torch.isin(expected_pairs, world.id.cpu()).any(dim=1)
             if report == "earliest":
-                concerned[:] = True
+                affected[:] = True
             for column in COLUMNS:
                 expected, found = getattr(whole, column), getattr(hits, column)
                 if expected is None:
                     assert found is None
                     continue
-                expected = (expected_pairs if column == "pairs" else expected)[concerned]
+                expected = (expected_pairs if column == "pairs" else expected)[affected]
                 assert torch.equal(found.cpu(), expected), (report, seed, column)
             # What the ranks tested adds up to the whole, no pair twice.
             assert int(comm.sum(torch.tensor([len(world._found.pairs)]))) == whole.stats.pcs

@@ -72,7 +72,7 @@ def test_a_machine_joins_and_another_is_lost(tmp_path: Path) -> None:
     assert started[0].returncode == 0, output
     counts = [count for count, _ in itertools.groupby(sim.read_log(out), ranks_of)]
     assert counts == [1, 2, 1]
-    sim.run(sim.WorldConfig(robots=ROBOTS, seed=4), STEPS, tmp_path / "alone")
+    sim.run(sim.ModelConfig(robots=ROBOTS, seed=4), STEPS, tmp_path / "alone")
     assert hashes(out) == hashes(tmp_path / "alone")
 
 
@@ -101,11 +101,11 @@ def test_another_run_s_checkpoint_is_not_continued(tmp_path: Path, monkeypatch: 
     monkeypatch.setenv("TORCHELASTIC_RUN_ID", "run 7")
     options, comm = argparse.Namespace(resume=None), Alone()
     comm.restarted = True
-    sim.run(sim.WorldConfig(robots=20), 2, tmp_path)
+    sim.run(sim.ModelConfig(robots=20), 2, tmp_path)
     assert command.folder_to_resume(comm, options, tmp_path) is None
     command.begin_run(comm, tmp_path)
     assert command.folder_to_resume(comm, options, tmp_path) is None
-    sim.run(sim.WorldConfig(robots=20), 2, tmp_path)
+    sim.run(sim.ModelConfig(robots=20), 2, tmp_path)
     assert command.folder_to_resume(comm, options, tmp_path) == tmp_path
     # No restart was counted: a machine has joined; but the run is over.
     comm.restarted = False

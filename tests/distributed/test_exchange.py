@@ -88,9 +88,9 @@ def hand_over(comm: Comm) -> int:
     generator = torch.Generator().manual_seed(8)
     count, total = 300, 0
     position = torch.rand((count, 3), dtype=torch.float64, generator=generator)
-    holder = torch.randint(comm.size, (count,), generator=generator)
+    replica_rank = torch.randint(comm.size, (count,), generator=generator)
     for _ in range(3):
-        mine = torch.nonzero(holder == comm.rank)[:, 0]
+        mine = torch.nonzero(replica_rank == comm.rank)[:, 0]
         columns = {
             "mood": mine % 3 == 0,
             "id": 7 * mine - 500,
@@ -103,9 +103,9 @@ def hand_over(comm: Comm) -> int:
         assert list(found) == list(columns)
         assert torch.equal(found["id"], 7 * kept - 500) and torch.equal(found["mood"], kept % 3 == 0)
         assert torch.equal(found["x"], position[kept]) and found["nothing"].shape == (len(kept), 0)
-        assert arrived == int(((owner == comm.rank) & (holder != comm.rank)).sum())
+        assert arrived == int(((owner == comm.rank) & (replica_rank != comm.rank)).sum())
         total += arrived
-        holder = owner
+        replica_rank = owner
         position = torch.rand((count, 3), dtype=torch.float64, generator=generator) ** 2
     return total
 

@@ -12,7 +12,7 @@ from support.shapes import directions, tensors
 import pgccd
 from distributed.conftest import World
 from pgccd import ops, sim
-from pgccd.distributed import Alone, Comm, Fleet, Partition, starting_share
+from pgccd.distributed import Alone, Comm, DistributedSimulation, Partition, starting_share
 from pgccd.distributed.detection import detect_distributed
 from pgccd.distributed.share import Options
 from pgccd.stages import StageClock
@@ -63,12 +63,12 @@ def test_boxes_hold_their_bodies_and_are_tight(device: torch.device) -> None:
 
 
 def test_bad_poses_and_separations_are_named() -> None:
-    world = sim.World(sim.WorldConfig(robots=8))
-    state = world.start()
+    model = sim.Model(sim.ModelConfig(robots=8))
+    state = model.start()
     partition, own = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 1), {"id": state.id}
 
     def build(columns: dict[str, torch.Tensor]) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
-        return world.scene(columns["id"]), world.motion(state)
+        return model.scene(columns["id"]), model.motion(state)
 
     with pytest.raises(ValueError, match="^min_separation: "):
         detect_distributed(Alone(), partition, own, build, Options(min_separation=-1.0), StageClock())
@@ -78,9 +78,9 @@ def test_bad_poses_and_separations_are_named() -> None:
 
 
 def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:
-    world = sim.World(sim.WorldConfig(robots=50))
-    state = world.start()
-    motion = world.motion(state)
+    model = sim.Model(sim.ModelConfig(robots=50))
+    state = model.start()
+    motion = model.motion(state)
     rows = torch.tensor([4, 17, 33])
     columns = (motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation)
     part = pgccd.RigidMotion.from_rotation(*(column[rows] for column in columns))
@@ -94,14 +94,14 @@ def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:
 
 def spoil(comm: Comm) -> None:
     """A pose that is no number, on one rank: named there; no rank takes it for a body somewhere."""
-    world = sim.World(sim.WorldConfig(robots=60))
-    half = world.half_extent
+    model = sim.Model(sim.ModelConfig(robots=60))
+    half = model.half_extent
     partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
-    fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
+    simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition))
     if comm.rank == comm.size - 1:
-        fleet.state.position[3, 1] = torch.nan
+        simulation.state.position[3, 1] = torch.nan
         with pytest.raises(ValueError, match="^position: body 3|^position_t0: body 3"):
-            fleet.step(0)
+            simulation.step(0)
 
 
 def test_bad_poses_are_named_on_the_rank_that_has_them(ranks: World) -> None:

@@ -14,31 +14,31 @@ from torch import Tensor
 from distributed.conftest import World
 from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
 from pgccd import sim
-from pgccd.distributed import Comm, Fleet, Partition, halo_room, share, starting_share
+from pgccd.distributed import Comm, DistributedSimulation, Partition, halo_room, share, starting_share
 from pgccd.distributed.halo_room import Room, Sent, SentWithin
 
-ROOMS = ["ample", "usual", "exact", "none", "border"]
+ROOMS = ["ample", "usual", "exact", "none", "boundary"]
 
 
 def by_ranks(comm: Comm, rooms: str) -> tuple[list[dict[str, Any]], list[bool]]:
     """Records; and of each halo sent in a room, whether that was enough."""
-    world = sim.World(CONFIG)
-    half = world.half_extent
+    model = sim.Model(CONFIG)
+    half = model.half_extent
     partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
     enough: list[bool] = []
     wait, after = SentWithin.wait, Room.after
 
-    def watched(self: SentWithin, border_count: int) -> Sent | None:
-        sent = wait(self, border_count)
+    def watched(self: SentWithin, boundary_count: int) -> Sent | None:
+        sent = wait(self, boundary_count)
         enough.append(sent is not None)
         if sent is not None:  # in its place, whatever room there was
             assert sent.route.sent == sent.counts.tolist() and len(sent.route.rows) == sum(sent.route.sent)
-            assert len(sent.ghosts["id"]) == sum(sent.route.received) and len(sent.holders) == border_count
+            assert len(sent.ghosts["id"]) == sum(sent.route.received) and len(sent.replica_ranks) == boundary_count
         return sent
 
-    def cramped(sent: list[int], received: list[int], border: int) -> Room:
+    def cramped(sent: list[int], received: list[int], boundary: int) -> Room:
         """One rank looks at fewer of its own bodies than it should."""
-        return replace(after(sent, received, border), border=border // 2 if comm.rank == 0 else border)
+        return replace(after(sent, received, boundary), boundary=boundary // 2 if comm.rank == 0 else boundary)
 
     functions = {"ample": lambda count: 4 * count + 500, "exact": lambda count: count, "none": lambda _: 0}
     patches = [
@@ -47,13 +47,13 @@ def by_ranks(comm: Comm, rooms: str) -> tuple[list[dict[str, Any]], list[bool]]:
     ]
     if rooms in functions:
         patches.append(mock.patch.object(halo_room, "_room", functions[rooms]))
-    if rooms == "border":
+    if rooms == "boundary":
         patches.append(mock.patch.object(Room, "after", cramped))
     with ExitStack() as stack:
         for patch in patches:
             stack.enter_context(patch)
-        fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
-        records = [without_times(fleet.step(index).record) for index in range(STEPS)]
+        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition))
+        records = [without_times(simulation.step(index).record) for index in range(STEPS)]
     return records, enough
 
 
@@ -80,7 +80,7 @@ def test_room_is_for_more_than_there_were() -> None:
     room = Room.after([0, 1, 1000], [3, 0, 5_000_000], 12)
     assert room.sent[0] == 0 and room.received[1] == 0  # no neighbours
     for size, count in zip(
-        [*room.sent[1:], room.received[0], room.received[2], room.border], [1, 1000, 3, 5_000_000, 12], strict=True
+        [*room.sent[1:], room.received[0], room.received[2], room.boundary], [1, 1000, 3, 5_000_000, 12], strict=True
     ):
         assert 1.25 * count <= size <= 1.25 * count + 320
 

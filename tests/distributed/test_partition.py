@@ -51,7 +51,7 @@ def test_cells_are_monotone_and_hold_every_point(data: st.DataObject) -> None:
 
 
 @given(counts, st.tuples(*[st.floats(0.1, 100.0)] * 3), st.integers(1, 3))
-def test_subspaces_multiply_up_and_have_the_least_surface(ranks: int, extent: tuple, axes: int) -> None:
+def test_subdomains_multiply_up_and_have_the_least_surface(ranks: int, extent: tuple, axes: int) -> None:
     chosen = factorise(ranks, extent, axes)
     assert math.prod(chosen) == ranks
     if axes == 1:
@@ -69,14 +69,14 @@ def test_subspaces_multiply_up_and_have_the_least_surface(ranks: int, extent: tu
 
 
 def test_the_paper_s_decomposition() -> None:
-    """n subspaces of m x m cells in X-Y, each at first its rank's; points outside belong to the border."""
+    """n subdomains of m x m cells in X-Y, each at first its rank's; points outside belong to the boundary."""
     partition = Partition.uniform((0.0, 0.0, 0.0), (8.0, 8.0, 8.0), 8, cells=4)
-    assert partition.subspaces == (2, 2, 2) and partition.grid == (8, 8, 2)
+    assert partition.subdomains == (2, 2, 2) and partition.grid == (8, 8, 2)
     assert torch.bincount(partition.owner).tolist() == [16] * 8
     points = torch.tensor([[1.0, 1.0, 1.0], [1.0, 1.0, 7.0], [7.0, 1.0, 1.0], [-1e9, 9e9, -5.0], [1e150, 4.0, 8.0]])
     assert partition.owner_of(points).tolist() == [0, 1, 4, 2, 7]
     slabs = Partition.uniform((0.0, 0.0, 0.0), (1.0, 5.0, 1.0), 4, axes=1, cells=1)
-    assert slabs.subspaces == (1, 4, 1)
+    assert slabs.subdomains == (1, 4, 1)
 
 
 @pytest.mark.parametrize(

@@ -60,18 +60,18 @@ def test_contacts_of_pgccd(world: World, name: str) -> None:
 
 
 def compare_robots(comm: Comm, pattern: str) -> int:
-    """The evaluation's own world, each rank bringing a block of robots; returns the number of contacts of all."""
-    world = sim.World(sim.WorldConfig(robots=120, pattern=pattern, spacing=2.05, speed=0.15))
-    state, contacts = world.start(), 0
-    scene = world.scene(state.id)
+    """The evaluation's own model, each rank bringing a block of robots; returns the number of contacts of all."""
+    model = sim.Model(sim.ModelConfig(robots=120, pattern=pattern, spacing=2.05, speed=0.15))
+    state, contacts = model.start(), 0
+    scene = model.scene(state.id)
     begin, end = (rank * len(state) // comm.size for rank in (comm.rank, comm.rank + 1))
     mine = torch.arange(begin, end)
-    baseline = PCCCD(world.meshes.meshes, comm=comm)
+    baseline = PCCCD(model.meshes.meshes, comm=comm)
     for index in range(8):
-        step = sim.make_step(world, scene, state, index)
+        step = sim.make_step(model, scene, state, index)
         state, whole = step.after, step.contacts
         before = sim.RobotState(**{name: column[mine] for name, column in step.before.columns.items()})
-        motion = world.motion(before)
+        motion = model.motion(before)
         hits = baseline.detect(motion, mine, scene.mesh_index[mine])
         told = torch.isin(whole.pairs, mine).any(dim=1)
         for column in COLUMNS:

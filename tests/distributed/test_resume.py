@@ -10,18 +10,27 @@ import torch
 
 from distributed.conftest import World
 from pgccd import sim
-from pgccd.distributed import BalanceOptions, Comm, Fleet, FleetOptions, Partition, resume, run, runner
+from pgccd.distributed import (
+    BalanceOptions,
+    Comm,
+    DistributedOptions,
+    DistributedSimulation,
+    Partition,
+    resume,
+    run,
+    runner,
+)
 from pgccd.distributed.checkpoint import read_owners
 
-CONFIG = sim.WorldConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
+CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
 
 
 def go_on(comm: Comm, folder: str) -> list[dict[str, Any]]:
     """Six steps, then two more; returns the log."""
     eager = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0)
-    options = FleetOptions(cells=4, balance=eager)
+    options = DistributedOptions(cells=4, balance=eager)
     run(comm, CONFIG, 6, folder, options=options)
-    half = sim.World(CONFIG).half_extent
+    half = sim.Model(CONFIG).half_extent
     lower = tuple(-x for x in half)
     start = Partition.uniform(lower, half, comm.size, cells=4)
     owners = read_owners(Path(folder), start)
@@ -31,12 +40,12 @@ def go_on(comm: Comm, folder: str) -> list[dict[str, Any]]:
 
     began = []
 
-    def begin(comm: Comm, world: sim.World, partition: Partition, *rest: Any) -> Fleet:
+    def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> DistributedSimulation:
         began.append(partition)
-        return Fleet(comm, world, partition, *rest)
+        return DistributedSimulation(comm, model, partition, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "Fleet", begin)
+        patch.setattr(runner, "DistributedSimulation", begin)
         finished = resume(comm, folder, 8, options=options)
     assert torch.equal(began[0].owner, torch.tensor(owners))
     return finished.records

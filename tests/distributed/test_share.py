@@ -12,10 +12,10 @@ from distributed.conftest import World
 from pgccd import parts as parts_module
 from pgccd import sim
 from pgccd.capacity import EXACTLY, Capacity
-from pgccd.distributed import Comm, Fleet, Partition, starting_share
+from pgccd.distributed import Comm, DistributedSimulation, Partition, starting_share
 from pgccd.parts import Part
 
-CONFIG = sim.WorldConfig(robots=150, speed=0.3, spin=0.5, seed=3)
+CONFIG = sim.ModelConfig(robots=150, speed=0.3, spin=0.5, seed=3)
 STEPS = 14
 PLENTY = Capacity.guess(600)
 ROOMS = {
@@ -32,11 +32,11 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def by_one_process() -> list[dict[str, Any]]:
-    world = sim.World(CONFIG)
-    state, records = world.start(), []
-    scene = world.scene(state.id)
+    model = sim.Model(CONFIG)
+    state, records = model.start(), []
+    scene = model.scene(state.id)
     for index in range(STEPS):
-        step = sim.make_step(world, scene, state, index)
+        step = sim.make_step(model, scene, state, index)
         state = step.after
         records.append(without_times(step.record))
     return records
@@ -44,8 +44,8 @@ def by_one_process() -> list[dict[str, Any]]:
 
 def by_ranks(comm: Comm, room: str, ahead: bool) -> tuple[list[dict[str, Any]], int, int]:
     """Records; how often own pairs were found anew; and how many own parts were not searched in their room alone."""
-    world = sim.World(CONFIG)
-    half = world.half_extent
+    model = sim.Model(CONFIG)
+    half = model.half_extent
     partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
     renewed = searched = 0
 
@@ -67,8 +67,8 @@ def by_ranks(comm: Comm, room: str, ahead: bool) -> tuple[list[dict[str, Any]], 
 
     patches = {"_looks_ahead": lambda _: True, "expected_capacity": lambda *_, slack: ROOMS[room], "Part": Watched}
     with mock.patch.multiple(parts_module, **patches):
-        fleet = Fleet(comm, world, partition, starting_share(comm, world, partition), ahead=ahead)
-        made = [fleet.step(index) for index in range(STEPS)]
+        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition), ahead=ahead)
+        made = [simulation.step(index) for index in range(STEPS)]
     records = [without_times(step.record) for step in made]
     for step in made:
         found = step.detection

@@ -30,7 +30,7 @@ def log(folder: Path) -> Log:
 def single(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Log]:
     """Arguments, and the log of one process."""
     folder = tmp_path_factory.mktemp("single")
-    sim.run(sim.WorldConfig(robots=ROBOTS, pattern=request.param, seed=5), STEPS, folder)
+    sim.run(sim.ModelConfig(robots=ROBOTS, pattern=request.param, seed=5), STEPS, folder)
     steps = log(folder)
     assert sum(step["contacts"] for step in steps) > 5 * STEPS
     return [*SIMULATE, "--robots", str(ROBOTS), "--world", request.param], steps

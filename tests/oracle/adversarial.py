@@ -37,7 +37,7 @@ def random(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
 
 
 def coplanar(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
-    """All points in one moving plane throughout, with few distinct coordinates so that borders are often hit
+    """All points in one moving plane throughout, with few distinct coordinates so that boundaries are often hit
     exactly.
     """
     start, end = (rng.integers(-3, 4, (n, 4, 3)) * 1.0 for _ in range(2))
@@ -124,18 +124,18 @@ def one_point(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
 
 
 def near_miss(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
-    """Aimed at a border of the second primitive and off by 1e-15 .. 1e-6 of its size, either way."""
+    """Aimed at a boundary of the second primitive and off by 1e-15 .. 1e-6 of its size, either way."""
     points = rng.normal(size=(n, 4, 3))
     w = rng.random((n, 1))
-    border = (1 - w) * points[:, 2] + w * points[:, 3]
+    boundary = (1 - w) * points[:, 2] + w * points[:, 3]
     off = rng.normal(size=(n, 3)) * 10.0 ** rng.uniform(-15, -6, (n, 1))
     t = rng.random((n, 1, 1))
     velocity = rng.normal(size=(n, 4, 3))
     if is_face:
-        points[:, 0] = border + off
+        points[:, 0] = boundary + off
     else:
         along = points[:, 1] - points[:, 0]
-        points[:, 0] = border + off
+        points[:, 0] = boundary + off
         points[:, 1] = points[:, 0] + along
     return _unknown(points - t * velocity, points + (1 - t) * velocity, is_face, "near miss")
 

@@ -22,7 +22,7 @@ class Plan:
 
     turn: Callable[[np.random.Generator, int], np.ndarray]  # (n,) radians a step
     travel: float = 1.0
-    border: bool = False  # meet on a border of both features
+    boundary: bool = False  # meet on a boundary of both features
     graze: bool = False  # without a speed along the common normal
     off: tuple[float, float] | None = None  # and then miss by 10^-a .. 10^-b, either way
     pass_by: bool = False  # instead of meeting, at the distance that the caller names
@@ -37,7 +37,7 @@ def _up_to(most: float) -> Callable[[np.random.Generator, int], np.ndarray]:
 PLANS = {
     "random": Plan(_up_to(2.0), aimed=False),
     "meeting": Plan(_up_to(1.0)),
-    "borders": Plan(_up_to(1.0), border=True, off=(10.0, 1.0)),
+    "boundaries": Plan(_up_to(1.0), boundary=True, off=(10.0, 1.0)),
     "grazing": Plan(_up_to(2.0), graze=True, off=(9.0, 2.0)),
     "small turns": Plan(lambda rng, n: 10.0 ** -rng.uniform(2, 12, n), off=(10.0, 1.0)),
     "passing": Plan(_up_to(2.0), graze=True, pass_by=True),
@@ -54,15 +54,15 @@ def _directions(rng: np.random.Generator, n: int) -> np.ndarray:
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
-def _weights(rng: np.random.Generator, n: int, is_face: bool, border: bool) -> np.ndarray:
+def _weights(rng: np.random.Generator, n: int, is_face: bool, boundary: bool) -> np.ndarray:
     """(n, 4): of the four points, for a point of each primitive."""
     u, v = rng.uniform(0.02, 0.98, (2, n))
-    if border:  # a quarter each: edges' insides and ends
+    if boundary:  # a quarter each: edges' insides and ends
         u, v = np.where(rng.random(n) < 0.5, np.round(u), u), np.where(rng.random(n) < 0.5, np.round(v), v)
     if not is_face:
         return np.stack([1 - u, u, 1 - v, v], axis=1)
     v = v * (1 - u)
-    if border:
+    if boundary:
         v = np.where(rng.random(n) < 0.5, 0.0, 1 - u)
     return np.stack([np.ones(n), 1 - u - v, u, v], axis=1)
 
@@ -95,7 +95,7 @@ def motions(
     bodies = [Turning(still, q, still, w) for q, w in zip(quaternions, spins, strict=True)]
     t = rng.random(n)
     (x, vx), (y, vy) = (_turned(p, b, t) for p, b in zip((points[:, :count], points[:, count:]), bodies, strict=True))
-    weights = _weights(rng, n, is_face, plan.border)[:, :, None]
+    weights = _weights(rng, n, is_face, plan.boundary)[:, :, None]
     a, b = weights[:, :count], weights[:, count:]
     apart = (a * x).sum(axis=1) - (b * y).sum(axis=1)  # the second centre from the first, when they meet
     speed = (a * vx).sum(axis=1) - (b * vy).sum(axis=1)

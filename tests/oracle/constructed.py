@@ -42,18 +42,18 @@ def disguise(rng: np.random.Generator, start: np.ndarray, end: np.ndarray) -> tu
     return both[:, :4], both[:, 4:]
 
 
-def touching_points(rng: np.random.Generator, n: int, is_face: bool, on_border: bool) -> np.ndarray:
-    """(n, 4, 3): points in the plane z = 0 that touch, in their insides or (`on_border`) on a border, exactly."""
+def touching_points(rng: np.random.Generator, n: int, is_face: bool, on_boundary: bool) -> np.ndarray:
+    """(n, 4, 3): points in the plane z = 0 that touch, in their insides or (`on_boundary`) on a boundary, exactly."""
     points = np.zeros((n, 4, 3))
     if is_face:
         points[:, 1:, :2] = np.array([[-2, -2], [3, -1], [0, 3]]) + dyadic(rng, -0.5, 0.5, (n, 3, 2))
         u = dyadic(rng, 0.125, 0.5, (n,))
-        v = np.where(on_border, 0.0, dyadic(rng, 0.125, 0.375, (n,)))
+        v = np.where(on_boundary, 0.0, dyadic(rng, 0.125, 0.375, (n,)))
         e, f = points[:, 2] - points[:, 1], points[:, 3] - points[:, 1]
         points[:, 0] = points[:, 1] + u[:, None] * e + v[:, None] * f
     else:
         points[:, 2:, :2] = np.array([[-2, -1], [2, 1]]) + dyadic(rng, -0.5, 0.5, (n, 2, 2))
-        u = np.where(on_border, 0.0, dyadic(rng, 0.25, 0.75, (n,)))
+        u = np.where(on_boundary, 0.0, dyadic(rng, 0.25, 0.75, (n,)))
         w = dyadic(rng, 0.25, 0.75, (n,))
         meet = points[:, 2] + w[:, None] * (points[:, 3] - points[:, 2])
         along = np.array([-1.0, 2.0, 0.0]) + np.pad(dyadic(rng, -0.25, 0.25, (n, 2)), ((0, 0), (0, 1)))
@@ -63,11 +63,11 @@ def touching_points(rng: np.random.Generator, n: int, is_face: bool, on_border: 
 
 def contact_at(rng: np.random.Generator, n: int, is_face: bool, when: float | None = None) -> Queries:
     """The first primitive passes straight through the second, at a dyadic time (or exactly at `when`), half on a
-    border.
+    boundary.
     """
     points = touching_points(rng, n, is_face, False)
-    border = touching_points(rng, n, is_face, True)
-    points = np.where((np.arange(n) % 2 == 1)[:, None, None], border, points)
+    boundary = touching_points(rng, n, is_face, True)
+    points = np.where((np.arange(n) % 2 == 1)[:, None, None], boundary, points)
     toi = rng.integers(1, 32, n) / 32.0 if when is None else np.full(n, when)
     speed = dyadic(rng, 1, 3, (n,))
     first = slice(0, 1) if is_face else slice(0, 2)

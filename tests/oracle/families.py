@@ -89,9 +89,9 @@ def _velocity(rng: np.random.Generator, n: int, axis: int) -> np.ndarray:
 
 
 def crossing(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """Straight through, at a dyadic time, half of them on a border."""
-    border = (np.arange(n) % 2 == 0)[:, None, None]
-    points = np.where(border, touching_points(rng, n, is_face, True), touching_points(rng, n, is_face, False))
+    """Straight through, at a dyadic time, half of them on a boundary."""
+    boundary = (np.arange(n) % 2 == 0)[:, None, None]
+    points = np.where(boundary, touching_points(rng, n, is_face, True), touching_points(rng, n, is_face, False))
     toi, velocity = _times(rng, n), _velocity(rng, n, 2)
     return Family(*_passing(rng, points, velocity, toi, is_face), toi)
 
@@ -144,7 +144,7 @@ def graze(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
 def _facing(rng: np.random.Generator, n: int, is_face: bool) -> np.ndarray:
     """(n, 4, 3): the first primitive in x <= 0, the second in x >= 0, which meet in the plane x = 0 in one point.
 
-    Of the second primitive a corner, a border's inside, or all of it lies in that plane; of the first, an end, or for
+    Of the second primitive a corner, a boundary's inside, or all of it lies in that plane; of the first, an end, or for
     an eighth all of it.
     """
     points = dyadic(rng, -2, 2, (n, 4, 3))
@@ -168,7 +168,7 @@ def _facing(rng: np.random.Generator, n: int, is_face: bool) -> np.ndarray:
 
 
 def facing(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """Corners and borders that meet: point on point, point on edge, point in face, edge on edge."""
+    """Corners and boundaries that meet: point on point, point on edge, point in face, edge on edge."""
     points, toi = _facing(rng, n, is_face), _times(rng, n)
     return Family(*_passing(rng, points, _velocity(rng, n, 0), toi, is_face), toi)
 
@@ -221,7 +221,7 @@ def shared(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family
 
 
 def one_unit(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """Passes a border one unit in the last place outside of it, on it, or one inside."""
+    """Passes a boundary one unit in the last place outside of it, on it, or one inside."""
     off = rng.integers(-1, 2, n)
     x = np.where(off < 0, 1.0 - 2.0**-bits, 1.0 + off * 2.0 ** (1 - bits))
     y, toi, one = dyadic(rng, -1, 1, (n,)), _times(rng, n), np.ones(n)
@@ -298,13 +298,13 @@ def far_away(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Fami
     return _unknown(start, end)
 
 
-def near_border(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """Aimed at a border of the second primitive and off by 1e-10 .. 1e-2 of its size, either way."""
+def near_boundary(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
+    """Aimed at a boundary of the second primitive and off by 1e-10 .. 1e-2 of its size, either way."""
     points, velocity = rng.normal(size=(2, n, 4, 3))
     w, t = rng.random((n, 1)), rng.random((n, 1, 1))
     off = rng.normal(size=(n, 3)) * 10.0 ** rng.uniform(-10 if bits > 24 else -5, -2, (n, 1))
-    border = (1 - w) * points[:, 2] + w * points[:, 3] + off
-    points[:, _first(is_face)] += (border - points[:, 0])[:, None]
+    boundary = (1 - w) * points[:, 2] + w * points[:, 3] + off
+    points[:, _first(is_face)] += (boundary - points[:, 0])[:, None]
     return _unknown(points - t * velocity, points + (1 - t) * velocity)
 
 
@@ -367,7 +367,7 @@ UNKNOWN: dict[str, Maker] = {
     "random needles": random_needles,
     "random fast": random_fast,
     "far away": far_away,
-    "near border": near_border,
+    "near boundary": near_boundary,
     "passing": passing,
 }
 # Degenerate ones of which most are beyond the batch oracle, for small numbers.

@@ -66,7 +66,7 @@ def test_what_is_not_degenerate_is_decided_and_timed(name: str, is_face: bool) -
     for kept in (0.0, family.separation or 0.01):
         found = batch.first_within(StraightPaths(family.points_t0, family.points_t1, is_face), kept)
         yes = found.status == YES
-        assert (found.status == CLOSE).mean() < (0.02 if name in ("random needles", "near border") else 1e-3)
+        assert (found.status == CLOSE).mean() < (0.02 if name in ("random needles", "near boundary") else 1e-3)
         assert (found.status == NO).any() and yes.sum() > 5
         assert np.quantile(found.toi_upper[yes] - found.toi_lower[yes], 0.95) < 1e-9
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from pgccd.sim import World, WorldConfig, contacts_hash, state_hash
+from pgccd.sim import Model, ModelConfig, contacts_hash, state_hash
 from pgccd.sim.hashing import id_hash
+from pgccd.sim.model import RobotState
 from pgccd.sim.tally import count_step
-from pgccd.sim.world import RobotState
 
 PAIRS = torch.tensor([[0, 5], [1, 2**40], [3, 4]])
 TOI = torch.tensor([0.5, 0.25, 1.0], dtype=torch.float64)
@@ -49,7 +49,7 @@ def test_sees_every_bit_and_every_pairing() -> None:
 
 
 def test_state_hash_sees_pose_and_velocity_but_not_order() -> None:
-    state = World(WorldConfig(robots=50)).start()
+    state = Model(ModelConfig(robots=50)).start()
     whole = state_hash(state)
     shuffled = RobotState(**{name: column.flip(0) for name, column in state.columns.items()})
     assert state_hash(shuffled) == whole
@@ -60,8 +60,8 @@ def test_state_hash_sees_pose_and_velocity_but_not_order() -> None:
 
 
 def test_tally_of_a_step_is_the_sum_of_its_parts(device: torch.device) -> None:
-    world = World(WorldConfig(robots=1000, seed=5))
-    state = world.start()
+    model = Model(ModelConfig(robots=1000, seed=5))
+    state = model.start()
     generator = torch.Generator().manual_seed(2)
     fraction = torch.rand(1000, dtype=torch.float64, generator=generator).mul_(3.0).clamp_(max=1.0)
     id = torch.randperm(5000, generator=generator) + 2**40

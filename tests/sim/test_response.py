@@ -14,8 +14,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
 from pgccd import ops
-from pgccd.sim import World, WorldConfig, first_collisions, make_step, respond, settle
-from pgccd.sim.world import RobotState
+from pgccd.sim import Model, ModelConfig, first_collisions, make_step, resolve_collisions, respond
+from pgccd.sim.model import RobotState
 
 
 def test_first_collisions_takes_the_smallest_of_each_body() -> None:
@@ -25,41 +25,41 @@ def test_first_collisions_takes_the_smallest_of_each_body() -> None:
     assert first_collisions(pairs[:0], toi[:0], 2).tolist() == [torch.inf, torch.inf]
 
 
-def two_robots(distance: float) -> tuple[World, RobotState]:
+def two_robots(distance: float) -> tuple[Model, RobotState]:
     """Two robots that fly at each other along x."""
-    world = World(WorldConfig(robots=2, speed=0.01))
-    state = world.start()
+    model = Model(ModelConfig(robots=2, speed=0.01))
+    state = model.start()
     state.position = torch.tensor([[0.0, 0.0, 0.0], [distance, 0.0, 0.0]], dtype=torch.float64)
     state.orientation = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64)
     state.velocity = torch.tensor([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], dtype=torch.float64)
     state.angular_velocity = torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
-    return world, state
+    return model, state
 
 
 def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
-    world, state = two_robots(3.0)
-    scene = world.scene(state.id)
-    hits = pgccd.detect(scene, world.motion(state), nonzero_toi=True)
+    model, state = two_robots(3.0)
+    scene = model.scene(state.id)
+    hits = pgccd.detect(scene, model.motion(state), nonzero_toi=True)
     assert len(hits) == 1 and hits.toi is not None and 0.0 < hits.toi[0] < 1.0
 
     def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
         if not bool(anybody):
             return None
-        found = pgccd.detect(scene, world.motion(state, fraction), nonzero_toi=True)
+        found = pgccd.detect(scene, model.motion(state, fraction), nonzero_toi=True)
         assert found.toi is not None
         return found.pairs, found.toi
 
-    settled = settle(hits.pairs, hits.toi, 2, find)
-    assert settled.fraction.tolist() == [0.99 * float(hits.toi[0])] * 2
-    assert (settled.rounds, settled.secondary_contacts) == (1, 0)
-    after = respond(state, settled.fraction)
+    resolved = resolve_collisions(hits.pairs, hits.toi, 2, find)
+    assert resolved.fraction.tolist() == [0.99 * float(hits.toi[0])] * 2
+    assert (resolved.rounds, resolved.secondary_contacts) == (1, 0)
+    after = respond(state, resolved.fraction)
     assert torch.equal(after.velocity, -state.velocity)
     assert torch.equal(after.angular_velocity, -state.angular_velocity)
-    assert torch.equal(after.position, state.position + settled.fraction[:, None] * state.velocity)
-    angle = 0.1 * float(settled.fraction[0])
+    assert torch.equal(after.position, state.position + resolved.fraction[:, None] * state.velocity)
+    angle = 0.1 * float(resolved.fraction[0])
     assert after.orientation[0].tolist() == pytest.approx([np.cos(angle / 2), np.sin(angle / 2), 0.0, 0.0], abs=1e-15)
     # On the way back they are free.
-    assert len(pgccd.detect(scene, world.motion(after), nonzero_toi=True)) == 0
+    assert len(pgccd.detect(scene, model.motion(after), nonzero_toi=True)) == 0
 
 
 def test_a_robot_stops_for_one_that_stopped_in_its_way() -> None:
@@ -73,11 +73,11 @@ def test_a_robot_stops_for_one_that_stopped_in_its_way() -> None:
             return torch.tensor([[1, 2]]), torch.tensor([0.5], dtype=torch.float64)
         return torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
 
-    settled = settle(torch.tensor([[0, 1]]), torch.tensor([0.4], dtype=torch.float64), 4, find)
+    resolved = resolve_collisions(torch.tensor([[0, 1]]), torch.tensor([0.4], dtype=torch.float64), 4, find)
     assert [changed for changed, _ in asked] == [[True, True, False, False], [False, True, True, False]]
-    assert settled.fraction.tolist() == pytest.approx([0.99 * 0.4, 0.99 * 0.4 * 0.99 * 0.5, 0.99 * 0.5, 1.0])
-    assert settled.stopped.tolist() == [True, True, True, False]
-    assert (settled.rounds, settled.secondary_contacts) == (2, 1)
+    assert resolved.fraction.tolist() == pytest.approx([0.99 * 0.4, 0.99 * 0.4 * 0.99 * 0.5, 0.99 * 0.5, 1.0])
+    assert resolved.stopped.tolist() == [True, True, True, False]
+    assert (resolved.rounds, resolved.secondary_contacts) == (2, 1)
 
 
 def test_settling_ends_even_where_contacts_never_cease() -> None:
@@ -86,16 +86,18 @@ def test_settling_ends_even_where_contacts_never_cease() -> None:
             return None
         return torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.9], dtype=torch.float64)
 
-    settled = settle(*find(*[torch.ones(1)] * 3), 4, find)
-    assert settled.fraction.tolist() == [0.0, 0.0, 0.0, 1.0]
-    assert settled.rounds < 10
+    resolved = resolve_collisions(*find(*[torch.ones(1)] * 3), 4, find)
+    assert resolved.fraction.tolist() == [0.0, 0.0, 0.0, 1.0]
+    assert resolved.rounds < 10
 
 
 def test_robots_that_could_hardly_move_stay() -> None:
     nobody = torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
     touching = torch.tensor([1e-3, 0.5], dtype=torch.float64)
-    settled = settle(torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *asked: nobody if bool(asked[2]) else None)
-    assert settled.fraction.tolist() == [0.0, 0.0, 0.99 * 0.5, 0.99 * 0.5]
+    resolved = resolve_collisions(
+        torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *asked: nobody if bool(asked[2]) else None
+    )
+    assert resolved.fraction.tolist() == [0.0, 0.0, 0.99 * 0.5, 0.99 * 0.5]
 
 
 def pierces(edges: np.ndarray, triangles: np.ndarray) -> bool:
@@ -112,17 +114,17 @@ def pierces(edges: np.ndarray, triangles: np.ndarray) -> bool:
     return bool((~apart & around).any())
 
 
-def overlapping_pairs(world: World, state: RobotState) -> list[tuple[int, int]]:
+def overlapping_pairs(model: Model, state: RobotState) -> list[tuple[int, int]]:
     """Pairs whose surfaces cross, by brute force in numpy, from the poses alone."""
     from pgccd.viz.raster import rotation_matrices
 
-    mesh = world.meshes.meshes[0]
+    mesh = model.meshes.meshes[0]
     rotation = rotation_matrices(state.orientation.numpy())
     vertices = np.einsum("bij,vj->bvi", rotation, mesh.vertices.numpy()) + state.position.numpy()[:, None]
     faces, edges = mesh.faces.numpy(), mesh.edges.numpy()
     found = []
     distance = torch.cdist(state.position, state.position).numpy()
-    for i, j in zip(*np.nonzero(np.triu(distance < 2.0 * world.radius, 1)), strict=True):
+    for i, j in zip(*np.nonzero(np.triu(distance < 2.0 * model.radius, 1)), strict=True):
         low = np.maximum(vertices[i].min(axis=0), vertices[j].min(axis=0))
         high = np.minimum(vertices[i].max(axis=0), vertices[j].max(axis=0))
 
@@ -138,28 +140,28 @@ def overlapping_pairs(world: World, state: RobotState) -> list[tuple[int, int]]:
 
 @pytest.mark.parametrize("pattern", ["random", "skewed"])
 def test_robots_never_overlap(pattern: str) -> None:
-    # Fast robots in a small world, so that much happens in few steps.
-    world = World(WorldConfig(robots=64, pattern=pattern, speed=0.25, spin=0.5, seed=3))
-    scene, state, contacts = world.scene(world.start().id), world.start(), 0
+    # Fast robots in a small model, so that much happens in few steps.
+    model = Model(ModelConfig(robots=64, pattern=pattern, speed=0.25, spin=0.5, seed=3))
+    scene, state, contacts = model.scene(model.start().id), model.start(), 0
     for index in range(60):
-        step = make_step(world, scene, state, index)
+        step = make_step(model, scene, state, index)
         state = step.after
         contacts += step.record["contacts"]
         assert step.record["touching_at_t0"] == 0
     assert contacts > 100
-    assert overlapping_pairs(world, state) == []
+    assert overlapping_pairs(model, state) == []
     # The check itself sees overlap where there is some.
     state.position[1] = state.position[0] + torch.tensor([0.5, 0.1, 0.0], dtype=torch.float64)
-    assert (0, 1) in overlapping_pairs(world, state)
+    assert (0, 1) in overlapping_pairs(model, state)
 
 
 @pytest.mark.slow
 def test_collisions_do_not_pile_up() -> None:
-    world = World(WorldConfig(robots=125, speed=0.25))
-    scene, state = world.scene(world.start().id), world.start()
+    model = Model(ModelConfig(robots=125, speed=0.25))
+    scene, state = model.scene(model.start().id), model.start()
     stopped = []
     for index in range(160):
-        step = make_step(world, scene, state, index)
+        step = make_step(model, scene, state, index)
         state = step.after
         stopped.append(step.record["stopped"])
     early, late = np.mean(stopped[40:100]), np.mean(stopped[100:])
@@ -171,46 +173,46 @@ def test_collisions_do_not_pile_up() -> None:
 @given(st.integers(0, 999), st.integers(0, 20))
 def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> None:
     """To the bit, ghosts too; and what is found among their copies is what is found among all."""
-    world = World(WorldConfig(robots=60, speed=0.5, seed=seed))
-    state = world.plan(world.start(), 0)
+    model = Model(ModelConfig(robots=60, speed=0.5, seed=seed))
+    state = model.plan(model.start(), 0)
     generator = torch.Generator().manual_seed(seed)
     fraction = torch.rand(len(state), dtype=torch.float64, generator=generator)
-    pairs = pgccd.broad.find_pairs(pgccd.MovingBodies(world.scene(state.id), world.motion(state)))
-    slowed = world.motion(state, fraction)
+    pairs = pgccd.broad.find_pairs(pgccd.MovingBodies(model.scene(state.id), model.motion(state)))
+    slowed = model.motion(state, fraction)
     own_count = len(state) - ghost_count
     own = [column[:own_count] for column in state.moving_columns.values()]
     ghosts = [column[own_count:] for column in state.moving_columns.values()]
     everybody = torch.ones(len(state), dtype=torch.uint8)
-    _, bodies, _ = world.concerned_pairs(own, ghosts, fraction, everybody, pairs, len(pairs))
-    scene, motion = world.pair_motion(bodies)
+    _, bodies, _ = model.affected_pairs(own, ghosts, fraction, everybody, pairs, len(pairs))
+    scene, motion = model.pair_motion(bodies)
     for name in ("position_t0", "orientation_t0", "position_t1", "rotation"):
         assert torch.equal(getattr(motion, name), getattr(slowed, name)[pairs.reshape(-1)]), name
     copies = torch.arange(2 * len(pairs)).view(-1, 2)
     alone = pgccd.detect(scene, motion, pairs=copies)
-    among_all = pgccd.detect(world.scene(state.id), slowed, pairs=pairs)
+    among_all = pgccd.detect(model.scene(state.id), slowed, pairs=pairs)
     assert torch.equal(pairs[alone.pairs[:, 0] // 2], among_all.pairs)
     assert torch.equal(alone.toi, among_all.toi) and torch.equal(alone.features, among_all.features)
 
 
-def test_concerned_pairs_are_those_with_a_robot_that_changed(device: torch.device) -> None:
+def test_affected_pairs_are_those_with_a_robot_that_changed(device: torch.device) -> None:
     """And their robots move as they do among all, to the bit, in whatever order they are found."""
-    world = World(WorldConfig(robots=5000, seed=4))
-    state = world.plan(world.start(), 0)
+    model = Model(ModelConfig(robots=5000, seed=4))
+    state = model.plan(model.start(), 0)
     generator = torch.Generator().manual_seed(2)
     pairs = torch.randint(5000, (30_000, 2), generator=generator)
     pairs[::7] = -1
     changed = torch.rand(5000, generator=generator) < 0.05
     fraction = torch.rand(5000, dtype=torch.float64, generator=generator)
-    among_all = world.motion(state, fraction)
+    among_all = model.motion(state, fraction)
     expected = sorted(pairs[(pairs[:, 0] >= 0) & changed[pairs].any(dim=1)].tolist())
     count = len(expected)
     assert count > 2000
     columns = [column.to(device) for column in state.moving_columns.values()]
     own, ghosts = ([column[part] for column in columns] for part in (slice(0, 4100), slice(4100, None)))
     marks = changed.to(device).view(torch.uint8)
-    there = World(world.config, device=device)
+    there = Model(model.config, device=device)
     for room in (30_000, count, count - 1, 0):
-        found, bodies, counts = there.concerned_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), room)
+        found, bodies, counts = there.affected_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), room)
         written = min(count, room)
         assert counts.tolist() == [count, 0, 0, written, int(room < count), 0, 0]
         assert len(found) == room and all(len(column) == 2 * room for column in bodies)
@@ -221,15 +223,15 @@ def test_concerned_pairs_are_those_with_a_robot_that_changed(device: torch.devic
             assert sorted(found.tolist()) == expected
         robots = found.reshape(-1)
         mesh_index, position_t0, position_t1, _, orientation, rotation = (c[: 2 * written].cpu() for c in bodies)
-        assert torch.equal(mesh_index, (state.id % len(world.meshes))[robots].int())
+        assert torch.equal(mesh_index, (state.id % len(model.meshes))[robots].int())
         assert torch.equal(position_t0, among_all.position_t0[robots])
         assert torch.equal(position_t1, among_all.position_t1[robots])
         assert torch.equal(orientation, among_all.orientation_t0[robots])
         assert torch.equal(rotation, among_all.rotation[robots])
-    nothing = there.concerned_pairs(own, ghosts, fraction.to(device), marks, pairs[:0].to(device), 5)
+    nothing = there.affected_pairs(own, ghosts, fraction.to(device), marks, pairs[:0].to(device), 5)
     assert nothing[2].tolist() == [0] * 7
     with pytest.raises(RuntimeError, match=r"room: expected a number in \[0, 2\^31\), got -1"):
-        there.concerned_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), -1)
+        there.affected_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), -1)
 
 
 def test_slowing_down(device: torch.device) -> None:
@@ -311,6 +313,6 @@ def test_a_round_costs_in_proportion_to_its_contacts() -> None:
                 return None
             return torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.8], dtype=torch.float64)
 
-        settled = settle(torch.tensor([[0, 1]]), torch.tensor([0.5], dtype=torch.float64), count, find)
-    assert rounds == [count] * 4 and settled.secondary_contacts == 6
+        resolved = resolve_collisions(torch.tensor([[0, 1]]), torch.tensor([0.5], dtype=torch.float64), count, find)
+    assert rounds == [count] * 4 and resolved.secondary_contacts == 6
     assert watch.over_all == [] and watch.waits == []

@@ -16,12 +16,12 @@ import pgccd
 from pgccd.capacity import COUNT_ROWS, Capacity
 from pgccd.detect import find_contacts
 from pgccd.parts import Part
-from pgccd.sim import RobotState, World, WorldConfig, make_step, robot_mesh
+from pgccd.sim import Model, ModelConfig, RobotState, make_step, robot_mesh
 from pgccd.sim import partners as partners_module
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
-from pgccd.sim.response import OneRank, Settlement, settle
-from pgccd.sim.rounds import Ahead, Pace, settle_ahead
-from pgccd.sim.step import Settled, settle_step
+from pgccd.sim.response import OneRank, Resolution, resolve_collisions
+from pgccd.sim.rounds import Ahead, Pace, resolve_ahead
+from pgccd.sim.step import ResolvedStep, resolve_step
 from pgccd.sim.tally import WORK
 from pgccd.stages import StageClock
 
@@ -30,13 +30,13 @@ step_module = sys.modules["pgccd.sim.step"]
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5}
 
 
-def follow(config: WorldConfig, steps: int, ahead: bool, meshes: list[pgccd.Mesh] | None = None) -> list[Any]:
+def follow(config: ModelConfig, steps: int, ahead: bool, meshes: list[pgccd.Mesh] | None = None) -> list[Any]:
     """Every step's line of the log without its times, and the columns at the end."""
-    world = World(config, meshes)
-    state = world.start()
-    scene, records = world.scene(state.id), []
+    model = Model(config, meshes)
+    state = model.start()
+    scene, records = model.scene(state.id), []
     for index in range(steps):
-        step = make_step(world, scene, state, index, ahead=ahead)
+        step = make_step(model, scene, state, index, ahead=ahead)
         state = step.after
         records.append({name: value for name, value in step.record.items() if "seconds" not in name})
     return [*records, {name: column.tolist() for name, column in state.columns.items()}]
@@ -61,7 +61,7 @@ def test_same_bits_of_many_worlds(seed: int, pattern: str, kinds: int) -> None:
 def same_bits(seed: int, pattern: str, kinds: int) -> None:
     big = robot_mesh()
     meshes = [big, pgccd.Mesh(0.7 * big.vertices, big.faces, "centroid")][:kinds]
-    config = WorldConfig(pattern=pattern, seed=seed, **FAST)
+    config = ModelConfig(pattern=pattern, seed=seed, **FAST)
     assert follow(config, 12, True, meshes) == follow(config, 12, False, meshes)
 
 
@@ -69,7 +69,7 @@ def same_bits(seed: int, pattern: str, kinds: int) -> None:
 def test_steps_begun_before_the_outcome_of_the_last_is_known(
     device: torch.device, pattern: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    steps, in_vain, config = 40, 0, WorldConfig(pattern=pattern, seed=3, **FAST)
+    steps, discard, config = 40, 0, ModelConfig(pattern=pattern, seed=3, **FAST)
     expected = follow(config, steps, True)
     monkeypatch.setattr(step_module, "_begins_early", lambda _: True)
     begin_step, begun = step_module.begin_step, []
@@ -79,47 +79,47 @@ def test_steps_begun_before_the_outcome_of_the_last_is_known(
         return begin_step(*arguments)
 
     monkeypatch.setattr(step_module, "begin_step", watched)
-    world = World(config, device=device)
-    state, following = world.start(), None
-    scene = world.scene(state.id)
+    model = Model(config, device=device)
+    state, following = model.start(), None
+    scene = model.scene(state.id)
     for index in range(steps):
         more = index % 5 != 4
-        step = make_step(world, scene, state, index, ahead=True, begun=following, more=more)
+        step = make_step(model, scene, state, index, ahead=True, begun=following, more=more)
         assert more or step.next is None
         for name, value in step.record.items():
             # A GPU looks at other feature pairs on the way to the same contacts.
             if "seconds" not in name and (name != "candidates" or device.type == "cpu"):
                 assert value == expected[index][name]
-        in_vain += begun.count(index + 1) - (step.next is not None)
+        discard += begun.count(index + 1) - (step.next is not None)
         state, following = step.after, step.next
         if index == 21:  # another state, though the same to the bit
             state = RobotState(**state.columns)
     assert {name: column.tolist() for name, column in state.columns.items()} == expected[-1]
     # Steps 0, 22 and those after every fifth were begun when they were made; others before, some of them in vain.
-    assert in_vain > 0 and begun.count(0) == begun.count(25) == 1 and begun.count(22) >= 2
+    assert discard > 0 and begun.count(0) == begun.count(25) == 1 and begun.count(22) >= 2
 
 
 def test_an_invalid_state(device: torch.device) -> None:
-    world = World(WorldConfig(**FAST), device=device)
-    state, scene = world.start(), world.scene(world.start().id)
+    model = Model(ModelConfig(**FAST), device=device)
+    state, scene = model.start(), model.scene(model.start().id)
     for index in range(3):
-        state = make_step(world, scene, state, index).after
+        state = make_step(model, scene, state, index).after
     state.position = state.position.clone()
     state.position[17, 1] = torch.nan
     with pytest.raises(ValueError, match="position(_t0)?: body 17"):
-        make_step(world, scene, state, 3)
+        make_step(model, scene, state, 3)
 
 
 class AStep:
     """A step about to be made.
 
     Args:
-        world, state: the world and its robots as planned.
+        model, state: the world and its robots as planned.
     """
 
-    def __init__(self, world: World, state: RobotState) -> None:
-        self.world, self.state, self.count = world, state, len(state)
-        self.bodies = pgccd.MovingBodies(world.scene(state.id), world.motion(state))
+    def __init__(self, model: Model, state: RobotState) -> None:
+        self.model, self.state, self.count = model, state, len(state)
+        self.bodies = pgccd.MovingBodies(model.scene(state.id), model.motion(state))
         self.pairs = pgccd.broad.find_pairs(self.bodies)
         self.contacts = find_contacts(self.bodies, FIRST_CONTACTS, pairs=self.pairs)
 
@@ -127,39 +127,39 @@ class AStep:
         return [Part("all", FIRST_CONTACTS, self.bodies, self.pairs)]
 
     def partners(self) -> Partners:
-        return Partners(self.world, self.state.moving_columns, None, self.pairs)
+        return Partners(self.model, self.state.moving_columns, None, self.pairs)
 
-    def expected(self) -> Settlement:
-        return settle(self.contacts.pairs, toi_of(self.contacts), self.count, self.partners())
+    def expected(self) -> Resolution:
+        return resolve_collisions(self.contacts.pairs, toi_of(self.contacts), self.count, self.partners())
 
     def ahead(self, pace: Pace, exchange: OneRank | None = None, partners: Partners | None = None) -> Ahead | None:
         start_round, exchange = (partners or self.partners()).start_round, exchange or OneRank(self.pairs[:, 0])
-        return settle_ahead(self.parts(), self.count, start_round, exchange, pace, self.conclude, StageClock())
+        return resolve_ahead(self.parts(), self.count, start_round, exchange, pace, self.conclude, StageClock())
 
-    def settled(self, pace: Pace, partners: Partners | None = None, exchange: OneRank | None = None) -> Settled:
+    def resolved(self, pace: Pace, partners: Partners | None = None, exchange: OneRank | None = None) -> ResolvedStep:
         partners = partners or self.partners()
 
         def conclude(pairs: Tensor, toi: Tensor, fraction: Tensor) -> Tensor:
             return self.conclude(fraction)
 
-        return settle_step(self.parts(), self.count, partners, pace, conclude, StageClock(), exchange)
+        return resolve_step(self.parts(), self.count, partners, pace, conclude, StageClock(), exchange)
 
     @staticmethod
     def conclude(fraction: Tensor) -> Tensor:
         return (fraction < 1.0).sum().reshape(1)
 
 
-def same(found: Settlement, expected: Settlement) -> bool:
+def same(found: Resolution, expected: Resolution) -> bool:
     assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
     return torch.equal(found.fraction, expected.fraction)
 
 
 def a_step(seed: int, speed: float = 0.3, robots: int = 150) -> AStep:
-    world = World(WorldConfig(robots=robots, speed=speed, seed=seed))
-    state, scene = world.start(), world.scene(world.start().id)
+    model = Model(ModelConfig(robots=robots, speed=speed, seed=seed))
+    state, scene = model.start(), model.scene(model.start().id)
     for index in range(8):  # until they have left the lattice
-        state = make_step(world, scene, state, index).after
-    return AStep(world, world.plan(state, 8))
+        state = make_step(model, scene, state, index).after
+    return AStep(model, model.plan(state, 8))
 
 
 def many_rounds() -> AStep:
@@ -196,7 +196,7 @@ def test_wherever_a_batch_ends() -> None:
     for rounds in range(expected.rounds + 3):
         pace, exchange = paced(rounds, Capacity.guess(400, 200)), Gathers(step.pairs)
         found = step.ahead(pace, exchange)
-        assert found is not None and same(found.settlement, expected)
+        assert found is not None and same(found.resolution, expected)
         assert found.told.tolist() == [step.conclude(expected.fraction).tolist()]
         assert found.counts[:, :, COUNT_ROWS["contacts"]].tolist() == [[len(step.contacts)]]
         assert pace.rounds == max(rounds, expected.rounds)
@@ -216,8 +216,8 @@ def test_too_little_room_in_a_round() -> None:
         pace = paced(expected.rounds, pace=Tight())
         asked = step.partners()
         short.append(step.ahead(pace, partners=asked) is None)
-        found = step.settled(pace, asked)
-        assert same(found.settlement, expected)
+        found = step.resolved(pace, asked)
+        assert same(found.resolution, expected)
         # What each round needed has been learnt.
         assert pace.rounds == expected.rounds and len(asked.needed) == (expected.rounds if short[-1] else 0)
     assert all(short)
@@ -231,7 +231,7 @@ def test_too_little_room_for_the_whole_step(monkeypatch: pytest.MonkeyPatch) -> 
     assert step.ahead(pace) is None
     monkeypatch.setattr(detect_module, "EXACTLY", Capacity(0, len(step.contacts)))
     found = step.ahead(pace)
-    assert found is not None and same(found.settlement, expected)
+    assert found is not None and same(found.resolution, expected)
 
 
 def test_more_memory_than_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,7 +247,7 @@ def test_nobody_collides() -> None:
     pace = Pace()
     for waits in (2, 1):  # the first step waits for each round and at its end, the second for all together
         exchange = Gathers(step.pairs)
-        found = step.settled(pace, exchange=exchange).settlement
+        found = step.resolved(pace, exchange=exchange).resolution
         assert (found.rounds, found.secondary_contacts, exchange.count) == (0, 0, waits)
         assert bool((found.fraction == 1.0).all()) and pace.rounds == 0
 
@@ -257,19 +257,19 @@ def test_everybody_collides() -> None:
     tips = torch.tensor([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=torch.float64)
     faces = [[k, (k + 1) % 4, 4] for k in range(4)] + [[(k + 1) % 4, k, 5] for k in range(4)]
     octahedron = pgccd.Mesh(tips, torch.tensor(faces, dtype=torch.int32), "centroid")
-    world, random = World(WorldConfig(robots=64, speed=0.05), [octahedron]), torch.Generator().manual_seed(1)
-    state = world.start()
+    model, random = Model(ModelConfig(robots=64, speed=0.05), [octahedron]), torch.Generator().manual_seed(1)
+    state = model.start()
     state.velocity = 10.0 * state.velocity - state.position * (
         1.5 + 0.5 * torch.rand(64, 1, dtype=torch.float64, generator=random)
     )
-    step = AStep(world, state)
+    step = AStep(model, state)
     assert len(step.contacts.pairs.unique()) == len(state)
     pace = Pace()
-    first, second = (step.settled(pace) for _ in range(2))
-    assert same(second.settlement, first.settlement) and second.told.tolist() == first.told.tolist()
+    first, second = (step.resolved(pace) for _ in range(2))
+    assert same(second.resolution, first.resolution) and second.told.tolist() == first.told.tolist()
     contacts = WORK.index("contacts")
     assert second.work[0, contacts] == first.work[0, contacts] == len(step.contacts)
-    assert first.settlement.rounds >= 2 and first.settlement.secondary_contacts > 0
+    assert first.resolution.rounds >= 2 and first.resolution.secondary_contacts > 0
 
 
 class Calls(TorchDispatchMode):

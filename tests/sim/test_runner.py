@@ -18,9 +18,9 @@ from pgccd.sim import runner
 from pgccd.sim.files import CHECKPOINT_FILE, LOG_FILE, WORLD_FILE
 from pgccd.stages import StageClock
 
-CONFIG = sim.WorldConfig(robots=200, pattern="skewed", seed=11, speed=0.2)
+CONFIG = sim.ModelConfig(robots=200, pattern="skewed", seed=11, speed=0.2)
 FIELDS = {"step", "robots", "pcs", "contacts", "contacts_hash", "state_hash", "seconds", "stage_seconds", "candidates"}
-FIELDS |= {"unresolved", "touching_at_t0", "stopped", "secondary_contacts", "settle_rounds"}
+FIELDS |= {"unresolved", "touching_at_t0", "stopped", "secondary_contacts", "resolution_rounds"}
 
 
 def log(folder: Path) -> list[dict[str, Any]]:
@@ -56,7 +56,7 @@ def test_ids_are_kept(finished: tuple[Path, sim.Run]) -> None:
 def test_same_seed_same_run_other_seed_other_run(finished: tuple[Path, sim.Run], tmp_path: Path) -> None:
     again = sim.run(CONFIG, 24, tmp_path / "a")
     assert without_times(again.records) == without_times(finished[1].records)
-    other = sim.run(sim.WorldConfig(robots=200, pattern="skewed", seed=12, speed=0.2), 2, tmp_path / "b")
+    other = sim.run(sim.ModelConfig(robots=200, pattern="skewed", seed=12, speed=0.2), 2, tmp_path / "b")
     assert other.records[0]["state_hash"] != again.records[0]["state_hash"]
 
 

@@ -16,13 +16,13 @@ from pgccd.viz.raster import Camera, Canvas
 
 @pytest.fixture(scope="module")
 def snapshot() -> viz.Snapshot:
-    world = sim.World(sim.WorldConfig(robots=150, speed=0.25))
-    state = world.start()
-    scene = world.scene(state.id)
+    model = sim.Model(sim.ModelConfig(robots=150, speed=0.25))
+    state = model.start()
+    scene = model.scene(state.id)
     for index in range(12):
-        step = sim.make_step(world, scene, state, index)
+        step = sim.make_step(model, scene, state, index)
         state = step.after
-    return viz.Snapshot.of_step(world, step, ["A <title>", "figures"])
+    return viz.Snapshot.of_step(model, step, ["A <title>", "figures"])
 
 
 def test_canvas_draws_the_nearer_of_two_triangles_where_it_is() -> None:
@@ -82,8 +82,8 @@ def test_page_is_self_contained_and_holds_all_robots(snapshot: viz.Snapshot, tmp
 
 
 def test_a_world_between_steps_has_pictures_too(tmp_path: Path) -> None:
-    world = sim.World(sim.WorldConfig(robots=3))
-    still = viz.Snapshot.of_state(world, world.start())
+    model = sim.Model(sim.ModelConfig(robots=3))
+    still = viz.Snapshot.of_state(model, model.start())
     assert viz.world_page(tmp_path / "world.html", still).stat().st_size > 10_000
     pytest.importorskip("matplotlib")
     assert viz.world_picture(tmp_path / "world.png", still).stat().st_size > 10_000

@@ -9,15 +9,15 @@ import torch
 
 import pgccd
 from pgccd import ops
-from pgccd.sim import RobotState, World, WorldConfig, make_step, robot_mesh
-from pgccd.sim.world import lattice_cells
+from pgccd.sim import Model, ModelConfig, RobotState, make_step, robot_mesh
+from pgccd.sim.model import lattice_cells
 
 
-def drift(world: World, steps: int) -> list[RobotState]:
+def drift(model: Model, steps: int) -> list[RobotState]:
     """The planned states of a world in which nobody minds collisions."""
-    state, seen = world.start(), []
+    state, seen = model.start(), []
     for step in range(steps):
-        state = world.plan(state, step)
+        state = model.plan(state, step)
         seen.append(state)
         position, orientation, _, _ = ops.simulate_respond(
             list(state.columns.values()), torch.ones(len(state)).double()
@@ -29,16 +29,16 @@ def drift(world: World, steps: int) -> list[RobotState]:
 @pytest.mark.parametrize("robots", [1, 2, 7, 8, 9, 1000, 1729])
 @pytest.mark.parametrize("pattern", ["random", "skewed"])
 def test_no_volumes_overlap_at_the_start(robots: int, pattern: str) -> None:
-    world = World(WorldConfig(robots=robots, pattern=pattern, seed=robots))
-    state = world.start()
+    model = Model(ModelConfig(robots=robots, pattern=pattern, seed=robots))
+    state = model.start()
     distance = torch.cdist(state.position, state.position) + torch.eye(robots) * 9.0
-    assert distance.min() > 2.0 * world.radius
-    assert (state.position.abs() + world.radius < torch.tensor(world.half_extent)).all()
+    assert distance.min() > 2.0 * model.radius
+    assert (state.position.abs() + model.radius < torch.tensor(model.half_extent)).all()
     assert torch.allclose(state.orientation.norm(dim=1), torch.ones(robots, dtype=torch.float64), atol=1e-15)
 
 
 def test_sbvs_fill_a_quarter_of_the_box() -> None:
-    assert World(WorldConfig(robots=8000)).describe()["sbv_volume_fraction"] == pytest.approx(0.25, abs=0.001)
+    assert Model(ModelConfig(robots=8000)).describe()["sbv_volume_fraction"] == pytest.approx(0.25, abs=0.001)
 
 
 @pytest.mark.parametrize("robots", [1, 5, 63, 64, 65, 10_000, 123_456, 10_000_000])
@@ -50,23 +50,23 @@ def test_lattices_are_near_cubic_and_large_enough(robots: int) -> None:
 
 
 def test_a_part_of_the_robots_starts_as_in_the_whole() -> None:
-    world = World(WorldConfig(robots=1000, pattern="skewed"))
+    model = Model(ModelConfig(robots=1000, pattern="skewed"))
     some = torch.tensor([0, 3, 501, 999])
-    whole, part = world.start(), world.start(some)
+    whole, part = model.start(), model.start(some)
     for name, column in part.columns.items():
         assert torch.equal(column, whole.columns[name][some])
 
 
 @pytest.mark.parametrize("pattern", ["random", "skewed"])
 def test_steps_are_as_long_as_promised_and_end_inside(pattern: str) -> None:
-    world = World(WorldConfig(robots=500, pattern=pattern))
-    reach = torch.tensor(world.half_extent) - world.radius
+    model = Model(ModelConfig(robots=500, pattern=pattern))
+    reach = torch.tensor(model.half_extent) - model.radius
     lengths = []
-    for state in drift(world, 120):
+    for state in drift(model, 120):
         assert ((state.position + state.velocity).abs() <= reach).all()
         lengths.append(state.velocity.norm(dim=1))
         assert state.angular_velocity.norm(dim=1).max() <= 0.1 + 1e-12
-    moving = torch.cat(lengths) / world.radius
+    moving = torch.cat(lengths) / model.radius
     assert moving.max() <= 0.15 + 1e-12
     if pattern == "random":
         assert moving.min() >= 0.05 - 1e-12
@@ -74,35 +74,35 @@ def test_steps_are_as_long_as_promised_and_end_inside(pattern: str) -> None:
 
 
 def test_random_directions_are_uniform() -> None:
-    state = World(WorldConfig(robots=20_000)).start()
+    state = Model(ModelConfig(robots=20_000)).start()
     heading = state.velocity / state.velocity.norm(dim=1, keepdim=True)
     assert heading.mean(dim=0).abs().max() < 0.02
     assert (heading.T @ heading / len(state) - torch.eye(3) / 3).abs().max() < 0.02
 
 
 def test_skewed_robots_visit_corners_and_leave_again() -> None:
-    world = World(WorldConfig(robots=64, pattern="skewed", stay_steps=(10, 20)))
+    model = Model(ModelConfig(robots=64, pattern="skewed", stay_steps=(10, 20)))
     corner_distance, first_target, left = [], None, torch.zeros(64, dtype=torch.bool)
-    for state in drift(world, 400):
+    for state in drift(model, 400):
         first_target = state.target if first_target is None else first_target
         left |= state.target != first_target
         corner = torch.stack([(state.target >> axis & 1) * 2 - 1 for axis in range(3)], dim=1)
-        aim = corner * (torch.tensor(world.half_extent) - world.radius)
+        aim = corner * (torch.tensor(model.half_extent) - model.radius)
         staying = state.stay_until >= 0
         corner_distance.append((aim - state.position).norm(dim=1)[staying])
     assert first_target is not None and set(first_target.tolist()) == set(range(8))
     assert left.float().mean() > 0.9
-    assert torch.cat(corner_distance).median() < 0.4 * min(world.half_extent)
+    assert torch.cat(corner_distance).median() < 0.4 * min(model.half_extent)
 
 
 def test_kinds_are_dealt_out_in_turn() -> None:
     big = robot_mesh()
     small = pgccd.Mesh(0.5 * big.vertices, big.faces, "centroid")
-    world = World(WorldConfig(robots=9), [small, big])
-    assert world.radius == big.radius
-    assert world.scene(world.start().id).mesh_index.tolist() == [0, 1] * 4 + [0]
-    expected = (5 * 0.125 + 4) / 9 * World(WorldConfig(robots=9)).describe()["sbv_volume_fraction"]
-    assert world.describe()["sbv_volume_fraction"] == pytest.approx(expected, rel=1e-5)
+    model = Model(ModelConfig(robots=9), [small, big])
+    assert model.radius == big.radius
+    assert model.scene(model.start().id).mesh_index.tolist() == [0, 1] * 4 + [0]
+    expected = (5 * 0.125 + 4) / 9 * Model(ModelConfig(robots=9)).describe()["sbv_volume_fraction"]
+    assert model.describe()["sbv_volume_fraction"] == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -123,23 +123,23 @@ def test_kinds_are_dealt_out_in_turn() -> None:
 )
 def test_bad_configurations_name_the_field(wrong: dict, field: str) -> None:
     with pytest.raises(ValueError, match=f"^{field}: "):
-        WorldConfig(**wrong)
+        ModelConfig(**wrong)
 
 
 def test_operators_have_consistent_fake_kernels() -> None:
-    world = World(WorldConfig(robots=5, pattern="skewed"))
-    state = world.start()
+    model = Model(ModelConfig(robots=5, pattern="skewed"))
+    state = model.start()
     columns = list(state.columns.values())
     half = torch.full((5,), 0.5, dtype=torch.float64)
-    settings = (world._integers, world._scales)
+    settings = (model._integers, model._scales)
     torch.library.opcheck(torch.ops.pgccd.simulate_start, (state.id, *settings))
     torch.library.opcheck(torch.ops.pgccd.simulate_plan, (columns, 3, *settings))
     torch.library.opcheck(torch.ops.pgccd.simulate_respond, (columns, half))
     pairs, changed = torch.tensor([[0, 1], [1, 4], [-1, -1]]), torch.ones(5, dtype=torch.uint8)
     nobody = [column[:0] for column in columns[:5]]
     # All rows: those after the last pair are not set.
-    moving = (columns[:5], nobody, half, changed, pairs, world.meshes.radius, 2)
-    torch.library.opcheck(torch.ops.pgccd.simulate_concerned_motion, moving)
+    moving = (columns[:5], nobody, half, changed, pairs, model.meshes.radius, 2)
+    torch.library.opcheck(torch.ops.pgccd.simulate_affected_motion, moving)
     torch.library.opcheck(torch.ops.pgccd.simulate_slow_down, (state.id, half, half, 0.99, 0.01))
     nobody_yet = torch.zeros(1, dtype=torch.int64)
     slowing = (half.clone(), half.clone(), changed, nobody_yet, 0.99, 0.01)
@@ -149,13 +149,13 @@ def test_operators_have_consistent_fake_kernels() -> None:
 
 
 def test_results_do_not_depend_on_the_number_of_threads() -> None:
-    world = World(WorldConfig(robots=300, seed=5))
-    scene = world.scene(world.start().id)
+    model = Model(ModelConfig(robots=300, seed=5))
+    scene = model.scene(model.start().id)
 
     def hashes() -> list[tuple[str, str]]:
-        state, found = world.start(), []
+        state, found = model.start(), []
         for index in range(12):
-            step = make_step(world, scene, state, index)
+            step = make_step(model, scene, state, index)
             state = step.after
             found.append((step.record["contacts_hash"], step.record["state_hash"]))
         return found

@@ -25,7 +25,7 @@ EXACT_QUERIES = 64
 # Shares that the batch oracle may leave open where features touch over whole intervals or hardly at all; elsewhere 2 %.
 # One in 16 calls of "passing" has a tolerance, and so a clearance, below its rounding.
 UNDECIDED = {
-    "near border": 0.03,
+    "near boundary": 0.03,
     "passing": 0.08,
     "grid, coplanar": 0.9,
     "grid, parallel": 0.25,

@@ -94,7 +94,7 @@ def crowds() -> dict[str, Crowd]:
         "met in a third rank's cell": _crowd(1, third, to_third),
         "on corners of many cells": _crowd(2, corners, 0.2 * rng.normal(size=corners.shape), np.ones(len(corners))),
         "faster than cells": _crowd(3, spread, 4.0 * rng.normal(size=spread.shape), small),
-        "larger than subspaces": _crowd(4, spread[:25], 0.3 * rng.normal(size=(25, 3)), np.arange(25) % 8 // 3),
+        "larger than subdomains": _crowd(4, spread[:25], 0.3 * rng.normal(size=(25, 3)), np.arange(25) % 8 // 3),
         "all in one cell": _crowd(5, 0.2 + 0.2 * spread[:25], 0.3 * rng.normal(size=(25, 3)), small[:25]),
         "outside the box": _crowd(6, 3.0 * spread - 8.0, 2.0 * rng.normal(size=spread.shape)),
         "a terrain under all": _crowd(

@@ -13,7 +13,7 @@ import threading
 import torch
 
 from pgccd import sim
-from pgccd.distributed import Fleet, Partition, choose_device, connect, guard, starting_share
+from pgccd.distributed import DistributedSimulation, Partition, choose_device, connect, guard, starting_share
 
 RANK, STEP = 1, 3
 guard._GRACE_SECONDS = 2.0  # so that the test need not wait long
@@ -22,10 +22,10 @@ guard._GRACE_SECONDS = 2.0  # so that the test need not wait long
 def main(fault: str, kind: str, timeout: float) -> None:
     with connect(kind, "nccl" if kind == "cuda" else "gloo", timeout=timeout) as comm:
         device = choose_device(kind)
-        world = sim.World(sim.WorldConfig(robots=64), device=device)
-        upper = world.half_extent
+        model = sim.Model(sim.ModelConfig(robots=64), device=device)
+        upper = model.half_extent
         partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=2, device=device)
-        fleet = Fleet(comm, world, partition, starting_share(comm, world, partition))
+        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition))
         for index in range(10):
             if comm.rank == RANK and index == STEP:
                 if fault == "dies":
@@ -34,7 +34,7 @@ def main(fault: str, kind: str, timeout: float) -> None:
                     threading.Event().wait()
                 if fault == "memory":
                     raise torch.OutOfMemoryError("tried to allocate more than there is")
-            fleet.step(index)
+            simulation.step(index)
 
 
 main(sys.argv[1], sys.argv[2], float(sys.argv[3]))

@@ -1,8 +1,8 @@
-// The slowed-down motion of the two robots of each pair that is concerned, wherever the columns of each are.
+// The slowed-down motion of the two robots of each pair that is affected, wherever the columns of each are.
 #pragma once
 
 #include "kernels/simulate/robot.h"
-#include "kernels/simulate/settle_item.h"
+#include "kernels/simulate/resolution_item.h"
 
 namespace pgccd {
 
@@ -26,8 +26,8 @@ struct PairMotion {
   double* rotation;
 };
 
-struct ConcernedMotion {
-  ConcernedPairs concerned;
+struct AffectedMotion {
+  AffectedPairs affected;
   int64_t pair_count;
   MovingRobots own, ghosts;   // rows of ghosts follow those of own robots
   const double* fraction;     // (own + ghosts)
@@ -42,7 +42,7 @@ struct ConcernedMotion {
   // One robot of a pair that was found, as the `at`-th, if there is room for it.
   PGCCD_HD void store(int64_t pair, int side, int64_t at) const {
     if (at >= room) return;
-    const int64_t row = 2 * at + side, held = concerned.pairs[2 * pair + side];
+    const int64_t row = 2 * at + side, held = affected.pairs[2 * pair + side];
     pairs[row] = held;
     const bool is_ghost = held >= own.count;
     const MovingRobots& robots = is_ghost ? ghosts : own;

@@ -73,12 +73,12 @@ void first_toi_cpu(const Executor& executor, const FirstToiInput& contacts, doub
   }
 }
 
-void concerned_motion_cpu(const Executor& executor, const ConcernedMotion& given) {
+void affected_motion_cpu(const Executor& executor, const AffectedMotion& given) {
   require_rows(executor, given.pair_count, "pairs", "are padding, or name robots",
-               [&](int64_t pair) { return given.concerned.is_sound(pair); });
+               [&](int64_t pair) { return given.affected.is_sound(pair); });
   std::vector<int64_t> rows(static_cast<size_t>(given.pair_count));
   int64_t found = 0;
-  find_rows(executor, given.pair_count, rows.data(), &found, given.concerned);
+  find_rows(executor, given.pair_count, rows.data(), &found, given.affected);
   for_each_row(executor, found, [&](int64_t k) {
     for (int side = 0; side < 2; ++side) given.store(rows[static_cast<size_t>(k)], side, k);
   });

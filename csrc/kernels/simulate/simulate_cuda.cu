@@ -49,7 +49,7 @@ struct FoundPairs {
 // many, then all its threads have work.
 constexpr int kTilePairs = 8 * kBlockThreads;
 
-__global__ void __launch_bounds__(kBlockThreads) concerned_motion(ConcernedMotion given, FoundPairs* found) {
+__global__ void __launch_bounds__(kBlockThreads) affected_motion(AffectedMotion given, FoundPairs* found) {
   __shared__ int32_t tile[kTilePairs];
   __shared__ uint32_t count, first;
   const int64_t stride = static_cast<int64_t>(gridDim.x) * kTilePairs;
@@ -58,8 +58,8 @@ __global__ void __launch_bounds__(kBlockThreads) concerned_motion(ConcernedMotio
     __syncthreads();
     const int pairs = static_cast<int>(smaller<int64_t>(kTilePairs, given.pair_count - begin));
     for (int k = threadIdx.x; k < pairs; k += kBlockThreads) {
-      require_on_device(given.concerned.is_sound(begin + k), "pairs: expected padding, or robots");
-      if (given.concerned(begin + k)) tile[warp_append(&count, 1)] = k;
+      require_on_device(given.affected.is_sound(begin + k), "pairs: expected padding, or robots");
+      if (given.affected(begin + k)) tile[warp_append(&count, 1)] = k;
     }
     __syncthreads();
     if (threadIdx.x == 0) first = atomicAdd(&found->count, count);
@@ -137,13 +137,13 @@ void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts,
   });
 }
 
-void concerned_motion_cuda(const DeviceContext& context, const ConcernedMotion& given) {
+void affected_motion_cuda(const DeviceContext& context, const AffectedMotion& given) {
   FoundPairs* const found = context.allocate<FoundPairs>(1);
   fill_bytes(context, found, 0, 1);
   const int64_t tiles = (given.pair_count + kTilePairs - 1) / kTilePairs;
-  const int64_t blocks = larger<int64_t>(1, smaller<int64_t>(tiles, resident_blocks_of(concerned_motion)));
-  concerned_motion<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(given, found);
-  check_cuda(cudaGetLastError(), "concerned_motion");
+  const int64_t blocks = larger<int64_t>(1, smaller<int64_t>(tiles, resident_blocks_of(affected_motion)));
+  affected_motion<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(given, found);
+  check_cuda(cudaGetLastError(), "affected_motion");
 }
 
 void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {

@@ -14,12 +14,12 @@ import torch
 from distributed.conftest import World
 from pgccd import sim
 from pgccd.capacity import Capacity
-from pgccd.distributed import BalanceOptions, Comm, Fleet, Partition, share, starting_share
+from pgccd.distributed import BalanceOptions, Comm, DistributedSimulation, Partition, share, starting_share
 from pgccd.distributed.runner import gather_state, gather_step
 from pgccd.sim.rounds import Pace
 
 TIMES = ("seconds", "stage_seconds", "ranks")
-# Fast robots in a small world, so that much happens in few steps.
+# Fast robots in a small model, so that much happens in few steps.
 WORLDS = {
     "random": {"robots": 240, "speed": 0.3, "spin": 0.5, "seed": 3},
     "skewed": {"robots": 300, "pattern": "skewed", "speed": 0.25, "seed": 5},
@@ -29,11 +29,11 @@ WORLDS = {
 @functools.cache
 def single_run(name: str, steps: int) -> tuple[list[dict[str, Any]], sim.Step]:
     """By one process."""
-    world = sim.World(sim.WorldConfig(**WORLDS[name]))
-    state = world.start()
-    scene, records = world.scene(state.id), []
+    model = sim.Model(sim.ModelConfig(**WORLDS[name]))
+    state = model.start()
+    scene, records = model.scene(state.id), []
     for index in range(steps):
-        step = sim.make_step(world, scene, state, index)
+        step = sim.make_step(model, scene, state, index)
         state = step.after
         records.append(without_times(step.record))
     return records, step
@@ -43,12 +43,14 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if name not in TIMES}
 
 
-def make_fleet(comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu", ahead: bool = False) -> Fleet:
-    world = sim.World(sim.WorldConfig(**WORLDS[name]), device=device)
-    upper = world.half_extent
+def make_simulation(
+    comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu", ahead: bool = False
+) -> DistributedSimulation:
+    model = sim.Model(sim.ModelConfig(**WORLDS[name]), device=device)
+    upper = model.half_extent
     partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=4, device=device)
-    start = starting_share(comm, world, partition)
-    return Fleet(comm, world, partition, start, BalanceOptions(policy), overlap, ahead=ahead)
+    start = starting_share(comm, model, partition)
+    return DistributedSimulation(comm, model, partition, start, BalanceOptions(policy), overlap, ahead=ahead)
 
 
 class Cramped(Pace):
@@ -76,19 +78,19 @@ def follow(
     """Compares every step's log and the last step's columns with one process. With `ahead`, steps are begun early too,
     as they are on a GPU, and now and then a rank has not room enough."""
     records, last = single_run(name, steps)
-    fleet = make_fleet(comm, name, policy, overlap, device, ahead)
-    fleet.begins_early |= ahead
+    simulation = make_simulation(comm, name, policy, overlap, device, ahead)
+    simulation.begins_early |= ahead
     if ahead and comm.rank == comm.size - 1:
-        fleet._pace = Cramped()
+        simulation._pace = Cramped()
     generator = torch.Generator().manual_seed(17)
     seen = {"moved cells": 0, "arrived": 0, "contacts": 0, "away": 0}
     for index in range(steps):
         if random_owners and index % 5 == 2:
             # As though balancing had gone mad. Until the next migration, ranks have robots that they should not have.
-            owner = torch.randint(comm.size, (fleet.partition.cell_count,), generator=generator)
-            fleet.partition = fleet.partition.with_owner(owner)
+            owner = torch.randint(comm.size, (simulation.partition.cell_count,), generator=generator)
+            simulation.partition = simulation.partition.with_owner(owner)
         more = index % 4 != 3 and index + 1 < steps
-        made = fleet.step(index, more=more)
+        made = simulation.step(index, more=more)
         found = without_times(made.record)
         if device != "cpu":  # a GPU looks at others on the way to the same contacts
             found["candidates"] = records[index]["candidates"]
@@ -98,14 +100,14 @@ def follow(
         ranks = made.record["ranks"]
         for part, whole in (("bodies", "robots"), ("pcs", "pcs"), ("contacts", "contacts")):
             assert len(ranks[part]) == comm.size and sum(ranks[part]) == made.record[whole]
-        at_home = bool((fleet.partition.owner_of(fleet.state.position) == comm.rank).all())
-        assert at_home or (more and fleet.begins_early)
+        at_home = bool((simulation.partition.owner_of(simulation.state.position) == comm.rank).all())
+        assert at_home or (more and simulation.begins_early)
         seen["away"] += not at_home
         seen["moved cells"] += ranks["moved_cells"]
         seen["arrived"] += sum(ranks["arrived"])
         seen["contacts"] += made.record["contacts"]
-    fleet.verify()
-    state = gather_state(comm, fleet.state)
+    simulation.verify()
+    state = gather_state(comm, simulation.state)
     step = gather_step(comm, made, state)
     if comm.rank == 0:
         for column, expected in last.after.columns.items():
@@ -114,7 +116,7 @@ def follow(
             assert torch.equal(step.before.columns[column].cpu(), expected), column
         for column in ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status"):
             assert torch.equal(getattr(step.contacts, column).cpu(), getattr(last.contacts, column)), column
-        assert torch.equal(step.settlement.fraction.cpu(), last.settlement.fraction)
+        assert torch.equal(step.resolution.fraction.cpu(), last.resolution.fraction)
     return seen
 
 
@@ -172,36 +174,36 @@ def test_same_bits_for_two_hundred_steps(world: World, name: str, policy: str) -
 
 
 def begin_early(comm: Comm) -> None:
-    fleet = make_fleet(comm, "random", "none", True, ahead=True)
-    fleet.begins_early = True
+    simulation = make_simulation(comm, "random", "none", True, ahead=True)
+    simulation.begins_early = True
     begun: list[int] = []
-    begin = fleet._begin
+    begin = simulation._begin
 
     def watched(index: int, *more: Any) -> Any:
         begun.append(index)
         return begin(index, *more)
 
     records, _ = single_run("random", 8)
-    with mock.patch.object(fleet, "_begin", watched):
+    with mock.patch.object(simulation, "_begin", watched):
         for index in range(4):
-            made = fleet.step(index, more=index < 3)
+            made = simulation.step(index, more=index < 3)
             # Only what is said to come is begun early; again if the outcome was not yet settled.
             assert begun == sorted(begun) and begun[-1] == min(index + 1, 3)
             assert without_times(made.record) == records[index]
-        fleet.step(4, more=True)
+        simulation.step(4, more=True)
         # Another step than was begun, as after going back to a state kept before.
-        before = fleet.state
-        fleet.step(5, more=True)
-        fleet.state = before
+        before = simulation.state
+        simulation.step(5, more=True)
+        simulation.state = before
         del begun[:]
-        assert without_times(fleet.step(5, more=True).record) == records[5]
+        assert without_times(simulation.step(5, more=True).record) == records[5]
         assert begun[0] == 5 and set(begun[1:]) == {6}
         del begun[1:]
         # Cells that have been given to others meanwhile.
-        fleet.partition = fleet.partition.with_owner(fleet.partition.owner.flip(0))
-        assert without_times(fleet.step(6).record) == records[6]
+        simulation.partition = simulation.partition.with_owner(simulation.partition.owner.flip(0))
+        assert without_times(simulation.step(6).record) == records[6]
         assert begun == [5, 6]
-        assert without_times(fleet.step(7).record) == records[7]
+        assert without_times(simulation.step(7).record) == records[7]
 
 
 def test_a_step_begun_before_it_is_asked_for(world: World) -> None:
@@ -209,15 +211,15 @@ def test_a_step_begun_before_it_is_asked_for(world: World) -> None:
 
 
 def lose_one(comm: Comm) -> None:
-    fleet = make_fleet(comm, "random", "none", True)
-    fleet.step(0)
+    simulation = make_simulation(comm, "random", "none", True)
+    simulation.step(0)
     if comm.rank == comm.size - 1:
-        kept = torch.arange(len(fleet.state) - 1)
-        fleet.state = sim.RobotState(**{name: column[kept] for name, column in fleet.state.columns.items()})
+        kept = torch.arange(len(simulation.state) - 1)
+        simulation.state = sim.RobotState(**{name: column[kept] for name, column in simulation.state.columns.items()})
     with pytest.raises(RuntimeError, match="migration: expected 240 bodies .* there are 239"):
-        fleet.verify()
+        simulation.verify()
     with pytest.raises(RuntimeError, match="migration: expected 240 bodies"):
-        fleet.step(1)
+        simulation.step(1)
 
 
 def test_a_lost_robot_is_noticed_in_the_next_step(world: World) -> None:
@@ -226,9 +228,9 @@ def test_a_lost_robot_is_noticed_in_the_next_step(world: World) -> None:
 
 def crowd_together(comm: Comm) -> list[float]:
     """Imbalance of the potentially colliding pairs, step by step, from an assignment that gives rank 0 all."""
-    fleet = make_fleet(comm, "random", "cost", True)
-    fleet.partition = fleet.partition.with_owner(torch.zeros_like(fleet.partition.owner))
-    return [fleet.step(index).record["ranks"]["imbalance"] for index in range(12)]
+    simulation = make_simulation(comm, "random", "cost", True)
+    simulation.partition = simulation.partition.with_owner(torch.zeros_like(simulation.partition.owner))
+    return [simulation.step(index).record["ranks"]["imbalance"] for index in range(12)]
 
 
 def test_balance_spreads_what_one_rank_had(ranks: World) -> None:

@@ -2,52 +2,52 @@
 #include <numeric>
 #include <vector>
 
-#include "kernels/broad/territory.h"
+#include "kernels/broad/subdomain.h"
 #include "kernels/find_rows.h"
 
 namespace pgccd {
 namespace {
 
-void require_owners(const Executor& executor, const Territory& territory, int64_t ranks) {
-  require_rows(executor, territory.frame.cell_count(), "owner", "name ranks",
-               [&](int64_t cell) { return is_within(territory.owner[cell], ranks); });
+void require_owners(const Executor& executor, const Subdomain& subdomain, int64_t ranks) {
+  require_rows(executor, subdomain.frame.cell_count(), "owner", "name ranks",
+               [&](int64_t cell) { return is_within(subdomain.owner[cell], ranks); });
 }
 
 }  // namespace
 
-void border_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Territory& territory, uint8_t* reach,
-                       const FoundRows& border) {
-  find_rows(executor, bodies.count, border.rows, border.found, [&](int64_t body) {
-    reach[body] = reaches_others(bodies, territory, body) ? 1 : 0;
+void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain, uint8_t* reach,
+                       const FoundRows& boundary) {
+  find_rows(executor, bodies.count, boundary.rows, boundary.found, [&](int64_t body) {
+    reach[body] = reaches_others(bodies, subdomain, body) ? 1 : 0;
     return reach[body] != 0;
   });
-  std::fill(border.rows + *border.found, border.rows + bodies.count, int64_t{-1});
+  std::fill(boundary.rows + *boundary.found, boundary.rows + bodies.count, int64_t{-1});
 }
 
-void holders_of_cpu(const Executor& executor, const HoldersInput& input, const Holders& out) {
-  const Territory& territory = input.territory;
+void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input, const ReplicaRanks& out) {
+  const Subdomain& subdomain = input.subdomain;
   require_rows(executor, input.row_count, "bodies", "are -1, or those of bodies",
                [&](int64_t k) { return input.rows[k] < input.bodies.count; });
-  require_owners(executor, territory, out.ranks);
-  std::fill_n(out.holders, input.row_count * out.ranks, uint8_t{0});
+  require_owners(executor, subdomain, out.ranks);
+  std::fill_n(out.replica_ranks, input.row_count * out.ranks, uint8_t{0});
   parallel_chunks(executor, input.row_count, 256, [&](int, int64_t begin, int64_t end) {
     for (int64_t k = begin; k < end; ++k) {
       if (input.rows[k] < 0) continue;
-      const CellRange range(territory.frame, swept_box(input.bodies, input.rows[k]));
-      uint8_t* holders = out.holders + k * out.ranks;
+      const CellRange range(subdomain.frame, swept_box(input.bodies, input.rows[k]));
+      uint8_t* replica_ranks = out.replica_ranks + k * out.ranks;
       for (int64_t cell = 0; cell < range.count(); ++cell) {
-        holders[territory.owner[territory.frame.index(range[cell])]] = 1;
+        replica_ranks[subdomain.owner[subdomain.frame.index(range[cell])]] = 1;
       }
-      holders[territory.rank] = 0;
+      replica_ranks[subdomain.rank] = 0;
     }
   });
   int64_t ghost = 0;
   for (size_t source = 0; source < input.received.size(); ++source) {
-    for (int64_t k = 0; k < input.received[source]; ++k) out.holders[ghost++ * out.ranks + int64_t(source)] = 1;
+    for (int64_t k = 0; k < input.received[source]; ++k) out.replica_ranks[ghost++ * out.ranks + int64_t(source)] = 1;
   }
   std::fill_n(out.counts, out.ranks, int64_t{0});
   for (int64_t k = 0; k < input.row_count; ++k) {
-    for (int64_t rank = 0; rank < out.ranks; ++rank) out.counts[rank] += out.holders[k * out.ranks + rank];
+    for (int64_t rank = 0; rank < out.ranks; ++rank) out.counts[rank] += out.replica_ranks[k * out.ranks + rank];
   }
 }
 
@@ -55,7 +55,7 @@ void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& rooms, i
   for (int64_t rank = 0; rank < held.ranks; ++rank) {
     int64_t *at = by_rank, *end = by_rank + rooms[static_cast<size_t>(rank)];
     for (int64_t k = 0; k < held.row_count && at < end; ++k) {
-      if (held.holders[k * held.ranks + rank] != 0) *at++ = held.rows[k];
+      if (held.replica_ranks[k * held.ranks + rank] != 0) *at++ = held.rows[k];
     }
     by_rank = std::fill_n(at, end - at, int64_t{-1});
   }
@@ -79,17 +79,17 @@ void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t*
 }
 
 void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const BroadBodies& ghosts,
-                     const Territory& territory, const FoundRows& near) {
-  std::vector<int64_t> cell_boxes(static_cast<size_t>(6 * territory.frame.cell_count()));
+                     const Subdomain& subdomain, const FoundRows& near) {
+  std::vector<int64_t> cell_boxes(static_cast<size_t>(6 * subdomain.frame.cell_count()));
   for (size_t at = 0; at < cell_boxes.size(); ++at) cell_boxes[at] = at % 6 < 3 ? kEmptyLower : kEmptyUpper;
   for (int64_t ghost = 0; ghost < ghosts.count; ++ghost) {
     const SweptBox box = swept_box(ghosts, ghost);
-    const CellRange range(territory.frame, box);
+    const CellRange range(subdomain.frame, box);
     int64_t corners[6];
     ordered_corners(box, corners);
     for (int64_t k = 0; k < range.count(); ++k) {
-      const int64_t cell = territory.frame.index(range[k]);
-      if (territory.owner[cell] != territory.rank) continue;
+      const int64_t cell = subdomain.frame.index(range[k]);
+      if (subdomain.owner[cell] != subdomain.rank) continue;
       int64_t* around = cell_boxes.data() + 6 * cell;
       for (int axis = 0; axis < 3; ++axis) {
         around[axis] = std::min(around[axis], corners[axis]);
@@ -98,16 +98,16 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
     }
   }
   find_rows(executor, bodies.count, near.rows, near.found,
-            [&](int64_t body) { return is_near(bodies, territory.frame, cell_boxes.data(), body); });
+            [&](int64_t body) { return is_near(bodies, subdomain.frame, cell_boxes.data(), body); });
 }
 
-void leaving_bodies_cpu(const Executor& executor, const double* position, int64_t count, const Territory& territory,
+void leaving_bodies_cpu(const Executor& executor, const double* position, int64_t count, const Subdomain& subdomain,
                         int64_t ranks, const LeavingRows& leaving) {
-  require_owners(executor, territory, ranks);
+  require_owners(executor, subdomain, ranks);
   int64_t found = 0;
   find_rows(executor, count, leaving.rows, &found,
-            [&](int64_t body) { return owner_of(territory, position, body) != territory.rank; });
-  const auto destination = [&](int64_t k) { return owner_of(territory, position, leaving.rows[k]); };
+            [&](int64_t body) { return owner_of(subdomain, position, body) != subdomain.rank; });
+  const auto destination = [&](int64_t k) { return owner_of(subdomain, position, leaving.rows[k]); };
   std::fill_n(leaving.counts, ranks, int64_t{0});
   for (int64_t k = 0; k < found; ++k) ++leaving.counts[destination(k)];
   std::vector<int64_t> next(static_cast<size_t>(ranks));

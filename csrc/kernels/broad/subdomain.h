@@ -3,7 +3,7 @@
 
 #include <vector>
 
-#include "kernels/broad/territory_item.h"
+#include "kernels/broad/subdomain_item.h"
 #include "kernels/executor.h"
 
 namespace pgccd {
@@ -15,31 +15,31 @@ struct FoundRows {
 };
 
 // Bodies that reach cells of other ranks, and rows of -1 after them. reach (count,): 1 for them, or 0.
-void border_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Territory& territory, uint8_t* reach,
-                       const FoundRows& border);
+void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain, uint8_t* reach,
+                       const FoundRows& boundary);
 
 // Bodies of which other ranks are to be found, `rows` (row_count,) of all; -1 is nobody. Where `received` is not empty
 // they are ghosts: so many came from each rank, in that order, and those ranks hold them too.
-struct HoldersInput {
+struct ReplicaRanksInput {
   BroadBodies bodies;
-  Territory territory;
+  Subdomain subdomain;
   const int64_t* rows;
   int64_t row_count;
   const std::vector<int64_t>& received;
 };
 
-// holders (row_count, ranks): 1 for other ranks that hold the body, or 0; counts (ranks,) how many bodies each does.
-struct Holders {
+// replica_ranks (row_count, ranks): 1 for other ranks that hold the body, or 0; counts (ranks,) how many bodies each does.
+struct ReplicaRanks {
   int64_t ranks;
-  uint8_t* holders;
+  uint8_t* replica_ranks;
   int64_t* counts;
 };
 
-void holders_of_cpu(const Executor& executor, const HoldersInput& input, const Holders& out);
+void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input, const ReplicaRanks& out);
 
-// Rows and their holders as above.
+// Rows and their replica_ranks as above.
 struct HeldRows {
-  const uint8_t* holders;
+  const uint8_t* replica_ranks;
   const int64_t* rows;
   int64_t row_count, ranks;
   const int64_t* counts;
@@ -67,13 +67,13 @@ struct RoomInput {
 // told (ranks, 2): the count of each, and 1 if there is not room for all rows.
 void counts_to_tell_cpu(const RoomInput& input, const std::vector<int64_t>& rooms, int64_t* told);
 
-// Pairs whose reference point lies in a cell of the territory's rank, in the first places of owned (pair_count, 2),
+// Pairs whose reference point lies in a cell of the subdomain's rank, in the first places of owned (pair_count, 2),
 // then pairs of -1; `found` is how many there are.
 void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found);
 
-// Bodies that overlap the box around all ghosts in a cell of the territory's rank which they reach.
+// Bodies that overlap the box around all ghosts in a cell of the subdomain's rank which they reach.
 void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const BroadBodies& ghosts,
-                     const Territory& territory, const FoundRows& near);
+                     const Subdomain& subdomain, const FoundRows& near);
 
 struct LeavingRows {
   int64_t* rows;            // room for all; ascending
@@ -82,7 +82,7 @@ struct LeavingRows {
 };
 
 // Bodies whose centre (count, 3) lies in a cell of another rank.
-void leaving_bodies_cpu(const Executor& executor, const double* position, int64_t count, const Territory& territory,
+void leaving_bodies_cpu(const Executor& executor, const double* position, int64_t count, const Subdomain& subdomain,
                         int64_t ranks, const LeavingRows& leaving);
 
 }  // namespace pgccd

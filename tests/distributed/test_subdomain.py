@@ -70,8 +70,8 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     pairs, is_here = pairs[overlap], partition.owner_of(corner)[overlap] == rank
     is_own = (pairs < own_count).all(dim=1)
     id = torch.randperm(len(cells), generator=generator)
-    border = torch.randperm(len(cells), generator=generator)
-    at_border = torch.argsort(border)[pairs]
+    boundary = torch.randperm(len(cells), generator=generator)
+    at_boundary = torch.argsort(boundary)[pairs]
     turned = torch.where((id[pairs[:, 0]] < id[pairs[:, 1]])[:, None], pairs, pairs.flip(1))
     centre_owner = partition.owner_of(centres[0])
     sources = torch.randint(ranks, (len(cells),), generator=generator).sort().values
@@ -79,26 +79,26 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     rooms = torch.randint(len(cells) + 3, (ranks,), generator=generator).tolist()
 
     for device in DEVICES:
-        territory = (partition.frame, partition.owner.to(device), rank)
+        subdomain = (partition.frame, partition.owner.to(device), rank)
         here, there = ([column.to(device) for column in columns] for columns in (centres, ghosts))
-        reach, at_edge, found = ops.border_bodies(here, SEPARATION, 0.0, territory)
+        reach, at_edge, found = ops.boundary_bodies(here, SEPARATION, 0.0, subdomain)
         assert reach.tolist() == [int(crosses) for crosses in crossing]
         assert kept(at_edge, found) == [body for body, crosses in enumerate(crossing) if crosses]
         assert bool((at_edge[int(found) :] == -1).all()) and len(at_edge) == len(cells)
         rows = torch.arange(len(cells), device=device).flip(0)
         for came_from in ([], received):
-            holders, counts = ops.holders_of(here, SEPARATION, 0.0, territory, rows, ranks, came_from)
+            replica_ranks, counts = ops.replica_ranks(here, SEPARATION, 0.0, subdomain, rows, ranks, came_from)
             expected = [{owner[cell] for cell in each} - {rank} for each in reversed(cells)]
             if came_from:
                 expected = [each | {source} for each, source in zip(expected, sources.tolist(), strict=True)]
-            assert [set(torch.nonzero(row)[:, 0].tolist()) for row in holders] == expected
+            assert [set(torch.nonzero(row)[:, 0].tolist()) for row in replica_ranks] == expected
             by_rank = [
                 [row for row, each in zip(rows.tolist(), expected, strict=True) if r in each] for r in range(ranks)
             ]
             assert counts.tolist() == [len(each) for each in by_rank]
-            assert ops.rows_by_rank(holders, rows, counts, counts.tolist()).tolist() == sum(by_rank, [])
+            assert ops.rows_by_rank(replica_ranks, rows, counts, counts.tolist()).tolist() == sum(by_rank, [])
             in_rooms = [(each + [-1] * size)[:size] for each, size in zip(by_rank, rooms, strict=True)]
-            assert ops.rows_by_rank(holders, rows, counts, rooms).tolist() == sum(in_rooms, [])
+            assert ops.rows_by_rank(replica_ranks, rows, counts, rooms).tolist() == sum(in_rooms, [])
             for room in (len(rows), len(rows) - 1):
                 for sizes in (rooms, counts.tolist()):
                     short = room < len(rows) or any(len(e) > size for e, size in zip(by_rank, sizes, strict=True))
@@ -106,22 +106,22 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
                     assert told.tolist() == [[len(each), int(short)] for each in by_rank]
         # Among the rows there may be some of nobody.
         padded = torch.where(rows % 3 == 1, -1, rows)
-        holders, counts = ops.holders_of(here, SEPARATION, 0.0, territory, padded, ranks)
+        replica_ranks, counts = ops.replica_ranks(here, SEPARATION, 0.0, subdomain, padded, ranks)
         expected = [set() if row < 0 else {owner[cell] for cell in cells[row]} - {rank} for row in padded.tolist()]
-        assert [set(torch.nonzero(row)[:, 0].tolist()) for row in holders] == expected
+        assert [set(torch.nonzero(row)[:, 0].tolist()) for row in replica_ranks] == expected
         assert counts.tolist() == [sum(r in each for each in expected) for r in range(ranks)]
-        assert kept(*ops.near_ghosts(here, there, SEPARATION, 0.0, territory)) == near
+        assert kept(*ops.near_ghosts(here, there, SEPARATION, 0.0, subdomain)) == near
         mine = [column[:own_count] for column in here]
-        at_edge = [column[border.to(device)] for column in here]
+        at_edge = [column[boundary.to(device)] for column in here]
         for candidates, rows, those, expected in (
             (pairs[is_own], None, mine, turned[is_own & is_here]),
-            (at_border, border.to(device), at_edge, torch.argsort(border)[turned[~is_own & is_here]]),
+            (at_boundary, boundary.to(device), at_edge, torch.argsort(boundary)[turned[~is_own & is_here]]),
         ):
-            where = (those, SEPARATION, 0.0, reach[:own_count], territory)
+            where = (those, SEPARATION, 0.0, reach[:own_count], subdomain)
             owned, found = ops.owned_pairs(candidates.to(device), rows, id.to(device), *where)
             assert kept(owned, found) == expected.tolist()
             assert bool((owned[int(found) :] == -1).all()) and len(owned) == len(candidates)
-        leaving, by_destination, counts = ops.leaving_bodies(here[0], territory, ranks)
+        leaving, by_destination, counts = ops.leaving_bodies(here[0], subdomain, ranks)
         gone = centre_owner != rank
         assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()
         rows = torch.nonzero(gone)[:, 0]
@@ -147,7 +147,7 @@ def test_many_leave_for_many(device: torch.device) -> None:
 def test_positions_that_are_no_numbers_have_a_cell() -> None:
     partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     wrong = torch.tensor([[torch.nan] * 3, [torch.inf] * 3, [-torch.inf] * 3], dtype=torch.float64)
-    *_, counts = ops.leaving_bodies(wrong, partition.territory(5), 2)
+    *_, counts = ops.leaving_bodies(wrong, partition.subdomain(5), 2)
     assert int(counts.sum()) == 3
 
 

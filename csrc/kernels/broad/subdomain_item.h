@@ -12,7 +12,7 @@ struct Cell {
   int64_t x, y, z;
 };
 
-// Equal cells; those at the border extend to infinity.
+// Equal cells; those at the boundary extend to infinity.
 struct CellFrame {
   double lower[3];
   double per_length[3];  // cells a length unit
@@ -27,7 +27,7 @@ struct CellFrame {
   PGCCD_HD int64_t cell_count() const { return count[0] * count[1] * count[2]; }
 };
 
-struct Territory {
+struct Subdomain {
   CellFrame frame;
   const int64_t* owner;  // (cells,) rank of each
   int64_t rank;
@@ -48,11 +48,11 @@ struct CellRange {
   }
 };
 
-PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Territory& territory, int64_t body) {
-  const CellRange range(territory.frame, swept_box(bodies, body));
+PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Subdomain& subdomain, int64_t body) {
+  const CellRange range(subdomain.frame, swept_box(bodies, body));
   const int64_t count = range.count();
   for (int64_t k = 0; k < count; ++k) {
-    if (territory.owner[territory.frame.index(range[k])] != territory.rank) return true;
+    if (subdomain.owner[subdomain.frame.index(range[k])] != subdomain.rank) return true;
   }
   return false;
 }
@@ -60,7 +60,7 @@ PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Territory& territo
 // Pairs of some of the bodies held, of which own ones come first, then ghosts.
 struct OwnedPairs {
   BroadBodies bodies;
-  Territory territory;
+  Subdomain subdomain;
   const int64_t* rows;   // which of the bodies held each is; null: these are the own ones, all of them
   const uint8_t* reach;  // (own_count,) bits
   int64_t own_count;     // of bodies held
@@ -94,8 +94,8 @@ PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t k) {
   if ((own_i && input.reach[held_i] == 0) || (own_j && input.reach[held_j] == 0)) return true;
   const Vec3<double> a = swept_box(input.bodies, i).lower, b = swept_box(input.bodies, j).lower;
   const Vec3<double> reference{larger(a.x, b.x), larger(a.y, b.y), larger(a.z, b.z)};
-  const CellFrame& frame = input.territory.frame;
-  return input.territory.owner[frame.index(frame.cell(reference))] == input.territory.rank;
+  const CellFrame& frame = input.subdomain.frame;
+  return input.subdomain.owner[frame.index(frame.cell(reference))] == input.subdomain.rank;
 }
 
 // The k-th pair that is owned, the smaller id first; `found` (found_count,) of all.
@@ -147,8 +147,8 @@ PGCCD_HD bool is_near(const BroadBodies& bodies, const CellFrame& frame, const i
   return false;
 }
 
-PGCCD_HD int64_t owner_of(const Territory& territory, const double* position, int64_t body) {
-  return territory.owner[territory.frame.index(territory.frame.cell(load_vec3(position + 3 * body)))];
+PGCCD_HD int64_t owner_of(const Subdomain& subdomain, const double* position, int64_t body) {
+  return subdomain.owner[subdomain.frame.index(subdomain.frame.cell(load_vec3(position + 3 * body)))];
 }
 
 }  // namespace pgccd

@@ -6,14 +6,14 @@
 
 STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
   library.def(
-      "border_bodies(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank) "
+      "boundary_bodies(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank) "
       "-> (Tensor reach, "
-      "Tensor border, Tensor found)");
+      "Tensor boundary, Tensor found)");
   library.def(
-      "holders_of(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank, "
+      "replica_ranks(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank, "
       "Tensor bodies, "
-      "int[] received, int ranks) -> (Tensor holders, Tensor counts)");
-  library.def("rows_by_rank(Tensor holders, Tensor rows, Tensor counts, int[] rooms) -> Tensor");
+      "int[] received, int ranks) -> (Tensor replica_ranks, Tensor counts)");
+  library.def("rows_by_rank(Tensor replica_ranks, Tensor rows, Tensor counts, int[] rooms) -> Tensor");
   library.def("counts_to_tell(Tensor counts, int[] rooms, Tensor found, int room) -> Tensor");
   library.def(
       "owned_pairs(Tensor pairs, Tensor? rows, Tensor id, Tensor[] centres, float min_separation, float tolerance, "

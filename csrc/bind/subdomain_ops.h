@@ -4,16 +4,16 @@
 #include <numeric>
 
 #include "bind/detect_ops.h"
-#include "kernels/broad/territory.h"
+#include "kernels/broad/subdomain.h"
 
 namespace pgccd::bind {
 
 constexpr int64_t kMostCells = int64_t{1} << 31;
 
 // frame: lower corner, cells a length unit, number of cells; along x, y, z each.
-inline Territory territory_view(const std::vector<double>& frame, const Tensor& owner, int64_t rank) {
+inline Subdomain subdomain_view(const std::vector<double>& frame, const Tensor& owner, int64_t rank) {
   STD_TORCH_CHECK(frame.size() == 9, "frame: expected 9 numbers, got ", frame.size());
-  Territory view;
+  Subdomain view;
   for (size_t axis = 0; axis < 3; ++axis) {
     view.frame.lower[axis] = frame[axis];
     view.frame.per_length[axis] = frame[3 + axis];
@@ -39,23 +39,23 @@ inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* 
 using FrameList = std::vector<double>;
 
 template <class Backend>
-struct TerritoryOps {
-  static std::tuple<Tensor, Tensor, Tensor> border_bodies(const TensorList& centres, double min_separation,
+struct SubdomainOps {
+  static std::tuple<Tensor, Tensor, Tensor> boundary_bodies(const TensorList& centres, double min_separation,
                                                           double tolerance, FrameList frame, const Tensor& owner,
                                                           int64_t rank) {
     const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
     Tensor reach = new_tensor<uint8_t>(owner, {bodies.count});
-    Tensor border = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
-    Backend(owner).border_bodies(bodies, territory_view(frame, owner, rank), data<uint8_t>(reach),
-                                 {data<int64_t>(border), data<int64_t>(found)});
-    return {reach, border, found};
+    Tensor boundary = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
+    Backend(owner).boundary_bodies(bodies, subdomain_view(frame, owner, rank), data<uint8_t>(reach),
+                                 {data<int64_t>(boundary), data<int64_t>(found)});
+    return {reach, boundary, found};
   }
 
-  static std::tuple<Tensor, Tensor> holders_of(const TensorList& centres, double min_separation, double tolerance,
+  static std::tuple<Tensor, Tensor> replica_ranks(const TensorList& centres, double min_separation, double tolerance,
                                                FrameList frame, const Tensor& owner, int64_t rank, const Tensor& bodies,
                                                std::vector<int64_t> received, int64_t ranks) {
-    const HoldersInput input{centres_view(centres, "centres", {min_separation, tolerance}),
-                             territory_view(frame, owner, rank), rows<int64_t>(bodies, "bodies", {kAnySize}),
+    const ReplicaRanksInput input{centres_view(centres, "centres", {min_separation, tolerance}),
+                             subdomain_view(frame, owner, rank), rows<int64_t>(bodies, "bodies", {kAnySize}),
                              bodies.size(0), received};
     for (const int64_t count : received) {
       STD_TORCH_CHECK(count >= 0, "received: expected numbers >= 0, got ", count);
@@ -64,16 +64,16 @@ struct TerritoryOps {
     const bool sums_up = std::accumulate(received.begin(), received.end(), int64_t{0}) == bodies.size(0);
     STD_TORCH_CHECK(received.empty() || (static_cast<int64_t>(received.size()) == ranks && sums_up),
                     "received: expected numbers of ", ranks, " ranks, ", bodies.size(0), " in all");
-    Tensor holders = new_tensor<uint8_t>(owner, {bodies.size(0), ranks}), counts = new_tensor<int64_t>(owner, {ranks});
-    Backend(owner).holders_of(input, {ranks, data<uint8_t>(holders), data<int64_t>(counts)});
-    return {holders, counts};
+    Tensor replica_ranks = new_tensor<uint8_t>(owner, {bodies.size(0), ranks}), counts = new_tensor<int64_t>(owner, {ranks});
+    Backend(owner).replica_ranks(input, {ranks, data<uint8_t>(replica_ranks), data<int64_t>(counts)});
+    return {replica_ranks, counts};
   }
 
-  static Tensor rows_by_rank(const Tensor& holders, const Tensor& bodies, const Tensor& counts,
+  static Tensor rows_by_rank(const Tensor& replica_ranks, const Tensor& bodies, const Tensor& counts,
                              std::vector<int64_t> rooms) {
     const int64_t* numbers = rows<int64_t>(bodies, "rows", {kAnySize});
     const int64_t row_count = bodies.size(0), ranks = static_cast<int64_t>(rooms.size());
-    const HeldRows held{rows<uint8_t>(holders, "holders", {row_count, ranks}), numbers, row_count, ranks,
+    const HeldRows held{rows<uint8_t>(replica_ranks, "replica_ranks", {row_count, ranks}), numbers, row_count, ranks,
                         rows<int64_t>(counts, "counts", {ranks})};
     for (const int64_t room : rooms) STD_TORCH_CHECK(room >= 0, "rooms: expected numbers >= 0, got ", room);
     Tensor by_rank = new_tensor<int64_t>(bodies, {std::accumulate(rooms.begin(), rooms.end(), int64_t{0})});
@@ -95,7 +95,7 @@ struct TerritoryOps {
                                                 const Tensor& owner, int64_t rank) {
     OwnedPairs input;
     input.bodies = centres_view(centres, "centres", {min_separation, tolerance});
-    input.territory = territory_view(frame, owner, rank);
+    input.subdomain = subdomain_view(frame, owner, rank);
     input.reach = rows<uint8_t>(reach, "reach", {kAnySize});
     input.own_count = reach.size(0);
     input.rows = optional_column<int64_t>(held, "rows", input.bodies.count);
@@ -116,7 +116,7 @@ struct TerritoryOps {
     const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
     Tensor near = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
     Backend(owner).near_ghosts(bodies, centres_view(ghosts, "ghosts", {min_separation, tolerance}),
-                               territory_view(frame, owner, rank), {data<int64_t>(near), data<int64_t>(found)});
+                               subdomain_view(frame, owner, rank), {data<int64_t>(near), data<int64_t>(found)});
     return {near, found};
   }
 
@@ -127,20 +127,20 @@ struct TerritoryOps {
     STD_TORCH_CHECK(ranks >= 1 && ranks <= kMostCells, "ranks: expected a number in [1, 2^31], got ", ranks);
     Tensor leaving = new_tensor<int64_t>(owner, {count}), by_destination = new_tensor<int64_t>(owner, {count});
     Tensor counts = new_tensor<int64_t>(owner, {ranks});
-    Backend(owner).leaving_bodies(centres, count, territory_view(frame, owner, rank), ranks,
+    Backend(owner).leaving_bodies(centres, count, subdomain_view(frame, owner, rank), ranks,
                                   {data<int64_t>(leaving), data<int64_t>(by_destination), data<int64_t>(counts)});
     return {leaving, by_destination, counts};
   }
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_TERRITORY_OPS(library, Backend)                                                   \
-  library.impl("border_bodies", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::border_bodies>::call));   \
-  library.impl("holders_of", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::holders_of>::call));         \
-  library.impl("rows_by_rank", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::rows_by_rank>::call));     \
-  library.impl("counts_to_tell", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::counts_to_tell>::call)); \
-  library.impl("owned_pairs", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::owned_pairs>::call));       \
-  library.impl("near_ghosts", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::near_ghosts>::call));       \
-  library.impl("leaving_bodies", TORCH_BOX(&OnOneDevice<&TerritoryOps<Backend>::leaving_bodies>::call))
+#define PGCCD_REGISTER_SUBDOMAIN_OPS(library, Backend)                                                   \
+  library.impl("boundary_bodies", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::boundary_bodies>::call));   \
+  library.impl("replica_ranks", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::replica_ranks>::call));         \
+  library.impl("rows_by_rank", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::rows_by_rank>::call));     \
+  library.impl("counts_to_tell", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::counts_to_tell>::call)); \
+  library.impl("owned_pairs", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::owned_pairs>::call));       \
+  library.impl("near_ghosts", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::near_ghosts>::call));       \
+  library.impl("leaving_bodies", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::leaving_bodies>::call))
 
 }  // namespace pgccd::bind

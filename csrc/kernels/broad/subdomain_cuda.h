@@ -1,15 +1,15 @@
-// Whose cells bodies reach, on the device: contracts as in territory.h.
+// Whose cells bodies reach, on the device: contracts as in subdomain.h.
 #pragma once
 
-#include "kernels/broad/territory.h"
+#include "kernels/broad/subdomain.h"
 #include "kernels/device_context.h"
 
 namespace pgccd {
 
-void border_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies, const Territory& territory,
-                        uint8_t* reach, const FoundRows& border);
+void boundary_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies, const Subdomain& subdomain,
+                        uint8_t* reach, const FoundRows& boundary);
 
-void holders_of_cuda(const DeviceContext& context, const HoldersInput& input, const Holders& out);
+void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& input, const ReplicaRanks& out);
 
 void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& rooms,
                        int64_t* by_rank);
@@ -20,9 +20,9 @@ void counts_to_tell_cuda(const DeviceContext& context, const RoomInput& input, c
 void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found);
 
 void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadBodies& ghosts,
-                      const Territory& territory, const FoundRows& near);
+                      const Subdomain& subdomain, const FoundRows& near);
 
 void leaving_bodies_cuda(const DeviceContext& context, const double* position, int64_t count,
-                         const Territory& territory, int64_t ranks, const LeavingRows& leaving);
+                         const Subdomain& subdomain, int64_t ranks, const LeavingRows& leaving);
 
 }  // namespace pgccd

@@ -2,7 +2,7 @@
 #include <vector>
 
 #include "core/count_leading.h"
-#include "kernels/broad/territory_cuda.h"
+#include "kernels/broad/subdomain_cuda.h"
 #include "kernels/find_rows.cuh"
 
 namespace pgccd {
@@ -37,11 +37,11 @@ __global__ void __launch_bounds__(kBlockThreads) count_columns(const uint8_t* ta
   }
 }
 
-struct IsHolder {
+struct IsReplicaRank {
   HeldRows held;
   // Of (rank, row) in the order in which they are wanted.
   __device__ bool operator()(int64_t item) const {
-    return held.holders[(item % held.row_count) * held.ranks + item / held.row_count] != 0;
+    return held.replica_ranks[(item % held.row_count) * held.ranks + item / held.row_count] != 0;
   }
 };
 
@@ -61,22 +61,22 @@ const int64_t* ends_of(const DeviceContext& context, std::vector<int64_t> sizes)
 
 }  // namespace
 
-void border_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies, const Territory& territory,
-                        uint8_t* reach, const FoundRows& border) {
+void boundary_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies, const Subdomain& subdomain,
+                        uint8_t* reach, const FoundRows& boundary) {
   for_each_item(context, bodies.count,
-                [=] __device__(int64_t body) { reach[body] = reaches_others(bodies, territory, body) ? 1 : 0; });
-  fill_bytes(context, border.rows, 0xff, bodies.count);
-  find_rows(context, bodies.count, border.rows, border.found,
+                [=] __device__(int64_t body) { reach[body] = reaches_others(bodies, subdomain, body) ? 1 : 0; });
+  fill_bytes(context, boundary.rows, 0xff, bodies.count);
+  find_rows(context, bodies.count, boundary.rows, boundary.found,
             [=] __device__(int64_t body) { return reach[body] != 0; });
 }
 
-void holders_of_cuda(const DeviceContext& context, const HoldersInput& input, const Holders& out) {
+void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& input, const ReplicaRanks& out) {
   const BroadBodies bodies = input.bodies;
-  const Territory territory = input.territory;
+  const Subdomain subdomain = input.subdomain;
   const int64_t* rows = input.rows;
   const int64_t ranks = out.ranks;
-  uint8_t* holders = out.holders;
-  fill_bytes(context, holders, 0, input.row_count * ranks);
+  uint8_t* replica_ranks = out.replica_ranks;
+  fill_bytes(context, replica_ranks, 0, input.row_count * ranks);
   fill_bytes(context, out.counts, 0, ranks);
   if (input.row_count == 0) return;
   const auto sources = static_cast<int64_t>(input.received.size());
@@ -85,21 +85,21 @@ void holders_of_cuda(const DeviceContext& context, const HoldersInput& input, co
     const int64_t k = item / kBodyThreads, thread = item % kBodyThreads;
     if (rows[k] < 0) return;
     require_on_device(rows[k] < bodies.count, "bodies: expected -1 or rows of bodies");
-    const CellRange range(territory.frame, swept_box(bodies, rows[k]));
+    const CellRange range(subdomain.frame, swept_box(bodies, rows[k]));
     const int64_t count = range.count();
     for (int64_t cell = thread; cell < count; cell += kBodyThreads) {
-      const int64_t rank = territory.owner[territory.frame.index(range[cell])];
+      const int64_t rank = subdomain.owner[subdomain.frame.index(range[cell])];
       require_on_device(is_within(rank, ranks), "owner: expected ranks");
-      if (rank != territory.rank) holders[k * ranks + rank] = 1;
+      if (rank != subdomain.rank) replica_ranks[k * ranks + rank] = 1;
     }
     if (thread != 0 || sources == 0) return;
     int64_t source = 0;
     while (end[source] <= k) ++source;
-    holders[k * ranks + source] = 1;
+    replica_ranks[k * ranks + source] = 1;
   });
   const int64_t blocks = smaller<int64_t>((input.row_count + kBlockThreads - 1) / kBlockThreads, 256);
   count_columns<<<dim3(static_cast<unsigned>(blocks), static_cast<unsigned>(ranks)), kBlockThreads, 0,
-                  context.stream>>>(holders, input.row_count, out.counts);
+                  context.stream>>>(replica_ranks, input.row_count, out.counts);
   check_cuda(cudaGetLastError(), "count_columns");
 }
 
@@ -110,7 +110,7 @@ void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const
   if (places == 0) return;
   int64_t* items = context.allocate<int64_t>(all);
   int64_t* found = context.allocate<int64_t>(1);
-  find_rows(context, all, items, found, IsHolder{held});
+  find_rows(context, all, items, found, IsReplicaRank{held});
   const int64_t* room_end = ends_of(context, rooms);
   int64_t* begin = context.allocate<int64_t>(ranks);
   run_cub(context, [&](void* scratch, size_t& bytes) {
@@ -120,7 +120,7 @@ void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const
     const int64_t rank = count_leading(ranks, [&](int64_t r) { return room_end[r] <= place; });
     const int64_t k = place - (rank == 0 ? 0 : room_end[rank - 1]);
     const bool is_held = k < held.counts[rank];
-    require_on_device(!is_held || is_within(begin[rank] + k, *found), "counts: expected those of holders");
+    require_on_device(!is_held || is_within(begin[rank] + k, *found), "counts: expected those of replica_ranks");
     by_rank[place] = is_held ? held.rows[items[begin[rank] + k] % held.row_count] : -1;
   });
 }
@@ -146,40 +146,40 @@ void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int
 }
 
 void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadBodies& ghosts,
-                      const Territory& territory, const FoundRows& near) {
-  const int64_t numbers = 6 * territory.frame.cell_count();
+                      const Subdomain& subdomain, const FoundRows& near) {
+  const int64_t numbers = 6 * subdomain.frame.cell_count();
   int64_t* cell_boxes = context.allocate<int64_t>(numbers);
   for_each_item(context, numbers,
                 [=] __device__(int64_t at) { cell_boxes[at] = at % 6 < 3 ? kEmptyLower : kEmptyUpper; });
   for_each_item(context, kBodyThreads * ghosts.count, [=] __device__(int64_t item) {
     const SweptBox box = swept_box(ghosts, item / kBodyThreads);
-    const CellRange range(territory.frame, box);
+    const CellRange range(subdomain.frame, box);
     int64_t corners[6];
     ordered_corners(box, corners);
     const int64_t count = range.count();
     for (int64_t k = item % kBodyThreads; k < count; k += kBodyThreads) {
-      const int64_t cell = territory.frame.index(range[k]);
-      if (territory.owner[cell] != territory.rank) continue;
+      const int64_t cell = subdomain.frame.index(range[k]);
+      if (subdomain.owner[cell] != subdomain.rank) continue;
       for (int axis = 0; axis < 3; ++axis) {
         lower_to(cell_boxes + 6 * cell + axis, corners[axis]);
         raise_to(cell_boxes + 6 * cell + 3 + axis, corners[3 + axis]);
       }
     }
   });
-  const CellFrame frame = territory.frame;
+  const CellFrame frame = subdomain.frame;
   find_rows(context, bodies.count, near.rows, near.found,
             [=] __device__(int64_t body) { return is_near(bodies, frame, cell_boxes, body); });
 }
 
 void leaving_bodies_cuda(const DeviceContext& context, const double* position, int64_t count,
-                         const Territory& territory, int64_t ranks, const LeavingRows& leaving) {
+                         const Subdomain& subdomain, int64_t ranks, const LeavingRows& leaving) {
   const int64_t shares = smaller(count, kMostShares), slots = ranks * shares;
   if (slots == 0) return fill_bytes(context, leaving.counts, 0, ranks);
   int64_t* found = context.allocate<int64_t>(1);
   find_rows(context, count, leaving.rows, found, [=] __device__(int64_t body) {
-    const int64_t owner = owner_of(territory, position, body);
+    const int64_t owner = owner_of(subdomain, position, body);
     require_on_device(is_within(owner, ranks), "owner: expected ranks");
-    return owner != territory.rank;
+    return owner != subdomain.rank;
   });
   // A counting sort, since the device alone knows how many there are. Each share goes through its rows in order, so
   // that those to one rank stay in order. next (ranks, shares): where a share's next row to a rank comes.
@@ -189,7 +189,7 @@ void leaving_bodies_cuda(const DeviceContext& context, const double* position, i
     for (int64_t rank = 0; rank < ranks; ++rank) next[rank * shares + share] = 0;
     const int64_t begin = *found * share / shares, end = *found * (share + 1) / shares;
     for (int64_t k = begin; k < end; ++k) {
-      ++next[owner_of(territory, position, rows[k]) * shares + share];
+      ++next[owner_of(subdomain, position, rows[k]) * shares + share];
     }
   });
   run_cub(context, [&](void* scratch, size_t& bytes) {
@@ -203,7 +203,7 @@ void leaving_bodies_cuda(const DeviceContext& context, const double* position, i
   for_each_item(context, shares, [=] __device__(int64_t share) {
     const int64_t begin = *found * share / shares, end = *found * (share + 1) / shares;
     for (int64_t k = begin; k < end; ++k) {
-      by_destination[next[owner_of(territory, position, rows[k]) * shares + share]++] = rows[k];
+      by_destination[next[owner_of(subdomain, position, rows[k]) * shares + share]++] = rows[k];
     }
   });
 }

@@ -7,23 +7,23 @@ from torch import Tensor
 from pgccd.ops import library
 
 #: Cells as `Partition.frame` says, owner (cells,) int64 of each, and a rank.
-Territory = tuple[list[float], Tensor, int]
+Subdomain = tuple[list[float], Tensor, int]
 Centres = Sequence[Tensor]
 
 
-def border_bodies(
-    centres: Centres, min_separation: float, tolerance: float, territory: Territory
+def boundary_bodies(
+    centres: Centres, min_separation: float, tolerance: float, subdomain: Subdomain
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Bodies that reach cells of others: reach (N,) uint8, 1 for them; their rows, ascending, in the first `found` (1,)
     places of (N,), then rows of -1. centres: at t0 and t1 (N, 3), and radius (N,)."""
-    return library.operators.border_bodies(list(centres), min_separation, tolerance, *territory)
+    return library.operators.boundary_bodies(list(centres), min_separation, tolerance, *subdomain)
 
 
-def holders_of(
+def replica_ranks(
     centres: Centres,
     min_separation: float,
     tolerance: float,
-    territory: Territory,
+    subdomain: Subdomain,
     bodies: Tensor,
     ranks: int,
     received: Sequence[int] = (),
@@ -31,14 +31,14 @@ def holders_of(
     """(B, ranks) uint8: 1 for other ranks of which one of the rows `bodies` (B,) reaches a cell (a row of -1 none); and
     for the rank that it came from, if these are ghosts, of which so many were `received` from each. And how many bodies
     of each, (ranks,) int64."""
-    arguments = (list(centres), min_separation, tolerance, *territory, bodies, list(received), ranks)
-    return library.operators.holders_of(*arguments)
+    arguments = (list(centres), min_separation, tolerance, *subdomain, bodies, list(received), ranks)
+    return library.operators.replica_ranks(*arguments)
 
 
-def rows_by_rank(holders: Tensor, rows: Tensor, counts: Tensor, rooms: Sequence[int]) -> Tensor:
+def rows_by_rank(replica_ranks: Tensor, rows: Tensor, counts: Tensor, rooms: Sequence[int]) -> Tensor:
     """The rows (B,) that rank 0 holds, then those that rank 1 does, ...; each in a room for so many, of which the rest
-    is -1; those for which there is no room are left out. holders (B, ranks) and counts as of `holders_of`."""
-    return library.operators.rows_by_rank(holders, rows, counts, list(rooms))
+    is -1; those for which there is no room are left out. replica_ranks (B, ranks) and counts as of `replica_ranks`."""
+    return library.operators.rows_by_rank(replica_ranks, rows, counts, list(rooms))
 
 
 def counts_to_tell(counts: Tensor, rooms: Sequence[int], found: Tensor, room: int) -> Tensor:
@@ -55,23 +55,23 @@ def owned_pairs(
     min_separation: float,
     tolerance: float,
     reach: Tensor,
-    territory: Territory,
+    subdomain: Subdomain,
 ) -> tuple[Tensor, Tensor]:
     """Of the pairs (P, 2) of bodies B, perhaps rows of -1 among them, those whose reference point lies in a cell of the
     rank, that of the smaller id first, in the first `found` (1,) places of (P, 2), then rows of -1. Of the bodies that
     the rank holds, own ones come first, then ghosts: reach (N,) of own ones is as above, id (N + G,) is of all. rows
     (B,): which of them each of the bodies is, and only pairs with a ghost count; None: they are the own ones."""
-    return library.operators.owned_pairs(pairs, rows, id, list(centres), min_separation, tolerance, reach, *territory)
+    return library.operators.owned_pairs(pairs, rows, id, list(centres), min_separation, tolerance, reach, *subdomain)
 
 
 def near_ghosts(
-    centres: Centres, ghosts: Centres, min_separation: float, tolerance: float, territory: Territory
+    centres: Centres, ghosts: Centres, min_separation: float, tolerance: float, subdomain: Subdomain
 ) -> tuple[Tensor, Tensor]:
     """Rows of bodies that overlap the box around all ghosts in a cell of the rank which they reach; found as above."""
-    return library.operators.near_ghosts(list(centres), list(ghosts), min_separation, tolerance, *territory)
+    return library.operators.near_ghosts(list(centres), list(ghosts), min_separation, tolerance, *subdomain)
 
 
-def leaving_bodies(position: Tensor, territory: Territory, ranks: int) -> tuple[Tensor, Tensor, Tensor]:
+def leaving_bodies(position: Tensor, subdomain: Subdomain, ranks: int) -> tuple[Tensor, Tensor, Tensor]:
     """Rows of bodies whose centre (N, 3) is in a cell of another rank, in the first places of (N,): ascending; and by
     rank, then ascending; and how many are in the cells of each, (ranks,)."""
-    return library.operators.leaving_bodies(position, *territory, ranks)
+    return library.operators.leaving_bodies(position, *subdomain, ranks)

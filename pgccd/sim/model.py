@@ -1,4 +1,4 @@
-"""The nanorobot world: its configuration, its robots' state, and how they start and move."""
+"""The nanorobot model: its configuration, its robots' state, and how they start and move."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from pgccd.sim.robot import robot_mesh
 
 Pattern = Literal["random", "skewed"]
 PATTERNS: tuple[str, ...] = get_args(Pattern)
-# In the order that ops.simulate_concerned_motion wants.
+# In the order that ops.simulate_affected_motion wants.
 _MOVING = ("id", "position", "orientation", "velocity", "angular_velocity")
 
 
 @dataclass(frozen=True)
-class WorldConfig:
+class ModelConfig:
     """What a world is like. Lengths are in radii r: the largest SBV radius of its meshes.
 
     Raises:
         ValueError: naming the field.
 
     Example:
-        >>> config = pgccd.sim.WorldConfig(robots=1000, pattern="skewed", seed=7)
+        >>> config = pgccd.sim.ModelConfig(robots=1000, pattern="skewed", seed=7)
     """
 
     robots: int = 10_000  #: below 2^31
@@ -119,7 +119,7 @@ class RobotState:
         return RobotState(**{name: column.to(device) for name, column in self.columns.items()})
 
 
-class World:
+class Model:
     """A world on one device: its meshes, its box, and the rules by which its robots start and move.
 
     All it decides is a function of (seed, id, step) and the state, in operators of ours: the same bits on every device,
@@ -135,13 +135,13 @@ class World:
         ValueError: a mesh has its origin elsewhere.
 
     Example:
-        >>> world = pgccd.sim.World(pgccd.sim.WorldConfig(robots=1000))
-        >>> state = world.plan(world.start(), step=0)
-        >>> hits = pgccd.detect(world.scene(state.id), world.motion(state))
+        >>> model = pgccd.sim.Model(pgccd.sim.ModelConfig(robots=1000))
+        >>> state = model.plan(model.start(), step=0)
+        >>> hits = pgccd.detect(model.scene(state.id), model.motion(state))
     """
 
     def __init__(
-        self, config: WorldConfig, meshes: Sequence[Mesh] | None = None, device: torch.device | str = "cpu"
+        self, config: ModelConfig, meshes: Sequence[Mesh] | None = None, device: torch.device | str = "cpu"
     ) -> None:
         self.config = config
         self.meshes = MeshSet(list(meshes) if meshes is not None else [robot_mesh()], device)
@@ -184,7 +184,7 @@ class World:
             velocity, spin = fraction[:, None] * velocity, fraction[:, None] * spin
         return RigidMotion.from_velocity(state.position, state.orientation, velocity, spin, dt=1.0)
 
-    def concerned_pairs(
+    def affected_pairs(
         self,
         own: Sequence[Tensor],
         ghosts: Sequence[Tensor],
@@ -208,11 +208,11 @@ class World:
             there are not set.
         """
         radius = self.meshes.radius
-        found, *bodies, counts = ops.simulate_concerned_motion(own, ghosts, fraction, changed, pairs, radius, room)
+        found, *bodies, counts = ops.simulate_affected_motion(own, ghosts, fraction, changed, pairs, radius, room)
         return found, tuple(bodies), counts
 
     def pair_motion(self, bodies: Sequence[Tensor]) -> tuple[Scene, RigidMotion]:
-        """Scene and motion of `concerned_pairs` whose number was known."""
+        """Scene and motion of `affected_pairs` whose number was known."""
         mesh_index, position_t0, position_t1, radius, orientation, rotation = bodies
         scene = Scene.of_checked(self.meshes, mesh_index)
         scene.radius = radius  # known already

@@ -81,7 +81,7 @@ struct FirstToiInput {
 };
 
 // Pairs of which at least one robot has changed.
-struct ConcernedPairs {
+struct AffectedPairs {
   const int64_t* pairs;    // (pair_count, 2), padding negative
   const uint8_t* changed;  // (robot_count,)
   int64_t robot_count;

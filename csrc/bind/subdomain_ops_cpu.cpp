@@ -1,0 +1,43 @@
+// Whose cells bodies reach, on the CPU.
+#include "bind/cpu_executor.h"
+#include "bind/subdomain_ops.h"
+
+namespace pgccd::bind {
+namespace {
+
+class SubdomainOnCpu {
+ public:
+  explicit SubdomainOnCpu(const Tensor&) {}
+
+  void boundary_bodies(const BroadBodies& bodies, const Subdomain& subdomain, uint8_t* reach,
+                     const FoundRows& boundary) const {
+    boundary_bodies_cpu(executor_, bodies, subdomain, reach, boundary);
+  }
+  void replica_ranks(const ReplicaRanksInput& input, const ReplicaRanks& out) const { replica_ranks_cpu(executor_, input, out); }
+  void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank) const {
+    rows_by_rank_cpu(held, rooms, by_rank);
+  }
+  void counts_to_tell(const RoomInput& input, const std::vector<int64_t>& rooms, int64_t* told) const {
+    counts_to_tell_cpu(input, rooms, told);
+  }
+  void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
+    owned_pairs_cpu(executor_, input, owned, found);
+  }
+  void near_ghosts(const BroadBodies& bodies, const BroadBodies& ghosts, const Subdomain& subdomain,
+                   const FoundRows& near) const {
+    near_ghosts_cpu(executor_, bodies, ghosts, subdomain, near);
+  }
+  void leaving_bodies(const double* position, int64_t count, const Subdomain& subdomain, int64_t ranks,
+                      const LeavingRows& leaving) const {
+    leaving_bodies_cpu(executor_, position, count, subdomain, ranks, leaving);
+  }
+
+ private:
+  TorchExecutor executor_;
+};
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) { PGCCD_REGISTER_SUBDOMAIN_OPS(library, SubdomainOnCpu); }
+
+}  // namespace pgccd::bind
