@@ -115,8 +115,8 @@ def launches(world: MixedWorld, motions: list[pgccd.RigidMotion]) -> dict[str, V
         return {}
     needed = pgccd.detect(world.scene, motions[0]).stats.needed
     if needed is None:
-        raise SystemExit("this world is streamed: a graph has no room for it")
-    room = needed.times(1.25)
+        raise SystemExit("this world is streamed: a graph cannot hold it")
+    capacity = needed.times(1.25)
     graphed = GraphedDetection(world.scene, motions[0], needed)
 
     def replay(motion: pgccd.RigidMotion) -> Any:
@@ -125,7 +125,7 @@ def launches(world: MixedWorld, motions: list[pgccd.RigidMotion]) -> dict[str, V
         return graphed.found
 
     return {
-        "launched one by one": lambda motion: pgccd.detect(world.scene, motion, capacity=room),
+        "launched one by one": lambda motion: pgccd.detect(world.scene, motion, capacity=capacity),
         "as a graph": replay,
     }
 

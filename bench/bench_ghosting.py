@@ -1,11 +1,11 @@
 """Two ways to find all contacts of the bodies of many ranks, counted on the standard model:
 
   once   ghosts where CBVs reach; each pair is tested by one rank, the owner of its boxes' reference point; contacts are
-         told to the owners of both bodies (what `pgccd.distributed` does)
+         sent to the owners of both bodies (what `pgccd.distributed` does)
   twice  ghosts where CBVs, grown by the largest extent of any, reach; every owner finds all contacts of its bodies by
          itself, and pairs of two owners are tested by both
 
-Per body: ghosts, body pairs tested, rows of contacts told. "unseen": pairs that nobody would test if ghosts were where
+Per body: ghosts, body pairs tested, rows of contacts sent. "unseen": pairs that no rank would test if ghosts were where
 CBVs reach and owners tested pairs of their own bodies alone, since neither owner holds the other body. Robots have been
 moving for some steps; there is no GPU and no message in this, only numbers.
 """
@@ -56,7 +56,7 @@ def count(
     partition = Partition.uniform((-x, -y, -z), (x, y, z), ranks, cells=arguments.cells)
     centres = [bodies.position_t0, bodies.position_t1, bodies.radius]
     lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
-    # So far does any CBV reach from the centre that decides who owns the body.
+    # Distance that a CBV reaches from the centre that decides the owner of the body.
     extent = float(torch.maximum(upper - bodies.position_t0, bodies.position_t0 - lower).max())
     owner, pairs = partition.owner_of(bodies.position_t0), broad.find_pairs(bodies)
     owners = owner[pairs]
@@ -68,7 +68,7 @@ def count(
         "ghosts twice": timing.rounded(ghosts(partition, centres, owner, 2.0 * extent) / robots),
         "pairs once": timing.rounded(len(pairs) / robots),
         "pairs twice": timing.rounded((len(pairs) + int(between.sum())) / robots),
-        "told once": timing.rounded(told(partition, lower, owner, contacts) / robots),
+        "sent once": timing.rounded(sent(partition, lower, owner, contacts) / robots),
         "contacts": timing.rounded(len(contacts) / robots),
         "unseen": unseen(partition, centres, pairs[between], owners[between]),
     }
@@ -88,7 +88,7 @@ def reach(partition: Partition, centres: list[Tensor], rows: Tensor, separation:
     """(B, ranks) uint8: 1 where one of the rows (B,) reaches a cell of the rank."""
     ranks = partition.ranks
     reached, _ = ops.replica_ranks(centres, separation, 0.0, partition.subdomain(0), rows, ranks)
-    # A rank is told of others alone.
+    # A rank is sent the contacts of others only.
     reached[:, 0] = ops.replica_ranks(centres, separation, 0.0, partition.subdomain(ranks - 1), rows, ranks)[0][:, 0]
     return reached
 
@@ -102,7 +102,7 @@ def unseen(partition: Partition, centres: list[Tensor], pairs: Tensor, owners: T
     return int((~seen).sum())
 
 
-def told(partition: Partition, lower: Tensor, owner: Tensor, contacts: Tensor) -> int:
+def sent(partition: Partition, lower: Tensor, owner: Tensor, contacts: Tensor) -> int:
     """Rows of contacts on their way to owners of their bodies that did not find them."""
     tester = partition.owner_of(torch.maximum(lower[contacts[:, 0]], lower[contacts[:, 1]]))
     owners = owner[contacts]

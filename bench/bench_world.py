@@ -8,7 +8,7 @@ potentially colliding pair, writing every contact, at the copy bandwidth measure
 of the node tests and candidates that were actually made, roughly counted, at the rate of matrix products measured in
 the same run.
 
-On a GPU further steps are also made as a CUDA graph in a room that suffices for them, and must find as much.
+On a GPU further steps are also made as a CUDA graph in a capacity that suffices for them, and must find as much.
 """
 
 from __future__ import annotations
@@ -142,11 +142,11 @@ def as_graph(world: MixedWorld, arguments: argparse.Namespace) -> dict[str, floa
         hits = pgccd.detect(world.scene, motion, report="first")
         if graphed is None:
             if hits.stats.needed is None:
-                raise SystemExit("this world is streamed: a graph has no room for it")
+                raise SystemExit("this world is streamed: a graph cannot hold it")
             graphed = GraphedDetection(world.scene, motion, hits.stats.needed)
         graphed.load(motion)
         spent.append(timing.seconds(graphed.replay, device)[0])
-        found = graphed.found.trim()  # raises if the room did not suffice
+        found = graphed.found.trim()  # raises on overflow
         assert found.toi is not None and hits.toi is not None
         if not (torch.equal(found.pairs, hits.pairs) and torch.equal(found.toi, hits.toi)):
             raise SystemExit("the graph's contacts differ")

@@ -11,7 +11,7 @@ of cells. Then a skewed density (a peak in each corner of the box) is balanced f
     ghosts      a robot's share of that, times the ghosts
     many        what a step of two ranks on one host took more: launches and calls of NCCL
     halo        between hosts: messages x latency + bytes / bandwidth, out and in, for halo and migration
-    settling    between hosts: `--rounds` x one exchange of 16 bytes a ghost
+    resolution  between hosts: `--rounds` x one exchange of 16 bytes a ghost
     gather      between hosts: one all-gather of 900 bytes a rank
     balance     between hosts: one all-reduce of 24 bytes a cell; and the decision, which is timed here once the loads
                 are even
@@ -21,7 +21,7 @@ spread evenly. What it says of four ranks on one host, which it has not been fit
 of an earlier version too, to whose own rows it is fitted then.
 
     python bench/cluster_model.py --robots 1000000000 --ranks 1024
-    python bench/cluster_model.py --counted  # the model anew, from what was counted before
+    python bench/cluster_model.py --counted  # the model again, from earlier counts
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--counted", action="store_true", help="count nothing: only the model, for what is known")
     parser.add_argument("--latency-us", type=float, default=10.0, help="of a message between machines")
     parser.add_argument("--gigabytes", type=float, default=50.0, help="a second and rank between machines")
-    parser.add_argument("--rounds", type=int, default=6, help="of settling a step")
+    parser.add_argument("--rounds", type=int, default=6, help="of collision resolution a step")
     parser.add_argument("--balance-steps", type=int, default=30, help="of the skewed density")
     return parser.parse_args()
 
@@ -170,7 +170,7 @@ class Counts:
         first, last = (partition.cell_of(corner) for corner in ops.swept_boxes(*centres, 0.0, 0.0))
         for rows in torch.nonzero(first != last)[:, 0].split(max(1, _BLOCK // ranks)):
             reached, _ = ops.replica_ranks(centres, 0.0, 0.0, partition.subdomain(0), rows, ranks)
-            if ranks > 1:  # a rank is told of others alone
+            if ranks > 1:  # a rank is sent the contacts of others only
                 reached[:, 0] = ops.replica_ranks(centres, 0.0, 0.0, partition.subdomain(1), rows, ranks)[0][:, 0]
             row, destination = torch.nonzero(reached).unbind(dim=1)
             source = owner[rows[row]]
@@ -256,7 +256,7 @@ def model(
         "ghosts": measured.robot_ms * ghosts,
         "many": measured.many_ms,
         "halo": 2.0 * (tree + exchange) + 2.0 * halo_bytes / a_millisecond,
-        "settling": arguments.rounds * (exchange + _GHOST_BYTES * ghosts / a_millisecond),
+        "resolution": arguments.rounds * (exchange + _GHOST_BYTES * ghosts / a_millisecond),
         "gather": tree + _RECORD_BYTES * ranks / a_millisecond,
         "balance": 2.0 * tree + 2.0 * _CELL_BYTES * row["cells"] / a_millisecond + row["skewed"]["decision_ms"],
     }

@@ -8,7 +8,7 @@ Run it once for each number of ranks; every run adds its row to the same file an
 
 With one rank the single-device program is timed beside, over the same steps. Steps follow one another as a simulation
 makes them; one lasts from the end of the one before, which every rank learns when the slowest has come. `waiting` is
-what a rank spends in the all-gather that tells it. Ranks depend on their hosts: `host_loop_ms` is what a loop of plain
+what a rank spends in the all-gather of the outcome. Ranks depend on their hosts: `host_loop_ms` is what a loop of plain
 Python takes on each of them at the end, all at once; compare it before you compare rows.
 """
 
@@ -69,7 +69,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
     parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
     parser.add_argument("--no-overlap", action="store_true", help="wait for ghosts first, begin no step early")
-    parser.add_argument("--no-ahead", action="store_true", help="wait for every round of settling")
+    parser.add_argument("--no-ahead", action="store_true", help="wait for every round of collision resolution")
     parser.add_argument("--steps-before", type=int, default=20, help="steps made before the first is timed")
     parser.add_argument("--rounds", type=int, default=20, help="steps timed")
     parser.add_argument("--seed", type=int, default=0)
@@ -87,9 +87,9 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         simulation.step(index)
     state, begin = simulation.state, arguments.steps_before
     durations, records = follow(comm, begin, arguments.rounds, lambda index: simulation.step(index, more=True))
-    everybody = comm.gather_objects((durations, [parts_of(*step) for step in zip(records, durations, strict=True)]))
-    whole = [max(steps) for steps in zip(*(times for times, _ in everybody), strict=True)]
-    parts = [steps for _, steps in everybody]
+    of_ranks = comm.gather_objects((durations, [parts_of(*step) for step in zip(records, durations, strict=True)]))
+    whole = [max(steps) for steps in zip(*(times for times, _ in of_ranks), strict=True)]
+    parts = [steps for _, steps in of_ranks]
     host_loop_ms = comm.gather_objects(timing.rounded(1e3 * timing.host_loop()))
     ranks = [record["ranks"] for record in records]
     single: list[float] = []
@@ -145,7 +145,7 @@ def start(
 
 
 def ahead(arguments: argparse.Namespace, ranks: int = 1) -> bool:
-    """Whether rounds of settling are made several at a time."""
+    """Whether rounds of collision resolution are enqueued several at a time."""
     return goes_ahead(False if arguments.no_ahead else None, torch.device(arguments.device), ranks)
 
 
@@ -160,7 +160,7 @@ def follow(
         made = step(index)
         former, end = end, time.perf_counter()
         durations.append(end - former)
-        # As a simulation does: a step's line is told when the next has been made.
+        # As a simulation does: a step's line is written when the next has been made.
         records.append(last.record)
         last = made
     return durations, [*records[1:], last.record]

@@ -93,7 +93,7 @@ def measure_baseline(comm: distributed.Comm, case: Case, steps: Steps, given: di
         assert baseline.stats is not None and hits.toi is not None
         stages.append(baseline.stats.seconds)
         boxes += baseline.stats.boxes
-        first_is_mine = (hits.pairs[:, 0] >= begin) & (hits.pairs[:, 0] < end)  # contacts of two ranks are told to both
+        first_is_mine = (hits.pairs[:, 0] >= begin) & (hits.pairs[:, 0] < end)  # contacts of two ranks are on both
         part = torch.tensor([sim.contacts_hash(hits.pairs[first_is_mine], hits.toi[first_is_mine]) - 2**63])
         total = sum(value + 2**63 for value in comm.all_gather(part)[:, 0].tolist()) % 2**64
         _require_hashes([f"{total:016x}"], given["hashes"][steps.settling + number :][:1], case)

@@ -17,11 +17,11 @@ class MovingBodies:
     """The bodies of `scene` during one step of `motion`, in the form the operators read.
 
     For deforming bodies this computes each body's bounds (refit of its hierarchy), once for all stages: where vertices
-    are written to later, make them anew.
+    are written to later, construct them again.
 
     Args:
-        wait: raise for an invalid pose now. Otherwise `first_faults` tells, and nothing waits for a device; the stages
-            then take `invalid`, or must not be called.
+        wait: raise for an invalid pose now. Otherwise nothing waits: `first_faults` holds them on the device, and the
+            stages take `invalid`, or must not be called.
 
     Raises:
         TypeError, ValueError: if scene and motion disagree in number or device, or a pose is invalid.

@@ -17,7 +17,7 @@ BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
 
 # Where "auto" goes from one to another, as measured (bench/bench_broad_phase.py): fewer bodies are swept faster than
-# sorted into cells. On a CPU every octave of sizes is a level of the grid that bodies look into one after the other,
+# sorted into cells. On a CPU every octave of sizes is a level of the grid, searched one after the other for each body,
 # and a sweep's work grows with the power 5/3 of the bodies; a GPU does best with the grid whatever the sizes.
 _FEW_BODIES = 2_000
 _GRID_OCTAVES = 3
@@ -99,7 +99,7 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
 def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase:
     """The broad phase meant: what "auto" stands for in this scene, else the one named.
 
-    Looks at what the host knows without waiting for a device: the number of bodies and the sizes of the meshes.
+    Uses only what is known on the host: the number of bodies and the sizes of the meshes.
 
     Raises:
         ValueError: there is no such broad phase.
@@ -122,7 +122,7 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
     return "lbvh" if bodies.scene.body_count >= _MANY_BODIES else "sweep"
 
 
-def find_pairs_within(
+def find_pairs_padded(
     bodies: MovingBodies,
     min_separation: float,
     broad_phase: BroadPhase,
@@ -134,28 +134,28 @@ def find_pairs_within(
 
     Args:
         bodies, min_separation, broad_phase, tolerance: as for `find_pairs`.
-        capacity: room.
+        capacity: of the lists of pairs and of what the broad phase needs.
         invalid: (1,) int64; unless it is 0, there are none.
 
     Returns:
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
-        `pgccd.capacity.Counts`. If there was no room for all pairs, any may be missing.
+        `pgccd.capacity.Counts`. On overflow any pairs may be missing.
     """
     number = list(_FINDERS).index(choose(bodies, broad_phase))
     own = 0 if bodies.scene.self_collision is None else len(bodies.self_colliding)
-    room, *rest = capacity.of_pairs
-    pairs, counts = ops.pairs_within(
+    pair_capacity, *rest = capacity.of_pairs
+    pairs, counts = ops.pairs_padded(
         *_columns(bodies),
         invalid,
         *_kept(min_separation, tolerance),
         number,
-        [max(0, room - own), *rest],
+        [max(0, pair_capacity - own), *rest],
     )
     if own:
         added = own * (invalid[0] == 0)
         for name in ("pairs", "pairs_written"):
             counts[COUNT_ROWS[name]] += added
-    if own > room:
+    if own > pair_capacity:
         counts[COUNT_ROWS["pairs_overflow"]] += 1
     return with_self_pairs(bodies, pairs), counts
 

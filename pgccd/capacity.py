@@ -1,4 +1,4 @@
-"""How much room a step of detection is given where nothing may wait for the device to say how much it needs."""
+"""Fixed capacities of a detection step that runs without the host waiting for counts from the device."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from pgccd import arguments
 
-# Bytes of each unit of room on a GPU, all that the operators keep of it together.
+# Bytes of GPU memory for each unit of capacity, over all buffers of the operators.
 _BYTES = {
     "pairs": 184,
     "overlaps": 8,
@@ -28,13 +28,13 @@ _EXACT = -1  # number of contacts that stands for as many as there are
 
 @dataclass(frozen=True)
 class Capacity:
-    """Room for one step of `detect`, or what a step needed of it (`Stats.needed`).
+    """Capacity for one step of `detect`, or what a step needed of it (`Stats.needed`).
 
     On a CPU only pairs and contacts can run out; the rest is scratch memory of a GPU.
 
     Example:
-        >>> room = pgccd.detect(scene, motion).stats.needed.times(1.5)
-        >>> hits = pgccd.detect(scene, motion, capacity=room)
+        >>> capacity = pgccd.detect(scene, motion).stats.needed.times(1.5)
+        >>> hits = pgccd.detect(scene, motion, capacity=capacity)
     """
 
     pairs: int  #: body pairs of the PCS
@@ -57,7 +57,7 @@ class Capacity:
 
     @classmethod
     def guess(cls, body_count: int, pair_count: int | None = None, self_vertex_count: int = 0) -> Capacity:
-        """Room for a scene like the nanorobot world, nearly twice over, and for folded cloth.
+        """Capacity for a scene like the nanorobot world, nearly twice over, and for folded cloth.
 
         Args:
             body_count: bodies of the scene.
@@ -65,7 +65,7 @@ class Capacity:
             self_vertex_count: vertices of bodies that collide with themselves.
 
         Example:
-            >>> room = pgccd.Capacity.guess(scene.body_count)
+            >>> capacity = pgccd.Capacity.guess(scene.body_count)
         """
         arguments.integer(body_count, "body_count", 0, "a number of bodies >= 0")
         arguments.integer(self_vertex_count, "self_vertex_count", 0, "a number of vertices >= 0")
@@ -85,7 +85,7 @@ class Capacity:
         ).times(1.0)
 
     def times(self, factor: float) -> Capacity:
-        """This room, each part at least `factor` times as large and not tiny."""
+        """This capacity, each part at least `factor` times as large and not tiny."""
         factor = arguments.length(factor, "factor")
         scaled: dict[str, Any] = {
             name: min(_MOST, _round_up(math.ceil(factor * getattr(self, name)) + _SMALLEST))
@@ -95,7 +95,7 @@ class Capacity:
         return replace(self, **scaled)
 
     def grown(self, needed: Capacity) -> Capacity:
-        """Room for a step that needed at least so much, and was cut short by the first part that did not fit."""
+        """Capacity for a step that needed at least `needed` and stopped at the first part that did not fit."""
         # What came after that saw only a part.
         more = max(1.0, needed.pairs / max(1, self.pairs), needed.overlaps / max(1, self.overlaps))
         enough = replace(
@@ -108,17 +108,17 @@ class Capacity:
 
     @property
     def bytes(self) -> int:
-        """Memory of a GPU that all this room takes, roughly."""
+        """GPU memory that buffers of this capacity take, roughly."""
         return sum(size * getattr(self, name) for name, size in _BYTES.items())
 
     @property
     def of_pairs(self) -> list[int]:
-        """As `ops.pairs_within` takes it."""
+        """As `ops.pairs_padded` takes it."""
         return [self.pairs, self.overlaps, int(self.long_rows)]
 
     @property
     def of_contacts(self) -> list[int]:
-        """As `ops.contacts_within_*` take it."""
+        """As `ops.contacts_padded_*` take it."""
         return [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches, self.open, self.contacts]
 
 
@@ -126,7 +126,7 @@ _NAMES = tuple(field.name for field in fields(Capacity))
 
 
 def check_capacity(capacity: Capacity) -> None:
-    """Raises TypeError or ValueError unless this is room that rows can be numbered in."""
+    """Raises TypeError or ValueError unless this is a capacity whose rows fit 32-bit numbers."""
     if not isinstance(capacity, Capacity):
         hint = ": see Capacity.guess and Stats.needed" if isinstance(capacity, int) else ""
         raise TypeError(f"capacity: expected a pgccd.Capacity, got {arguments.describe(capacity)}{hint}")
@@ -148,7 +148,7 @@ EXACTLY = Capacity(pairs=0, contacts=_EXACT)
 
 
 class CapacityError(RuntimeError):
-    """There was not room for all of a step; `needed` says how much it takes at least."""
+    """A step exceeded its capacity; `needed` is a lower bound of what it takes."""
 
     def __init__(self, capacity: Capacity, needed: Capacity) -> None:
         short = [
@@ -157,7 +157,7 @@ class CapacityError(RuntimeError):
             if getattr(needed, name) > getattr(capacity, name)
         ]
         super().__init__(capacity, needed)
-        self._message = f"capacity: the step needs more room: {', '.join(short)}; see Capacity.grown"
+        self._message = f"capacity: the step needs more: {', '.join(short)}; see Capacity.grown"
         self.capacity, self.needed = capacity, needed
 
     def __str__(self) -> str:
@@ -197,11 +197,11 @@ class Counts:
 
     @property
     def overflow(self) -> bool:
-        """Whether there was not room for everything."""
+        """Whether any capacity was exceeded."""
         return bool(self.pairs_overflow or self.traverse_overflow or self.contacts_overflow)
 
     def needed(self, capacity: Capacity) -> Capacity:
-        """The room that the step, made within `capacity`, would have needed."""
+        """The capacity that the step, run in `capacity`, would have needed."""
         return Capacity(
             launches=max(1, 2 * capacity.launches) if self.tasks_left else capacity.launches,
             long_rows=self.long_rows != 0,

@@ -130,7 +130,7 @@ def _simulate(options: argparse.Namespace) -> int:
             if not is_out_of_memory(error):
                 raise
             raise ArgumentError("--robots", f"too many for the memory of {options.device}: {error}") from error
-        except ValueError as error:  # what another rank was told, or what ranks do not agree on
+        except ValueError as error:  # an option that differs between ranks, or is invalid on another one
             raise ArgumentError("", error) from error
         if comm.rank == 0:
             _print_run(finished, folder, options)

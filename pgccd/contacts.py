@@ -39,7 +39,7 @@ class Stats:
     chunks: int = 0  #: pieces in which the PCS was streamed
     waits: int = 0  #: times the host waited for a GPU
     scratch_bytes: int = 0  #: most scratch memory that one operator on a GPU held
-    needed: Capacity | None = None  #: room the step needed; on a GPU None if it was streamed
+    needed: Capacity | None = None  #: capacity the step needed; on a GPU None if it was streamed
     seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -155,7 +155,7 @@ class PaddedContacts:
     normal: Tensor | None
     status: Tensor | None
     count: Tensor  #: (1,) int64: number of contacts
-    #: (1,) bool: there was not room for everything, or the input is invalid, and contacts may be missing. `trim` says
+    #: (1,) bool: a capacity was exceeded, or the input is invalid, and contacts may be missing. `trim` raises and says
     #: which.
     overflow: Tensor
     counts: Tensor  #: (21 + F,) int64: `pgccd.capacity.Counts`, then `pgccd.MovingBodies.first_faults`
@@ -166,18 +166,18 @@ class PaddedContacts:
     scene: Scene | None = field(default=None, init=False, repr=False, compare=False)
 
     def first_toi(self, by: By = "scene") -> Tensor:
-        """As `Contacts.first_toi`; waits for nothing. Where there was not room for all, some may be missing."""
+        """As `Contacts.first_toi`; waits for nothing. On overflow some may be missing."""
         return first_time(self.pairs, self.toi, self.scene, by)
 
     def trim(self) -> Contacts:
         """The contacts alone, with stats. Waits for the device.
 
         Raises:
-            CapacityError: there was not room for everything.
+            CapacityError: a capacity was exceeded.
             ValueError: the input is invalid.
 
         Example:
-            >>> hits = pgccd.detect(scene, motion, capacity=room).trim()
+            >>> hits = pgccd.detect(scene, motion, capacity=capacity).trim()
         """
         values = self.counts.tolist()
         self.faults.raise_from(values[len(COUNT_ROWS) :])
@@ -192,7 +192,7 @@ class PaddedContacts:
         return contacts
 
     def __repr__(self) -> str:
-        return f"PaddedContacts(room={len(self.pairs)}, device={self.pairs.device})"
+        return f"PaddedContacts(capacity={len(self.pairs)}, device={self.pairs.device})"
 
 
 def stats_of(counts: Counts, capacity: Capacity, bodies: int, contacts: int, broad_phase: str, waits: int) -> Stats:

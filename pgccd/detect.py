@@ -15,13 +15,13 @@ from pgccd.capacity import EXACTLY, Capacity, check_capacity
 from pgccd.contacts import Contacts, PaddedContacts
 from pgccd.memory import memory_limit, recall_capacity, remember_needs
 from pgccd.motion import RigidMotion, VertexMotion
+from pgccd.padded import Search, search_padded
 from pgccd.query import Query
 from pgccd.scene import Scene
 from pgccd.streaming import SolvePairs, stream
 from pgccd.trajectory import Trajectory, TrajectoryContacts, detect_trajectory
-from pgccd.within import Search, search_within
 
-# A step that does not fit is repeated with more room, once for every stage that may have run out of it.
+# A step that overflows is repeated with a larger capacity, at most once for every stage that may overflow.
 _ATTEMPTS = 6
 
 
@@ -104,13 +104,13 @@ def detect(
             to them.
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB,
             or a quarter of what is free on a GPU if that is more. The result does not depend on it.
-        capacity: room for the result and all on the way to it. Then sizes are fixed and nothing waits for the device,
+        capacity: of the result and of all intermediate lists. Then sizes are fixed and nothing waits for the device,
             so that the call can be captured by `torch.cuda.graph` and compiled by `torch.compile(fullgraph=True)`;
-            `overflow` of the result tells whether the room sufficed. (For bodies that deform, call once before.)
+            `overflow` of the result is set if a capacity was exceeded. (For bodies that deform, call once before.)
 
     Returns:
         Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts of a trajectory. On a
-        GPU the host waits once, for the counts that sizes follow from; again only where a step needs much more room
+        GPU the host waits once, for the counts that sizes follow from; again only where a step needs much more capacity
         than the last one.
 
     Raises:
@@ -144,7 +144,7 @@ def detect(
     if pairs is not None:
         pairs = traverse.check_pairs(pairs, bodies, ascending=True)
     if capacity is not None:
-        return search_within(bodies, query, capacity, broad_phase, pairs).padded()
+        return search_padded(bodies, query, capacity, broad_phase, pairs).padded()
     found = find_contacts(bodies, query, broad_phase, pairs, memory_budget)
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
     found.scene = scene
@@ -158,7 +158,7 @@ def find_contacts(
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
 ) -> Contacts:
-    """What `detect` finds, for those who have made its checks and hold moving bodies.
+    """`detect` without its checks, for bodies in motion.
 
     Args:
         bodies: on a CPU checked already.
@@ -186,7 +186,7 @@ def start_search(
     Args:
         bodies, query, pairs: as for `find_contacts`.
         pair_counts: (7,) int64, left on the device: the first of `Counts`, if some of the pairs are padding.
-        capacity: the room there is. Default: `expected_capacity`; if that is None there is no room, and all of it
+        capacity: of the search. Default: `expected_capacity`; if that is None there is none, and all of it
             overflows.
         part: of every step, which the pairs are.
     """
@@ -194,7 +194,7 @@ def start_search(
         ops.take_scratch_peak()  # of earlier steps
     if capacity is None:
         capacity = expected_capacity(bodies, query, pairs, part) or Capacity(0, 0)
-    return search_within(bodies, query, capacity, "auto", pairs, pair_counts)
+    return search_padded(bodies, query, capacity, "auto", pairs, pair_counts)
 
 
 def expected_capacity(
@@ -211,7 +211,7 @@ def _on_cpu(bodies: MovingBodies, query: Query) -> tuple[SolvePairs, Callable[[T
     """How chunks are solved where buffers have the sizes needed."""
 
     def solve(pairs: Tensor) -> Contacts:
-        search = search_within(bodies, query, EXACTLY, "auto", pairs)
+        search = search_padded(bodies, query, EXACTLY, "auto", pairs)
         return search.contacts(search.read())
 
     return solve, solve
@@ -237,13 +237,13 @@ def _on_gpu(
 def _detect_at_once(
     bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
 ) -> Contacts | None:
-    """All stages one after the other in the room that a step is expected to need; None if that is too much."""
+    """All stages one after the other in the capacity that a step is expected to need; None if that is too much."""
     capacity = recall_capacity(bodies.scene, query, pairs)
     ops.take_scratch_peak()  # of earlier steps
     for attempt in range(1, _ATTEMPTS + 1):
         if capacity.bytes > memory_limit(memory_budget, capacity.bytes, bodies.device):
             return None
-        search = search_within(bodies, query, capacity, broad_phase, pairs)
+        search = search_padded(bodies, query, capacity, broad_phase, pairs)
         counts = search.read()
         needed = counts.needed(capacity)
         remember_needs(bodies.scene, query, pairs, needed)

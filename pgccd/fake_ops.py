@@ -104,13 +104,13 @@ def _(
 
 
 @torch.library.register_fake("pgccd::rows_by_rank")
-def _(replica_ranks: Tensor, rows: Tensor, counts: Tensor, rooms: list[int]) -> Tensor:
-    return rows.new_empty((sum(rooms),))
+def _(replica_ranks: Tensor, rows: Tensor, counts: Tensor, capacities: list[int]) -> Tensor:
+    return rows.new_empty((sum(capacities),))
 
 
-@torch.library.register_fake("pgccd::counts_to_tell")
-def _(counts: Tensor, rooms: list[int], found: Tensor, room: int) -> Tensor:
-    return counts.new_empty((len(rooms), 2))
+@torch.library.register_fake("pgccd::counts_to_send")
+def _(counts: Tensor, capacities: list[int], found: Tensor, capacity: int) -> Tensor:
+    return counts.new_empty((len(capacities), 2))
 
 
 @torch.library.register_fake("pgccd::owned_pairs")
@@ -177,7 +177,7 @@ def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *_rest: objec
     return _fake_candidates(pairs)
 
 
-@torch.library.register_fake("pgccd::pairs_within")
+@torch.library.register_fake("pgccd::pairs_padded")
 def _(position_t0: Tensor, *rest: Any) -> tuple[Tensor, Tensor]:
     capacity = rest[-1]
     return position_t0.new_empty((capacity[0], 2), dtype=torch.int64), position_t0.new_empty((7,), dtype=torch.int64)
@@ -191,12 +191,12 @@ def _fake_found(pairs: Tensor, rest: Any) -> tuple[Tensor, ...]:
     return pairs.new_empty((count, 2)), *columns, pairs.new_empty((21 + faults.shape[0],))
 
 
-@torch.library.register_fake("pgccd::contacts_within_rigid")
+@torch.library.register_fake("pgccd::contacts_padded_rigid")
 def _(mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, pairs: Tensor, *rest: Any) -> tuple[Tensor, ...]:
     return _fake_found(pairs, rest)
 
 
-@torch.library.register_fake("pgccd::contacts_within_deforming")
+@torch.library.register_fake("pgccd::contacts_padded_deforming")
 def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *rest: Any) -> tuple[Tensor, ...]:
     return _fake_found(pairs, rest)
 
@@ -284,12 +284,12 @@ def _(
     changed: Tensor,
     pairs: Tensor,
     mesh_radius: Tensor,
-    room: int,
+    capacity: int,
 ) -> tuple[Tensor, ...]:
-    position_t0, position_t1, orientation, rotation = _fake_robots(fraction, 2 * room, 3, 3, 4, 3)
-    mesh_index, radius = pairs.new_empty((2 * room,), dtype=torch.int32), fraction.new_empty((2 * room,))
+    position_t0, position_t1, orientation, rotation = _fake_robots(fraction, 2 * capacity, 3, 3, 4, 3)
+    mesh_index, radius = pairs.new_empty((2 * capacity,), dtype=torch.int32), fraction.new_empty((2 * capacity,))
     bodies = mesh_index, position_t0, position_t1, radius, orientation, rotation
-    return pairs.new_empty((room, 2)), *bodies, pairs.new_empty((7,))
+    return pairs.new_empty((capacity, 2)), *bodies, pairs.new_empty((7,))
 
 
 @torch.library.register_fake("pgccd::simulate_tally")

@@ -15,7 +15,7 @@ from pgccd.scene import Scene
 _DEFAULT_BUDGET = 1 << 30
 # Times what the last step needed.
 _SLACK = 1.25
-# What one pair of the PCS may need while it is traversed and solved, on the standard scene with room to spare.
+# Memory of one pair of the PCS in traversal and narrow phase, on the standard scene with a margin.
 _BYTES_PER_PAIR = 1536
 
 
@@ -23,7 +23,7 @@ def memory_limit(budget: int | None, wanted: int, device: torch.device) -> int:
     """Bytes of scratch memory to aim at. What a GPU has free is only asked where it matters: asking takes time.
 
     Args:
-        budget: as the user said.
+        budget: the user's.
         wanted: what would be used.
         device: where.
     """
@@ -36,7 +36,7 @@ def memory_limit(budget: int | None, wanted: int, device: torch.device) -> int:
 
 
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether a device had too little memory, as torch says it or as our operators do."""
+    """Whether a device had too little memory, by the error of torch or of our operators."""
     return isinstance(error, torch.OutOfMemoryError) or "out of memory: no room for" in str(error)
 
 
@@ -49,7 +49,7 @@ class _Experience:
 def recall_capacity(
     scene: Scene, query: Query, pairs: Tensor | None, part: str | None = None, slack: float = _SLACK
 ) -> Capacity:
-    """Room for a step like the last one of these meshes, or of the standard scene if there was none.
+    """Capacity for a step like the last one of these meshes, or of the standard scene if there was none.
 
     The meshes remember, since scenes come and go with the bodies of a rank. What they remember changes how often a step
     is repeated, never its result.
@@ -66,8 +66,8 @@ def recall_capacity(
     guess = Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
     if not isinstance(last, _Experience):
         return guess
-    room = last.needed.times(slack * size / last.size)
-    return replace(room, launches=max(room.launches, guess.launches))
+    capacity = last.needed.times(slack * size / last.size)
+    return replace(capacity, launches=max(capacity.launches, guess.launches))
 
 
 def remember_needs(scene: Scene, query: Query, pairs: Tensor | None, needed: Capacity, part: str | None = None) -> None:
@@ -92,6 +92,6 @@ def _kind(query: Query, pairs: Tensor | None, part: str | None) -> str:
         return f"{query.report}: {part}"
     if pairs is None:
         return query.report
-    # A whole step and a repetition of a part of it may differ by much in what a pair needs: octaves of sizes tell them
-    # apart.
+    # A whole step and a repetition of a part of it may need very different memory a pair: octaves of sizes
+    # distinguish them.
     return f"{query.report} of 2^{len(pairs).bit_length()} given pairs"

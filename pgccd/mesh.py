@@ -109,7 +109,7 @@ class Mesh:
 
     @classmethod
     def from_trimesh(cls, mesh: Any, origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> Mesh:
-        """From a `trimesh.Trimesh`, or a `trimesh.Scene` (its meshes are placed as the scene says, and joined).
+        """From a `trimesh.Trimesh`, or a `trimesh.Scene` (its meshes are placed by the scene's transforms, and joined).
 
         Args:
             mesh: what trimesh made.

@@ -15,11 +15,11 @@ from pgccd.capacity import COUNT_ROWS, Capacity, Counts
 from pgccd.contacts import Contacts, Stats
 from pgccd.detect import expected_capacity, find_contacts, start_search
 from pgccd.memory import remember_needs
+from pgccd.padded import Search
 from pgccd.query import Query
 from pgccd.streaming import join_contacts
-from pgccd.within import Search
 
-# How much room there is for pairs found without waiting, times what the last step needed. More than where it is known
+# Capacity for pairs found without waiting, over what the last step needed. More than where their number is known
 # how many more pairs there are.
 _SLACK = 1.5
 
@@ -28,15 +28,15 @@ class Part:
     """Body pairs of a step that are searched together.
 
     Args:
-        name: tells it from other parts; the same in every step, since the next one is expected to need as much room.
+        name: distinguishes it from other parts; the same in every step, since the next one is expected to need as much.
         query: what is asked.
         bodies: moving.
         pairs: (P, 2) int64 rows of these, of each pair first the body that contacts are to name first. Rows of -1 may
             follow.
         pair_counts: (7,) int64, left on the device: the first of `pgccd.capacity.Counts`. Default: there are P pairs.
         rows: (B,) int64: which of the step's bodies each of `bodies` is. Default: they are those of the step.
-        capacity: room for the search, chosen before the pairs were known. Default: what is expected to suffice.
-        find_pairs: finds all pairs, if there was not room for them.
+        capacity: of the search, chosen before the pairs were known. Default: what is expected to suffice.
+        find_pairs: finds all pairs, if they exceeded the capacity.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Part:
     ) -> None:
         self.name, self.query, self.bodies, self.pairs, self.rows = name, query, bodies, pairs, rows
         self._pair_counts, self._capacity, self._find_pairs = pair_counts, capacity, find_pairs
-        # What the room is in proportion to: bodies, if it was chosen before there were pairs.
+        # What the capacity is proportional to: bodies, if it was chosen before the pairs were known.
         self._given = pairs if capacity is None else None
         self._search: Search | None = None
         self._counts: Counts | None = None
@@ -60,7 +60,7 @@ class Part:
         self._contacts: Contacts | None = None
 
     def start(self) -> Search:
-        """Starts the search for their contacts, if nobody has. Waits for nothing."""
+        """Starts the search for their contacts, unless it has been started. Waits for nothing."""
         if self._search is None:
             self._search = start_search(
                 self.bodies, self.query, self.pairs, self._pair_counts, self._capacity, self.name
@@ -103,7 +103,7 @@ class Part:
         self._contacts = find_contacts(self.bodies, self.query, pairs=self.pairs)
         needed = self._contacts.stats.needed
         if needed is not None:
-            if self._counts is not None:  # of finding pairs only the first search can tell
+            if self._counts is not None:  # only the first search has counts of the broad phase
                 needed = replace(
                     needed,
                     pairs=max(needed.pairs, self._counts.pairs),
@@ -121,7 +121,7 @@ class Part:
 
     @functools.cached_property
     def _rows_or_nobody(self) -> Tensor:
-        """`rows`, the last of them that of nobody."""
+        """`rows`, and -1 for padding."""
         assert self.rows is not None
         return torch.cat([self.rows, self.rows.new_full((1,), -1)])
 
@@ -140,13 +140,13 @@ def find_part(
     name: str = "found",
     rows: Tensor | None = None,
 ) -> Part:
-    """The PCS of bodies, as a part. On a GPU it is found without waiting for its size, in a room, where it can be
+    """The PCS of bodies, as a part. On a GPU it is found without waiting for its size, in a capacity, where that can be
     foreseen how much suffices. Then the bodies need not be checked: if they are invalid there are no pairs.
 
     Args:
         bodies, query, broad_phase: as for `find_contacts`.
         select: which of the pairs are searched. Default: all.
-        discard: (1,) int64, left on the device: if it is not 0, nobody will look at the outcome, and a GPU does little.
+        discard: (1,) int64 on the device; nonzero: the result will be discarded, and the search returns at once.
         name, rows: as for `Part`.
 
     Raises:
@@ -161,8 +161,8 @@ def find_part(
         pairs, count = select(pairs)
         return pairs[: int(count)]
 
-    in_a_room = f"{name}, in a room"
-    capacity = expected_capacity(bodies, query, None, in_a_room, slack=_SLACK) if _looks_ahead(bodies) else None
+    padded_name = f"{name}, padded"
+    capacity = expected_capacity(bodies, query, None, padded_name, slack=_SLACK) if _looks_ahead(bodies) else None
     if capacity is None:
         if not bodies.checked:
             bodies.raise_faults(bodies.first_faults().tolist())
@@ -170,12 +170,12 @@ def find_part(
     invalid = bodies.first_faults()[-1:]
     if discard is not None:
         invalid = torch.maximum(invalid, discard)
-    pairs, counts = broad.find_pairs_within(bodies, separation, broad_phase, capacity, invalid, tolerance)
+    pairs, counts = broad.find_pairs_padded(bodies, separation, broad_phase, capacity, invalid, tolerance)
     if select is not None:
         pairs, count = select(pairs)
         row = COUNT_ROWS["pairs_written"]
         counts[row : row + 1].copy_(count)
-    return Part(in_a_room, query, bodies, pairs, counts, rows, capacity=capacity, find_pairs=find_pairs)
+    return Part(padded_name, query, bodies, pairs, counts, rows, capacity=capacity, find_pairs=find_pairs)
 
 
 def _looks_ahead(bodies: MovingBodies) -> bool:
@@ -191,7 +191,7 @@ def contacts_of_step(parts: Sequence[Part]) -> Contacts:
 
 
 def search_seconds(found: Counts | Stats) -> dict[str, float]:
-    """Of traversing and solving pairs. Those who find the pairs time that themselves."""
+    """Of traversal and narrow phase. The time of the broad phase is measured where pairs are found."""
     return {stage: found.seconds[stage] for stage in ("traverse", "narrow")}
 
 

@@ -66,7 +66,7 @@ class StageClock:
         self._start = time.perf_counter()
 
     def stop(self) -> None:
-        """Ends what `total` tells."""
+        """Ends the time that `total` returns."""
         self._total = self.total
 
     @property

@@ -25,7 +25,7 @@ def bvtt(
         pairs: (P, 2) int64 body pairs, i < j, or (i, i) where the body collides with itself; P below 2^31.
         min_separation: length.
         tolerance: length; default 1e-6 of the smaller SBV radius of each pair.
-        horizon: (P,) float64 in [0, 1]: look no further than this time in each pair. Default: the whole step.
+        horizon: (P,) float64 in [0, 1]: latest time searched in each pair. Default: the whole step.
         leading: follow only the nodes that overlap most, down to one pair of leaves: few candidates, likely early
             contacts.
 

@@ -18,7 +18,7 @@ settings.load_profile("pgccd")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Leaves slow tests to those who ask for them: pytest -m slow."""
+    """Deselects slow tests unless requested: pytest -m slow."""
     if not config.option.markexpr:
         config.option.markexpr = "not slow"
     if getattr(config.option, "dist", "no") == "load":  # of xdist, where it is installed

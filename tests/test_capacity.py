@@ -1,4 +1,4 @@
-"""Detection in a fixed room: the same contacts, nothing waits, and what does not fit is told."""
+"""Detection in a fixed capacity: the same contacts, nothing waits, and overflow is reported."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from support.shapes import approaching
 import pgccd
 from pgccd.capacity import Capacity, Counts
 from pgccd.detect import _detect_at_once as detect_at_once
+from pgccd.padded import counts_of_given, lower_first_toi
 from pgccd.query import Query
-from pgccd.within import counts_of_given, lower_first_toi
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 REPORTS = ("any", "first", "all", "earliest")
@@ -36,7 +36,7 @@ def assert_same(found: pgccd.Contacts, expected: pgccd.Contacts) -> None:
         assert one is None or torch.equal(one, other), column
 
 
-def room_for(scene: pgccd.Scene, motion: Any, *arguments: Any, **options: Any) -> tuple[pgccd.Contacts, Capacity]:
+def capacity_for(scene: pgccd.Scene, motion: Any, *arguments: Any, **options: Any) -> tuple[pgccd.Contacts, Capacity]:
     found = pgccd.detect(scene, motion, *arguments, **options)
     assert found.stats.needed is not None
     return found, found.stats.needed.times(1.5)
@@ -46,9 +46,9 @@ def room_for(scene: pgccd.Scene, motion: Any, *arguments: Any, **options: Any) -
 def test_same_contacts_in_a_fixed_room(device: torch.device, report: Any) -> None:
     scene, motion = crowd(device)
     for broad_phase in ("sweep", "grid", "lbvh"):
-        expected, room = room_for(scene, motion, report, 0.01, broad_phase=broad_phase)
+        expected, capacity = capacity_for(scene, motion, report, 0.01, broad_phase=broad_phase)
         assert len(expected) > 0
-        hits = pgccd.detect(scene, motion, report, 0.01, broad_phase=broad_phase, capacity=room)
+        hits = pgccd.detect(scene, motion, report, 0.01, broad_phase=broad_phase, capacity=capacity)
         assert int(hits.count) == len(expected) and not bool(hits.overflow)
         trimmed = hits.trim()
         assert_same(trimmed, expected)
@@ -60,10 +60,10 @@ def test_same_contacts_in_a_fixed_room(device: torch.device, report: Any) -> Non
 
 def test_padding(device: torch.device) -> None:
     scene, motion = crowd(device)
-    expected, room = room_for(scene, motion, "all")
-    hits = pgccd.detect(scene, motion, "all", capacity=room)
+    expected, capacity = capacity_for(scene, motion, "all")
+    hits = pgccd.detect(scene, motion, "all", capacity=capacity)
     count = len(expected)
-    assert len(hits.pairs) == room.contacts > count
+    assert len(hits.pairs) == capacity.contacts > count
     assert torch.equal(hits.pairs[:count], expected.pairs) and torch.equal(hits.toi[:count], expected.toi)
     padding = {"pairs": -1, "features": -1, "toi": torch.inf, "kind": 0, "status": pgccd.FREE, "coordinates": 0}
     for column, value in (padding | {"point": 0, "normal": 0}).items():
@@ -78,9 +78,9 @@ def test_deforming_bodies_and_given_pairs(device: torch.device) -> None:
     moving = pgccd.VertexMotion(x.to(device), (x + 0.3 * torch.randn(3, dtype=torch.float64)).to(device))
     pairs = torch.tensor([[0, 2], [1, 2]], device=device)
     for motion, given in ((moving, None), (moving, pairs), (bodies.motion(device=device), pairs)):
-        expected, room = room_for(scene, motion, "all", 0.1, pairs=given)
-        assert_same(pgccd.detect(scene, motion, "all", 0.1, pairs=given, capacity=room).trim(), expected)
-    nothing = pgccd.detect(scene, moving, pairs=pairs[:0], capacity=room)
+        expected, capacity = capacity_for(scene, motion, "all", 0.1, pairs=given)
+        assert_same(pgccd.detect(scene, motion, "all", 0.1, pairs=given, capacity=capacity).trim(), expected)
+    nothing = pgccd.detect(scene, moving, pairs=pairs[:0], capacity=capacity)
     assert int(nothing.count) == 0 and not bool(nothing.overflow) and len(nothing.trim()) == 0
 
 
@@ -89,10 +89,10 @@ def test_too_little_room_is_told(device: torch.device, part: str) -> None:
     if device.type == "cpu" and part not in ("pairs", "contacts"):
         pytest.skip("a CPU takes the memory it needs")
     scene, motion = crowd(device)
-    expected, room = room_for(scene, motion, "all", broad_phase="grid")
+    expected, capacity = capacity_for(scene, motion, "all", broad_phase="grid")
     needed = expected.stats.needed
     assert needed is not None
-    tight = replace(room, **{part: getattr(needed, part) // 2})
+    tight = replace(capacity, **{part: getattr(needed, part) // 2})
     if part == "tasks" and needed.tasks < 2:
         pytest.skip("the launches leave no tasks behind")
     hits = pgccd.detect(scene, motion, "all", broad_phase="grid", capacity=tight)
@@ -126,16 +126,16 @@ def test_a_body_with_many_partners(device: torch.device) -> None:
     motion = pgccd.RigidMotion.from_rotation(*(column[many.to(device)] for column in columns))
     scene = pgccd.Scene(bodies.meshes, bodies.mesh_index[many], device)
     assert int(torch.bincount(pgccd.broad.find_pairs(pgccd.MovingBodies(scene, motion))[:, 0]).max()) > 32
-    expected, room = room_for(scene, motion)
-    assert_same(pgccd.detect(scene, motion, capacity=room).trim(), expected)
+    expected, capacity = capacity_for(scene, motion)
+    assert_same(pgccd.detect(scene, motion, capacity=capacity).trim(), expected)
     if device.type == "cuda":
-        assert room.long_rows
-        assert bool(pgccd.detect(scene, motion, capacity=replace(room, long_rows=False)).overflow)
+        assert capacity.long_rows
+        assert bool(pgccd.detect(scene, motion, capacity=replace(capacity, long_rows=False)).overflow)
 
 
 def test_invalid_poses_are_told_later(device: torch.device) -> None:
     scene, motion = crowd(device)
-    room = Capacity.guess(scene.body_count)
+    capacity = Capacity.guess(scene.body_count)
     for broad_phase in ("sweep", "grid", "lbvh"):
         columns = columns_of(motion)
         columns[2] = columns[2].clone()
@@ -143,7 +143,7 @@ def test_invalid_poses_are_told_later(device: torch.device) -> None:
         with pytest.MonkeyPatch.context() as patch:  # a CPU would tell at once
             patch.setattr(torch.compiler, "is_compiling", lambda: True)
             wrong = pgccd.RigidMotion.from_rotation(*columns)
-        hits = pgccd.detect(scene, wrong, broad_phase=broad_phase, capacity=room)
+        hits = pgccd.detect(scene, wrong, broad_phase=broad_phase, capacity=capacity)
         assert bool(hits.overflow) and int(hits.count) == 0
         with pytest.raises(ValueError, match="position_t1: body 3"):
             hits.trim()
@@ -155,11 +155,11 @@ def columns_of(motion: pgccd.RigidMotion) -> list[torch.Tensor]:
 
 def test_compile_the_whole_step(device: torch.device) -> None:
     scene, motion = crowd(device)
-    expected, room = room_for(scene, motion)
+    expected, capacity = capacity_for(scene, motion)
 
     @torch.compile(fullgraph=True, backend="aot_eager")
     def step(*columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        hits = pgccd.detect(scene, pgccd.RigidMotion.from_rotation(*columns), capacity=room)
+        hits = pgccd.detect(scene, pgccd.RigidMotion.from_rotation(*columns), capacity=capacity)
         assert hits.toi is not None
         return hits.pairs, hits.toi.clamp(max=1.0), hits.count, hits.overflow
 
@@ -179,12 +179,12 @@ def test_capture_in_a_graph(report: Any, broad_phase: Any) -> None:
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
     scene, motion = crowd(torch.device("cuda"))
-    _, room = room_for(scene, motion, report, broad_phase=broad_phase)
+    _, capacity = capacity_for(scene, motion, report, broad_phase=broad_phase)
     columns = [column.clone() for column in columns_of(motion)]
 
     def step() -> pgccd.PaddedContacts:
         moved = pgccd.RigidMotion.from_rotation(*columns)
-        return pgccd.detect(scene, moved, report, broad_phase=broad_phase, capacity=room)
+        return pgccd.detect(scene, moved, report, broad_phase=broad_phase, capacity=capacity)
 
     stream = torch.cuda.Stream()
     stream.wait_stream(torch.cuda.current_stream())
@@ -213,11 +213,11 @@ def test_one_wait_a_step() -> None:
     for report in REPORTS:
         pgccd.detect(scene, motion, report)
         assert pgccd.detect(scene, motion, report).stats.waits == 1
-    # In a fixed room not even one, and no copy to the host at all.
-    room = Capacity.guess(scene.body_count)
+    # In a fixed capacity not even one, and no copy to the host at all.
+    capacity = Capacity.guess(scene.body_count)
     torch.cuda.set_sync_debug_mode("error")
     try:
-        pgccd.detect(scene, motion, capacity=room)
+        pgccd.detect(scene, motion, capacity=capacity)
     finally:
         torch.cuda.set_sync_debug_mode("default")
 
@@ -249,7 +249,7 @@ def test_first_toi_alone(device: torch.device) -> None:
     scene, motion = crowd(device)
     bodies, query = pgccd.MovingBodies(scene, motion), Query("first", 0.01, None, True)
     pairs = pgccd.broad.sweep(bodies, 0.01)
-    hits, room = room_for(scene, motion, "first", 0.01, nonzero_toi=True, pairs=pairs)
+    hits, capacity = capacity_for(scene, motion, "first", 0.01, nonzero_toi=True, pairs=pairs)
     assert 0 < len(hits) < len(pairs)
     assert hits.toi is not None
     expected = torch.full((scene.body_count,), torch.inf, dtype=torch.float64, device=device)
@@ -267,25 +267,25 @@ def test_first_toi_alone(device: torch.device) -> None:
         return first
 
     seen: Counts
-    for capacity in (room, replace(room, contacts=0)):  # of contacts there are none
-        assert torch.equal(lowered(capacity), expected)
+    for given in (capacity, replace(capacity, contacts=0)):  # of contacts there are none
+        assert torch.equal(lowered(given), expected)
         assert seen.contacts == len(hits) and not seen.overflow and seen.pairs_written == len(pairs)
         assert seen.broad_began <= seen.traverse_began <= seen.traverse_ended <= seen.narrow_ended
     # Nobody looks at pairs that are said not to be there.
     for given in (padded, padded[:0]):
-        first = lowered(room, given, torch.zeros_like(count))
+        first = lowered(capacity, given, torch.zeros_like(count))
         assert first.tolist() == [0.0, *[torch.inf] * (scene.body_count - 1)]
         assert seen.contacts == 0 and not seen.overflow
     if device.type == "cuda":  # a CPU takes what it needs
         for name in ("tasks", "leaf_pairs", "candidates", "open"):
-            lowered(replace(room, **{name: 1}))
+            lowered(replace(capacity, **{name: 1}))
             assert seen.overflow, name
 
 
 def test_rooms_for_like_needs_are_mostly_of_one_size() -> None:
-    rooms = set()
+    capacities = set()
     for pairs in range(100_000, 103_000, 100):
-        room = Capacity(pairs=pairs, contacts=pairs // 20).times(1.25)
-        assert 1.25 * pairs + 4096 <= room.pairs <= 1.125 * (1.25 * pairs + 4097)
-        rooms.add(room.pairs)
-    assert len(rooms) <= 2
+        capacity = Capacity(pairs=pairs, contacts=pairs // 20).times(1.25)
+        assert 1.25 * pairs + 4096 <= capacity.pairs <= 1.125 * (1.25 * pairs + 4097)
+        capacities.add(capacity.pairs)
+    assert len(capacities) <= 2

@@ -45,18 +45,18 @@ def make(column: str, device: torch.device | str = "cpu") -> tuple[pgccd.Scene, 
 def test_what_is_written_to_a_column_is_checked_at_use(device: torch.device, column: str) -> None:
     scene, motion = make(column, device)
     assert len(pgccd.detect(scene, motion)) == 1
-    room = Capacity.guess(100)
+    capacity = Capacity.guess(100)
     former = getattr(motion, column)[1].clone()
     getattr(motion, column)[1, 2] = (RIGID | VERTICES)[column]
     for _ in range(2):
         with pytest.raises(ValueError, match=f"^{column}: (body|vertex) 1: expected"):
             pgccd.detect(scene, motion)
-    hits = pgccd.detect(scene, motion, capacity=room)
+    hits = pgccd.detect(scene, motion, capacity=capacity)
     assert bool(hits.overflow)
     with pytest.raises(ValueError, match=f"^{column}: (body|vertex) 1: expected"):
         hits.trim()
     getattr(motion, column)[1] = former
-    assert len(pgccd.detect(scene, motion)) == len(pgccd.detect(scene, motion, capacity=room).trim()) == 1
+    assert len(pgccd.detect(scene, motion)) == len(pgccd.detect(scene, motion, capacity=capacity).trim()) == 1
 
 
 @pytest.mark.parametrize("column", [*RIGID, *VERTICES])

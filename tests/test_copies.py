@@ -37,8 +37,8 @@ def test_results(copied: Callable[[Any], Any], report: Any, device: torch.device
     hits = pgccd.detect(scene, motion, report)
     assert len(hits) > 0
     assert_same(copied(hits), hits)
-    room = hits.stats.needed.times(1.5)  # type: ignore[union-attr]
-    padded = copied(pgccd.detect(scene, motion, report, capacity=room))
+    capacity = hits.stats.needed.times(1.5)  # type: ignore[union-attr]
+    padded = copied(pgccd.detect(scene, motion, report, capacity=capacity))
     assert_same(padded.trim(), hits)
     assert {**asdict(padded.trim().stats), "seconds": 0, "waits": 0, "needed": 0, "scratch_bytes": 0} == {
         **asdict(hits.stats),
@@ -52,7 +52,7 @@ def test_results(copied: Callable[[Any], Any], report: Any, device: torch.device
 @pytest.mark.parametrize("copied", COPIES)
 def test_what_overflowed_or_was_invalid(copied: Callable[[Any], Any], device: torch.device) -> None:
     scene, motion = step(device)
-    with pytest.raises(pgccd.CapacityError, match="more room: .*: 3 in 0") as caught:
+    with pytest.raises(pgccd.CapacityError, match="needs more: .*: 3 in 0") as caught:
         copied(pgccd.detect(scene, motion, capacity=pgccd.Capacity(0, 0))).trim()
     again = copied(caught.value)
     assert str(again) == str(caught.value) and again.needed == caught.value.needed
@@ -135,7 +135,7 @@ def test_words() -> None:
         "MeshSet(meshes=3, device=cpu)",
         "RigidMotion(bodies=3, path='rigid', device=cpu)",
         "VertexMotion(vertices=4, device=cpu)",
-        f"PaddedContacts(room={hits.capacity.contacts}, device=cpu)",
+        f"PaddedContacts(capacity={hits.capacity.contacts}, device=cpu)",
     ]
     assert repr(pgccd.Capacity(1, 2)).startswith("Capacity(pairs=1, contacts=2, overlaps=0")
 

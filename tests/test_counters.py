@@ -17,7 +17,7 @@ PROGRAM = """
 #include <cstdio>
 #include <cstdlib>
 #include "core/candidate.h"
-#include "kernels/traverse/traverse_room.h"
+#include "kernels/traverse/traverse_counters.h"
 
 using namespace pgccd;
 
@@ -28,13 +28,13 @@ int main() {
   const long long most = 0xffffffffll;
   Counter TraverseCounters::* lists[] = {&TraverseCounters::poses, &TraverseCounters::most_rest,
                                          &TraverseCounters::leaves, &TraverseCounters::edge_edge,
-                                         &TraverseCounters::vertex_face, &TraverseCounters::blocks_within};
+                                         &TraverseCounters::vertex_face, &TraverseCounters::self_blocks};
   for (auto list : lists) {
     TraverseCounters seen{};
-    TraverseRoom room{1000, 1000, 1000, 1000};
-    const bool is_blocks = list == &TraverseCounters::blocks_within;
+    TraverseListSizes sizes{1000, 1000, 1000, 1000};
+    const bool is_blocks = list == &TraverseCounters::self_blocks;
     seen.*list = is_blocks ? most : 1000;
-    EXPECT(room.holds(seen) && room.can_grow(seen));
+    EXPECT(sizes.holds(seen) && sizes.can_grow(seen));
     // As warps add to it: past 2^32, where 32 bits begin again.
     seen.*list = most - 31;
     for (int warp = 0; warp < 4; ++warp) {
@@ -43,23 +43,23 @@ int main() {
       EXPECT(!has_place(place, 1000) && !has_place(place, kMostRows));
     }
     EXPECT(seen.*list == static_cast<Counter>(most) + 97);
-    EXPECT(!room.holds(seen) && !room.can_grow(seen));
-    room.grow(seen);
-    EXPECT(!room.holds(seen));
+    EXPECT(!sizes.holds(seen) && !sizes.can_grow(seen));
+    sizes.grow(seen);
+    EXPECT(!sizes.holds(seen));
     int64_t counts[kTraverseCounts] = {};
-    store_traverse_counts(seen, room, 0, counts);
+    store_traverse_counts(seen, sizes, 0, counts);
     EXPECT(counts[kTraverseOverflow] == 1);
-    int64_t told = 0;
-    for (const int count : {kPosesNeeded, kTasksNeeded, kLeafPairsNeeded, kCandidatesNeeded}) told += counts[count];
-    EXPECT(is_blocks || told == most + 97);
+    int64_t needed = 0;
+    for (const int count : {kPosesNeeded, kTasksNeeded, kLeafPairsNeeded, kCandidatesNeeded}) needed += counts[count];
+    EXPECT(is_blocks || needed == most + 97);
   }
   // Tasks that the last launch left, and rows that name nothing.
-  const TraverseRoom room{1, 1, 1, 1};
+  const TraverseListSizes sizes{1, 1, 1, 1};
   for (int what = 0; what < 2; ++what) {
     TraverseCounters seen{};
     (what == 0 ? seen.rest[2] : seen.unsound) = Counter{1} << (32 * (1 - what));
     int64_t counts[kTraverseCounts] = {};
-    store_traverse_counts(seen, room, 2, counts);
+    store_traverse_counts(seen, sizes, 2, counts);
     EXPECT(counts[kTraverseOverflow] == 1);
   }
   // Candidates from both ends, each count below 2^32.
@@ -82,7 +82,7 @@ def test_counts_beyond_32_bits(tmp_path: Path) -> None:
 @pytest.mark.cuda
 def test_more_candidates_than_32_bits_count() -> None:
     """A separation that keeps everything: so many feature pairs that a count of 32 bits would begin again, and end
-    below the room there is."""
+    below the capacity."""
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
     rng = np.random.default_rng(0)
@@ -96,8 +96,10 @@ def test_more_candidates_than_32_bits_count() -> None:
     pose = tensors(position, unit_quaternions(rng, count), position, unit_quaternions(rng, count), device="cuda")
     scene = pgccd.Scene([mesh], [0] * count, "cuda")
     given = torch.arange(count, device="cuda").reshape(-1, 2)
-    room = pgccd.Capacity(pairs=pairs, contacts=64, poses=64 * pairs, tasks=2**22, leaf_pairs=2**28, candidates=2**22)
-    found = pgccd.detect(scene, pgccd.RigidMotion(*pose, path="linear"), "any", 1e6, pairs=given, capacity=room)
+    capacity = pgccd.Capacity(
+        pairs=pairs, contacts=64, poses=64 * pairs, tasks=2**22, leaf_pairs=2**28, candidates=2**22
+    )
+    found = pgccd.detect(scene, pgccd.RigidMotion(*pose, path="linear"), "any", 1e6, pairs=given, capacity=capacity)
     assert bool(found.overflow)
     with pytest.raises(pgccd.CapacityError, match="candidates"):
         found.trim()

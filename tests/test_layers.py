@@ -1,4 +1,4 @@
-"""Who may know whom, read from #include and import lines; and that files stay small enough to hold in the head."""
+"""Dependencies between layers, read from #include and import lines; and the lengths of files."""
 
 from __future__ import annotations
 

@@ -89,8 +89,8 @@ def test_ways_of_asking_agree(device: torch.device) -> None:
     streamed = heap.detect(margin=heap.margin, memory_budget=1)
     assert streamed.stats.chunks > 5
     assert_same(streamed, hits)
-    room = (hits.stats.needed or pgccd.Capacity.guess(120).times(100.0)).times(1.5)
-    assert_same(heap.detect(margin=heap.margin, capacity=room).trim(), hits)  # type: ignore[attr-defined]
+    capacity = (hits.stats.needed or pgccd.Capacity.guess(120).times(100.0)).times(1.5)
+    assert_same(heap.detect(margin=heap.margin, capacity=capacity).trim(), hits)  # type: ignore[attr-defined]
 
 
 def test_bodies_that_rest_within_their_margins(device: torch.device) -> None:

@@ -49,16 +49,16 @@ def test_spheres_that_just_touch(device: torch.device, travel: float) -> None:
 
 
 def test_boxes_hold_what_the_predicate_lets_in() -> None:
-    """It has some room for roundings, and boxes need more, lest the broad phases differ."""
+    """The predicate has a margin for roundings, and boxes need more, lest the broad phases differ."""
     for axis in range(3):
         side = (axis + 1) % 3
         for k in range(6):
             radius = np.array([1.0, 1.0 + k / 8.0])
-            # At rest, further apart than both radii by less than the predicate's room.
+            # At rest, further apart than both radii by less than the predicate's margin.
             start = np.zeros((2, 3))
             start[1, axis] = radius.sum() * (1.0 + 2.0**-49)
             overlap(start, start, radius, 0.0)
-            # Fast and small, side by side, further apart by less than the room for their travel.
+            # Fast and small, side by side, further apart by less than the margin for their travel.
             start, end = np.zeros((2, 3)), np.zeros((2, 3))
             end[:, axis] = 2.0**20, -(2.0**20)
             small = radius * 2.0**-4

@@ -164,7 +164,7 @@ def test_tip_of_a_cone_on_a_pyramid(device: torch.device, separation: float, ins
 
 
 def test_rounding_in_the_local_frame(device: torch.device) -> None:
-    """Tips at random places touch, with no distance to keep: all that is left is room for float32."""
+    """Tips at random places touch, with no distance to keep: all that is left is the margin for float32."""
     rng = np.random.default_rng(10)
     meetings = contacts.tips(rng, 300, speed=0.5, sizes=(1.0, 0.7))
     assert_touching(meetings, 1e-15)

@@ -240,7 +240,7 @@ def test_vertices_split_at_seams_are_welded(tmp_path: Path, suffix: str) -> None
         assert len(pgccd.detect(pgccd.Scene([mesh], self_collision=True), moved, report="all")) == 0
     as_it_is = pgccd.Mesh.load(path, weld=False)
     assert len(as_it_is.vertices) == 2304 and as_it_is.welded_vertices == 0 and "welded" not in repr(as_it_is)
-    # The rows of the file, for those who move its vertices.
+    # The rows of the file, for programs that move its vertices.
     assert mesh.source_vertex is not None and mesh.source_face is not None
     given = torch.from_numpy(np.array(box.vertices))
     mesh = pgccd.Mesh.from_trimesh(box)

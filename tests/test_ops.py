@@ -15,8 +15,8 @@ import pgccd
 from pgccd import ops
 from pgccd.baselines import PCCCD
 from pgccd.distributed import Partition
+from pgccd.padded import counts_of_given, lower_first_toi
 from pgccd.sim.partners import FIRST_CONTACTS
-from pgccd.within import counts_of_given, lower_first_toi
 
 Call = tuple[str, tuple[Any, ...]]
 
@@ -44,7 +44,7 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     rows = torch.arange(len(boundary), device=moving.device)
     replica_ranks, counts = ops.replica_ranks(centres, 0.01, -1e-6, subdomain, rows, 2, [2, len(boundary) - 2])
     ops.rows_by_rank(replica_ranks, rows, counts, [3, 0])
-    ops.counts_to_tell(counts, [3, 0], counts[:1], 4)
+    ops.counts_to_send(counts, [3, 0], counts[:1], 4)
     pairs = torch.combinations(rows)
     for held in (None, rows):
         ops.owned_pairs(pairs, held, rows, centres, 0.01, -1e-6, reach, subdomain)
@@ -102,14 +102,14 @@ def recorded(device: torch.device) -> list[Call]:
                 for broad_phase in ("grid", "lbvh"):  # few bodies are swept
                     pgccd.detect(scene, bodies.motion(device=device), "any", broad_phase=broad_phase)
             pgccd.detect(scene, bodies.motion("linear", device))
-            room = pgccd.Capacity.guess(scene.body_count)
-            pgccd.detect(scene, bodies.motion(device=device), "all", capacity=room)
+            capacity = pgccd.Capacity.guess(scene.body_count)
+            pgccd.detect(scene, bodies.motion(device=device), "all", capacity=capacity)
             x = torch.cat(
                 [m.vertices + torch.from_numpy(p) for m, p in zip(bodies.meshes, bodies.position_t0, strict=True)]
             )
             moved = pgccd.VertexMotion(x.to(device), (x + 0.3).to(device))
             pgccd.detect(scene, moved)
-            pgccd.detect(scene, moved, capacity=room)
+            pgccd.detect(scene, moved, capacity=capacity)
             stages_alone(pgccd.MovingBodies(scene, bodies.motion(device=device)))
             stages_alone(pgccd.MovingBodies(scene, moved))
             moving = pgccd.MovingBodies(scene, bodies.motion(device=device))
@@ -120,7 +120,7 @@ def recorded(device: torch.device) -> list[Call]:
             pairs = pgccd.broad.sweep(moving)
             first = torch.full((scene.body_count,), torch.inf, dtype=torch.float64, device=device)
             asked = moving.mesh_set, moving.tensors, False, pairs, counts_of_given(pairs)
-            lower_first_toi(first, pairs, *asked, FIRST_CONTACTS, room)
+            lower_first_toi(first, pairs, *asked, FIRST_CONTACTS, capacity)
             turn = bodies.orientation_t0
             pgccd.RigidMotion(*tensors(bodies.position_t0, turn, bodies.position_t1, turn[::-1].copy(), device=device))
             for test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
@@ -141,7 +141,7 @@ def test_opcheck(device: torch.device) -> None:
             operator = getattr(torch.ops.pgccd, name).default
             torch.library.opcheck(operator, arguments, test_utils=("test_schema", "test_faketensor"))
     unequal = {"refit"}  # its empty slots hold NaN, which opcheck finds unequal to itself
-    unequal |= {"near_ghosts", "leaving_bodies"}  # nobody has written the last places
+    unequal |= {"near_ghosts", "leaving_bodies"}  # the last places are not written
     unequal |= {name for name in names if "within" in name or name == "lower_first_toi_rigid"}  # they tell the time
     if device.type == "cuda":
         unequal |= {"traverse_rigid", "traverse_deforming"}  # the order of their candidates is not specified
@@ -220,7 +220,7 @@ def test_operators_complain_themselves(device: torch.device) -> None:
     with pytest.raises(RuntimeError, match="expected size 5 in dimension 0, got 4"):
         ops.lbvh(columns[0], columns[1][:4], columns[2], None, None, None, None, 0.0, 0.0)
     with pytest.raises(RuntimeError, match="capacity: expected 3 numbers, got 1"):
-        ops.pairs_within(*columns, None, None, None, None, None, 0.0, 0.0, 1, [8])
+        ops.pairs_padded(*columns, None, None, None, None, None, 0.0, 0.0, 1, [8])
 
 
 @pytest.mark.cuda

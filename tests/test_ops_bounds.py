@@ -31,8 +31,8 @@ INDICES = [
     ("narrow_rigid", (3,), "candidates"),
     ("narrow_rigid", (4,), "candidates"),
     ("narrow_deforming", (3,), "candidates"),
-    ("contacts_within_rigid", (1, 0), "mesh"),
-    ("contacts_within_rigid", (3,), "pairs"),
+    ("contacts_padded_rigid", (1, 0), "mesh"),
+    ("contacts_padded_rigid", (3,), "pairs"),
     ("lower_first_toi_rigid", (1,), "owners"),
     ("lower_first_toi_rigid", (5,), "pairs"),
     ("take_rows", (2,), "rows"),
@@ -53,8 +53,8 @@ INDICES = [
     ("voxel_pairs", (3,), "first_segment"),
     *((name, (0, 7), "mesh_set.offsets") for name in ("refit", "traverse_rigid", "narrow_deforming")),
 ]
-LENGTHS = ("sweep", "grid", "lbvh", "pairs_within", "swept_boxes", "boundary_bodies", "near_ghosts", "owned_pairs")
-LENGTHS += ("replica_ranks", "traverse_rigid", "narrow_rigid", "contacts_within_rigid", "lower_first_toi_rigid")
+LENGTHS = ("sweep", "grid", "lbvh", "pairs_padded", "swept_boxes", "boundary_bodies", "near_ghosts", "owned_pairs")
+LENGTHS += ("replica_ranks", "traverse_rigid", "narrow_rigid", "contacts_padded_rigid", "lower_first_toi_rigid")
 LENGTHS += ("vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
 PROGRAM = "import sys; sys.path.insert(0, {tests!r}); import test_ops_bounds; test_ops_bounds.{function}()"
 
@@ -118,7 +118,7 @@ def replacements(value: Any) -> Iterator[Any]:
         yield value.to(torch.float32 if value.dtype == torch.float64 else torch.float64)
         yield torch.empty((), dtype=value.dtype)
         if value.is_floating_point():
-            yield from (torch.full_like(value, x) for x in (-1.0, 0.0))  # others are long searches in vain
+            yield from (torch.full_like(value, x) for x in (-1.0, 0.0))  # others are long searches without result
         elif value.dtype != torch.bool:
             info = torch.iinfo(value.dtype)
             yield from (torch.full_like(value, x) for x in (info.min, info.max, 2, info.max // 2, 100))

@@ -1,4 +1,4 @@
-"""A step searched in parts: the contacts of the whole, whatever the rows of the bodies and whatever their room."""
+"""A step searched in parts: the contacts of the whole, whatever the rows of the bodies and whatever the capacity."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import pgccd
 from pgccd.capacity import Capacity
 from pgccd.detect import find_contacts
 from pgccd.memory import recall_capacity, remember_needs
+from pgccd.padded import counts_of_given
 from pgccd.parts import Part, contacts_of_step, find_part, pairs_of_step
 from pgccd.query import Query
-from pgccd.within import counts_of_given
 
 parts_module = sys.modules["pgccd.parts"]
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
@@ -102,16 +102,16 @@ def test_too_little_room(device: torch.device, monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_part_is_given_the_room_that_it_needed(device: torch.device) -> None:
     if device.type == "cpu":
-        pytest.skip("rooms are those needed")
+        pytest.skip("capacities are exact on a CPU")
     for _ in range(2):
         divided = Divided(device, "all", padded=True)
         divided.check()
         needed = [part.find().stats.needed for part in divided.parts]
     for part, each in zip(divided.parts, needed, strict=True):
         assert each is not None
-        room = part.start().capacity
+        capacity = part.start().capacity
         for name in ("leaf_pairs", "candidates", "contacts"):
-            assert getattr(each, name) <= getattr(room, name) <= 2 * getattr(each, name) + 2 * 4096
+            assert getattr(each, name) <= getattr(capacity, name) <= 2 * getattr(each, name) + 2 * 4096
     # Whatever else is searched in between.
     other = replace(divided.query, report="first")
     for part in divided.parts:
@@ -140,11 +140,11 @@ def test_what_is_remembered_of_parts() -> None:
     assert recall_capacity(scene, query, None, "third").launches == Capacity.guess(1).launches
 
 
-@pytest.mark.parametrize("room", ["enough", "too little"])
-def test_pairs_found_in_a_room(device: torch.device, room: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("capacity", ["enough", "too little"])
+def test_pairs_found_in_a_fixed_capacity(device: torch.device, capacity: str, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = Divided(device, "first", False)
     bodies = whole.parts[0].bodies
-    capacity = Capacity.guess(bodies.scene.body_count).times(4.0) if room == "enough" else Capacity(3, 1)
+    capacity = Capacity.guess(bodies.scene.body_count).times(4.0) if capacity == "enough" else Capacity(3, 1)
     monkeypatch.setattr(parts_module, "_looks_ahead", lambda _: True)
     monkeypatch.setattr(parts_module, "expected_capacity", lambda *_, slack: capacity)
 
@@ -156,11 +156,11 @@ def test_pairs_found_in_a_room(device: torch.device, room: str, monkeypatch: pyt
         return kept, chosen.sum().reshape(1)
 
     for select in (None, even):
-        for vain in (None, 0, 1):
-            discard = None if vain is None else torch.tensor([vain], device=device)
+        for flag in (None, 0, 1):
+            discard = None if flag is None else torch.tensor([flag], device=device)
             part = find_part(bodies, whole.query, select=select, discard=discard)
             part.start()
-            if vain == 1:  # no pairs, and so nothing to search
+            if flag == 1:  # no pairs, and so nothing to search
                 assert bool((part.pairs < 0).all()) and part.start().read().pairs_written == 0
                 continue
             found = part.find()

@@ -92,10 +92,10 @@ def test_taking(
 @st.composite
 def changes(draw: st.DrawFn) -> tuple[list[int], list[int], list[int]]:
     """Ids, rows removed, ids added: few numbers, so that anything may be before, between, after, or the same again."""
-    everybody = draw(st.sets(st.integers(-20, 20))) | draw(st.just(set()) | st.just(set(range(100, 250))))
-    former = sorted(id for id in everybody if draw(st.booleans()))
+    all_ids = draw(st.sets(st.integers(-20, 20))) | draw(st.just(set()) | st.just(set(range(100, 250))))
+    former = sorted(id for id in all_ids if draw(st.booleans()))
     removed = [row for row in range(len(former)) if draw(st.booleans())]
-    free = (everybody - set(former)) | {former[row] for row in removed}
+    free = (all_ids - set(former)) | {former[row] for row in removed}
     added = draw(st.permutations(sorted(id for id in free if draw(st.booleans()))))
     return former, removed, list(added)
 

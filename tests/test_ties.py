@@ -35,7 +35,7 @@ def are_equal(a: list[torch.Tensor], b: list[torch.Tensor]) -> bool:
 
 
 def test_smallest_case(device: torch.device) -> None:
-    """Vertex and face, and several edges, touch at one time that a finer arithmetic tells apart within one double."""
+    """Vertex and face, and several edges, touch at one time that only a finer arithmetic distinguishes."""
     d = np.array([-4 / 7, 1.0, 5 / 7])
     scene = meetings(np.random.default_rng(0), 1)
     still = np.zeros(3)

@@ -111,8 +111,8 @@ def test_boxes_hold_triangles_all_along(turn: float, scale: float) -> None:
         low = lower[box["body"]][corners].min(axis=0) - half
         high = upper[box["body"]][corners].max(axis=0) + half
         assert (box["lower"] <= low).all() and (box["upper"] >= high).all()
-        room = 1e-6 * scale + min(turn**2 / 4.0, 4.0) * 1.5
-        assert (box["lower"] >= low - room).all() and (box["upper"] <= high + room).all()
+        capacity = 1e-6 * scale + min(turn**2 / 4.0, 4.0) * 1.5
+        assert (box["lower"] >= low - capacity).all() and (box["upper"] <= high + capacity).all()
 
 
 def test_boxes_of_bodies_that_do_not_turn_fit_to_float32() -> None:

@@ -74,10 +74,10 @@ class Newton:
             add(body=builder.add_body(), mesh=mesh)
         self._model = builder.finalize(device=device)
         self._state = self._model.state()
-        # Room for several times what such a world needs; the pipeline says so when it is too small.
-        room = {"rigid_contact_max": 100 * robots, "shape_pairs_max": 100 * robots}
+        # Several times what such a world needs; the pipeline warns when it is too small.
+        capacity = {"rigid_contact_max": 100 * robots, "shape_pairs_max": 100 * robots}
         self._pipeline = newton.CollisionPipeline(
-            self._model, broad_phase="sap", reduce_contacts=False, speculative_contact_gap_max=1e9, **room
+            self._model, broad_phase="sap", reduce_contacts=False, speculative_contact_gap_max=1e9, **capacity
         )
         self._contacts = self._pipeline.contacts()
         where = "GPU" if device == "cuda" else "CPU, 1 thread"
@@ -212,7 +212,7 @@ class Fcl:
         self._found = found
 
     def pairs(self) -> np.ndarray:
-        # The callback is given copies of the objects: their positions tell which they are.
+        # The callback is given copies of the objects: their positions identify them.
         number = {position.tobytes(): index for index, position in enumerate(self._ends[0])}
         return np.array([(number[first], number[second]) for first, second in self._found], dtype=int)
 

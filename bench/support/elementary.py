@@ -29,7 +29,7 @@ from support import timing
 #: Points (n, 8, 3): the four points at t0, then at t1.
 Queries = np.ndarray
 
-#: Of the arithmetics that may settle a query: float32, float64 and pairs of float64.
+#: Of the arithmetics that may decide a query: float32, float64 and pairs of float64.
 SIGNIFICANT_BITS = (24, 53, 106)
 
 
@@ -129,9 +129,9 @@ class Ipctk:
         rows = [list(query) for query in points]
         still = [row[:4] + row[:4] for row in rows[:2000]]
         overhead = float(np.median([_timed_call(self._empty, row)[0] for row in still])) if still else 0.0
-        told = [_timed_call(self._call, row) for row in rows]
-        seconds = np.array([spent for spent, _ in told]) - overhead
-        return Answers(np.array([hit for _, (hit, _) in told], dtype=bool), 0, np.maximum(seconds, 0.0))
+        answered = [_timed_call(self._call, row) for row in rows]
+        seconds = np.array([spent for spent, _ in answered]) - overhead
+        return Answers(np.array([hit for _, (hit, _) in answered], dtype=bool), 0, np.maximum(seconds, 0.0))
 
     def mean_seconds_free(self, points: Queries, rounds: int = 5) -> float | None:
         """Of queries that this method finds free, in one call."""

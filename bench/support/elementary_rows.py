@@ -1,4 +1,4 @@
-"""Rows and totals of the elementary benchmark: wrong answers, the arithmetic that settled queries, times of single
+"""Rows and totals of the elementary benchmark: wrong answers, the arithmetic that decided queries, times of single
 queries.
 """
 
@@ -43,7 +43,7 @@ class Tally:
         return microseconds(self._seconds / self._counts["asked"]) if self._counts["asked"] else None
 
     def row(self) -> dict[str, Any]:
-        """Counts, and the share of queries that each arithmetic settled."""
+        """Counts, and the share of queries that each arithmetic decided."""
         share = self._settled / max(1, self._counts["asked"])
         settled = {str(bits): timing.rounded(part) for bits, part in zip(SIGNIFICANT_BITS, share, strict=True)}
         return self._counts | {"settled_by_bits": settled}

@@ -2,7 +2,7 @@
 
 A world is first moved on by one process. From there ranks make the same steps again: those of the simulation (PGCCD,
 with or without load balancing), and those of the voxel-based baseline (PCCCD), which detects the collisions of the same
-planned motions. Both must find the contacts of the one process, which their hashes tell.
+planned motions. Both must find the contacts of the one process, by their hashes.
 """
 
 from __future__ import annotations

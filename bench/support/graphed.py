@@ -1,4 +1,4 @@
-"""A step of detection as a CUDA graph: launched by one call, in a fixed room."""
+"""A step of detection as a CUDA graph: launched by one call, in a fixed capacity."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class GraphedDetection:
 
     def __init__(self, scene: pgccd.Scene, motion: pgccd.RigidMotion, needed: pgccd.Capacity) -> None:
         self._columns = [column.clone() for column in columns_of(motion)]
-        room = needed.times(1.25)
+        capacity = needed.times(1.25)
 
         def detect() -> pgccd.PaddedContacts:
             motion = pgccd.RigidMotion.of_checked(*self._columns)
-            return pgccd.detect(scene, motion, report="first", capacity=room)
+            return pgccd.detect(scene, motion, report="first", capacity=capacity)
 
         aside = torch.cuda.Stream()
         aside.wait_stream(torch.cuda.current_stream())

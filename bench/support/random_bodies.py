@@ -13,7 +13,7 @@ import pgccd
 
 
 class RandomBodies:
-    """Bodies of kinds chosen at random, anew in every step: places, orientations, directions.
+    """Bodies of kinds chosen at random in every step: places, orientations, directions.
 
     Each moves by `displacement` of its radius and turns by `turn` radians. The box is as large as makes the spheres
     of `pairs_a_body` pairs a body meet, on average.

@@ -112,7 +112,7 @@ def _cpu_model() -> str:
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         key, _, value = line.partition(":")
         fields.setdefault(key.strip(), value.strip())
-    # Virtual machines may shorten the name, but the numbers tell which one it is.
+    # Virtual machines may shorten the name, but the numbers identify it.
     numbers = [f"{key} {fields[key]}" for key in ("cpu family", "model", "stepping") if key in fields]
     return ", ".join([fields.get("model name", platform.machine()), *numbers])
 

@@ -22,7 +22,7 @@ _STEEPNESS = 0.02
 
 
 class PebblesOnTerrain:
-    """Body 0 is the terrain, about `triangles` in number; the others are pebbles of 80 triangles, dropped anew in every
+    """Body 0 is the terrain, about `triangles` in number; the others are pebbles of 80 triangles, dropped again each
     step, each from close above the ground. Some touch it, and some one another.
     """
 

@@ -27,7 +27,7 @@ def seconds(work: Callable[[], Any], device: torch.device | str = "cpu") -> tupl
 
 def host_loop() -> float:
     """Seconds that this core takes to add up 400,000 numbers, one by one: whether it is as fast as it was another
-    time, or has to share its time with somebody."""
+    time, or is shared with other programs."""
     start, total = time.perf_counter(), 0
     for _ in range(20):
         for number in range(20_000):

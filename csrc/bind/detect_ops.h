@@ -1,5 +1,5 @@
 // The detection operators, written once for both backends: views in, kernels, tensors out. A backend runs the kernels;
-// outputs whose size only the kernel knows are made when it asks.
+// outputs whose size only the kernel knows are allocated when it requests them.
 #pragma once
 
 #include <functional>

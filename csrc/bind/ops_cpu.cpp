@@ -6,7 +6,7 @@
 #include "bind/cpu_executor.h"
 #include "bind/detect_ops.h"
 #include "bind/elementary_ops.h"
-#include "bind/within_ops.h"
+#include "bind/padded_ops.h"
 #include "kernels/bounds/bounds.h"
 #include "kernels/broad/broad.h"
 #include "kernels/row_checks.h"
@@ -64,25 +64,25 @@ class CpuBackend {
   void first_faults(const std::vector<RowColumn>& columns, int64_t* first) const {
     first_faults_cpu(executor_, columns, first);
   }
-  void pairs_within(const BroadBodies& bodies, BroadPhase phase, const PaddedPairs& out) const {
+  void pairs_padded(const BroadBodies& bodies, BroadPhase phase, const PaddedPairs& out) const {
     out.counts[kBroadBegan] = nanoseconds();
-    const int64_t room = out.capacity.pairs;
+    const int64_t capacity = out.capacity.pairs;
     std::vector<int64_t> too_many;
     int64_t count = 0;
     const auto make_output = [&](int64_t found) {
       count = found;
-      if (found <= room) return out.rows;
+      if (found <= capacity) return out.rows;
       too_many.resize(2 * found);
       return too_many.data();
     };
     if (!bodies.invalid()) find_pairs(bodies, phase, make_output);
-    const int64_t written = std::min(count, room);
+    const int64_t written = std::min(count, capacity);
     if (!too_many.empty()) std::copy_n(too_many.data(), 2 * written, out.rows);
-    std::fill(out.rows + 2 * written, out.rows + 2 * room, int64_t{-1});
+    std::fill(out.rows + 2 * written, out.rows + 2 * capacity, int64_t{-1});
     out.counts[kPairsNeeded] = count;
     out.counts[kOverlapsNeeded] = out.counts[kLongRowsNeeded] = 0;
     out.counts[kPairsWritten] = written;
-    out.counts[kPairsOverflow] = count > room;
+    out.counts[kPairsOverflow] = count > capacity;
     out.counts[kBroadEnded] = nanoseconds();
   }
 
@@ -93,22 +93,22 @@ class CpuBackend {
 
   // Takes the memory it needs: only rows can be too many.
   template <class Bodies>
-  void contacts_within(const Bodies& bodies, TraverseInput traversal, const int64_t* pair_count,
-                       const TraverseCapacity&, NarrowInput narrow, bool only_earliest, const ContactCapacity& room,
+  void contacts_padded(const Bodies& bodies, TraverseInput traversal, const int64_t* pair_count,
+                       const TraverseCapacity&, NarrowInput narrow, bool only_earliest, const ContactCapacity& capacity,
                        const ContactOutput& make_output, int64_t* traverse_counts, int64_t* contact_counts) const {
     int64_t narrow_time = 0;
-    const ContactRows found = search_within(bodies, traversal, pair_count, narrow, only_earliest, traverse_counts,
+    const ContactRows found = search_padded(bodies, traversal, pair_count, narrow, only_earliest, traverse_counts,
                                             contact_counts, narrow_time);
     const int64_t rows = static_cast<int64_t>(found.pair.size());
-    const int64_t capacity = room.contacts == kExactly ? rows : room.contacts, written = std::min(rows, capacity);
-    const ContactColumns out = make_output(capacity);
+    const int64_t most = capacity.contacts == kExactly ? rows : capacity.contacts, written = std::min(rows, most);
+    const ContactColumns out = make_output(most);
     copy_rows(found, out, written);
     for (int64_t row = 0; row < written; ++row) {
       std::copy_n(narrow.pairs + 2 * int64_t{found.pair[row]}, 2, out.bodies + 2 * row);
     }
-    pad_rows(out, written, capacity);
+    pad_rows(out, written, most);
     contact_counts[kContactsNeeded] = rows;
-    contact_counts[kContactsOverflow] = rows > capacity;
+    contact_counts[kContactsOverflow] = rows > most;
     contact_counts[kUnresolvedWritten] =
         std::count(found.status.begin(), found.status.begin() + written, static_cast<int8_t>(Status::kUnresolved));
     end_counts(narrow_time, traverse_counts, contact_counts);
@@ -119,7 +119,7 @@ class CpuBackend {
                        int64_t* traverse_counts, int64_t* contact_counts) const {
     int64_t narrow_time = 0;
     const ContactRows found =
-        search_within(bodies, traversal, pair_count, narrow, false, traverse_counts, contact_counts, narrow_time);
+        search_padded(bodies, traversal, pair_count, narrow, false, traverse_counts, contact_counts, narrow_time);
     for (size_t row = 0; row < found.pair.size(); ++row) {
       for (int side = 0; side < 2; ++side) {
         double& first = known.first[known.owners[2 * int64_t{found.pair[row]} + side]];
@@ -139,7 +139,7 @@ class CpuBackend {
  private:
   // Contacts of the first `pair_count` pairs. Clears the counts, and fills in those of the traversal.
   template <class Bodies>
-  ContactRows search_within(const Bodies& bodies, TraverseInput traversal, const int64_t* pair_count,
+  ContactRows search_padded(const Bodies& bodies, TraverseInput traversal, const int64_t* pair_count,
                             NarrowInput narrow, bool only_earliest, int64_t* traverse_counts, int64_t* contact_counts,
                             int64_t& narrow_time) const {
     const int64_t began = traverse_counts[kTraverseBegan];
@@ -149,8 +149,8 @@ class CpuBackend {
     traversal.pair_count = narrow.pair_count = std::clamp<int64_t>(*pair_count, 0, traversal.pair_count);
     std::vector<double> horizon;
     if (narrow.report == Report::kFirst) {
-      // A good guess at each pair's first contact bounds how far the search for an earlier one need look. A GPU has
-      // searched all of it sooner than it has found the guess.
+      // A good guess at each pair's first contact bounds the times at which an earlier one must be searched for. A GPU
+      // has searched all of it sooner than it has found the guess.
       traversal.leading = true;
       const ContactRows guess = search(bodies, traversal, narrow, traverse_counts, narrow_time);
       traversal.leading = false;

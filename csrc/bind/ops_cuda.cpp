@@ -5,7 +5,7 @@
 #include "bind/cuda_backend.h"
 #include "bind/detect_ops.h"
 #include "bind/elementary_ops.h"
-#include "bind/within_ops.h"
+#include "bind/padded_ops.h"
 #include "kernels/bounds/bounds_cuda.h"
 #include "kernels/bounds/faults_cuda.h"
 #include "kernels/broad/broad_cuda.h"
@@ -52,7 +52,7 @@ class CudaBackend {
                             input.candidates.size);
     narrow_phase_cuda(session_.context(), bodies, input, make_output);
   }
-  void pairs_within(const BroadBodies& bodies, BroadPhase phase, const PaddedPairs& out) const {
+  void pairs_padded(const BroadBodies& bodies, BroadPhase phase, const PaddedPairs& out) const {
     switch (phase) {
       case BroadPhase::kSweep:
         return sweep_cuda(session_.context(), bodies, -1, out);
@@ -72,19 +72,22 @@ class CudaBackend {
     require_owners_cuda(session_.context(), owners, given, most, limit);
   }
   template <class Bodies>
-  void contacts_within(const Bodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
-                       const TraverseCapacity& room, NarrowInput narrow, bool, const ContactCapacity& contact_room,
-                       const ContactOutput& make_output, int64_t* traverse_counts, int64_t* contact_counts) const {
-    STD_TORCH_CHECK(contact_room.contacts != kExactly, "capacity: nobody waits for the number of contacts on a GPU");
+  void contacts_padded(const Bodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
+                       const TraverseCapacity& capacity, NarrowInput narrow, bool,
+                       const ContactCapacity& contact_capacity, const ContactOutput& make_output,
+                       int64_t* traverse_counts, int64_t* contact_counts) const {
+    STD_TORCH_CHECK(contact_capacity.contacts != kExactly,
+                    "capacity: an exact number of contacts needs the CPU; on a GPU give a capacity");
     const DeviceContext& context = session_.context();
-    narrow.candidates = traverse_within(context, bodies, traversal, pair_count, room, traverse_counts);
-    narrow_phase_within(context, bodies, narrow, contact_room, make_output(contact_room.contacts), contact_counts);
+    narrow.candidates = traverse_padded(context, bodies, traversal, pair_count, capacity, traverse_counts);
+    narrow_phase_padded(context, bodies, narrow, contact_capacity, make_output(contact_capacity.contacts),
+                        contact_counts);
   }
   void lower_first_toi(const RigidBodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
-                       const TraverseCapacity& room, NarrowInput narrow, int64_t most_open, const FirstToi& known,
+                       const TraverseCapacity& capacity, NarrowInput narrow, int64_t most_open, const FirstToi& known,
                        int64_t* traverse_counts, int64_t* contact_counts) const {
     const DeviceContext& context = session_.context();
-    narrow.candidates = traverse_within(context, bodies, traversal, pair_count, room, traverse_counts);
+    narrow.candidates = traverse_padded(context, bodies, traversal, pair_count, capacity, traverse_counts);
     pgccd::lower_first_toi(context, bodies, narrow, most_open, known, contact_counts);
   }
   template <bool kEdgeEdge, class T>

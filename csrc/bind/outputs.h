@@ -23,8 +23,7 @@ inline Tensor new_empty(const Tensor& like, const std::vector<int64_t>& sizes, S
   AtenTensorHandle made = nullptr;
   const AOTITorchError result = aoti_torch_empty_strided(static_cast<int64_t>(sizes.size()), sizes.data(),
                                                          strides.data(), dtype, device_type, device_index, &made);
-  // What torch's allocator says of too little memory does not reach us; what was asked for, and what helps, is ours to
-  // say.
+  // The stable ABI drops the message of torch's allocator, so the error says how much was requested and what helps.
   if (result != AOTI_TORCH_SUCCESS) {
     throw std::runtime_error("out of memory: no room for " + std::to_string(bytes) +
                              " more bytes; a smaller memory_budget or capacity, or fewer bodies at a time, take less");

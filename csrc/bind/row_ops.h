@@ -16,7 +16,7 @@ inline bool on_same_device(const Tensor& a, const Tensor& b) {
   return a.is_cuda() == b.is_cuda() && a.get_device_index() == b.get_device_index();
 }
 
-// What is to be known of columns; `data` is not to be asked of those that only say what others look like.
+// Layout of columns; those that only describe the layout of others have no `data`.
 class ColumnViews {
  public:
   // All on the device of `like`.

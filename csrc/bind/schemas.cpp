@@ -9,9 +9,9 @@
 //                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64]
 //                     see core/bodies.h; after either list perhaps margin (N,)
 // All that is given is looked at: shapes, dtypes, devices, lengths, and rows that name other rows. On a CPU what is
-// wrong raises an error that names the argument. On a GPU nothing waits to be told: traversals count no pairs and
-// overflow
-// (`contacts_within_*`), or raise (`traverse_*`, `narrow_*`, which wait anyway); other launches fail, as torch's own do
+// wrong raises an error that names the argument. On a GPU the host does not wait for that check: traversals count no
+// pairs and overflow
+// (`contacts_padded_*`), or raise (`traverse_*`, `narrow_*`, which wait anyway); other launches fail, as torch's own do
 // for an index out of range. Taken as made by the package is what the columns of a mesh set say, and node
 // blocks, as `refit` makes them.
 //
@@ -67,19 +67,19 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // Without waiting for a size: capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h; broad_phase =
   // 0 (sweep), 1 (grid) or 2 (lbvh).
   library.def(
-      "pairs_within(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
+      "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, Tensor? is_invalid, float min_separation, float tolerance, int broad_phase, int[] capacity) "
       "-> (Tensor pairs, Tensor counts)");
   // Columns of contacts, of which the first is body pairs (., 2) i64; all counts together, and the faults after them.
   // capacity = [poses, tasks, leaf_pairs, candidates, launches, open, contacts], see kernels/traverse/traverse.h and
   // kernels/narrow/narrow.h, where the counts are too.
   library.def(
-      "contacts_within_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_counts, "
+      "contacts_padded_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_counts, "
       "Tensor faults, "
       "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   library.def(
-      "contacts_within_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, Tensor faults, "
+      "contacts_padded_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, Tensor faults, "
       "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   // Lowers first (N,) f64 of the owners (P, 2) i64 of each pair; capacity without contacts, counts without faults.

@@ -5,7 +5,7 @@
 
 namespace pgccd::bind {
 
-// Bytes, of this thread's operators since somebody last set it to 0.
+// Bytes; the largest use by this thread's operators since it was last set to 0.
 int64_t& scratch_peak();
 
 }  // namespace pgccd::bind

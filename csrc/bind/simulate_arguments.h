@@ -4,8 +4,8 @@
 #include "bind/arguments.h"
 #include "kernels/simulate/hash_item.h"
 #include "kernels/simulate/pair_motion_item.h"
-#include "kernels/simulate/robot.h"
 #include "kernels/simulate/resolution_item.h"
+#include "kernels/simulate/robot.h"
 #include "kernels/simulate/world.h"
 
 namespace pgccd::bind {

@@ -106,9 +106,10 @@ struct SimulateOps {
   using PairsAndMotion = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
   static PairsAndMotion simulate_affected_motion(const TensorList& own, const TensorList& ghosts,
-                                                  const Tensor& fraction, const Tensor& changed, const Tensor& pairs,
-                                                  const Tensor& mesh_radius, int64_t room) {
-    STD_TORCH_CHECK(room >= 0 && room < (int64_t{1} << 31), "room: expected a number in [0, 2^31), got ", room);
+                                                 const Tensor& fraction, const Tensor& changed, const Tensor& pairs,
+                                                 const Tensor& mesh_radius, int64_t capacity) {
+    STD_TORCH_CHECK(capacity >= 0 && capacity < (int64_t{1} << 31), "capacity: expected a number in [0, 2^31), got ",
+                    capacity);
     AffectedMotion given;
     given.own = moving_robots(own, "own");
     given.ghosts = moving_robots(ghosts, "ghosts");
@@ -120,11 +121,12 @@ struct SimulateOps {
     given.mesh_radius = rows<double>(mesh_radius, "mesh_radius", {kAnySize});
     given.mesh_count = mesh_radius.size(0);
     STD_TORCH_CHECK(given.mesh_count > 0, "mesh_radius: expected at least one mesh");
-    Tensor found = new_tensor<int64_t>(pairs, {room, 2}), counts = new_integers(pairs, int64_t{kPairCounts});
-    Tensor mesh_index = new_tensor<int32_t>(fraction, {2 * room}), radius = new_tensor<double>(fraction, {2 * room});
-    Tensor position_t0 = new_rows(fraction, 2 * room, 3), position_t1 = new_rows(fraction, 2 * room, 3);
-    Tensor orientation = new_rows(fraction, 2 * room, 4), rotation = new_rows(fraction, 2 * room, 3);
-    given.room = room;
+    Tensor found = new_tensor<int64_t>(pairs, {capacity, 2}), counts = new_integers(pairs, int64_t{kPairCounts});
+    Tensor mesh_index = new_tensor<int32_t>(fraction, {2 * capacity}),
+           radius = new_tensor<double>(fraction, {2 * capacity});
+    Tensor position_t0 = new_rows(fraction, 2 * capacity, 3), position_t1 = new_rows(fraction, 2 * capacity, 3);
+    Tensor orientation = new_rows(fraction, 2 * capacity, 4), rotation = new_rows(fraction, 2 * capacity, 3);
+    given.capacity = capacity;
     given.pairs = data<int64_t>(found);
     given.motion = {data<int32_t>(mesh_index), data<double>(position_t0), data<double>(radius),
                     data<double>(orientation), data<double>(position_t1), data<double>(rotation)};
@@ -174,8 +176,8 @@ struct SimulateOps {
   library.impl("simulate_slow_all_down",                                                                        \
                TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_slow_all_down>::call));                   \
   library.impl("simulate_first_toi", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_first_toi>::call)); \
-  library.impl("simulate_affected_motion",                                                                     \
-               TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_affected_motion>::call));                \
+  library.impl("simulate_affected_motion",                                                                      \
+               TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_affected_motion>::call));                 \
   library.impl("simulate_tally", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_tally>::call));         \
   library.impl("simulate_hash", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_hash>::call));           \
   library.impl("random_uniforms", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::random_uniforms>::call))

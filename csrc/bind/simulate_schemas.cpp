@@ -25,7 +25,8 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
   // counts: see kernels/padded_pairs.h
   library.def(
       "simulate_affected_motion(Tensor[] own, Tensor[] ghosts, Tensor fraction, Tensor changed, Tensor pairs, Tensor "
-      "mesh_radius, int room) -> (Tensor affected, Tensor mesh_index, Tensor position_t0, Tensor position_t1, Tensor "
+      "mesh_radius, int capacity) -> (Tensor affected, Tensor mesh_index, Tensor position_t0, Tensor position_t1, "
+      "Tensor "
       "radius, Tensor orientation, Tensor rotation, Tensor counts)");
   // Robots, hash of contacts, hash of states, robots that stopped, contacts at the start, hash of ids.
   library.def("simulate_tally(Tensor[] state, Tensor fraction, Tensor id, Tensor pairs, Tensor toi) -> Tensor");

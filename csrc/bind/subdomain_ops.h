@@ -41,22 +41,22 @@ using FrameList = std::vector<double>;
 template <class Backend>
 struct SubdomainOps {
   static std::tuple<Tensor, Tensor, Tensor> boundary_bodies(const TensorList& centres, double min_separation,
-                                                          double tolerance, FrameList frame, const Tensor& owner,
-                                                          int64_t rank) {
+                                                            double tolerance, FrameList frame, const Tensor& owner,
+                                                            int64_t rank) {
     const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
     Tensor reach = new_tensor<uint8_t>(owner, {bodies.count});
     Tensor boundary = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
     Backend(owner).boundary_bodies(bodies, subdomain_view(frame, owner, rank), data<uint8_t>(reach),
-                                 {data<int64_t>(boundary), data<int64_t>(found)});
+                                   {data<int64_t>(boundary), data<int64_t>(found)});
     return {reach, boundary, found};
   }
 
   static std::tuple<Tensor, Tensor> replica_ranks(const TensorList& centres, double min_separation, double tolerance,
-                                               FrameList frame, const Tensor& owner, int64_t rank, const Tensor& bodies,
-                                               std::vector<int64_t> received, int64_t ranks) {
+                                                  FrameList frame, const Tensor& owner, int64_t rank,
+                                                  const Tensor& bodies, std::vector<int64_t> received, int64_t ranks) {
     const ReplicaRanksInput input{centres_view(centres, "centres", {min_separation, tolerance}),
-                             subdomain_view(frame, owner, rank), rows<int64_t>(bodies, "bodies", {kAnySize}),
-                             bodies.size(0), received};
+                                  subdomain_view(frame, owner, rank), rows<int64_t>(bodies, "bodies", {kAnySize}),
+                                  bodies.size(0), received};
     for (const int64_t count : received) {
       STD_TORCH_CHECK(count >= 0, "received: expected numbers >= 0, got ", count);
     }
@@ -64,28 +64,31 @@ struct SubdomainOps {
     const bool sums_up = std::accumulate(received.begin(), received.end(), int64_t{0}) == bodies.size(0);
     STD_TORCH_CHECK(received.empty() || (static_cast<int64_t>(received.size()) == ranks && sums_up),
                     "received: expected numbers of ", ranks, " ranks, ", bodies.size(0), " in all");
-    Tensor replica_ranks = new_tensor<uint8_t>(owner, {bodies.size(0), ranks}), counts = new_tensor<int64_t>(owner, {ranks});
+    Tensor replica_ranks = new_tensor<uint8_t>(owner, {bodies.size(0), ranks}),
+           counts = new_tensor<int64_t>(owner, {ranks});
     Backend(owner).replica_ranks(input, {ranks, data<uint8_t>(replica_ranks), data<int64_t>(counts)});
     return {replica_ranks, counts};
   }
 
   static Tensor rows_by_rank(const Tensor& replica_ranks, const Tensor& bodies, const Tensor& counts,
-                             std::vector<int64_t> rooms) {
+                             std::vector<int64_t> capacities) {
     const int64_t* numbers = rows<int64_t>(bodies, "rows", {kAnySize});
-    const int64_t row_count = bodies.size(0), ranks = static_cast<int64_t>(rooms.size());
+    const int64_t row_count = bodies.size(0), ranks = static_cast<int64_t>(capacities.size());
     const HeldRows held{rows<uint8_t>(replica_ranks, "replica_ranks", {row_count, ranks}), numbers, row_count, ranks,
                         rows<int64_t>(counts, "counts", {ranks})};
-    for (const int64_t room : rooms) STD_TORCH_CHECK(room >= 0, "rooms: expected numbers >= 0, got ", room);
-    Tensor by_rank = new_tensor<int64_t>(bodies, {std::accumulate(rooms.begin(), rooms.end(), int64_t{0})});
-    Backend(bodies).rows_by_rank(held, rooms, data<int64_t>(by_rank));
+    for (const int64_t capacity : capacities)
+      STD_TORCH_CHECK(capacity >= 0, "capacities: expected numbers >= 0, got ", capacity);
+    Tensor by_rank = new_tensor<int64_t>(bodies, {std::accumulate(capacities.begin(), capacities.end(), int64_t{0})});
+    Backend(bodies).rows_by_rank(held, capacities, data<int64_t>(by_rank));
     return by_rank;
   }
 
-  static Tensor counts_to_tell(const Tensor& counts, std::vector<int64_t> rooms, const Tensor& found, int64_t room) {
-    const int64_t ranks = static_cast<int64_t>(rooms.size());
-    const RoomInput input{rows<int64_t>(counts, "counts", {ranks}), rows<int64_t>(found, "found", {1}), room};
+  static Tensor counts_to_send(const Tensor& counts, std::vector<int64_t> capacities, const Tensor& found,
+                               int64_t capacity) {
+    const int64_t ranks = static_cast<int64_t>(capacities.size());
+    const CapacityInput input{rows<int64_t>(counts, "counts", {ranks}), rows<int64_t>(found, "found", {1}), capacity};
     Tensor told = new_tensor<int64_t>(counts, {ranks, 2});
-    Backend(counts).counts_to_tell(input, rooms, data<int64_t>(told));
+    Backend(counts).counts_to_send(input, capacities, data<int64_t>(told));
     return told;
   }
 
@@ -134,13 +137,13 @@ struct SubdomainOps {
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_SUBDOMAIN_OPS(library, Backend)                                                   \
-  library.impl("boundary_bodies", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::boundary_bodies>::call));   \
-  library.impl("replica_ranks", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::replica_ranks>::call));         \
-  library.impl("rows_by_rank", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::rows_by_rank>::call));     \
-  library.impl("counts_to_tell", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::counts_to_tell>::call)); \
-  library.impl("owned_pairs", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::owned_pairs>::call));       \
-  library.impl("near_ghosts", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::near_ghosts>::call));       \
+#define PGCCD_REGISTER_SUBDOMAIN_OPS(library, Backend)                                                     \
+  library.impl("boundary_bodies", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::boundary_bodies>::call)); \
+  library.impl("replica_ranks", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::replica_ranks>::call));     \
+  library.impl("rows_by_rank", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::rows_by_rank>::call));       \
+  library.impl("counts_to_send", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::counts_to_send>::call));   \
+  library.impl("owned_pairs", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::owned_pairs>::call));         \
+  library.impl("near_ghosts", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::near_ghosts>::call));         \
   library.impl("leaving_bodies", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::leaving_bodies>::call))
 
 }  // namespace pgccd::bind

@@ -10,15 +10,17 @@ class SubdomainOnCpu {
   explicit SubdomainOnCpu(const Tensor&) {}
 
   void boundary_bodies(const BroadBodies& bodies, const Subdomain& subdomain, uint8_t* reach,
-                     const FoundRows& boundary) const {
+                       const FoundRows& boundary) const {
     boundary_bodies_cpu(executor_, bodies, subdomain, reach, boundary);
   }
-  void replica_ranks(const ReplicaRanksInput& input, const ReplicaRanks& out) const { replica_ranks_cpu(executor_, input, out); }
-  void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank) const {
-    rows_by_rank_cpu(held, rooms, by_rank);
+  void replica_ranks(const ReplicaRanksInput& input, const ReplicaRanks& out) const {
+    replica_ranks_cpu(executor_, input, out);
   }
-  void counts_to_tell(const RoomInput& input, const std::vector<int64_t>& rooms, int64_t* told) const {
-    counts_to_tell_cpu(input, rooms, told);
+  void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank) const {
+    rows_by_rank_cpu(held, capacities, by_rank);
+  }
+  void counts_to_send(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* told) const {
+    counts_to_send_cpu(input, capacities, told);
   }
   void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
     owned_pairs_cpu(executor_, input, owned, found);

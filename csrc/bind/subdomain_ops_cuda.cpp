@@ -13,17 +13,17 @@ class SubdomainOnCuda {
   explicit SubdomainOnCuda(const Tensor& like) : session_(like) {}
 
   void boundary_bodies(const BroadBodies& bodies, const Subdomain& subdomain, uint8_t* reach,
-                     const FoundRows& boundary) const {
+                       const FoundRows& boundary) const {
     boundary_bodies_cuda(session_.context(), bodies, subdomain, reach, boundary);
   }
   void replica_ranks(const ReplicaRanksInput& input, const ReplicaRanks& out) const {
     replica_ranks_cuda(session_.context(), input, out);
   }
-  void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank) const {
-    rows_by_rank_cuda(session_.context(), held, rooms, by_rank);
+  void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank) const {
+    rows_by_rank_cuda(session_.context(), held, capacities, by_rank);
   }
-  void counts_to_tell(const RoomInput& input, const std::vector<int64_t>& rooms, int64_t* told) const {
-    counts_to_tell_cuda(session_.context(), input, rooms, told);
+  void counts_to_send(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* told) const {
+    counts_to_send_cuda(session_.context(), input, capacities, told);
   }
   void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
     owned_pairs_cuda(session_.context(), input, owned, found);

@@ -13,8 +13,8 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "replica_ranks(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank, "
       "Tensor bodies, "
       "int[] received, int ranks) -> (Tensor replica_ranks, Tensor counts)");
-  library.def("rows_by_rank(Tensor replica_ranks, Tensor rows, Tensor counts, int[] rooms) -> Tensor");
-  library.def("counts_to_tell(Tensor counts, int[] rooms, Tensor found, int room) -> Tensor");
+  library.def("rows_by_rank(Tensor replica_ranks, Tensor rows, Tensor counts, int[] capacities) -> Tensor");
+  library.def("counts_to_send(Tensor counts, int[] capacities, Tensor found, int capacity) -> Tensor");
   library.def(
       "owned_pairs(Tensor pairs, Tensor? rows, Tensor id, Tensor[] centres, float min_separation, float tolerance, "
       "Tensor reach, "

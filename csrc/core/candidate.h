@@ -21,15 +21,15 @@ struct Candidate {
   int32_t feature_j;
 };
 
-// Candidates in memory: `size` of them, or, where a device counted them and nobody waited for the counts, some from the
-// front and some from the back of room for `size`.
+// Candidates in memory: `size` of them, or, where the host has not read the device's counts, some from the
+// front and some from the back of a buffer of `size`.
 struct CandidateSpan {
   const Candidate* items = nullptr;
   int64_t size = 0;
   const Counter* front = nullptr;  // null: all are given
   const Counter* back = nullptr;
 
-  // None where there was no room for all: what lies there may be of two candidates.
+  // Zero on overflow: rows there may mix two candidates.
   PGCCD_HD int64_t count() const {
     if (front == nullptr) return size;
     const Counter counted = *front + *back;

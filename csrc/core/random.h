@@ -15,7 +15,7 @@ struct RandomBits {
 struct RandomCounter {
   int64_t id;
   uint32_t step;
-  uint32_t stream;  // tells apart the draws of one id in one step
+  uint32_t stream;  // distinguishes the draws of one id in one step
 };
 
 PGCCD_HD RandomBits random_bits(uint64_t seed, RandomCounter counter) {

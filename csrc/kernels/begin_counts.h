@@ -1,4 +1,4 @@
-// What a step within a given room counts begins with what came before it.
+// The counts of a padded step start with those of the stage before it.
 #pragma once
 
 #include <cstdint>

@@ -58,7 +58,7 @@ void run_cub(const DeviceContext& context, Call&& call) {
   check_cuda(call(scratch, bytes), "cub");
 }
 
-// An assertion that is there in every build, for indices that nobody waits to be told of: the launch fails, as torch's
+// An assertion that stays in release builds, for indices that the host never reads: the launch fails, as torch's
 // own do, before anything is read by them.
 __device__ inline void require_on_device(bool is_so, const char* what) {
   if (!is_so) __assert_fail(what, __FILE__, __LINE__, "pgccd");
@@ -128,7 +128,7 @@ __global__ void __launch_bounds__(kBlockThreads) for_each_counted_kernel(const C
 
 }  // namespace device_detail
 
-// Runs fn(item) for every item in [0, *count), a count that only the device knows, but for no more than `most`.
+// Runs fn(item) for every item in [0, *count), a count in device memory, but for no more than `most`.
 template <class Count, class Fn>
 void for_each_counted(const DeviceContext& context, const Count* count, int64_t most, Fn fn) {
   if (most <= 0) return;

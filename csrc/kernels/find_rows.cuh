@@ -9,7 +9,7 @@
 
 namespace pgccd {
 
-// rows (count,) has room for all; found (1,) is how many there are.
+// rows (count,): those found come first; found (1,) is their number.
 template <class IsWanted>
 void find_rows(const DeviceContext& context, int64_t count, int64_t* rows, int64_t* found, const IsWanted& is_wanted) {
   if (count == 0) return fill_bytes(context, found, 0, 1);

@@ -150,7 +150,7 @@ class PCCCD:
         with clock.stage("report"):
             of_contacts = pairs[row.long()]
             contacts = {"pairs": columns["id"][of_contacts]} | dict(zip(_COLUMNS, rows, strict=True))
-            told = self._report(contacts, owner[of_contacts])
+            received = self._report(contacts, owner[of_contacts])
         unresolved = int((contacts["status"] == narrow.Status.UNRESOLVED).sum())
         self.stats = VoxelStats(
             boxes_sent,
@@ -165,13 +165,13 @@ class PCCCD:
             bodies=count,
             pcs=len(pairs),
             candidates=len(candidates),
-            contacts=len(told["toi"]),
+            contacts=len(received["toi"]),
             unresolved=unresolved,
             broad_phase="voxels",
             chunks=1,
             seconds=clock.seconds,
         )
-        return Contacts(**told, stats=stats)
+        return Contacts(**received, stats=stats)
 
     def balance(self) -> None:
         """Moves voxels between ranks so that each has as many boxes as the others, by the last call of `detect`: the
@@ -185,8 +185,8 @@ class PCCCD:
         keys = voxel_keys(self._contents.voxels)
         everywhere = torch.arange(self.comm.size).repeat_interleave(len(keys))
         route = make_route(self.comm, torch.arange(len(keys)).repeat(self.comm.size), everywhere)
-        told = route.forward({"key": keys, "boxes": self._contents.counts}).wait()
-        self._directory.move(told["key"], greedy_ranks(told["boxes"], self.comm.size))
+        received = route.forward({"key": keys, "boxes": self._contents.counts}).wait()
+        self._directory.move(received["key"], greedy_ranks(received["boxes"], self.comm.size))
 
     def _bodies_before(self, count: int) -> Tensor:
         """(ranks + 1,) int64: bodies on ranks before each; all."""
@@ -221,21 +221,21 @@ class PCCCD:
         return take_rows(columns, order), owner[order], triangle_pairs
 
     def _report(self, contacts: Columns, owner: Tensor) -> Columns:
-        """Tells contacts to the ranks `owner` (K, 2) of their bodies; returns what this rank is told, sorted. With
+        """Sends contacts to the ranks `owner` (K, 2) of their bodies; returns those received, sorted. With
         report="first" voxels of different ranks may each have found a first contact of the same pair."""
         everything = torch.arange(len(owner))
         second = everything[owner[:, 0] != owner[:, 1]]
         rows, destination = torch.cat([everything, second]), torch.cat([owner[:, 0], owner[second, 1]])
-        told = make_route(self.comm, rows, destination).forward(contacts).wait()
-        keys = [told["pairs"][:, 0], told["pairs"][:, 1], told["kind"], *told["features"].unbind(dim=1)]
+        received = make_route(self.comm, rows, destination).forward(contacts).wait()
+        keys = [received["pairs"][:, 0], received["pairs"][:, 1], received["kind"], *received["features"].unbind(dim=1)]
         if self._query.report == "first":
-            keys.insert(2, told["toi"])
-        order = torch.arange(len(told["toi"]))
+            keys.insert(2, received["toi"])
+        order = torch.arange(len(received["toi"]))
         for key in reversed(keys):
             order = order[torch.argsort(key[order], stable=True)]
         if self._query.report == "first":
-            order = order[run_starts(told["pairs"][order])]
-        return take_rows(told, order)
+            order = order[run_starts(received["pairs"][order])]
+        return take_rows(received, order)
 
 
 def _mean_edge(meshes: Sequence[Mesh]) -> float:

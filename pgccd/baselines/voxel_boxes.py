@@ -67,8 +67,8 @@ def send_boxes(
         boxes_from = comm.exchange_counts(boxes_to)
         headers = route.forward({"voxels": voxels, "counts": counts})
         arriving = comm.exchange(boxes, boxes_to.tolist(), boxes_from.tolist())
-        told, received = headers.wait(), arriving.wait()
-        contents = _by_voxel(received, told["voxels"], told["counts"], first_body[route.source])
+        received_headers, received = headers.wait(), arriving.wait()
+        contents = _by_voxel(received, received_headers["voxels"], received_headers["counts"], first_body[route.source])
     return contents, len(boxes)
 
 

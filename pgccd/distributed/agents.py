@@ -1,4 +1,4 @@
-"""torchrun's agents, one a machine. When a machine joins, they start all ranks anew without counting a restart; that
+"""torchrun's agents, one a machine. When a machine joins, they restart all ranks without counting a restart; that
 these are to go on with a run, and not to begin it, ranks know by an agent that has had its part in it.
 """
 
@@ -17,7 +17,7 @@ AGENTS_FILE = "agents.json"
 
 def agent_name() -> str | None:
     """Of the agent that started this process: no other has it, on any machine, before or after. None where torchrun did
-    not start it, or the system does not tell."""
+    not start it, or the system does not say."""
     run, agent = os.environ.get("TORCHELASTIC_RUN_ID"), os.getppid()
     try:
         # After the name in parentheses, which may hold anything: the 22nd field, when it was started.

@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class DisagreementError(ValueError):
-    """Ranks were started with different things; the message says which, and names two ranks."""
+    """Ranks were started with different settings; the message names the setting and two ranks."""
 
 
 def together(comm: Comm, action: Callable[[], T]) -> T:
@@ -52,7 +52,7 @@ def require_agreement(comm: Comm, facts: Mapping[str, Any]) -> None:
 
     Args:
         comm: between the ranks.
-        facts: anything with a `repr` that tells all; only digests travel, so they may be long.
+        facts: values whose `repr` identifies them; only digests are sent, so they may be long.
 
     Raises:
         DisagreementError: on all ranks.
@@ -63,9 +63,9 @@ def require_agreement(comm: Comm, facts: Mapping[str, Any]) -> None:
     mine = {"pgccd": pgccd.__version__, "torch": torch.__version__, "machine": platform.machine()}
     mine |= {name: repr(value) for name, value in facts.items()}
     short = {name: text if len(text) <= 80 else _digest(text) for name, text in mine.items()}
-    everybody = comm.gather_objects(short)
-    for name in sorted(set().union(*everybody)):
-        values = [facts_of_rank.get(name, "nothing") for facts_of_rank in everybody]
+    of_all_ranks = comm.gather_objects(short)
+    for name in sorted(set().union(*of_all_ranks)):
+        values = [facts_of_rank.get(name, "nothing") for facts_of_rank in of_all_ranks]
         for rank, value in enumerate(values):
             if value != values[0]:
                 raise DisagreementError(f"{name}: rank 0 has {values[0]}, rank {rank} has {value}")

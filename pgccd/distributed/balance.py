@@ -64,7 +64,7 @@ class BalanceOptions:
                 raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
 
     def applies(self, steps_made: int, ranks: int) -> bool:
-        """Whether to decide anew after so many steps."""
+        """Whether to decide again after so many steps."""
         return self.policy != "none" and ranks > 1 and steps_made > 0 and steps_made % self.every == 0
 
 
@@ -194,7 +194,7 @@ def _are_even(most: float, even: float, options: BalanceOptions) -> bool:
 def relative_speeds(cost: Tensor, seconds: Tensor) -> Tensor:
     """(ranks,) float64, mean 1: what each rank gets done a second, of the cost (ranks,) it was given.
 
-    A rank with (almost) nothing to do says nothing about its speed; nobody counts as more than four times slower or
+    A rank with (almost) no work gives no estimate of its speed; no rank counts as more than four times slower or
     faster than the middle one.
     """
     busy = (cost > 0) & (seconds > 0.0)

@@ -170,7 +170,7 @@ def read_owners(folder: Path, partition: Partition) -> list[int] | None:
             return None
         owners = _Owners(**json.loads(path.read_text()))
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{root} does not say who owned which cell: {error}") from error
+        raise ValueError(f"{root} does not contain the owners of cells: {error}") from error
     same = (*owners.subdomains, *owners.cells) == (*partition.subdomains, *partition.cells)
     return list(owners.owner) if same else None
 

@@ -24,7 +24,7 @@ class Pending:
 
     Args:
         wait: returns what was received.
-        guard: told that the rank waits for others; None if it never has to.
+        guard: notified when the rank waits for others; None if it never does.
     """
 
     def __init__(self, wait: Callable[[], Tensor], guard: Guard | None = None) -> None:

@@ -84,7 +84,7 @@ def folder_to_resume(comm: Comm, options: argparse.Namespace, out: Path) -> Path
 
 
 def begin_run(comm: Comm, out: Path) -> None:
-    """From now on ranks that are started anew go on with the run that begins in this folder. What an earlier one left
+    """From now on restarted ranks continue the run that begins in this folder. What an earlier one left
     there goes first, lest it be continued should this one fail before its own first checkpoint."""
     on_first(comm, lambda: forget_checkpoints(out))
     note_agents(comm, out)

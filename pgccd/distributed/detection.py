@@ -14,7 +14,7 @@ from pgccd.contacts import Contacts
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns
 from pgccd.distributed.halo import Held, centres_of
-from pgccd.distributed.halo_room import Room
+from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, OwnSearch, Share
 from pgccd.parts import Part, contacts_of_step, search_seconds
@@ -62,13 +62,13 @@ def detect_distributed(
     build: Build,
     options: Options,
     clock: StageClock,
-    room: Room | None = None,
+    capacity: HaloCapacity | None = None,
 ) -> Detection:
     """Finds the contacts of this rank's share of pairs; the shares of all ranks together are all pairs, once each.
 
     Arguments as for `OwnSearch`.
     """
-    share = OwnSearch(comm, partition, own, build, options, clock, Part.begin, room=room).with_ghosts()
+    share = OwnSearch(comm, partition, own, build, options, clock, Part.begin, capacity=capacity).with_ghosts()
     found = contacts_of_step(share.parts)
     clock.add(search_seconds(found.stats))
     if options.report == "earliest":

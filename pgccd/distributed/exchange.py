@@ -42,7 +42,7 @@ class Arrival:
 
 @dataclass(frozen=True)
 class Route:
-    """Who sends which rows to whom, agreed once for any number of exchanges."""
+    """Which rows go to which rank, agreed once for any number of exchanges."""
 
     comm: Comm
     rows: Tensor  #: (K,) int64 rows sent, by destination

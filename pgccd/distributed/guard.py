@@ -1,7 +1,7 @@
-"""Who is to blame when a message does not come: a rank that died, hangs, or failed and said so.
+"""Finds the cause when a message does not come: a rank that died, hangs, or reported a failure.
 
 Every rank leaves signs of life in a store that all can read (torch's TCPStore): a pulse, counted up by a thread of its
-own, and the number of the exchange its main thread has come to. Nobody looks at them while all goes well.
+own, and the number of the exchange its main thread has come to. They are read only when a message is late.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Protocol
 _PULSE_SECONDS = 1.0
 # A rank whose pulse has stood still for so long is dead.
 _SILENCE_SECONDS = 4.0
-# A rank whose main thread has not come to an exchange for so long looks whether others are alive.
+# A rank whose main thread has not reached an exchange for so long checks whether others are alive.
 _SUSPICION_SECONDS = 10.0
 # What a rank whose exchange cannot end any more is granted for ending it by itself.
 _GRACE_SECONDS = 10.0
@@ -46,7 +46,7 @@ class Guard:
     """Signs of life of this rank, and the means to read those of others.
 
     Args:
-        store: a connection that nobody else uses; None: without others to watch, errors pass as they are.
+        store: a connection used by this guard only; None: without others to watch, errors pass as they are.
         rank, size: of this one; of all.
         timeout: seconds after which an exchange that does not end means that some rank hangs.
         keeps_store: whether the store goes when this process does.
@@ -124,7 +124,7 @@ class Guard:
             os._exit(_EXIT_CODE)
 
     def _publish(self, blame: str) -> None:
-        """The first to find out says it, so that all say the same."""
+        """The first rank to find the cause publishes it, so that all report the same."""
         assert self._store is not None
         try:
             if not self._store.check([_FAILURE]):
@@ -224,7 +224,7 @@ class Guard:
             return _NO_STORE
 
     def _judge(self, signs: list[dict], silent: list[int], hanging: bool) -> str | None:
-        """Who is to blame, in words: who said so itself, who is silent, and (if `hanging` ones are looked for) who is
+        """The ranks at fault, in words: those that reported a failure, those that are silent, and (if `hanging`) those
         behind.
         """
         assert self._store is not None

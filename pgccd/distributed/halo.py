@@ -20,7 +20,7 @@ from pgccd import ops
 from pgccd.bodies import MovingBodies
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Arrival, Columns, Route
-from pgccd.distributed.halo_room import Room, SentWithin
+from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo
 from pgccd.distributed.partition import Partition
 from pgccd.host_copy import HostCopy
 
@@ -56,9 +56,9 @@ class Held:
         return len(self.ghosts["id"])
 
     @property
-    def room(self) -> Room:
+    def capacity(self) -> HaloCapacity:
         """For the halo of the next step."""
-        return Room.after(self.route.sent, self.route.received, len(self.boundary))
+        return HaloCapacity.after(self.route.sent, self.route.received, len(self.boundary))
 
     @functools.cached_property
     def id(self) -> Tensor:
@@ -92,13 +92,13 @@ class Halo:
     ) -> None:
         self._comm, self._own, self._bodies = comm, dict(own), bodies
         self._where = centres_of(bodies), *kept, partition.subdomain(comm.rank)
-        nobody = own["id"][:0]
+        none_of_them = own["id"][:0]
         #: (N,) uint8: 1 for own bodies that reach cells of others.
-        self.reach = nobody.to(torch.uint8)
+        self.reach = none_of_them.to(torch.uint8)
         #: (B,) int64: rows of these.
-        self._boundary = nobody
+        self._boundary = none_of_them
         self._arrival: Arrival | None = None
-        self._within: SentWithin | None = None
+        self._padded: PaddedHalo | None = None
         found = bodies.first_faults()
         if comm.size > 1:
             self.reach, self._boundary, self._count = ops.boundary_bodies(*self._where)
@@ -118,12 +118,12 @@ class Halo:
         self._bodies.checked = True
         self._boundary = self._boundary[:count]
 
-    def send_within(self, room: Room) -> None:
-        """Sends them without waiting for anything. If a rank turns out to be short of room, `wait` sends them again."""
-        self._within = SentWithin(self._comm, room, self._own, self._where, self._boundary, self._count)
+    def send_padded(self, capacity: HaloCapacity) -> None:
+        """Sends them without waiting for anything. If the capacity of a rank is exceeded, `wait` sends them again."""
+        self._padded = PaddedHalo(self._comm, capacity, self._own, self._where, self._boundary, self._count)
 
     def send(self) -> None:
-        """Sends them, once ranks have told one another how many are to come. Checks the bodies, if that has not been
+        """Sends them, once ranks have exchanged counts. Checks the bodies, if that has not been
         done."""
         self.check()
         self._replica_ranks, self._counts = ops.replica_ranks(*self._where, self._boundary, self._comm.size)
@@ -140,11 +140,11 @@ class Halo:
             ghosts = {name: column[:0] for name, column in self._own.items()}
             replica_ranks = id.new_empty((0, 1), dtype=torch.uint8)
             return Held(id, ghosts, Route(self._comm, id[:0], [0], [0]), id[:0], replica_ranks, id.new_zeros(1))
-        if self._within is not None:
+        if self._padded is not None:
             self.check()
-            within, self._within = self._within.wait(len(self._boundary)), None
-            if within is not None:
-                return Held(id, within.ghosts, within.route, self._boundary, within.replica_ranks, within.counts)
+            padded, self._padded = self._padded.wait(len(self._boundary)), None
+            if padded is not None:
+                return Held(id, padded.ghosts, padded.route, self._boundary, padded.replica_ranks, padded.counts)
         if self._arrival is None:
             self.send()
         assert self._arrival is not None
@@ -154,8 +154,8 @@ class Halo:
 class HeldExchange:
     """How ranks agree on the first toi of the bodies they hold (`pgccd.sim.Exchange`).
 
-    All that hold a body tell one another directly. Its owner knows who they are, the others see where it reaches; each
-    two ranks list the bodies both hold by owner, then by id.
+    All ranks that hold a body exchange messages directly. Its owner has the list of them, the others derive it from
+    the sweep; each two ranks list the bodies both hold by owner, then by id.
 
     Args:
         held: the bodies.

@@ -96,7 +96,7 @@ def _backend(transport: Transport, device: torch.device, placement: Placement, s
         return "mpi"
     if transport != "auto":
         return transport
-    # NCCL wants a GPU for every rank; whether there is one must look the same to all.
+    # NCCL wants a GPU for every rank; all ranks must come to the same decision.
     keys = [f"device/{rank}" for rank in range(placement.size)]
     # Its own number: where each rank is shown one GPU only, all of them call it cuda:0.
     has_gpu = device.type == "cuda" and torch.cuda.is_available()

@@ -59,7 +59,7 @@ def migrate(
         columns: of this rank's bodies, "id" (N,) int64 among them, ascending. Any dtypes and widths, alike on all
             ranks.
         position: (N, 3) centres.
-        known: who leaves, how many go to and how many come from each rank, if the ranks have told each other already.
+        known: the leaving bodies and the counts to and from each rank, if ranks have exchanged them already.
 
     Returns:
         The columns of the bodies this rank owns now, by ascending id; and how many came from others.

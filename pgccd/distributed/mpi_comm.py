@@ -1,4 +1,4 @@
-"""Ranks over MPI by mpi4py. GPU memory is given to the library where it says that it reads it, else staged."""
+"""Ranks over MPI by mpi4py. GPU memory is passed to CUDA-aware libraries, else staged through the host."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torch import Tensor
 from pgccd.distributed.comm import Comm, Pending, split_rows
 from pgccd.distributed.guard import Guard
 
-# What MPI libraries that read GPU memory are told to do so by.
+# Environment variables that make MPI libraries read GPU memory.
 _CUDA_SWITCHES = {
     "MPICH_GPU_SUPPORT_ENABLED": "1",  # Cray MPICH
     "MPIR_CVAR_ENABLE_GPU": "1",  # MPICH
@@ -30,7 +30,7 @@ class MpiComm(Comm):
 
     Args:
         control: a torch.distributed group for objects and checkpoints; None: there are no checkpoints.
-        guard: default: one that knows nothing of the other ranks.
+        guard: default: one without connection to the other ranks.
         on_close: called at the end.
 
     Raises:
@@ -65,7 +65,7 @@ class MpiComm(Comm):
             return tensor
         if not self.reads_gpu:
             return tensor.cpu()
-        torch.cuda.current_stream().synchronize()  # MPI knows no streams
+        torch.cuda.current_stream().synchronize()  # MPI does not follow CUDA streams
         return tensor
 
     @staticmethod

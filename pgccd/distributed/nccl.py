@@ -1,4 +1,4 @@
-"""How NCCL is set up, so that the guard ends a rank whose messages never come: NCCL does not, or names nobody."""
+"""How NCCL is set up, so that the guard ends a rank whose messages never come. NCCL does not name the rank at fault."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 import torch.distributed as dist
 
 _ERROR_HANDLING = "TORCH_NCCL_ASYNC_ERROR_HANDLING"
-# Seconds that the guard has before torch's watchdog, which names nobody.
+# Seconds that the guard has before torch's watchdog, which does not name the rank at fault.
 _MARGIN = 60.0
 
 
@@ -20,10 +20,10 @@ def make_default_group(store: dist.Store, rank: int, size: int, timeout: float) 
     """Makes the default group of torch.distributed, with the guard's time-out in seconds.
 
     Returns:
-        What tells whether torch has seen an error in it.
+        Returns whether torch has seen an error in it.
     """
     patience = timedelta(seconds=timeout + _MARGIN)
-    # Messages go before what a GPU is doing meanwhile.
+    # Messages have priority over kernels that run at the same time.
     options = dist.ProcessGroupNCCL.Options(is_high_priority_stream=True)
     options._timeout = patience
     with _errors_left_to_the_guard():
@@ -38,9 +38,9 @@ def _watch(group: Any) -> Callable[[], bool]:
 
 @contextmanager
 def _errors_left_to_the_guard() -> Iterator[None]:
-    """Of groups made meanwhile, which remember it; others of the process are as they would be."""
-    # Else torch ends the process as soon as a message between machines is lost, before the guard knows who is to blame.
-    # torchrun asks for that.
+    """Settings of groups made in this context; other groups of the process keep theirs."""
+    # Else torch ends the process as soon as a message between machines is lost (torchrun requests that), before the
+    # guard has found the rank at fault.
     before = os.environ.get(_ERROR_HANDLING)
     os.environ[_ERROR_HANDLING] = "0"
     try:

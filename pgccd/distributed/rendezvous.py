@@ -1,4 +1,4 @@
-"""Where the ranks that were started together find one another: a store that they share, and nobody else."""
+"""How ranks that were started together find one another: through a store that only they share."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def agent_keeps_store() -> bool:
 
 def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> tuple[dist.Store, bool]:
     """A part of a store that was perhaps used before, for this start alone: what others left there might be taken for
-    signs of ranks of this one. Counts of restarts do not tell starts apart: torchrun's agents count their own only.
+    signs of ranks of this one. Counts of restarts do not identify a start: torchrun's agents count their own only.
 
-    Rank 0 names the start to all who ask, each by a name of its own, until every rank has come to it.
+    Rank 0 answers each rank's request with the name of the start, until every rank has joined.
     """
     name = uuid.uuid4().hex
     if placement.rank == 0:
@@ -70,14 +70,14 @@ def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> t
 def _welcome(store: dist.Store, size: int, start: str, timeout: float) -> None:
     """Tells all other ranks the start's name."""
     deadline = time.monotonic() + timeout
-    missing, told = list(range(1, size)), set()
+    missing, answered = list(range(1, size)), set()
     while missing:
         for rank in missing:
             if store.check([f"asks/{rank}"]):  # perhaps one that is no more: its successor asks by another name
                 asking = store.get(f"asks/{rank}").decode()
-                if asking not in told:
+                if asking not in answered:
                     store.set(f"start for {asking}", start)
-                    told.add(asking)
+                    answered.add(asking)
         missing = [rank for rank in missing if not store.check([f"{start}/here/{rank}"])]
         if missing and time.monotonic() > deadline:
             raise RuntimeError(f"ranks {missing[:8]} of {size} did not come within {timeout:g} s")

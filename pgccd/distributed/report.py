@@ -26,8 +26,8 @@ def tell_owners(comm: Comm, found: Detection) -> Contacts:
     everything = torch.arange(len(owner), device=owner.device)
     second = everything[owner[:, 0] != owner[:, 1]]
     rows, destination = torch.cat([everything, second]), torch.cat([owner[:, 0], owner[second, 1]])
-    told = make_route(comm, rows, destination).forward(columns).wait()
-    return Contacts(**_all_fields(take_rows(told, _canonical_order(told["pairs"]))), stats=found.contacts.stats)
+    received = make_route(comm, rows, destination).forward(columns).wait()
+    return Contacts(**_all_fields(take_rows(received, _canonical_order(received["pairs"]))), stats=found.contacts.stats)
 
 
 def earliest_for_all(comm: Comm, found: Detection) -> Contacts:
@@ -43,11 +43,11 @@ def earliest_for_all(comm: Comm, found: Detection) -> Contacts:
     if len(toi):
         # The bits of floats >= 0 are in the floats' order.
         mine = torch.stack([toi.view(torch.int64)[0], *columns["pairs"][0]])
-    everybody = comm.all_gather(mine).tolist()
-    first = min(range(comm.size), key=lambda rank: everybody[rank])
+    of_all_ranks = comm.all_gather(mine).tolist()
+    first = min(range(comm.size), key=lambda rank: of_all_ranks[rank])
     destination = torch.arange(comm.size if comm.rank == first and len(toi) else 0, device=toi.device)
-    told = make_route(comm, torch.zeros_like(destination), destination).forward(columns).wait()
-    return Contacts(**_all_fields(told), stats=found.contacts.stats)
+    received = make_route(comm, torch.zeros_like(destination), destination).forward(columns).wait()
+    return Contacts(**_all_fields(received), stats=found.contacts.stats)
 
 
 def _in_global_ids(found: Detection) -> Columns:

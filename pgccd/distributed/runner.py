@@ -242,7 +242,7 @@ def gather_columns(comm: Comm, columns: Columns) -> Columns:
 
 
 def gather_state(comm: Comm, state: RobotState) -> RobotState:
-    """All robots on rank 0, by ascending id; nobody on the others."""
+    """All robots on rank 0, by ascending id; none on the others."""
     columns = gather_columns(comm, state.columns)
     return RobotState(**take_rows(columns, torch.argsort(columns["id"])))
 

@@ -1,6 +1,6 @@
 """What one rank tests in one step: the pairs of its own bodies, then those with ghosts.
 
-Whether a pair of own bodies is its to test it knows without any ghost. These pairs are searched while ghosts are under
+Which pairs of own bodies a rank must test does not depend on ghosts. These pairs are searched while ghosts are on their
 way; ghosts then meet the own bodies near them, on a GPU beside that search.
 """
 
@@ -19,7 +19,7 @@ from pgccd.bodies import MovingBodies
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns
 from pgccd.distributed.halo import Halo, Held, HeldExchange, centres_of
-from pgccd.distributed.halo_room import Room
+from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.side_stream import SideStream
 from pgccd.host_copy import HostCopy
@@ -84,7 +84,7 @@ class Share:
 class OwnSearch:
     """One rank's step as far as it goes without ghosts: the pairs of its own bodies, of which the search begins.
 
-    On a GPU nothing is waited for, where room for the pairs can be foreseen; elsewhere ghosts are sent before.
+    On a GPU nothing is waited for where the capacity for pairs can be predicted; elsewhere ghosts are sent first.
 
     Args:
         comm: between the ranks.
@@ -95,7 +95,7 @@ class OwnSearch:
         clock: stages are timed here.
         begin: called with each part as soon as it is known.
         discard: see `find_part`.
-        room: of the halo, if it can be foreseen; the same on all ranks. On GPUs ghosts are then sent at once.
+        capacity: of the halo, if it can be predicted; the same on all ranks. On GPUs ghosts are then sent at once.
 
     Raises:
         ValueError: a pose is invalid.
@@ -114,7 +114,7 @@ class OwnSearch:
         clock: StageClock,
         begin: Callable[[Part], object],
         discard: Tensor | None = None,
-        room: Room | None = None,
+        capacity: HaloCapacity | None = None,
     ) -> None:
         self._comm, self._partition, self._build, self._options = comm, partition, build, options
         self._clock, self._begin = clock, begin
@@ -127,8 +127,8 @@ class OwnSearch:
         self._side = SideStream(bodies.device, options.overlap and comm.size > 1)
         if comm.size > 1:
             with self._side, clock.stage("halo"):
-                if room is not None and _sends_ahead(comm, self._side):
-                    halo.send_within(room)
+                if capacity is not None and _sends_ahead(comm, self._side):
+                    halo.send_padded(capacity)
                 elif not self._side.is_apart:  # else when the own search is under way, since it must be waited for
                     halo.send()
             if not options.overlap:
@@ -195,7 +195,7 @@ class OwnSearch:
         return Share(held, [self._part, with_ghosts], ghosts, self._side, self._kept)
 
     def give_up(self) -> None:
-        """For those who will not ask for the share: what follows on the current stream may use its memory again."""
+        """Releases the share unused: later work on the current stream may reuse its memory."""
         self._side.join()
 
 

@@ -14,7 +14,7 @@ class SideStream:
     everything is done in order.
 
     It goes on from what the current stream has been given when it is made. Memory taken on it goes back to it: as every
-    use of that by the current stream comes before the next side stream is made, or is told by `lend`, nothing is
+    use of that by the current stream comes before the next side stream is made, or is announced by `lend`, nothing is
     overwritten. What the current stream has taken and this one reads must stay until `join`.
 
     Args:

@@ -15,7 +15,7 @@ from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, reba
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.detection import Detection
 from pgccd.distributed.exchange import Columns, take_rows
-from pgccd.distributed.halo_room import Room
+from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Options, OwnSearch, Share
@@ -33,7 +33,7 @@ from pgccd.stages import StageClock
 
 # Robots made at a time at the start of a world.
 _BLOCK_ROBOTS = 1 << 20
-# Up to so many ranks, each tells all how many robots leave it for whom together with its tally; with more, those
+# Up to so many ranks, each sends all others its counts of leaving robots together with its tally; with more, those
 # affected alone.
 _TELLS_MOVES = 64
 # Robots that have left stay with their rank as long as there are so many times more ghosts: each may be one.
@@ -42,14 +42,14 @@ _MOST_AWAY = 4
 
 @dataclass
 class RankStep:
-    """What one rank knows of a step that was made."""
+    """One rank's part of a step that was made."""
 
     index: int  #: from 0
     before: RobotState  #: of the robots owned, as planned
     resolution: Resolution  #: of the robots held
     wished: bool  #: whether any rank was given a wish
     find: Callable[[], Detection]  #: gives `detection`
-    tell: Callable[[], dict[str, Any]]  #: gives `record`
+    make_record: Callable[[], dict[str, Any]]  #: returns `record`
 
     @cached_property
     def detection(self) -> Detection:
@@ -59,7 +59,7 @@ class RankStep:
     @cached_property
     def record(self) -> dict[str, Any]:
         """Of the whole model: the line in steps.jsonl, the same on all ranks but for the times."""
-        return self.tell()
+        return self.make_record()
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class DistributedSimulation:
         #: Whether a step that follows at once is begun before the outcome of the one before is known.
         self.begins_early = model.device.type != "cpu" and overlap
         self._begun: _Begun | None = None
-        self._room: Room | None = None
+        self._capacity: HaloCapacity | None = None
         # In the last step: nothing was about to change hands.
         self._was_calm = False
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
@@ -133,7 +133,7 @@ class DistributedSimulation:
 
         Args:
             index: the same on all ranks.
-            wish: to stop, say: all are told whether any rank has it.
+            wish: to stop, for example; combined over all ranks by "or".
             more: whether the next step follows at once, on all ranks. Then a GPU is given its first work before the
                 host knows how this one ends. Robots that have left the cells of their rank stay with it for a while,
                 since handing them over would have to be waited for; without more to come each is where it belongs.
@@ -144,7 +144,7 @@ class DistributedSimulation:
         planned, clock = begun.planned, begun.clock
         # In this order, so that the host can read how many agree before the search with ghosts is over.
         exchange, share = begun.search.exchange(), begun.search.with_ghosts()
-        self._room = share.held.room
+        self._capacity = share.held.capacity
         with clock.stage("halo"):
             partners = Partners(self.model, planned.moving_columns, share.held.ghosts, share.pairs)
         after: RobotState = planned
@@ -187,7 +187,7 @@ class DistributedSimulation:
         Census(tally.robots, tally.id_hash).require(self._expected)
         resolved.learn()
 
-        def tell() -> dict[str, Any]:
+        def make_record() -> dict[str, Any]:
             record = tally.record(index, resolved.resolution.rounds, clock)
             return record | {"ranks": reports.record(moved_cells)}
 
@@ -195,7 +195,7 @@ class DistributedSimulation:
             share.lend()
             return Detection(share, contacts_of_step(share.parts))
 
-        return RankStep(index, planned, resolved.resolution, bool(reports.wish.any()), find, tell)
+        return RankStep(index, planned, resolved.resolution, bool(reports.wish.any()), find, make_record)
 
     def _begin(self, index: int, state: RobotState, discard: Tensor | None = None) -> _Begun:
         """Plans a step, and begins to search pairs of own robots."""
@@ -208,7 +208,7 @@ class DistributedSimulation:
         begin = Part.start if knows_rounds(self._pace) else Part.begin
         own = planned.moving_columns
         where = self.comm, self.partition, own, self._build, self.options, clock
-        search = OwnSearch(*where, begin, discard, self._room)
+        search = OwnSearch(*where, begin, discard, self._capacity)
         return _Begun(index, state, self.partition, planned, search, clock)
 
     def _has_begun(self, index: int) -> bool:
@@ -245,7 +245,7 @@ class DistributedSimulation:
         reports: Reports,
         clock: StageClock,
     ) -> tuple[bool, int]:
-        """Shares the cells out anew. Returns whether there was no need to, and how many moved."""
+        """Redistributes the cells. Returns whether there was no need to, and how many moved."""
         if not self.balance.applies(index + 1, self.comm.size):
             return True, 0
         with clock.stage("balance"):
@@ -259,7 +259,7 @@ class DistributedSimulation:
             shared_out = rebalance(self.partition, total, self.balance, torch.tensor(seconds, dtype=torch.float64))
             moved = int((shared_out.owner != self.partition.owner).sum())
             if moved > 0:
-                self.partition, self._room = shared_out, None
+                self.partition, self._capacity = shared_out, None
             return False, moved
 
     def _migrate(self, state: RobotState, known: tuple[Leaving, list[int], list[int]] | None = None) -> None:

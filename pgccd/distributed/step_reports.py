@@ -1,4 +1,4 @@
-"""What ranks tell one another at the end of a step of the nanorobot world."""
+"""Messages between ranks at the end of a step of the nanorobot simulation."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Reports:
     arrived: Rows  #: (ranks,): of those, how many came from others before the step
     wish: Rows  #: (ranks,): 0 or 1
     leaving: Rows  #: (ranks,): how many are in cells of others after it
-    moves: Rows  #: (ranks, ranks): how many of them are in cells of each; (ranks, 0) if that is told later
+    moves: Rows  #: (ranks, ranks): how many of them are in cells of each; (ranks, 0) if that is sent later
 
     @classmethod
     def of(cls, resolved: ResolvedStep) -> Reports:
         """`resolved`: as `DistributedSimulation.step` had it concluded."""
-        counted, rest = resolved.told[:, :COUNTED], resolved.told[:, COUNTED:]
+        counted, rest = resolved.conclusions[:, :COUNTED], resolved.conclusions[:, COUNTED:]
         return cls(resolved.work, counted, rest[:, 0], rest[:, 1], rest[:, 2], rest[:, 3], rest[:, 4:])
 
     @property

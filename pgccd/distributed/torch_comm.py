@@ -20,7 +20,7 @@ class TorchComm(Comm):
     Args:
         group: default: the default group, which must have been initialised.
         control: a group that carries objects between CPUs; default: `group`, if its backend does that.
-        guard: default: one that knows nothing of the other ranks.
+        guard: default: one without connection to the other ranks.
         on_close: called at the end.
 
     Example:

@@ -16,7 +16,7 @@ from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rank
 from pgccd.distributed.comm import Alone, Comm
 from pgccd.distributed.detection import Detection, detect_distributed
 from pgccd.distributed.exchange import Columns, make_route, take_rows
-from pgccd.distributed.halo_room import Room
+from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.migrate import Census, migrate
 from pgccd.distributed.partition import Partition, Point, Triple
 from pgccd.distributed.report import earliest_for_all, tell_owners
@@ -33,7 +33,7 @@ class World:
     """Bodies spread over ranks by where they are.
 
     Each rank brings any share of the bodies; they move to the rank that owns the cell of their position, and again
-    whenever `move` says that they are elsewhere. Rows of `id`, `position`, `mesh_index` and `payload` are those of the
+    whenever `move` takes them elsewhere. Rows of `id`, `position`, `mesh_index` and `payload` are those of the
     bodies this rank owns now, by ascending id.
 
     Args:
@@ -121,7 +121,7 @@ class World:
         _require_unique(self.comm, columns["id"])
         self._census = Census.of_ranks(self.comm, columns["id"])
         self._found: Detection | None = None
-        self._room: Room | None = None
+        self._capacity: HaloCapacity | None = None
         self._seconds, self._steps = 0.0, 0
         self._columns = take_rows(columns, torch.argsort(columns["id"]))
         self._change_hands()
@@ -155,7 +155,7 @@ class World:
 
         Returns:
             All contacts of bodies this rank owns (with whomever), `pairs` in global ids i < j, sorted; a contact of
-            bodies of two ranks is told to both. With report="earliest", the one of the whole scene, on every rank.
+            bodies of two ranks is returned on both. With report="earliest", the one of the whole scene, on every rank.
             `stats` are those of the pairs that this rank tested.
 
         Raises:
@@ -179,9 +179,9 @@ class World:
         own |= motion.columns()
         self.comm.guard.activity = "step"
         clock = StageClock()
-        found = detect_distributed(self.comm, self.partition, own, self._build, self.options, clock, self._room)
+        found = detect_distributed(self.comm, self.partition, own, self._build, self.options, clock, self._capacity)
         self._found, self._seconds, self._steps = found, clock.work, self._steps + 1
-        self._room = found.held.room
+        self._capacity = found.held.capacity
         if self.options.report == "earliest":
             return earliest_for_all(self.comm, found)
         return tell_owners(self.comm, found)
@@ -254,11 +254,11 @@ class World:
         if self.balance.applies(self._steps, self.comm.size):
             assert self._found is not None
             mine = [len(self._found.held.own_id), len(self._found.pairs), len(self._found.contacts)]
-            told = self.comm.all_gather(torch.tensor([*mine, self._seconds], dtype=torch.float64))
-            bodies, pairs, contacts = told[:, :3].long().t().tolist()
-            if not RankLoads(bodies, pairs, contacts, told[:, 3].tolist()).are_level(self.balance):
-                self.partition = rebalance(self.partition, self._cell_loads(), self.balance, told[:, 3])
-                self._room = None
+            loads = self.comm.all_gather(torch.tensor([*mine, self._seconds], dtype=torch.float64))
+            bodies, pairs, contacts = loads[:, :3].long().t().tolist()
+            if not RankLoads(bodies, pairs, contacts, loads[:, 3].tolist()).are_level(self.balance):
+                self.partition = rebalance(self.partition, self._cell_loads(), self.balance, loads[:, 3])
+                self._capacity = None
         self._columns, _ = migrate(self.comm, self.partition, self._columns, self._columns["position"])
         Census.of_ranks(self.comm, self.id).require(self._census)
 

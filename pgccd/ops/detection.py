@@ -1,4 +1,4 @@
-"""Detection on one device: checks, bounds, the stages one by one, the stages in a fixed room, elementary tests."""
+"""Detection on one device: checks, bounds, the stages one by one, the stages in given capacities, elementary tests."""
 
 from collections.abc import Sequence
 
@@ -154,7 +154,7 @@ def narrow_deforming(mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest
     return library.operators.narrow_deforming(list(mesh_set), list(bodies), *rest)
 
 
-def pairs_within(
+def pairs_padded(
     position_t0: Tensor,
     position_t1: Tensor,
     radius: Tensor,
@@ -170,24 +170,24 @@ def pairs_within(
 ) -> tuple[Tensor, Tensor]:
     """Pairs padded with -1, and counts (7,): see `pgccd.capacity`. Waits for nothing on a GPU."""
     columns = position_t0, position_t1, radius, group, mask, world, is_static, is_invalid
-    return library.operators.pairs_within(*columns, min_separation, tolerance, broad_phase, list(capacity))
+    return library.operators.pairs_padded(*columns, min_separation, tolerance, broad_phase, list(capacity))
 
 
-def contacts_within_rigid(
+def contacts_padded_rigid(
     mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool, *rest: object
 ) -> tuple[Tensor, ...]:
-    """As `contacts_within_deforming`, for rigid bodies."""
-    return library.operators.contacts_within_rigid(list(mesh_set), list(bodies), linear_path, *rest)
+    """As `contacts_padded_deforming`, for rigid bodies."""
+    return library.operators.contacts_padded_rigid(list(mesh_set), list(bodies), linear_path, *rest)
 
 
-def contacts_within_deforming(
+def contacts_padded_deforming(
     mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest: object
 ) -> tuple[Tensor, ...]:
     """Contact rows padded, with body pairs first; all counts (21,) and then the faults. Waits for nothing on a GPU.
 
     `rest`: pairs, pair_counts, faults, min_separation, tolerance, nonzero_toi, report, capacity.
     """
-    return library.operators.contacts_within_deforming(list(mesh_set), list(bodies), *rest)
+    return library.operators.contacts_padded_deforming(list(mesh_set), list(bodies), *rest)
 
 
 def lower_first_toi_rigid(

@@ -28,7 +28,7 @@ def simulate_respond(state: Sequence[Tensor], fraction: Tensor) -> tuple[Tensor,
 def simulate_slow_down(
     robots: Tensor, first: Tensor, fraction: Tensor, approach: float, smallest: float
 ) -> tuple[Tensor, Tensor]:
-    """What the rows `robots` (R,) make of a step, given first toi and fraction so far (N,), and who changes (uint8)."""
+    """Fractions of the rows `robots` (R,), given first toi and fraction so far (N,); and which change (uint8)."""
     return library.operators.simulate_slow_down(robots, first, fraction, approach, smallest)
 
 
@@ -42,7 +42,7 @@ def simulate_slow_all_down(
 
 def simulate_first_toi(first: Tensor, robots: Tensor | None, pairs: Tensor, toi: Tensor) -> None:
     """Lowers first (N,), in place, to the toi (K,) of contacts of pairs (K, 2) of robots, which may be padded with -1;
-    or of copies of robots: robots (C,) says of which each is one."""
+    or of copies of robots: robots (C,) are the rows they are copies of."""
     library.operators.simulate_first_toi(first, robots, pairs, toi)
 
 
@@ -53,18 +53,18 @@ def simulate_affected_motion(
     changed: Tensor,
     pairs: Tensor,
     mesh_radius: Tensor,
-    room: int,
+    capacity: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Those of the pairs (P, 2), perhaps padded with -1, with a robot of which changed (N + G,) uint8 is 1: (room, 2);
+    """The pairs (P, 2), perhaps padded with -1, with a robot whose `changed` (N + G,) uint8 is 1: (capacity, 2);
     mesh, position at t0 and t1, radius, orientation and rotation of their robots, two rows a pair, of which each makes
-    `fraction` (N + G,) of its step; and counts (7,) as of `pairs_within`. On a GPU in any order, and nothing waits;
+    `fraction` (N + G,) of its step; and counts (7,) as of `pairs_padded`. On a GPU in any order, and nothing waits;
     rows after the last are not set.
 
     own, ghosts: the first five columns of a state; rows of ghosts follow own ones. mesh_radius (M,): the robot with id
     k has mesh k modulo M.
     """
     return library.operators.simulate_affected_motion(
-        list(own), list(ghosts), fraction, changed, pairs, mesh_radius, room
+        list(own), list(ghosts), fraction, changed, pairs, mesh_radius, capacity
     )
 
 

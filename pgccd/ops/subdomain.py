@@ -6,7 +6,7 @@ from torch import Tensor
 
 from pgccd.ops import library
 
-#: Cells as `Partition.frame` says, owner (cells,) int64 of each, and a rank.
+#: Cells as in `Partition.frame`, owner (cells,) int64 of each, and a rank.
 Subdomain = tuple[list[float], Tensor, int]
 Centres = Sequence[Tensor]
 
@@ -35,16 +35,16 @@ def replica_ranks(
     return library.operators.replica_ranks(*arguments)
 
 
-def rows_by_rank(replica_ranks: Tensor, rows: Tensor, counts: Tensor, rooms: Sequence[int]) -> Tensor:
-    """The rows (B,) that rank 0 holds, then those that rank 1 does, ...; each in a room for so many, of which the rest
-    is -1; those for which there is no room are left out. replica_ranks (B, ranks) and counts as of `replica_ranks`."""
-    return library.operators.rows_by_rank(replica_ranks, rows, counts, list(rooms))
+def rows_by_rank(replica_ranks: Tensor, rows: Tensor, counts: Tensor, capacities: Sequence[int]) -> Tensor:
+    """The rows (B,) that rank 0 holds, then those of rank 1, ..., each padded with -1 to the capacity of the rank; rows
+    beyond it are dropped. replica_ranks (B, ranks) and counts as of `replica_ranks`."""
+    return library.operators.rows_by_rank(replica_ranks, rows, counts, list(capacities))
 
 
-def counts_to_tell(counts: Tensor, rooms: Sequence[int], found: Tensor, room: int) -> Tensor:
-    """(ranks, 2) int64, a row to tell each rank: how many rows are its, counts (ranks,); and 1 if those of a rank do
-    not fit into its one of `rooms`, or all of them, `found` (1,), not into `room`; else 0."""
-    return library.operators.counts_to_tell(counts, list(rooms), found, room)
+def counts_to_send(counts: Tensor, capacities: Sequence[int], found: Tensor, capacity: int) -> Tensor:
+    """(ranks, 2) int64, the message to each rank: its number of rows, counts (ranks,); and 1 if the rows of any rank
+    exceed its one of `capacities`, or all of them, `found` (1,), exceed `capacity`; else 0."""
+    return library.operators.counts_to_send(counts, list(capacities), found, capacity)
 
 
 def owned_pairs(

@@ -35,8 +35,8 @@ class ModelConfig:
 
     robots: int = 10_000  #: below 2^31
     #: "random": straight courses in random directions. "skewed": each robot heads for one of the eight corners of the
-    #: box (first the nearest), stays there a while, then heads for another (along an edge; who cannot get through
-    #: gives way to the nearest).
+    #: box (first the nearest), stays there a while, then heads for another (along an edge; a robot that cannot get
+    #: through turns to the nearest).
     pattern: Pattern = "random"
     seed: int = 0  #: any int64
     #: Of the lattice at the start, > 2. 2.56 makes the SBVs fill 25 % of the box.
@@ -70,10 +70,10 @@ class ModelConfig:
             raise ValueError(f"stay_steps: expected 0 <= shortest <= longest, got {self.stay_steps}")
         # Between walls twice as far apart as its step, a robot that turns at one does not reach the other.
         fastest = 1.5 * self.speed
-        room = min(lattice_cells(self.robots)) * self.spacing - 2.0
-        if 2.0 * fastest > room:
+        space = min(lattice_cells(self.robots)) * self.spacing - 2.0
+        if 2.0 * fastest > space:
             raise ValueError(
-                f"speed: a box with {room:.3g} radii of room takes at most {room / 3.0:.3g}, got {self.speed}"
+                f"speed: a box with {space:.3g} radii of free space takes at most {space / 3.0:.3g}, got {self.speed}"
             )
 
 
@@ -112,7 +112,7 @@ class RobotState:
 
     @property
     def moving_columns(self) -> dict[str, Tensor]:
-        """Those that say who moves how in a step planned."""
+        """The columns that define the motion of a planned step."""
         return {name: getattr(self, name) for name in _MOVING}
 
     def to(self, device: torch.device | str) -> RobotState:
@@ -191,7 +191,7 @@ class Model:
         fraction: Tensor,
         changed: Tensor,
         pairs: Tensor,
-        room: int,
+        capacity: int,
     ) -> tuple[Tensor, tuple[Tensor, ...], Tensor]:
         """Pairs with a robot that has changed, each with its own copies of its two robots. Waits for nothing on a GPU.
 
@@ -200,15 +200,15 @@ class Model:
             fraction: (N + G,) of the step that each robot makes.
             changed: (N + G,) uint8.
             pairs: (P, 2) int64 rows; may be padded with -1.
-            room: for so many of them.
+            capacity: number of pairs to be returned.
 
         Returns:
-            The pairs (room, 2), on a GPU in any order; what `MovingBodies.tensors` would be for 2 room bodies, of which
+            The pairs (capacity, 2), on a GPU in any order; `MovingBodies.tensors` for 2 capacity bodies, of which
             2 k and 2 k + 1 are the robots of pair k; and counts (7,), the first of `Counts`. Rows of pairs that are not
             there are not set.
         """
         radius = self.meshes.radius
-        found, *bodies, counts = ops.simulate_affected_motion(own, ghosts, fraction, changed, pairs, radius, room)
+        found, *bodies, counts = ops.simulate_affected_motion(own, ghosts, fraction, changed, pairs, radius, capacity)
         return found, tuple(bodies), counts
 
     def pair_motion(self, bodies: Sequence[Tensor]) -> tuple[Scene, RigidMotion]:

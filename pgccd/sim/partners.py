@@ -9,9 +9,9 @@ from pgccd.capacity import Capacity
 from pgccd.contacts import Contacts
 from pgccd.detect import detect
 from pgccd.memory import memory_limit
+from pgccd.padded import lower_first_toi
 from pgccd.query import Query
 from pgccd.sim.model import Model
-from pgccd.within import lower_first_toi
 
 #: What is asked of the whole step, and in every round of settling. nonzero_toi: robots that part after a contact are
 #: free.
@@ -31,7 +31,7 @@ class Partners:
         self._world, self._pairs = model, pairs
         self._own = list(own.values())
         self._ghosts = [column[:0] if ghosts is None else ghosts[name] for name, column in own.items()]
-        #: Room that each round needed, where rounds were waited for.
+        #: HaloCapacity that each round needed, where rounds were waited for.
         self.needed: list[Capacity] = []
         self._copies = self._copies_of(0)
 
@@ -39,13 +39,13 @@ class Partners:
         """From now on these are the PCS."""
         self._pairs = pairs
 
-    def __call__(self, changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+    def __call__(self, changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
         """See `FindContacts`."""
-        # A slowed robot stays within the volume it was to sweep: it meets nobody but its partners in the PCS.
+        # A slowed robot stays within the volume it was to sweep: it can only meet its partners in the PCS.
         given = self._own, self._ghosts, fraction, changed.view(torch.uint8), self._pairs
         _, _, counts = self._world.affected_pairs(*given, 0)
-        # Read together: on a GPU every look at a number waits for it.
-        goes_on, count, *_ = torch.cat([anybody, counts]).tolist()
+        # Read together: on a GPU each read of a number waits for the device.
+        goes_on, count, *_ = torch.cat([any_changed, counts]).tolist()
         if not goes_on:
             return None
         if not count:
@@ -58,16 +58,16 @@ class Partners:
         self.needed.append(contacts.stats.needed or Capacity.guess(2 * count, count))
         return pairs[contacts.pairs[:, 0] // 2], toi_of(contacts)
 
-    def start_round(self, changed: Tensor, fraction: Tensor, room: Capacity, first: Tensor) -> Tensor:
+    def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
         """See `StartRound`."""
-        if room.bytes > memory_limit(None, room.bytes, fraction.device):
-            room = Capacity(0, 0)  # which does not suffice: the rounds are waited for, then, and searched in pieces
-        if room.pairs > len(self._copies):
-            self._copies = self._copies_of(room.pairs)
+        if capacity.bytes > memory_limit(None, capacity.bytes, fraction.device):
+            capacity = Capacity(0, 0)  # which does not suffice: the rounds are waited for, then, and searched in pieces
+        if capacity.pairs > len(self._copies):
+            self._copies = self._copies_of(capacity.pairs)
         given = self._own, self._ghosts, fraction, changed, self._pairs
-        pairs, bodies, pair_counts = self._world.affected_pairs(*given, room.pairs)
-        copies, meshes = self._copies[: room.pairs], self._world.meshes.tensors
-        return lower_first_toi(first, pairs, meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, room)
+        pairs, bodies, pair_counts = self._world.affected_pairs(*given, capacity.pairs)
+        copies, meshes = self._copies[: capacity.pairs], self._world.meshes.tensors
+        return lower_first_toi(first, pairs, meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, capacity)
 
     def _copies_of(self, count: int) -> Tensor:
         """The two robots of each pair among their copies."""

@@ -11,8 +11,8 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.sim.model import RobotState
 
-# A robot makes this much of the way to its toi: at the toi itself it may be within the tolerance of contact, and
-# would be told so again.
+# A robot moves this part of the way to its toi: at the toi itself it may be within the tolerance of contact, which the
+# next step would report again.
 _APPROACH = 0.99
 # A robot that could make less than this part of its step stays where it is. Otherwise the gap between robots that are
 # pressed together (by a wall, by a crowd) would shrink by the same factor in every step, until rounding closed it.
@@ -24,18 +24,18 @@ _ROUNDS = 4
 class FindContacts(Protocol):
     """Whom robots that have just been slowed down meet."""
 
-    def __call__(self, changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+    def __call__(self, changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
         """The contacts, with at least one changed robot each, of the step of which each robot makes that fraction at
         constant velocities.
 
         Args:
             changed: (N,) bool.
             fraction: (N,) float64.
-            anybody: (1,) int64: 1 if a robot has changed on any rank, else 0. It stays on the device, so that it can be
-                read together with other numbers.
+            any_changed: (1,) int64: 1 if a robot has changed on any rank, else 0. It stays on the device, to be read
+                together with other numbers.
 
         Returns:
-            pairs (K, 2) and toi (K,); None if nobody has changed anywhere.
+            pairs (K, 2) and toi (K,); None if no robot has changed on any rank.
         """
         ...
 
@@ -120,7 +120,7 @@ def resolve_collisions(
     """Decides how much of the step each robot makes.
 
     A robot stops (just before) its first toi. It then stands where others expected it to move on, so the slowed-down
-    step is tested again, among the robots that have just been slowed down and between them and all others, until nobody
+    step is tested again, among the robots that have just been slowed down and between them and all others, until none
     collides. In the step that results no robot touches another, and the next one starts without contact.
 
     A round costs in proportion to its contacts, not to the robots.
@@ -147,8 +147,8 @@ def resolve_collisions(
         rows = torch.cat([rows, exchange.shared])
         made, changes = ops.simulate_slow_down(rows, first, fraction, *limits_of(rounds))
         fraction[rows], changed[rows] = made, changes.view(torch.bool)
-        anybody = exchange.gather(changes.any().long().reshape(1)).amax(dim=0)
-        found = find_contacts(changed, fraction, anybody)
+        any_changed = exchange.gather(changes.any().long().reshape(1)).amax(dim=0)
+        found = find_contacts(changed, fraction, any_changed)
         if found is None:
             return Resolution(fraction, rounds, secondary_contacts)
         changed.index_fill_(0, rows, False)
@@ -160,8 +160,9 @@ def resolve_collisions(
 
 
 def limits_of(rounds: int) -> tuple[float, float]:
-    """Part of the way to its toi that a robot goes after so many rounds; and who could make less of the step stays."""
-    # Every round stops or slows somebody, and from this one on stops for good: settling ends.
+    """Part of the way to its toi that a robot moves after so many rounds, and the smallest fraction: robots below it do
+    not move."""
+    # Every round stops or slows a robot, and from this one on stops it at t0: the iteration terminates.
     return _APPROACH, _SMALLEST_PART if rounds < _ROUNDS else torch.inf
 
 

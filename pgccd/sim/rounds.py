@@ -37,12 +37,12 @@ def goes_ahead(ahead: bool | None, device: torch.device, ranks: int = 1) -> bool
 
 
 class Pace:
-    """How many rounds the last steps took, which is the same on all ranks, and what room they need on this one."""
+    """How many rounds the last steps took, which is the same on all ranks, and the capacity they need on this one."""
 
     def __init__(self) -> None:
         self._recent: deque[int] = deque(maxlen=_REMEMBERED)
         self._needed: Callable[[], Sequence[Capacity]] | None = None
-        self._rooms: list[Capacity] = []
+        self._capacities: list[Capacity] = []
 
     @property
     def rounds(self) -> int | None:
@@ -50,12 +50,14 @@ class Pace:
         # A round too many costs less than to find out that there is one more.
         return max(self._recent, default=None)
 
-    def room(self, round: int) -> Capacity:
+    def capacity(self, round: int) -> Capacity:
         """For a round, from 0."""
         if self._needed is not None:
-            rooms = [capacity.times(_SLACK) for capacity in self._needed()]
-            self._needed, self._rooms[: len(rooms)] = None, rooms
-        return self._rooms[min(round, len(self._rooms) - 1)] if self._rooms else Capacity(0, 0).times(1.0)
+            capacities = [capacity.times(_SLACK) for capacity in self._needed()]
+            self._needed, self._capacities[: len(capacities)] = None, capacities
+        return (
+            self._capacities[min(round, len(self._capacities) - 1)] if self._capacities else Capacity(0, 0).times(1.0)
+        )
 
     def learn(self, rounds: int, needed: Callable[[], Sequence[Capacity]]) -> None:
         """How many rounds a step took. What each needed is asked in the next one, when the host has time."""
@@ -71,13 +73,13 @@ def knows_rounds(pace: Pace | None) -> TypeGuard[Pace]:
 class StartRound(Protocol):
     """Whom robots that have just been slowed down meet, found without waiting for a device."""
 
-    def __call__(self, changed: Tensor, fraction: Tensor, room: Capacity, first: Tensor) -> Tensor:
+    def __call__(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
         """Lowers the first toi of the robots that meet one that has changed, or have changed themselves.
 
         Args:
             changed: (N,) uint8.
             fraction: (N,) float64: what each robot is to make of the step.
-            room: for the round.
+            capacity: of the round.
             first: (N,) float64: first toi, in what each is to make of the step; lowered in place.
 
         Returns:
@@ -86,12 +88,12 @@ class StartRound(Protocol):
         ...
 
 
-#: What follows once everybody knows how much of the step it makes, given (N,) float64 fractions: (k,) int64 numbers for
-#: all ranks. Perhaps called again with others, when what it did before does not count.
+#: Concludes a step, given the fractions (N,) float64 that the robots move: returns (k,) int64 numbers for all ranks.
+#: May be called again with other fractions, which replace the first.
 Conclude = Callable[[Tensor], Tensor]
 
-#: What a GPU can be given to do before the host knows what was concluded. Told (1,) int64, left on the device: not 0 if
-#: all that was in vain, as rounds did not suffice; then, and where there was not room, something else is concluded.
+#: Work that can be enqueued before the host has read the conclusion. Its argument (1,) int64 stays on the device;
+#: nonzero: speculation failed (more rounds are needed, or a capacity was exceeded), discard.
 Meanwhile = Callable[[Tensor], None]
 
 
@@ -100,7 +102,7 @@ class Ahead:
     """What came of a step of which only the end was waited for."""
 
     resolution: Resolution
-    told: Rows  #: (ranks, k): what each concluded
+    conclusions: Rows  #: (ranks, k): the numbers that each rank concluded
     counts: NDArray[np.int64]  #: (ranks, parts, 21): `Counts` of each one's search for the contacts of the whole step
     secondary_contacts: NDArray[np.int64]  #: (ranks,)
 
@@ -129,10 +131,10 @@ def resolve_ahead(
         pace: of the steps before this one.
         conclude: what follows.
         clock: stages are timed here.
-        meanwhile: what else can be begun then.
+        meanwhile: work of the next step to enqueue before waiting.
 
     Returns:
-        None, on all ranks, if there was not room for something on one of them.
+        None, on all ranks, if a capacity was exceeded on one of them.
     """
     more = pace.rounds or 0
     device = parts[0].bodies.device
@@ -151,14 +153,14 @@ def resolve_ahead(
         changes = torch.zeros(1 + more, dtype=torch.int64, device=device)  # whether a robot changed, in each round
         slow_down(0, changes[:1])
     goes_on: list[bool] = []  # before each round: whether a robot has changed on any rank
-    made: list[tuple[NDArray[np.int64], Capacity]] = []  # of each round: what this rank counted, and in what room
+    made: list[tuple[NDArray[np.int64], Capacity]] = []  # of each round: what this rank counted, and its capacity
     secondary_contacts = np.zeros(exchange.ranks, dtype=np.int64)
     while True:
-        counts, rooms = [search.counts[: len(COUNT_ROWS)] for search in searches], []
+        counts, capacities = [search.counts[: len(COUNT_ROWS)] for search in searches], []
         with clock.stage("respond"):
             for round, changes_now in enumerate(changes.split(1)[len(changes) - more :], len(made)):
-                rooms.append(pace.room(round))
-                counts.append(start_round(changed, fraction, rooms[-1], first))
+                capacities.append(pace.capacity(round))
+                counts.append(start_round(changed, fraction, capacities[-1], first))
                 slow_down(round + 1, changes_now)
         mine = [changes, *counts, conclude(fraction)]
         with clock.stage("gather"):
@@ -167,27 +169,27 @@ def resolve_ahead(
         if meanwhile is not None:
             meanwhile(gathered[:, len(changes) - 1].amax(dim=0, keepdim=True))
         with clock.stage("gather"):
-            told = on_host.numpy()
+            numbers = on_host.numpy()
         begin, end = len(changes), len(changes) + len(COUNT_ROWS) * len(counts)
-        searched = told[:, begin:end].reshape(exchange.ranks, len(counts), len(COUNT_ROWS))
+        searched = numbers[:, begin:end].reshape(exchange.ranks, len(counts), len(COUNT_ROWS))
         if searched[:, :, _OVERFLOWS].any():
             return None
-        goes_on += (told[:, :begin].max(axis=0) > 0).tolist()
+        goes_on += (numbers[:, :begin].max(axis=0) > 0).tolist()
         # The counts of parts come first, then those of rounds.
         of_parts, of_rounds = searched[:, : len(parts)], searched[:, len(parts) :]
         secondary_contacts += of_rounds[:, :, COUNT_ROWS["contacts"]].sum(axis=1)
-        made += zip(of_rounds[exchange.rank], rooms, strict=True)
+        made += zip(of_rounds[exchange.rank], capacities, strict=True)
         if not all(goes_on):
             rounds = goes_on.index(False)
             pace.learn(rounds, partial(_needed, made[:rounds]))
             resolution = Resolution(fraction, rounds, int(secondary_contacts[exchange.rank]))
-            return Ahead(resolution, told[:, end:], of_parts, secondary_contacts)
+            return Ahead(resolution, numbers[:, end:], of_parts, secondary_contacts)
         more = _MORE_ROUNDS
         changes = torch.zeros(more, dtype=torch.int64, device=device)
 
 
 def _needed(made: Sequence[tuple[NDArray[np.int64], Capacity]]) -> list[Capacity]:
-    return [Counts.of(numbers.tolist()).needed(room) for numbers, room in made]
+    return [Counts.of(numbers.tolist()).needed(capacity) for numbers, capacity in made]
 
 
 _OVERFLOWS = [COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts")]

@@ -66,7 +66,7 @@ def run(
         device: where to compute. The result does not depend on it.
         broad_phase: as for `detect`.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
-        progress: told about every step.
+        progress: called after every step.
 
     Raises:
         ValueError: naming the argument.
@@ -211,7 +211,7 @@ def drive(
         steps_made: so far.
         steps: in all.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
-        progress: told about every step.
+        progress: called after every step.
 
     Returns:
         The number of steps made in all.
@@ -237,7 +237,7 @@ class _LateTeller:
 
     Args:
         log: None: another process keeps it.
-        progress: told about every step.
+        progress: called after every step.
     """
 
     def __init__(self, log: StepLog | None, progress: Progress) -> None:

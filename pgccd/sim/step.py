@@ -1,4 +1,4 @@
-"""One step of the model: plan, detect, resolve_collisions, respond."""
+"""One step of the model: plan, detect, resolve collisions, respond."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ class Step:
     resolution: Resolution
     after: RobotState
     find: Callable[[], Contacts]  #: gives `contacts`
-    tell: Callable[[], dict[str, Any]]  #: gives `record`
-    next: Begun | None = None  #: the next one, if it was said to follow
+    make_record: Callable[[], dict[str, Any]]  #: returns `record`
+    next: Begun | None = None  #: the next step, if it was begun early
 
     @cached_property
     def contacts(self) -> Contacts:
-        """Of the whole step, had nobody stopped."""
+        """Of the whole step, as if no robot had stopped."""
         return self.find()
 
     @property
@@ -63,7 +63,7 @@ class Step:
     @cached_property
     def record(self) -> dict[str, Any]:
         """Its line in steps.jsonl."""
-        return self.tell()
+        return self.make_record()
 
 
 def begin_step(
@@ -111,7 +111,7 @@ def make_step(
         state: of all robots, after step `index` - 1.
         index: number of the step, from 0.
         broad_phase: as for `detect`.
-        ahead: whether the rounds of settling are made several at a time, without waiting for a GPU in each (default: if
+        ahead: whether the rounds of resolution are enqueued several at a time, without waiting for a GPU in each (default: if
             there is one). The result does not depend on it.
         begun: `next` of the step before, of which `state` came.
         more: whether the next step follows at once: then a GPU is given its first work before the host knows how this
@@ -150,13 +150,12 @@ def make_step(
     resolved.learn()
     clock.stop()
 
-    def tell() -> dict[str, Any]:
-        return Tally.of(resolved.work, resolved.told).record(index, resolved.resolution.rounds, clock)
+    def make_record() -> dict[str, Any]:
+        return Tally.of(resolved.work, resolved.conclusions).record(index, resolved.resolution.rounds, clock)
 
     find = partial(contacts_of_step, [begun.part])
-    return Step(
-        index, before, resolved.resolution, after, find, tell, begun_next if _follows(begun_next, after) else None
-    )
+    following = begun_next if _follows(begun_next, after) else None
+    return Step(index, before, resolved.resolution, after, find, make_record, following)
 
 
 def _begins_early(scene: Scene) -> bool:
@@ -175,7 +174,7 @@ class ResolvedStep:
 
     resolution: Resolution  #: what robots make of the step
     work: Rows  #: (ranks, 6), see `WORK`
-    told: Rows  #: (ranks, k): what each concluded
+    conclusions: Rows  #: (ranks, k): the numbers that each rank concluded
     #: Takes note of what the step needed, the first time it is called; a GPU may be given more urgent work before.
     learn: Callable[[], None]
 
@@ -195,8 +194,8 @@ def resolve_step(
     Args:
         parts: of the PCS, `FIRST_CONTACTS` being what is asked; as many on all ranks.
         body_count: number of robots held N.
-        partners: who may meet whom.
-        pace: of the last steps; None: the host looks at the outcome of every round.
+        partners: pairs of robots that may meet.
+        pace: of the last steps; None: the host reads the outcome of every round.
         conclude: what follows, given the pairs (K, 2) and toi (K,) of contacts, perhaps padded with pairs of -1 and toi
             inf, and fraction (N,): (k,) int64 numbers for all ranks. Perhaps called again with others.
         clock: stages are timed here.
@@ -205,7 +204,7 @@ def resolve_step(
     """
     device = parts[0].bodies.device
     exchange = exchange or OneRank(parts[0].pairs.reshape(-1))
-    # The first step waits for each round, and tells what room rounds need; so does one that did not find enough.
+    # The first step waits for each round, and records the capacity that rounds need; so does one that exceeded it.
     if knows_rounds(pace):
         clock.add({"traverse": 0.0, "narrow": 0.0})  # stages are listed in the order of work
         rows = [part.start().rows for part in parts]
@@ -221,20 +220,20 @@ def resolve_step(
                     part.learn(counts)
                     clock.add(search_seconds(counts))
 
-            return ResolvedStep(ahead.resolution, work, ahead.told, cache(learn))
+            return ResolvedStep(ahead.resolution, work, ahead.conclusions, cache(learn))
     contacts = contacts_of_step(parts)
-    # There may not have been room for all pairs.
+    # The capacity for pairs may have been exceeded.
     partners.look_among(pairs_of_step(parts))
     clock.add(search_seconds(contacts.stats))
     with clock.stage("respond"):
         resolution = resolve_collisions(contacts.pairs, toi_of(contacts), body_count, partners, exchange)
     if pace is not None:
         pace.learn(len(partners.needed), lambda: partners.needed)
-    told = torch.tensor(work_of_stats(contacts.stats, resolution.secondary_contacts))
-    told = told.to(device, non_blocking=True)
+    counts = torch.tensor(work_of_stats(contacts.stats, resolution.secondary_contacts))
+    counts = counts.to(device, non_blocking=True)
     concluded = conclude(contacts.pairs, toi_of(contacts), resolution.fraction)
     with clock.stage("gather"):
-        numbers = exchange.gather(torch.cat([told, concluded])).cpu().numpy()
+        numbers = exchange.gather(torch.cat([counts, concluded])).cpu().numpy()
     return ResolvedStep(resolution, numbers[:, : len(WORK)], numbers[:, len(WORK) :], lambda: None)
 
 
@@ -243,7 +242,7 @@ def _joined(columns: list[Tensor]) -> Tensor:
 
 
 def _pace_of(scene: Scene) -> Pace:
-    """The meshes remember it, as they do what room a step needs."""
+    """The meshes remember it, as they do the capacity of a step."""
     pace = scene.meshes.experience.setdefault("settling", Pace())
     assert isinstance(pace, Pace)
     return pace

@@ -56,7 +56,7 @@ def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
     Raises:
         ImportError: matplotlib is not installed; the page is written then.
     """
-    from pgccd import viz  # it knows this package: on loading, the other way round
+    from pgccd import viz  # viz imports this package: an import at the top would be circular
 
     kinds = ", ".join(f"{len(mesh.faces):,}" for mesh in run.model.meshes.meshes)
     caption = [

@@ -20,14 +20,14 @@ from pgccd.stages import StageClock
 Rows = NDArray[np.int64]
 
 #: What a rank's searches found in a step, and for how many nanoseconds it traversed and solved pairs of the whole step:
-#: first columns of what it tells the others.
+#: first columns of its message to the others.
 WORK = ("pcs", "contacts", "secondary_contacts", "candidates", "unresolved", "nanoseconds")
 #: Numbers of `count_step`, which follow.
 COUNTED = 6
 
 
 def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int64]) -> Rows:
-    """(ranks, 6), as `WORK` says.
+    """(ranks, 6), columns as in `WORK`.
 
     Args:
         counts: (ranks, parts, 21): `pgccd.capacity.Counts` of each part of the whole step.

@@ -21,7 +21,7 @@ _MOST_CONTACTS = 2_000
 def world_page(path: str | Path, snapshot: Snapshot) -> Path:
     """Writes an HTML page, below 5 MB and without outside parts, that shows a world with WebGL.
 
-    Of very large worlds it shows the colliding robots and an even sample of the others; it says how many.
+    Of very large worlds it shows the colliding robots and an even sample of the others, whose share is given.
 
     Args:
         path: of the page.

@@ -47,10 +47,10 @@ def world_picture(path: str | Path, snapshot: Snapshot) -> Path:
     lower = figure.add_gridspec(1, 3, left=0.012, right=0.985, top=0.365, bottom=0.05, wspace=0.13)
     figure.text(0.015, 0.975, snapshot.caption[0] if snapshot.caption else "", size=18, weight="bold", va="center")
     figure.text(0.015, 0.947, "     ".join(snapshot.caption[1:]), size=13, color="0.25", va="center")
-    everybody = np.ones(len(snapshot.kind), dtype=bool)
+    every_robot = np.ones(len(snapshot.kind), dtype=bool)
     count = int(snapshot.colliding.sum())
-    title = f"All {len(everybody):,} robots, the {count:,} that collide in this step in orange"
-    _draw_world(figure.add_subplot(upper[0, 0]), snapshot, everybody, title)
+    title = f"All {len(every_robot):,} robots, the {count:,} that collide in this step in orange"
+    _draw_world(figure.add_subplot(upper[0, 0]), snapshot, every_robot, title)
     _draw_world(figure.add_subplot(upper[0, 1]), snapshot, snapshot.colliding, "The colliding ones alone")
     if snapshot.impact is None:
         axes = figure.add_subplot(lower[0, :])

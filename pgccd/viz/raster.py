@@ -9,13 +9,13 @@ import numpy as np
 # Small triangles are drawn as grids of points about a pixel apart, in classes of equal grids; others pixel by pixel.
 _FINEST_GRID = 32
 _POINTS_AT_ONCE = 1 << 21
-_DEPTH_LEVELS = float((1 << 24) - 1)  # a float32 still tells them apart
+_DEPTH_LEVELS = float((1 << 24) - 1)  # a float32 still distinguishes them
 _EMPTY = np.uint64(2**64 - 1)
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera at `eye` that looks at `target`; `height` is the length seen at the target's distance."""
+    """A pinhole camera at `eye` directed at `target`; `height` is the length seen at the target's distance."""
 
     eye: np.ndarray
     target: np.ndarray

@@ -26,7 +26,7 @@ class Impact:
     feature: str  #: what touches what
     point: np.ndarray  #: (3,) world
     normal: np.ndarray  #: (3,) unit, from i towards j
-    position: np.ndarray  #: (3, 2, 3) at t0, at toi, and at t1 if nobody stopped
+    position: np.ndarray  #: (3, 2, 3) at t0, at toi, and at t1 if it did not stop
     orientation: np.ndarray  #: (3, 2, 4)
     times: np.ndarray  #: (n,) in [0, 1]
     gap: np.ndarray  #: (n,) between the two touching features along the normal, at those times
@@ -66,7 +66,7 @@ class Snapshot:
 
     @classmethod
     def of_state(cls, model: Model, state: RobotState, caption: Sequence[str] = ()) -> Snapshot:
-        """A world between two steps; nobody is marked."""
+        """The robots between two steps; none is marked."""
         return cls(
             model.meshes.meshes,
             (state.id % len(model.meshes)).cpu().numpy(),

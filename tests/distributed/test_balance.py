@@ -1,4 +1,4 @@
-"""Balancing: who may gain from a move, how many there are, and that it ends."""
+"""Balancing: which ranks may gain cells, how many cells move, and that it ends."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ def test_killed_rank_torchrun_starts_all_again(where: str, tmp_path: Path, expec
     os.kill(children(process.pid)[-1], signal.SIGKILL)
     output, _ = process.communicate(timeout=180)
     assert process.returncode == 0, output
-    assert "Signal 9 (SIGKILL)" in output or "exitcode: -9" in output, "nobody was killed"
+    assert "Signal 9 (SIGKILL)" in output or "exitcode: -9" in output, "no rank was killed"
     assert hashes(log(tmp_path)) == hashes(expected)
     if where == "cpu":
         assert log(tmp_path) == expected
@@ -166,7 +166,7 @@ def test_of_two_machines_one_loses_its_rank(
     os.kill(children(agents[1].pid)[-1], signal.SIGKILL)
     outputs = [agent.communicate(timeout=180)[0] for agent in agents]
     assert [agent.returncode for agent in agents] == [0, 0], outputs
-    assert "exitcode: -9" in outputs[1], "nobody was killed"
+    assert "exitcode: -9" in outputs[1], "no rank was killed"
     assert log(tmp_path) == expected
 
 

@@ -1,4 +1,4 @@
-"""Every pair is tested by exactly one rank, and every owner is told: the bits of one process, whoever owns what."""
+"""Every pair is tested by exactly one rank, and every owner gets the contact: the bits of one process."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def find(comm: Comm, name: str, device: torch.device = torch.device("cpu")) -> l
 @pytest.mark.parametrize("name", list(crowds()))
 def test_same_bits_as_one_process(world: World, name: str) -> None:
     seen = world(find, name)
-    if name not in ("one body", "nobody"):
+    if name not in ("one body", "no bodies"):
         assert max(contacts for contacts, _ in seen[0]) > 0, "nothing collides: nothing was tested"
     if name == "met in a third rank's cell" and len(seen) == 4:
         assert any(strangers for rank in seen for _, strangers in rank)
@@ -185,7 +185,7 @@ def test_mistakes_are_named(world: World) -> None:
 
 
 def disagree(comm: Comm) -> list[str]:
-    """Whatever ranks do differently, all of them are told, with the same words."""
+    """Whatever ranks do differently, all of them raise the same error."""
     mesh = crowds()["one body"].meshes[0]
     odd = comm.rank == 1
     position = torch.zeros((1, 3), dtype=torch.float64)

@@ -54,15 +54,15 @@ def make_simulation(
 
 
 class Cramped(Pace):
-    """Has no room for one round of some steps."""
+    """Exceeds its capacity in one round of some steps."""
 
     def __init__(self) -> None:
         super().__init__()
         self.steps = 0
 
-    def room(self, round: int) -> Capacity:
+    def capacity(self, round: int) -> Capacity:
         self.steps += round == 0
-        return Capacity(0, 0) if self.steps % 4 == 3 and round == 1 else super().room(round)
+        return Capacity(0, 0) if self.steps % 4 == 3 and round == 1 else super().capacity(round)
 
 
 def follow(
@@ -76,7 +76,7 @@ def follow(
     ahead: bool = False,
 ) -> dict[str, int]:
     """Compares every step's log and the last step's columns with one process. With `ahead`, steps are begun early too,
-    as they are on a GPU, and now and then a rank has not room enough."""
+    as they are on a GPU, and now and then a rank exceeds its capacity."""
     records, last = single_run(name, steps)
     simulation = make_simulation(comm, name, policy, overlap, device, ahead)
     simulation.begins_early |= ahead
@@ -147,7 +147,7 @@ def test_same_bits_as_one_process(world: World, name: str, policy: str, random_o
 
 @pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("random", "cost"), ("skewed", "one-cell")])
 def test_same_bits_with_rounds_made_ahead(world: World, name: str, policy: str) -> None:
-    """Now and then one rank alone has not enough room, and all must make the rounds again."""
+    """Now and then one rank alone exceeds its capacity, and all must make the rounds again."""
     seen = world(follow_ahead, name, policy, 24, policy == "none")
     if len(seen) > 1:
         assert seen[0]["arrived"] > 20

@@ -42,7 +42,7 @@ def test_a_machine_joins_and_another_is_lost(tmp_path: Path) -> None:
     program = ["-m", "pgccd", "simulate", "--robots", str(ROBOTS), "--seed", "4", "--steps", str(STEPS)]
     program += ["--no-pictures", "--checkpoint-every", "20", "--timeout", "20", "--out", str(out)]
     command = torchrun(1, *meeting, *program)
-    # Else torch's agents wait in vain for one another when one joins.
+    # Else torch's agents wait for one another without end when one joins.
     variables = environment(TORCH_DISABLE_SHARE_RDZV_TCP_STORE="1")
     started: list[subprocess.Popen[str]] = []
 

@@ -83,7 +83,7 @@ def test_rows_arrive(world: World, neighbours_above: int) -> None:
 
 
 def hand_over(comm: Comm) -> int:
-    """Every rank can work out who has what."""
+    """Every rank can compute which rows each has."""
     partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, comm.size, cells=3)
     generator = torch.Generator().manual_seed(8)
     count, total = 300, 0
@@ -138,9 +138,9 @@ def test_reductions(world: World) -> None:
 
 
 def test_the_census_sees_lost_doubled_and_exchanged_bodies() -> None:
-    everybody = Census.of(torch.arange(10))
+    all_ids = Census.of(torch.arange(10))
     parts = [Census.of(torch.tensor([0, 2, 4, 6, 8])), Census.of(torch.tensor([9, 7, 5, 3, 1]))]
-    Census.total(parts).require(everybody)
+    Census.total(parts).require(all_ids)
     for wrong in ([0, 2, 4, 6], [0, 2, 4, 6, 8, 8], [0, 2, 4, 6, 6]):
         with pytest.raises(RuntimeError, match="migration: expected 10 bodies"):
-            Census.total([Census.of(torch.tensor(wrong)), parts[1]]).require(everybody)
+            Census.total([Census.of(torch.tensor(wrong)), parts[1]]).require(all_ids)

@@ -1,4 +1,4 @@
-"""Who is blamed for a message that does not come, and that nobody is when all are well."""
+"""Which rank the guard names when a message does not come, and that it names none otherwise."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_nobody_is_blamed_when_all_are_alive(guards: list[Guard], exits: list[in
     for rank in guards:
         with rank.waiting("first"):
             pass
-    # All compute for longer than the time-out; nobody is behind.
+    # All compute for longer than the time-out; no rank is behind.
     time.sleep(3.0)
     assert exits == []
     for rank in guards[1:]:
@@ -65,7 +65,7 @@ def test_a_silent_rank_has_died(guards: list[Guard], exits: list[int]) -> None:
     guards[1]._closed.clear()
 
 
-def test_a_process_whose_gpu_waits_in_vain_ends_at_once(guards: list[Guard], exits: list[int]) -> None:
+def test_a_process_whose_gpu_waits_without_end_ends_at_once(guards: list[Guard], exits: list[int]) -> None:
     guards[0].is_broken = lambda: False
     guards[2].report(MemoryError("8 GiB"))
     for rank in guards[:2]:
@@ -75,7 +75,7 @@ def test_a_process_whose_gpu_waits_in_vain_ends_at_once(guards: list[Guard], exi
     del exits[:]
     for rank in guards:
         rank._leave()
-    assert exits == [70]  # of the one that was told of a GPU
+    assert exits == [70]  # of the one with a GPU
 
 
 def test_lost_messages_end_the_process_of_a_rank_that_gets_no_error(guards: list[Guard], exits: list[int]) -> None:
@@ -92,7 +92,7 @@ def test_lost_messages_without_a_lost_rank(guards: list[Guard], exits: list[int]
 
 
 def _failure_told(rank: Guard, exits: list[int]) -> str:
-    """What all ranks are told when one gives up."""
+    """What all ranks report when one gives up."""
     deadline = time.monotonic() + 20.0
     while not exits and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""Boxes of swept spheres: who may collide overlaps, as computed, wherever in the world; the same on every device."""
+"""Boxes of swept spheres: those of bodies that may collide overlap, as computed, anywhere; the same on every device."""
 
 from __future__ import annotations
 

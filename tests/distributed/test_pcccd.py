@@ -43,14 +43,14 @@ def compare(comm: Comm, name: str) -> int:
         mine = dealt_out(comm, crowd, index).flip(0)  # in any order
         baseline = PCCCD(crowd.meshes, size, comm=comm, report=report, min_separation=crowd.min_separation)
         whole = expected(name, report)
-        told = torch.isin(whole.pairs, mine).any(dim=1)
+        mine_too = torch.isin(whole.pairs, mine).any(dim=1)
         for moved in (False, True) if index == 0 else (False,):
             if moved:
                 baseline.balance()
             hits = baseline.detect(crowd.motion(mine), ids[mine], crowd.mesh_index[mine])
             for column in COLUMNS:
                 right = ids[whole.pairs] if column == "pairs" else getattr(whole, column)
-                assert torch.equal(getattr(hits, column), right[told]), (size, report, moved, column)
+                assert torch.equal(getattr(hits, column), right[mine_too]), (size, report, moved, column)
     return len(whole)
 
 
@@ -73,9 +73,9 @@ def compare_robots(comm: Comm, pattern: str) -> int:
         before = sim.RobotState(**{name: column[mine] for name, column in step.before.columns.items()})
         motion = model.motion(before)
         hits = baseline.detect(motion, mine, scene.mesh_index[mine])
-        told = torch.isin(whole.pairs, mine).any(dim=1)
+        mine_too = torch.isin(whole.pairs, mine).any(dim=1)
         for column in COLUMNS:
-            assert torch.equal(getattr(hits, column), getattr(whole, column)[told]), (index, column)
+            assert torch.equal(getattr(hits, column), getattr(whole, column)[mine_too]), (index, column)
         contacts += len(whole)
     return contacts
 

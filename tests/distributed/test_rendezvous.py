@@ -15,7 +15,7 @@ SIZE = 4
 
 
 def start(store: dist.Store, restarts: list[int], timeout: float = 20.0) -> list[tuple[dist.Store, bool]]:
-    """As processes would, each told another count of restarts."""
+    """As processes would, each started with another count of restarts."""
     places = [Placement("torchrun", rank, SIZE, 0, count) for rank, count in enumerate(restarts)]
     with ThreadPoolExecutor(SIZE) as threads:
         return list(threads.map(lambda place: agree_on_start(store, place, timeout), places))

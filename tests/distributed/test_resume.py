@@ -61,5 +61,5 @@ def test_a_broken_table_is_named(ranks: World, tmp_path: Path) -> None:
     ranks.run(3, go_on, str(tmp_path))
     (table,) = tmp_path.glob("checkpoints/step-*/owners.json")
     table.write_text("{}")
-    with pytest.raises(ValueError, match="does not say who owned which cell"):
+    with pytest.raises(ValueError, match="does not contain the owners of cells"):
         read_owners(tmp_path, Partition.uniform((0.0,) * 3, (1.0,) * 3, 3))

@@ -1,4 +1,4 @@
-"""Own pairs found without waiting for their number, in whatever room: the steps of one process, bit for bit."""
+"""Own pairs found without waiting for their number, in any capacity: the steps of one process, bit for bit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pgccd.parts import Part
 CONFIG = sim.ModelConfig(robots=150, speed=0.3, spin=0.5, seed=3)
 STEPS = 14
 PLENTY = Capacity.guess(600)
-ROOMS = {
+CAPACITIES = {
     "plenty": PLENTY,
     "none": EXACTLY,
     "pairs": replace(PLENTY, pairs=4),
@@ -42,8 +42,8 @@ def by_one_process() -> list[dict[str, Any]]:
     return records
 
 
-def by_ranks(comm: Comm, room: str, ahead: bool) -> tuple[list[dict[str, Any]], int, int]:
-    """Records; how often own pairs were found anew; and how many own parts were not searched in their room alone."""
+def by_ranks(comm: Comm, capacity: str, ahead: bool) -> tuple[list[dict[str, Any]], int, int]:
+    """Records; how often own pairs were found again; and how many own parts exceeded their capacity."""
     model = sim.Model(CONFIG)
     half = model.half_extent
     partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
@@ -65,7 +65,11 @@ def by_ranks(comm: Comm, room: str, ahead: bool) -> tuple[list[dict[str, Any]], 
             searched += self.name.startswith("found") and self.pairs is not former
             return found
 
-    patches = {"_looks_ahead": lambda _: True, "expected_capacity": lambda *_, slack: ROOMS[room], "Part": Watched}
+    patches = {
+        "_looks_ahead": lambda _: True,
+        "expected_capacity": lambda *_, slack: CAPACITIES[capacity],
+        "Part": Watched,
+    }
     with mock.patch.multiple(parts_module, **patches):
         simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition), ahead=ahead)
         made = [simulation.step(index) for index in range(STEPS)]
@@ -77,14 +81,14 @@ def by_ranks(comm: Comm, room: str, ahead: bool) -> tuple[list[dict[str, Any]], 
 
 
 @pytest.mark.parametrize("ahead", [True, False])
-@pytest.mark.parametrize("room", list(ROOMS))
-def test_same_steps(ranks: World, room: str, ahead: bool) -> None:
+@pytest.mark.parametrize("capacity", list(CAPACITIES))
+def test_same_steps(ranks: World, capacity: str, ahead: bool) -> None:
     expected = by_one_process()
     assert sum(step["contacts"] for step in expected) > 20
     for size in (2, 3):
-        for records, renewed, searched in ranks.run(size, by_ranks, room, ahead):
+        for records, renewed, searched in ranks.run(size, by_ranks, capacity, ahead):
             assert records == expected
-            assert (renewed > 1) == (room in ("none", "pairs"))
-            if room == "plenty":
+            assert (renewed > 1) == (capacity in ("none", "pairs"))
+            if capacity == "plenty":
                 # The first step is always waited for.
                 assert searched == (1 if ahead else STEPS)

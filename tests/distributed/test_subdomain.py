@@ -76,7 +76,7 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     centre_owner = partition.owner_of(centres[0])
     sources = torch.randint(ranks, (len(cells),), generator=generator).sort().values
     received = torch.bincount(sources, minlength=ranks).tolist()
-    rooms = torch.randint(len(cells) + 3, (ranks,), generator=generator).tolist()
+    capacities = torch.randint(len(cells) + 3, (ranks,), generator=generator).tolist()
 
     for device in DEVICES:
         subdomain = (partition.frame, partition.owner.to(device), rank)
@@ -97,14 +97,14 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
             ]
             assert counts.tolist() == [len(each) for each in by_rank]
             assert ops.rows_by_rank(replica_ranks, rows, counts, counts.tolist()).tolist() == sum(by_rank, [])
-            in_rooms = [(each + [-1] * size)[:size] for each, size in zip(by_rank, rooms, strict=True)]
-            assert ops.rows_by_rank(replica_ranks, rows, counts, rooms).tolist() == sum(in_rooms, [])
-            for room in (len(rows), len(rows) - 1):
-                for sizes in (rooms, counts.tolist()):
-                    short = room < len(rows) or any(len(e) > size for e, size in zip(by_rank, sizes, strict=True))
-                    told = ops.counts_to_tell(counts, sizes, torch.tensor([len(rows)], device=device), room)
-                    assert told.tolist() == [[len(each), int(short)] for each in by_rank]
-        # Among the rows there may be some of nobody.
+            in_rooms = [(each + [-1] * size)[:size] for each, size in zip(by_rank, capacities, strict=True)]
+            assert ops.rows_by_rank(replica_ranks, rows, counts, capacities).tolist() == sum(in_rooms, [])
+            for capacity in (len(rows), len(rows) - 1):
+                for sizes in (capacities, counts.tolist()):
+                    short = capacity < len(rows) or any(len(e) > size for e, size in zip(by_rank, sizes, strict=True))
+                    messages = ops.counts_to_send(counts, sizes, torch.tensor([len(rows)], device=device), capacity)
+                    assert messages.tolist() == [[len(each), int(short)] for each in by_rank]
+        # Rows may be padded.
         padded = torch.where(rows % 3 == 1, -1, rows)
         replica_ranks, counts = ops.replica_ranks(here, SEPARATION, 0.0, subdomain, padded, ranks)
         expected = [set() if row < 0 else {owner[cell] for cell in cells[row]} - {rank} for row in padded.tolist()]

@@ -42,8 +42,8 @@ def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
     hits = pgccd.detect(scene, model.motion(state), nonzero_toi=True)
     assert len(hits) == 1 and hits.toi is not None and 0.0 < hits.toi[0] < 1.0
 
-    def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
-        if not bool(anybody):
+    def find(changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
+        if not bool(any_changed):
             return None
         found = pgccd.detect(scene, model.motion(state, fraction), nonzero_toi=True)
         assert found.toi is not None
@@ -65,8 +65,8 @@ def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
 def test_a_robot_stops_for_one_that_stopped_in_its_way() -> None:
     asked = []
 
-    def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
-        if not bool(anybody):
+    def find(changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
+        if not bool(any_changed):
             return None
         asked.append((changed.tolist(), fraction.tolist()))
         if len(asked) == 1:  # 2 runs into 1, which no longer makes way
@@ -81,8 +81,8 @@ def test_a_robot_stops_for_one_that_stopped_in_its_way() -> None:
 
 
 def test_settling_ends_even_where_contacts_never_cease() -> None:
-    def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
-        if not bool(anybody):
+    def find(changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
+        if not bool(any_changed):
             return None
         return torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.9], dtype=torch.float64)
 
@@ -92,10 +92,10 @@ def test_settling_ends_even_where_contacts_never_cease() -> None:
 
 
 def test_robots_that_could_hardly_move_stay() -> None:
-    nobody = torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
+    no_contacts = torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
     touching = torch.tensor([1e-3, 0.5], dtype=torch.float64)
     resolved = resolve_collisions(
-        torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *asked: nobody if bool(asked[2]) else None
+        torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *asked: no_contacts if bool(asked[2]) else None
     )
     assert resolved.fraction.tolist() == [0.0, 0.0, 0.99 * 0.5, 0.99 * 0.5]
 
@@ -182,8 +182,8 @@ def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> N
     own_count = len(state) - ghost_count
     own = [column[:own_count] for column in state.moving_columns.values()]
     ghosts = [column[own_count:] for column in state.moving_columns.values()]
-    everybody = torch.ones(len(state), dtype=torch.uint8)
-    _, bodies, _ = model.affected_pairs(own, ghosts, fraction, everybody, pairs, len(pairs))
+    all_changed = torch.ones(len(state), dtype=torch.uint8)
+    _, bodies, _ = model.affected_pairs(own, ghosts, fraction, all_changed, pairs, len(pairs))
     scene, motion = model.pair_motion(bodies)
     for name in ("position_t0", "orientation_t0", "position_t1", "rotation"):
         assert torch.equal(getattr(motion, name), getattr(slowed, name)[pairs.reshape(-1)]), name
@@ -211,13 +211,15 @@ def test_affected_pairs_are_those_with_a_robot_that_changed(device: torch.device
     own, ghosts = ([column[part] for column in columns] for part in (slice(0, 4100), slice(4100, None)))
     marks = changed.to(device).view(torch.uint8)
     there = Model(model.config, device=device)
-    for room in (30_000, count, count - 1, 0):
-        found, bodies, counts = there.affected_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), room)
-        written = min(count, room)
-        assert counts.tolist() == [count, 0, 0, written, int(room < count), 0, 0]
-        assert len(found) == room and all(len(column) == 2 * room for column in bodies)
+    for capacity in (30_000, count, count - 1, 0):
+        found, bodies, counts = there.affected_pairs(
+            own, ghosts, fraction.to(device), marks, pairs.to(device), capacity
+        )
+        written = min(count, capacity)
+        assert counts.tolist() == [count, 0, 0, written, int(capacity < count), 0, 0]
+        assert len(found) == capacity and all(len(column) == 2 * capacity for column in bodies)
         found = found[:written].cpu()
-        if room < count:  # some of them
+        if capacity < count:  # some of them
             assert all(pair in expected for pair in found[::50].tolist())
         else:
             assert sorted(found.tolist()) == expected
@@ -230,7 +232,7 @@ def test_affected_pairs_are_those_with_a_robot_that_changed(device: torch.device
         assert torch.equal(rotation, among_all.rotation[robots])
     nothing = there.affected_pairs(own, ghosts, fraction.to(device), marks, pairs[:0].to(device), 5)
     assert nothing[2].tolist() == [0] * 7
-    with pytest.raises(RuntimeError, match=r"room: expected a number in \[0, 2\^31\), got -1"):
+    with pytest.raises(RuntimeError, match=r"capacity: expected a number in \[0, 2\^31\), got -1"):
         there.affected_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), -1)
 
 
@@ -251,13 +253,13 @@ def test_slowing_all_down(device: torch.device) -> None:
     rows = torch.arange(6, device=device)
     made, changes = ops.simulate_slow_down(rows, first, fraction, 0.99, 0.01)
     changed = torch.full((6,), 7, dtype=torch.uint8, device=device)
-    told = torch.zeros(4, dtype=torch.int64, device=device).split(1)
-    ops.simulate_slow_all_down(first, fraction, changed, told[1], 0.99, 0.01)
+    reports = torch.zeros(4, dtype=torch.int64, device=device).split(1)
+    ops.simulate_slow_all_down(first, fraction, changed, reports[1], 0.99, 0.01)
     assert torch.equal(fraction, made) and torch.equal(changed, changes) and bool((first == torch.inf).all())
-    ops.simulate_slow_all_down(first, fraction, changed, told[2], 0.99, 0.01)
+    ops.simulate_slow_all_down(first, fraction, changed, reports[2], 0.99, 0.01)
     assert torch.equal(fraction, made) and not bool(changed.any())
-    ops.simulate_slow_all_down(first[:0], fraction[:0], changed[:0], told[3], 0.99, 0.01)
-    assert torch.cat(told).tolist() == [0, 1, 0, 0]
+    ops.simulate_slow_all_down(first[:0], fraction[:0], changed[:0], reports[3], 0.99, 0.01)
+    assert torch.cat(reports).tolist() == [0, 1, 0, 0]
 
 
 def test_first_toi_of_padded_contacts(device: torch.device) -> None:
@@ -305,7 +307,7 @@ def test_a_round_costs_in_proportion_to_its_contacts() -> None:
     with Watch(count) as watch:
         rounds = []
 
-        def find(changed: Tensor, fraction: Tensor, anybody: Tensor) -> tuple[Tensor, Tensor] | None:
+        def find(changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
             if not rounds:
                 watch.over_all.clear()  # what is made before the first round
             rounds.append(len(changed))

@@ -1,4 +1,4 @@
-"""Rounds of settling made several at a time: the same bits as when each is waited for."""
+"""Rounds of collision resolution enqueued several at a time: the same bits as when each is waited for."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_steps_begun_before_the_outcome_of_the_last_is_known(
         if index == 21:  # another state, though the same to the bit
             state = RobotState(**state.columns)
     assert {name: column.tolist() for name, column in state.columns.items()} == expected[-1]
-    # Steps 0, 22 and those after every fifth were begun when they were made; others before, some of them in vain.
+    # Steps 0, 22 and those after every fifth were begun when they were made; others before; some were discarded.
     assert discard > 0 and begun.count(0) == begun.count(25) == 1 and begun.count(22) >= 2
 
 
@@ -197,7 +197,7 @@ def test_wherever_a_batch_ends() -> None:
         pace, exchange = paced(rounds, Capacity.guess(400, 200)), Gathers(step.pairs)
         found = step.ahead(pace, exchange)
         assert found is not None and same(found.resolution, expected)
-        assert found.told.tolist() == [step.conclude(expected.fraction).tolist()]
+        assert found.conclusions.tolist() == [step.conclude(expected.fraction).tolist()]
         assert found.counts[:, :, COUNT_ROWS["contacts"]].tolist() == [[len(step.contacts)]]
         assert pace.rounds == max(rounds, expected.rounds)
         assert exchange.count == 1 + max(0, -(-(expected.rounds - rounds) // 2))
@@ -210,8 +210,8 @@ def test_too_little_room_in_a_round() -> None:
     for lacking in range(expected.rounds):
 
         class Tight(Pace):
-            def room(self, round: int, lacking: int = lacking) -> Capacity:
-                return Capacity(0, 0) if round == lacking else super().room(round)
+            def capacity(self, round: int, lacking: int = lacking) -> Capacity:
+                return Capacity(0, 0) if round == lacking else super().capacity(round)
 
         pace = paced(expected.rounds, pace=Tight())
         asked = step.partners()
@@ -266,7 +266,7 @@ def test_everybody_collides() -> None:
     assert len(step.contacts.pairs.unique()) == len(state)
     pace = Pace()
     first, second = (step.resolved(pace) for _ in range(2))
-    assert same(second.resolution, first.resolution) and second.told.tolist() == first.told.tolist()
+    assert same(second.resolution, first.resolution) and second.conclusions.tolist() == first.conclusions.tolist()
     contacts = WORK.index("contacts")
     assert second.work[0, contacts] == first.work[0, contacts] == len(step.contacts)
     assert first.resolution.rounds >= 2 and first.resolution.secondary_contacts > 0

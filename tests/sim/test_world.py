@@ -14,7 +14,7 @@ from pgccd.sim.model import lattice_cells
 
 
 def drift(model: Model, steps: int) -> list[RobotState]:
-    """The planned states of a world in which nobody minds collisions."""
+    """The planned states of a world without response to collisions."""
     state, seen = model.start(), []
     for step in range(steps):
         state = model.plan(state, step)
@@ -136,13 +136,13 @@ def test_operators_have_consistent_fake_kernels() -> None:
     torch.library.opcheck(torch.ops.pgccd.simulate_plan, (columns, 3, *settings))
     torch.library.opcheck(torch.ops.pgccd.simulate_respond, (columns, half))
     pairs, changed = torch.tensor([[0, 1], [1, 4], [-1, -1]]), torch.ones(5, dtype=torch.uint8)
-    nobody = [column[:0] for column in columns[:5]]
+    empty = [column[:0] for column in columns[:5]]
     # All rows: those after the last pair are not set.
-    moving = (columns[:5], nobody, half, changed, pairs, model.meshes.radius, 2)
+    moving = (columns[:5], empty, half, changed, pairs, model.meshes.radius, 2)
     torch.library.opcheck(torch.ops.pgccd.simulate_affected_motion, moving)
     torch.library.opcheck(torch.ops.pgccd.simulate_slow_down, (state.id, half, half, 0.99, 0.01))
-    nobody_yet = torch.zeros(1, dtype=torch.int64)
-    slowing = (half.clone(), half.clone(), changed, nobody_yet, 0.99, 0.01)
+    empty_yet = torch.zeros(1, dtype=torch.int64)
+    slowing = (half.clone(), half.clone(), changed, empty_yet, 0.99, 0.01)
     torch.library.opcheck(torch.ops.pgccd.simulate_slow_all_down, slowing)
     torch.library.opcheck(torch.ops.pgccd.simulate_first_toi, (half, state.id, pairs[:2], half[:2]))
     torch.library.opcheck(torch.ops.pgccd.random_uniforms, (state.id, 1, 2, 3))

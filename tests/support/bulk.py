@@ -149,7 +149,7 @@ def _known(family: Family) -> Decisions:
 def check_straight(
     family: Family, is_face: bool, tolerance: float, dtype: torch.dtype, device: torch.device | str, name: str
 ) -> Tally:
-    """One call's worth of queries on straight paths. Truths that do not survive rounding to `dtype` are found anew."""
+    """One call's worth of queries on straight paths. Truths that do not survive rounding to `dtype` are redone."""
     began = time.perf_counter()
     given = family.points_t0, family.points_t1
     start, end = (x.astype(np.float32).astype(np.float64) if dtype == torch.float32 else x for x in given)

@@ -1,4 +1,4 @@
-"""Scenes that are hard to share out among ranks: who meets whom, where, and how large and fast they are."""
+"""Scenes that are hard to distribute over ranks: in which pairs meet, where, and how large and fast bodies are."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Crowd:
     def detect(self, report: str) -> pgccd.Contacts:
         """By one process."""
         scene = pgccd.Scene(self.meshes, self.mesh_index, **self.filters)
-        everybody = torch.arange(len(self.position))
-        return pgccd.detect(scene, self.motion(everybody), report, self.min_separation)
+        every_body = torch.arange(len(self.position))
+        return pgccd.detect(scene, self.motion(every_body), report, self.min_separation)
 
 
 @cache
@@ -129,5 +129,5 @@ def crowds() -> dict[str, Crowd]:
         ),
         "far from the origin": _crowd(9, 0.5 * spread + 1e7, 0.4 * rng.normal(size=spread.shape), small),
         "one body": _crowd(10, spread[:1], spread[:1]),
-        "nobody": _crowd(11, spread[:0], spread[:0]),
+        "no bodies": _crowd(11, spread[:0], spread[:0]),
     }

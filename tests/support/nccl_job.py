@@ -18,6 +18,6 @@ with connect("cuda", "nccl") as comm:
     test_exchange.reduce_values(comm)
     for name in crowds():
         test_detection.find(comm, name, device)
-    # With cells shared out by chance, and a rank that now and then has no room.
+    # With cells distributed at random, and a rank whose capacity is exceeded now and then.
     seen = test_fleet.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
     assert seen["contacts"] > 100 and seen["arrived"] > 20

@@ -19,7 +19,7 @@ struct BroadBodies {
   const uint8_t* is_static;  // (count,) 0 or 1, or null: none
   double separation;
   double tolerance;  // as in pair_tolerance
-  // Not 0 if something is wrong with the input, which nobody has waited to be told: then there are no pairs. Or null.
+  // Nonzero if the input is invalid, which the host has not read yet: then no pairs are found. May be null.
   const int64_t* is_invalid = nullptr;
 
   PGCCD_HD bool invalid() const { return is_invalid != nullptr && *is_invalid != 0; }

@@ -9,7 +9,7 @@
 
 namespace pgccd {
 
-// An output of exactly the size needed, for which the host waits; or one with room, for which it does not.
+// An output of exactly the size needed, whose count the host waits for; or a padded one, without waiting.
 using PairSink = std::variant<PairOutput, PaddedPairs>;
 
 void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axis, const PairSink& out);

@@ -125,7 +125,7 @@ class GridSearch {
   void scan(const GridRun& run, Keep&& keep) {
     const int64_t begin = run.starts_at_home ? position_ + 1 : sorted_.start[run.first_bucket];
     const int64_t end = sorted_.start[run.last_bucket + 1];
-    // Coarser levels are nearly empty; in a body's own, a look costs less than a branch foretold wrongly.
+    // Coarser levels are nearly empty; at a body's own level a lookup costs less than a mispredicted branch.
     if (kLater || begin < end) collector_.scan(position_, overlap_, begin, end, keep);
   }
 

@@ -2,9 +2,9 @@
 //
 // Levels (hierarchical grid, Ericson 2005, Real-Time Collision Detection, 7.2): cells double in size from level to
 // level. A body belongs to the first level where its swept box spans at most two cells an axis, and lies in the cell of
-// its lower corner. So bodies of one level that meet lie in neighbouring cells, and a body looks for partners in its
-// own level (in the half of the neighbours that comes later) and in coarser ones, never in finer ones: a body as large
-// as the scene is found by the others, each for itself.
+// its lower corner. So bodies of one level that meet lie in neighbouring cells, and partners of a body are searched for
+// in its own level (in the half of the neighbours that comes later) and in coarser ones, never in finer ones: a body as
+// large as the scene is found by the others, each for itself.
 #pragma once
 
 #include "core/bits.h"

@@ -1,4 +1,4 @@
-// Grid broad phase: where the bodies of a cell are found, and which cells one body must look into.
+// Grid broad phase: the bodies of each cell, and the cells in which partners of a body may lie.
 //
 // Cells are hashed, so that memory is proportional to the bodies, wherever they are. Each level has a table of its own.
 // The low bits of a cell's coordinates keep its place in a tile as large as the table; the tile and the world only
@@ -14,7 +14,7 @@ namespace pgccd {
 struct GridRun {
   uint32_t x_first, x_last, y, z;
   uint32_t first_bucket, last_bucket;
-  bool starts_at_home;  // in the cell of the body that looks
+  bool starts_at_home;  // in the cell of the body itself
 
   // Of a cell of the same level.
   PGCCD_HD bool contains(const GridCell& cell) const {
@@ -34,7 +34,7 @@ class GridTable {
   }
 
   // Do the cell and all its neighbours lie in one tile? Then they have buckets of their own; else several may share
-  // one, and what is found there must be asked for its cell.
+  // one, and the cell of what is found there must be compared.
   PGCCD_HD bool in_one_tile(const GridCell& cell) const {
     bool inside = true;
     for (int k = 0; k < 3; ++k) inside &= tile(cell.lower[k] - 1u, k) == tile(cell.lower[k] + 1u, k);

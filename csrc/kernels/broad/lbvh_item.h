@@ -68,7 +68,7 @@ struct alignas(16) LbvhNode {
   int32_t padding;
 };
 
-// Do leaves k and k + 1 have less in common than leaves m and m + 1? Equal keys are told apart by their positions.
+// Do leaves k and k + 1 have less in common than leaves m and m + 1? Equal keys are ordered by their positions.
 PGCCD_HD bool divides_above(const uint64_t* keys, int64_t k, int64_t m) {
   const uint64_t at_k = keys[k] ^ keys[k + 1], at_m = keys[m] ^ keys[m + 1];
   if (at_k != at_m) return at_k > at_m;

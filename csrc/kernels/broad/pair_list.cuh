@@ -77,7 +77,7 @@ class PairBuffer {
 
 // `launch(list)` fills the list with candidates on the stream, each pair at most once; those with
 // is_potentially_colliding are handed over. Where the output has the size needed, this waits for that number, and
-// `launch` is called once more, with enough room, if the first guess was too small.
+// `launch` is called once more, with enough capacity, if the first guess was too small.
 using CandidateLaunch = std::function<void(const PairList& list)>;
 void collect_pairs(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out,
                    const CandidateLaunch& launch);

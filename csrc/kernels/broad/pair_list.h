@@ -12,7 +12,7 @@ namespace pgccd {
 // Packed pairs in any order.
 using FoundPairs = std::vector<uint64_t>;
 
-// `scan` may look at, but ignores, so many entries past the end of what it is given: arrays are padded by them.
+// `scan` may read, and ignores, so many entries past the end of its input: arrays are padded by them.
 constexpr int64_t kScanPadding = 4;
 
 // One worker's collector of candidates among sorted boxes. They are tested in batches, so that the predicate's

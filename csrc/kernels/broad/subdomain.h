@@ -1,4 +1,4 @@
-// Whose cells bodies reach, for those who share bodies out among ranks by where they may go.
+// Ranks whose cells the sweeps of bodies reach: for distributing bodies over ranks.
 #pragma once
 
 #include <vector>
@@ -8,18 +8,18 @@
 
 namespace pgccd {
 
-// `rows` has room for all; the rows found ascend. `found` is their number.
+// `rows` is as long as the input; the rows found come first, in ascending order. `found` is their number.
 struct FoundRows {
   int64_t* rows;
   int64_t* found;
 };
 
 // Bodies that reach cells of other ranks, and rows of -1 after them. reach (count,): 1 for them, or 0.
-void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain, uint8_t* reach,
-                       const FoundRows& boundary);
+void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain,
+                         uint8_t* reach, const FoundRows& boundary);
 
-// Bodies of which other ranks are to be found, `rows` (row_count,) of all; -1 is nobody. Where `received` is not empty
-// they are ghosts: so many came from each rank, in that order, and those ranks hold them too.
+// Bodies whose replica ranks are wanted: `rows` (row_count,), -1 for padding. If `received` is not empty, they are
+// ghosts in the order of the ranks they came from, so many from each, which are replica ranks of them too.
 struct ReplicaRanksInput {
   BroadBodies bodies;
   Subdomain subdomain;
@@ -28,7 +28,7 @@ struct ReplicaRanksInput {
   const std::vector<int64_t>& received;
 };
 
-// replica_ranks (row_count, ranks): 1 for other ranks that hold the body, or 0; counts (ranks,) how many bodies each does.
+// replica_ranks (row_count, ranks): 1 for other ranks that hold the body, or 0; counts (ranks,): bodies of each rank.
 struct ReplicaRanks {
   int64_t ranks;
   uint8_t* replica_ranks;
@@ -37,7 +37,7 @@ struct ReplicaRanks {
 
 void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input, const ReplicaRanks& out);
 
-// Rows and their replica_ranks as above.
+// Rows and their replica ranks as above.
 struct HeldRows {
   const uint8_t* replica_ranks;
   const int64_t* rows;
@@ -45,27 +45,27 @@ struct HeldRows {
   const int64_t* counts;
 };
 
-// The rows that rank 0 holds, then those that rank 1 does, and so on; each in a room for so many, of which the rest is
-// -1. Those for which there is no room are left out.
-void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank);
+// The rows that rank 0 holds, then those of rank 1, and so on, each padded to the capacity of its rank with
+// -1. Rows beyond the capacity are dropped.
+void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank);
 
-// Whether rows have room.
-struct RoomInput {
+// Whether all rows fit.
+struct CapacityInput {
   const int64_t* counts;  // (ranks,) of rows for each rank
   const int64_t* found;   // (1,) rows in all
-  int64_t room;           // for these
+  int64_t capacity;       // of all rows together
 
-  // `rooms`: for each rank's.
-  PGCCD_HD bool is_short(const int64_t* rooms, int64_t ranks) const {
+  // `capacities`: of each rank.
+  PGCCD_HD bool is_short(const int64_t* capacities, int64_t ranks) const {
     for (int64_t rank = 0; rank < ranks; ++rank) {
-      if (counts[rank] > rooms[rank]) return true;
+      if (counts[rank] > capacities[rank]) return true;
     }
-    return *found > room;
+    return *found > capacity;
   }
 };
 
-// told (ranks, 2): the count of each, and 1 if there is not room for all rows.
-void counts_to_tell_cpu(const RoomInput& input, const std::vector<int64_t>& rooms, int64_t* told);
+// told (ranks, 2): the count of each rank, and 1 if rows were dropped anywhere.
+void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* told);
 
 // Pairs whose reference point lies in a cell of the subdomain's rank, in the first places of owned (pair_count, 2),
 // then pairs of -1; `found` is how many there are.
@@ -76,7 +76,7 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
                      const Subdomain& subdomain, const FoundRows& near);
 
 struct LeavingRows {
-  int64_t* rows;            // room for all; ascending
+  int64_t* rows;            // as long as the input; those found come first, ascending
   int64_t* by_destination;  // the same rows, those to each rank together
   int64_t* counts;          // (ranks,) how many to each
 };

@@ -15,8 +15,8 @@ void require_owners(const Executor& executor, const Subdomain& subdomain, int64_
 
 }  // namespace
 
-void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain, uint8_t* reach,
-                       const FoundRows& boundary) {
+void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain,
+                         uint8_t* reach, const FoundRows& boundary) {
   find_rows(executor, bodies.count, boundary.rows, boundary.found, [&](int64_t body) {
     reach[body] = reaches_others(bodies, subdomain, body) ? 1 : 0;
     return reach[body] != 0;
@@ -51,9 +51,9 @@ void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input,
   }
 }
 
-void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& rooms, int64_t* by_rank) {
+void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank) {
   for (int64_t rank = 0; rank < held.ranks; ++rank) {
-    int64_t *at = by_rank, *end = by_rank + rooms[static_cast<size_t>(rank)];
+    int64_t *at = by_rank, *end = by_rank + capacities[static_cast<size_t>(rank)];
     for (int64_t k = 0; k < held.row_count && at < end; ++k) {
       if (held.replica_ranks[k * held.ranks + rank] != 0) *at++ = held.rows[k];
     }
@@ -61,9 +61,9 @@ void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& rooms, i
   }
 }
 
-void counts_to_tell_cpu(const RoomInput& input, const std::vector<int64_t>& rooms, int64_t* told) {
-  const int64_t ranks = static_cast<int64_t>(rooms.size());
-  const bool is_short = input.is_short(rooms.data(), ranks);
+void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* told) {
+  const int64_t ranks = static_cast<int64_t>(capacities.size());
+  const bool is_short = input.is_short(capacities.data(), ranks);
   for (int64_t rank = 0; rank < ranks; ++rank) {
     *told++ = input.counts[rank];
     *told++ = is_short ? 1 : 0;

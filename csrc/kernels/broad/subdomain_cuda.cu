@@ -62,7 +62,7 @@ const int64_t* ends_of(const DeviceContext& context, std::vector<int64_t> sizes)
 }  // namespace
 
 void boundary_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies, const Subdomain& subdomain,
-                        uint8_t* reach, const FoundRows& boundary) {
+                          uint8_t* reach, const FoundRows& boundary) {
   for_each_item(context, bodies.count,
                 [=] __device__(int64_t body) { reach[body] = reaches_others(bodies, subdomain, body) ? 1 : 0; });
   fill_bytes(context, boundary.rows, 0xff, bodies.count);
@@ -103,35 +103,35 @@ void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& i
   check_cuda(cudaGetLastError(), "count_columns");
 }
 
-void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& rooms,
+void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& capacities,
                        int64_t* by_rank) {
   const int64_t ranks = held.ranks, all = held.row_count * ranks;
-  const int64_t places = std::accumulate(rooms.begin(), rooms.end(), int64_t{0});
+  const int64_t places = std::accumulate(capacities.begin(), capacities.end(), int64_t{0});
   if (places == 0) return;
   int64_t* items = context.allocate<int64_t>(all);
   int64_t* found = context.allocate<int64_t>(1);
   find_rows(context, all, items, found, IsReplicaRank{held});
-  const int64_t* room_end = ends_of(context, rooms);
+  const int64_t* capacity_end = ends_of(context, capacities);
   int64_t* begin = context.allocate<int64_t>(ranks);
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceScan::ExclusiveSum(scratch, bytes, held.counts, begin, ranks, context.stream);
   });
   for_each_item(context, places, [=] __device__(int64_t place) {
-    const int64_t rank = count_leading(ranks, [&](int64_t r) { return room_end[r] <= place; });
-    const int64_t k = place - (rank == 0 ? 0 : room_end[rank - 1]);
+    const int64_t rank = count_leading(ranks, [&](int64_t r) { return capacity_end[r] <= place; });
+    const int64_t k = place - (rank == 0 ? 0 : capacity_end[rank - 1]);
     const bool is_held = k < held.counts[rank];
     require_on_device(!is_held || is_within(begin[rank] + k, *found), "counts: expected those of replica_ranks");
     by_rank[place] = is_held ? held.rows[items[begin[rank] + k] % held.row_count] : -1;
   });
 }
 
-void counts_to_tell_cuda(const DeviceContext& context, const RoomInput& input, const std::vector<int64_t>& rooms,
-                         int64_t* told) {
-  const int64_t ranks = static_cast<int64_t>(rooms.size());
-  const int64_t* const room = on_device(context, rooms);
+void counts_to_send_cuda(const DeviceContext& context, const CapacityInput& input,
+                         const std::vector<int64_t>& capacities, int64_t* told) {
+  const int64_t ranks = static_cast<int64_t>(capacities.size());
+  const int64_t* const capacity = on_device(context, capacities);
   for_each_item(context, ranks, [=] __device__(int64_t rank) {
     told[2 * rank] = input.counts[rank];
-    told[2 * rank + 1] = input.is_short(room, ranks) ? 1 : 0;
+    told[2 * rank + 1] = input.is_short(capacity, ranks) ? 1 : 0;
   });
 }
 
@@ -181,7 +181,7 @@ void leaving_bodies_cuda(const DeviceContext& context, const double* position, i
     require_on_device(is_within(owner, ranks), "owner: expected ranks");
     return owner != subdomain.rank;
   });
-  // A counting sort, since the device alone knows how many there are. Each share goes through its rows in order, so
+  // A counting sort, since their number is known on the device only. Each block goes through its rows in order, so
   // that those to one rank stay in order. next (ranks, shares): where a share's next row to a rank comes.
   int64_t* next = context.allocate<int64_t>(slots);
   const int64_t* rows = leaving.rows;

@@ -7,15 +7,15 @@
 namespace pgccd {
 
 void boundary_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies, const Subdomain& subdomain,
-                        uint8_t* reach, const FoundRows& boundary);
+                          uint8_t* reach, const FoundRows& boundary);
 
 void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& input, const ReplicaRanks& out);
 
-void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& rooms,
+void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& capacities,
                        int64_t* by_rank);
 
-void counts_to_tell_cuda(const DeviceContext& context, const RoomInput& input, const std::vector<int64_t>& rooms,
-                         int64_t* told);
+void counts_to_send_cuda(const DeviceContext& context, const CapacityInput& input,
+                         const std::vector<int64_t>& capacities, int64_t* told);
 
 void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found);
 

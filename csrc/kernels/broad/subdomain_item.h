@@ -83,8 +83,8 @@ PGCCD_HD bool is_sound(const OwnedPairs& input, int64_t k) {
 }
 
 // The reference point of two boxes that overlap is the lower corner of their intersection. It lies in both, so it is in
-// a cell of this rank for certain if one of them reaches no other. Where bodies are named by rows, pairs of own bodies
-// are somebody else's business.
+// a cell of this rank for certain if one of them reaches no other. With `rows`, pairs of two own bodies are left out:
+// the search among own bodies has them.
 PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t k) {
   const int64_t i = input.pairs[2 * k], j = input.pairs[2 * k + 1];
   if (i < 0) return false;

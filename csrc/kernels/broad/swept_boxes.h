@@ -1,4 +1,4 @@
-// Boxes of swept spheres, for those who share bodies out by where they may go.
+// Boxes of swept spheres, for distributing bodies over ranks.
 #pragma once
 
 #include "kernels/broad/body_volumes.h"

@@ -31,7 +31,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
   constexpr bool kIsPatient = kPhase == Phase::kPatient;
   constexpr T unit(Precision<T>::unit);
   const PairError<T> error = path.error();
-  // Below the noise of the distance itself nothing can be told.
+  // Below the error of the distance itself nothing can be decided.
   T noise = T(4) * error.point + T(64) * unit * error.extent;
   const T separation = settings.separation * path.scale();
   // A sixteenth of what the caller tolerates leaves few near misses.

@@ -25,20 +25,20 @@ struct NarrowInput {
   Report report;
 };
 
-// Room for a narrow phase that nobody waits for.
+// Capacity of a narrow phase that runs without the host waiting for its counts.
 struct ContactCapacity {
   int64_t open;      // candidates that the quick phase leaves
   int64_t contacts;  // rows
 };
 
-constexpr int64_t kExactly = -1;  // as many rows as contacts: on the CPU, which always knows
+constexpr int64_t kExactly = -1;  // as many rows as contacts: only on the CPU, where the count is always known
 
 // Counts of it; the number of rows may be too small where the open candidates, or what came before, did not fit.
 enum ContactCount : int {
   kOpenNeeded,
   kContactsNeeded,
   kUnresolvedWritten,
-  kContactsOverflow,  // 1 if there was not room for all, else 0
+  kContactsOverflow,  // 1 if the capacity was exceeded, else 0
   kNarrowEnded,
   kContactCounts
 };
@@ -77,7 +77,7 @@ struct ContactColumns {
 // Called once with the number of rows.
 using ContactOutput = std::function<ContactColumns(int64_t count)>;
 
-// A row that is no contact, where there is more room than contacts.
+// A padding row, beyond the number of contacts.
 PGCCD_HD void pad_row(const ContactColumns& out, int64_t row) {
   if (out.pair != nullptr) out.pair[row] = -1;
   if (out.bodies != nullptr) out.bodies[2 * row] = out.bodies[2 * row + 1] = -1;

@@ -146,7 +146,7 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
 }
 
 template <class Bodies>
-void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
+void narrow_phase_padded(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                          const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts) {
   const Search search = make_search_for_contacts(context, input, capacity.open);
   run_search(context, bodies, search);
@@ -178,9 +178,9 @@ void lower_first_toi(const DeviceContext& context, const Bodies& bodies, const N
 
 template void lower_first_toi(const DeviceContext&, const RigidBodies&, const NarrowInput&, int64_t, const FirstToi&,
                               int64_t*);
-template void narrow_phase_within(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactCapacity&,
+template void narrow_phase_padded(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactCapacity&,
                                   const ContactColumns&, int64_t*);
-template void narrow_phase_within(const DeviceContext&, const DeformingBodies&, const NarrowInput&,
+template void narrow_phase_padded(const DeviceContext&, const DeformingBodies&, const NarrowInput&,
                                   const ContactCapacity&, const ContactColumns&, int64_t*);
 template void narrow_phase_cuda(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactOutput&);
 template void narrow_phase_cuda(const DeviceContext&, const DeformingBodies&, const NarrowInput&, const ContactOutput&);

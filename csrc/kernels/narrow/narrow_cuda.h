@@ -13,7 +13,7 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
 // As narrow_phase_cuda, without waiting. Rows of `out` after the last contact are filled: pair and features -1, toi
 // infinite, the rest 0.
 template <class Bodies>
-void narrow_phase_within(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
+void narrow_phase_padded(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                          const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts);
 
 // Of each pair only the first toi, to which that of its owners is lowered. Contacts needed are pairs that have one;

@@ -76,16 +76,16 @@ PGCCD_HD Nearest<T> from_segment(const SegmentCase<T>& c, T u, T v) {
 
 // The offset joins two points of the features to within 64 u of the extent: its length bounds the distance from above.
 // No certificate of freedom rests on its accuracy.
-// `with_slender`: also considers the interiors of features whose normal is inaccurate; otherwise their boundaries, which
-// may be further apart, stand for them.
+// `with_slender`: also considers the interiors of features whose normal is inaccurate; otherwise their boundaries,
+// which may be further apart, stand for them.
 template <bool kEdgeEdge, class T>
 PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p, bool with_slender = true) {
   using nearest_detail::from_segment;
   using nearest_detail::nearest_on_segment;
   const Vec3<T> normal = cross(p.a, p.b);
   const T normal_squared = norm_squared(normal);
-  // A face or an angle too slender for its normal to mean anything, or too small for its square: its boundary, less than
-  // the rounding of coordinates away, stands for it.
+  // A face or an angle too slender for its normal to mean anything, or too small for its square: its boundary, less
+  // than the rounding of coordinates away, stands for it.
   constexpr T slender(64 * Precision<T>::unit);
   const T parallel_squared = norm_squared(p.a) * norm_squared(p.b);  // times sin^2 of the angle: normal_squared
   const bool has_normal =

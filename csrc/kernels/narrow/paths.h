@@ -120,7 +120,7 @@ class ArcPath {
   // Windows get short where bodies spin fast.
   PGCCD_HD int more_advances() const { return static_cast<int>(smaller(2.0 * (first_angle_ + second_angle_), 0x1p20)); }
 
-  // For those who look at the points one by one: 0 for the first-named body, 1 for the second.
+  // Body of a point: 0 for the first-named one, 1 for the second.
   PGCCD_HD static int side_of(int k) { return k < PointSplit<kEdgeEdge>::first_count ? 0 : 1; }
   PGCCD_HD const ArcPoint& point(int k) const { return points_[k]; }
   PGCCD_HD double angle(int side) const { return side == 0 ? first_angle_ : second_angle_; }

@@ -1,4 +1,4 @@
-// A query is asked in the arithmetic of its points first; where rounding leaves it open, again in the next finer one,
+// A query is solved in the arithmetic of its points first; where rounding leaves it open, again in the next finer one,
 // from the time already certified: float, double, double-double. The last has no near miss of inputs of ordinary size
 // left to mistake for a touch.
 #pragma once
@@ -18,7 +18,7 @@ struct NarrowSettings {
 template <class T>
 struct Answer {
   Outcome<T> outcome;
-  int8_t significant_bits;  // of the arithmetic that settled it
+  int8_t significant_bits;  // of the arithmetic that decided it
 };
 
 namespace ladder_detail {
@@ -41,7 +41,7 @@ struct Rung<DoubleDouble> {
   static constexpr int8_t significant_bits = 106;
 };
 
-// Never less strict than what the caller asked for.
+// Never less strict than the caller's tolerance.
 template <class T>
 PGCCD_HD SearchSettings<T> in_precision(const SearchSettings<double>& settings) {
   return {round_up<T>(settings.separation), round_down<T>(settings.tolerance), round_up<T>(settings.prune_at),

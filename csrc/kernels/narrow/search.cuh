@@ -79,7 +79,7 @@ __device__ inline void report(const Search& search, const OpenCandidate& open, c
   if (outcome.status != Status::kTouch && outcome.status != Status::kUnresolved) return;
   if (search.best != nullptr) atomicMin(search.best + open.pair, toi_bits(outcome.toi));
   if (search.contacts == nullptr) return;
-  // No more contacts than open candidates: there is room.
+  // There are no more contacts than open candidates, so the capacity suffices.
   search.contacts[warp_append(&search.counters->contacts, 1)] = {open.row, static_cast<int32_t>(outcome.status),
                                                                  outcome.toi, outcome.u, outcome.v};
 }
@@ -95,7 +95,7 @@ inline Search make_search(const DeviceContext& context, const NarrowInput& input
   return search;
 }
 
-// Room for what is known of each pair's first contact, and which one it is where that is asked for. In one piece, so
+// Memory for the first contact of each pair known so far, and for its row where the report needs it. In one piece, so
 // that one launch fills all.
 inline void allocate_first(const DeviceContext& context, Search& search, bool with_winner) {
   const int64_t pairs = search.input.pair_count;

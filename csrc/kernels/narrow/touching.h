@@ -1,5 +1,5 @@
 // Proofs of contact, for straight paths: that two primitives do touch within a short stretch of time. They spare near
-// misses from being reported; without one, a finer arithmetic looks again.
+// misses from being reported; without one, the query is solved again in finer arithmetic.
 #pragma once
 
 #include "kernels/narrow/certificates.h"

@@ -11,7 +11,7 @@ namespace {
 constexpr int64_t kChunkRows = 1024;
 using Sources = std::array<int64_t, kChunkRows>;
 
-// A width that the compiler knows makes a copy a few instructions; 0: only the column knows it.
+// A width known at compile time makes a copy a few instructions; 0: known at run time only.
 template <size_t kWidth>
 void copy_column(const ColumnCopy& column, int64_t first_count, const Sources& sources, int64_t begin, int64_t end) {
   for (int64_t row = begin; row < end; ++row) {

@@ -1,5 +1,5 @@
-// The hash of one row of columns; rows are summed modulo 2^64, so that neither their order nor who holds them matters.
-// And all else that is summed up of a step.
+// The hash of one row of columns; rows are summed modulo 2^64, so that the sum depends neither on their order nor on
+// the rank that holds them. And all else that is summed up of a step.
 #pragma once
 
 #include <cstdint>

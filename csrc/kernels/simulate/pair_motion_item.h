@@ -1,8 +1,8 @@
 // The slowed-down motion of the two robots of each pair that is affected, wherever the columns of each are.
 #pragma once
 
-#include "kernels/simulate/robot.h"
 #include "kernels/simulate/resolution_item.h"
+#include "kernels/simulate/robot.h"
 
 namespace pgccd {
 
@@ -34,14 +34,14 @@ struct AffectedMotion {
   const double* mesh_radius;  // (mesh_count,)
   int64_t mesh_count;         // the robot with id k is of kind k modulo their number
 
-  int64_t room;
-  int64_t* pairs;  // (room, 2) those found; what follows is not set, here and in the motion
+  int64_t capacity;
+  int64_t* pairs;  // (capacity, 2) those found; rows beyond their number are not written, here and in the motion
   PairMotion motion;
   int64_t* counts;  // (kPairCounts)
 
-  // One robot of a pair that was found, as the `at`-th, if there is room for it.
+  // Writes one robot of a pair that was found, in row `at`, unless the capacity is exceeded.
   PGCCD_HD void store(int64_t pair, int side, int64_t at) const {
-    if (at >= room) return;
+    if (at >= capacity) return;
     const int64_t row = 2 * at + side, held = affected.pairs[2 * pair + side];
     pairs[row] = held;
     const bool is_ghost = held >= own.count;

@@ -18,7 +18,7 @@ struct SlowDownInput {
   const double* first;     // first toi of each robot in what it was to make of the step; infinite: none
   const double* fraction;  // what each robot was to make of the step
   double approach;         // part of the way to the toi that it goes
-  double smallest;         // who could make less of the step stays
+  double smallest;         // a robot whose fraction would be smaller does not move at all
 
   PGCCD_HD bool is_sound(int64_t k) const { return rows[k] >= 0 && rows[k] < robot_count; }
 };
@@ -97,12 +97,12 @@ struct AffectedPairs {
   }
 };
 
-// Of pairs found, of which as many as there is room for are written. Nothing is said of overlaps and times.
-PGCCD_HD void store_counts(int64_t found, int64_t room, int64_t* counts) {
+// Counts of `found` pairs of which `capacity` at most are written. Counts of overlaps and times stay as they are.
+PGCCD_HD void store_counts(int64_t found, int64_t capacity, int64_t* counts) {
   for (int count = 0; count < kPairCounts; ++count) counts[count] = 0;
   counts[kPairsNeeded] = found;
-  counts[kPairsWritten] = found < room ? found : room;
-  counts[kPairsOverflow] = found > room ? 1 : 0;
+  counts[kPairsWritten] = found < capacity ? found : capacity;
+  counts[kPairsOverflow] = found > capacity ? 1 : 0;
 }
 
 }  // namespace pgccd

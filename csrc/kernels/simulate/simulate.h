@@ -4,8 +4,8 @@
 #include "kernels/executor.h"
 #include "kernels/simulate/hash_item.h"
 #include "kernels/simulate/pair_motion_item.h"
-#include "kernels/simulate/robot.h"
 #include "kernels/simulate/resolution_item.h"
+#include "kernels/simulate/robot.h"
 #include "kernels/simulate/world.h"
 
 namespace pgccd {
@@ -35,7 +35,7 @@ void slow_all_down_cpu(const Executor& executor, const SlowAllDown& robots, int6
 // Lowers the first toi of robots to that of their contacts.
 void first_toi_cpu(const Executor& executor, const FirstToiInput& contacts, double* first);
 
-// The pairs affected, in their order, and how their robots move, in as much room as there is.
+// The pairs affected, in their order, and how their robots move, as many as the capacity holds.
 void affected_motion_cpu(const Executor& executor, const AffectedMotion& given);
 
 // The sum of the rows' hashes modulo 2^64.

@@ -82,7 +82,7 @@ void affected_motion_cpu(const Executor& executor, const AffectedMotion& given) 
   for_each_row(executor, found, [&](int64_t k) {
     for (int side = 0; side < 2; ++side) given.store(rows[static_cast<size_t>(k)], side, k);
   });
-  store_counts(found, given.room, given.counts);
+  store_counts(found, given.capacity, given.counts);
 }
 
 void tally_step_cpu(const Executor& executor, const StepOutcome& outcome, StepTally* tally) {

@@ -70,7 +70,7 @@ __global__ void __launch_bounds__(kBlockThreads) affected_motion(AffectedMotion 
     __syncthreads();
   }
   if (threadIdx.x == 0 && is_last_block(&found->blocks_done)) {
-    store_counts(atomicAdd(&found->count, 0u), given.room, given.counts);
+    store_counts(atomicAdd(&found->count, 0u), given.capacity, given.counts);
   }
 }
 

@@ -4,7 +4,7 @@
 // group.
 #pragma once
 
-#include "kernels/traverse/start_within.cuh"
+#include "kernels/traverse/start_self_pairs.cuh"
 #include "kernels/traverse/words.cuh"
 #include "kernels/traverse/work_share.cuh"
 
@@ -67,7 +67,7 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       if (group.size > 0 || item == kNoItem) continue;
       const Task task = task_at(item);
       const bool is_one_body = Sweep::may_be_one_body && pairs.sweeps[task.pair].is_one_body();
-      if (is_one_body && task.nodes.first == task.nodes.second) continue;  // of which start_within takes care
+      if (is_one_body && task.nodes.first == task.nodes.second) continue;  // handled by start_self_pairs
       if (slot == 0) shared.stack[0] = task.nodes;
       const LocalPose* poses = pairs.poses + pairs.pose_begin[task.pair];
       copy_words(pairs.sweeps[task.pair], shared.sweep, slot, kBlockWidth);
@@ -75,7 +75,7 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       group.poses = pairs.sweeps[task.pair].segment_count < kPosesAtHand ? shared.poses : poses;
       group.size = 1;
       group.rounds = 0;
-      group.most_rounds = is_one_body && launch != kLastLaunch ? kRoundsWithin : most_rounds;
+      group.most_rounds = is_one_body && launch != kLastLaunch ? kSelfPairRounds : most_rounds;
       group.pair = task.pair;
     }
     if (__ballot_sync(kAllLanes, group.size > 0) == 0) break;
@@ -132,7 +132,7 @@ template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     descend_from_roots(Pairs<Bodies> pairs, uint32_t* next, TaskList leaves, TaskList rest, Counter* node_tests) {
   const uint32_t count = pairs.count();
-  // A quarter more than its part: who is late leaves some to others.
+  // A block takes at most 1.25 times its even share.
   const WorkQueue queue{next, count, count / gridDim.x + count / (4 * gridDim.x) + 1};
   const auto roots = [](uint32_t pair) { return Task{static_cast<int32_t>(pair), {0, 0}}; };
   descend(pairs, 0, queue, roots, leaves, rest, node_tests);

@@ -51,8 +51,8 @@ PGCCD_HD uint32_t pairs_without_common_vertex(const Triangle& ti, const Triangle
   return ~(corners_i | corners_j << 3 | edges << kFirstEdgeBit) & ((1u << kFeaturePairBits) - 1u);
 }
 
-// May the feature pair of that bit meet over the segment? `corner(side, index, end)` tells where the triangles' corners
-// are. One path through the code for both sorts of pairs: on a device they share a warp.
+// May the feature pair of that bit meet over the segment? `corner(side, index, end)` returns where the triangles'
+// corners are. One path through the code for both sorts of pairs: on a device they share a warp.
 template <class Corner>
 PGCCD_HD bool pair_meets(Corner&& corner, int bit, float distance) {
   const bool is_edge_edge = bit >= kFirstEdgeBit, is_face_of_i = bit >= 3 && !is_edge_edge;

@@ -28,7 +28,7 @@ struct SplitPair {
 constexpr int kPairsInBlock = kBlockWidth * (kBlockWidth - 1) / 2;
 PGCCD_HD SplitPair with_siblings(int32_t block, int slot) { return {block, block * kBlockWidth + slot, false}; }
 
-// What the clearance of two nodes says; keeps them if it is not a number.
+// Decision by the clearance of two nodes; keeps them if it is not a number.
 PGCCD_HD bool may_meet(float clearance) { return !(clearance > 0.0f); }
 
 // Poses at all segment boundaries of a pair are kept by the caller: segment_count + 1 of them.

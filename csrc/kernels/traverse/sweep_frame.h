@@ -82,7 +82,7 @@ PGCCD_HD Vec3<T> shifted(Vec3<float> shift, Vec3<T> v) {
 
 }  // namespace sweep_detail
 
-// What both kinds of sweeps know: who, since rows of the mesh set are asked for at every node, where; and the scale.
+// What both kinds of sweeps share: the bodies' rows of the mesh set (read at every node), their frame, and the scale.
 struct PairFrame {
   int64_t body[2];
   int64_t first_face[2], first_block[2];  // rows of the bodies' meshes in the mesh set

@@ -1,5 +1,5 @@
-// Work lists of the traversal on the device. Lists count what did not fit as well, so that the host sees how much room
-// is needed: nothing is dropped without being counted.
+// Work lists of the traversal on the device. Lists count what did not fit as well, so that the host sees how much
+// capacity is needed: nothing is dropped without being counted.
 #pragma once
 
 #include "core/candidate.h"
@@ -53,7 +53,7 @@ struct CandidateSink {
   Counter* vertex_face_count;
   uint32_t capacity;
 
-  // The ends may write over each other where there is no room; the counts then tell.
+  // On overflow the two ends overwrite each other; the counts show it.
   __device__ void put(bool is_edge_edge, Counter at, const Candidate& candidate) const {
     if (has_place(at, capacity)) items[is_edge_edge ? at : capacity - 1 - at] = candidate;
   }
@@ -73,7 +73,7 @@ struct Pairs {
   const Counter* unsound;
   uint32_t pose_capacity;
 
-  // None where poses did not fit: all is repeated with more room anyway. None where a row names what is not there.
+  // Zero where poses did not fit (the traversal is repeated with a larger capacity) or a row has invalid indices.
   __device__ uint32_t count() const {
     if (!fits(*pose_count, pose_capacity) || *unsound != 0) return 0;
     return static_cast<uint32_t>(smaller(larger<int64_t>(*given_count, 0), most));

@@ -13,7 +13,7 @@ namespace pgccd {
 struct TraverseInput {
   const int64_t* pairs;  // (pair_count, 2) body indices
   int64_t pair_count;
-  const double* horizon;  // (pair_count,) look no further than this time, or null: the whole step
+  const double* horizon;  // (pair_count,) latest time searched; null: the whole step
   SweepSettings settings;
   bool leading;  // only the leaf pair that overlaps most, found by greedy descent: where contact is likely first; none
                  // of a body and itself
@@ -25,7 +25,7 @@ PGCCD_HD double horizon_of(const TraverseInput& input, int64_t pair) {
   return horizon >= 0.0 && horizon <= 1.0 ? horizon : 1.0;
 }
 
-// Room for a traversal that nobody waits for.
+// Capacity of a traversal that runs without the host waiting for its counts.
 struct TraverseCapacity {
   int64_t poses;  // at all segment boundaries of all body pairs
   int64_t tasks;  // node pairs handed from launch to launch
@@ -34,8 +34,8 @@ struct TraverseCapacity {
   int64_t launches;  // after the first
 };
 
-// What a traversal counted: the room needed (as far as it went), how many node pairs were left when launches ended, and
-// how many were tested. Times as for the broad phase.
+// Counts of a traversal: the capacity needed (as far as it went), how many node pairs were left when launches ended,
+// and how many were tested. Times as for the broad phase.
 enum TraverseCount : int {
   kPosesNeeded,
   kTasksNeeded,
@@ -43,7 +43,7 @@ enum TraverseCount : int {
   kCandidatesNeeded,
   kTasksLeft,
   kNodeTests,
-  kTraverseOverflow,  // 1 if there was not room for all, or tasks are left, else 0
+  kTraverseOverflow,  // 1 if a capacity was exceeded or tasks are left, else 0
   kTraverseBegan,
   kTraverseEnded,
   kTraverseCounts

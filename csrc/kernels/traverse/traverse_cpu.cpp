@@ -123,7 +123,7 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
 
 // The tasks of a body that is tested against itself. Returns the number of node tests.
 template <class Bodies>
-int64_t start_within(const PairTree<Bodies>& tree, int32_t pair, std::vector<Task>& tasks) {
+int64_t start_self_pairs(const PairTree<Bodies>& tree, int32_t pair, std::vector<Task>& tasks) {
   const int32_t blocks = tree.block_count();
   for (int32_t block = 0; block < blocks; ++block) {
     for (int slot = 0; slot < kBlockWidth; ++slot) {
@@ -148,7 +148,7 @@ std::vector<Task> make_tasks(const Bodies& bodies, const TraverseInput& input, i
     if (!SweepOf<Bodies>::type::may_be_one_body || input.pairs[2 * pair] != input.pairs[2 * pair + 1]) {
       tasks.push_back({row, {0, 0}});
     } else if (!input.leading) {
-      node_tests += start_within(cache.tree(row), row, tasks);
+      node_tests += start_self_pairs(cache.tree(row), row, tasks);
     }
   }
   const size_t enough = static_cast<size_t>(workers > 1 && !input.leading ? 16 * workers : 0);

@@ -1,10 +1,10 @@
 // The launches of the traversal. Everything is sized by guesses and counted on the device, so that nothing waits for
-// the host on the way; the counts then tell whether it all fitted.
+// the host on the way; the counts then show whether everything fitted.
 #include <cub/cub.cuh>
 
 #include "kernels/traverse/descend.cuh"
+#include "kernels/traverse/traverse_counters.h"
 #include "kernels/traverse/traverse_cuda.h"
-#include "kernels/traverse/traverse_room.h"
 #include "kernels/traverse/visit_leaves.cuh"
 
 namespace pgccd {
@@ -14,7 +14,7 @@ namespace {
 // Of four, the time of a search does not show.
 constexpr int kWaves = 4;
 
-// Launches that continue what warps hand back, before the host asks whether anything is left. Their number grows by
+// Launches that continue tasks handed back by warps, before the host reads whether any are left. Their number grows by
 // two orders of magnitude with each, until the device is full.
 constexpr int kLaunchesPerBatch = 4;
 
@@ -28,7 +28,7 @@ int64_t deforming_vertices(const DeformingBodies& bodies) { return bodies.vertex
 
 // What the standard scene needs, twice over; and bodies that are tested against themselves, up to a size: each vertex
 // of folded cloth stands for some ten pairs of leaves, and as many candidates.
-TraverseRoom guess_room(const TraverseInput& input, int64_t vertex_count) {
+TraverseListSizes guess_sizes(const TraverseInput& input, int64_t vertex_count) {
   const auto sum = [&](int64_t each_pair, int64_t each_vertex = 0) {
     return rows_of(each_pair * input.pair_count + 65536 +
                    smaller<int64_t>(each_vertex * vertex_count, int64_t{1} << 22));
@@ -54,9 +54,9 @@ struct Traversal {
               &counters_->poses,
               &counters_->unsound,
               0};
-    const int64_t most_within = Sweep::may_be_one_body ? input.pair_count : 0;
-    within_ = {&counters_->within, &counters_->blocks_within, context.allocate<uint32_t>(most_within),
-               context.allocate<int32_t>(most_within), most_within};
+    const int64_t most_self_pairs = Sweep::may_be_one_body ? input.pair_count : 0;
+    self_pairs_ = {&counters_->self_pairs, &counters_->self_blocks, context.allocate<uint32_t>(most_self_pairs),
+                   context.allocate<int32_t>(most_self_pairs), most_self_pairs};
   }
 
   int64_t* count_on_device() {
@@ -68,7 +68,7 @@ struct Traversal {
 
   // Until everything fits: overflow is counted, never dropped.
   TraverseCounters run(CandidateSink& out) {
-    TraverseRoom capacity = guess_room(input_, deforming_vertices(bodies_));
+    TraverseListSizes capacity = guess_sizes(input_, deforming_vertices(bodies_));
     for (;;) {
       const TaskList leaves = start(capacity, out);
       const TraverseCounters seen = input_.leading ? lead(leaves, out) : descend_all(leaves, out);
@@ -80,9 +80,9 @@ struct Traversal {
   }
 
   // Without waiting.
-  CandidateSpan run_within(const TraverseCapacity& given, int64_t* counts) {
-    const TraverseRoom capacity{rows_of(larger<int64_t>(given.poses, kMaxSegments + 1)), rows_of(given.tasks),
-                                rows_of(given.leaf_pairs), rows_of(given.candidates)};
+  CandidateSpan run_padded(const TraverseCapacity& given, int64_t* counts) {
+    const TraverseListSizes capacity{rows_of(larger<int64_t>(given.poses, kMaxSegments + 1)), rows_of(given.tasks),
+                                     rows_of(given.leaf_pairs), rows_of(given.candidates)};
     CandidateSink out;
     const TaskList leaves = start(capacity, out);
     descend_roots(leaves);
@@ -99,7 +99,7 @@ struct Traversal {
     return {out.items, capacity.candidates, out.edge_edge_count, out.vertex_face_count};
   }
 
-  TaskList start(const TraverseRoom& capacity, CandidateSink& out) {
+  TaskList start(const TraverseListSizes& capacity, CandidateSink& out) {
     fill_bytes(context_, counters_, 0, 1);
     out = {context_.allocate<Candidate>(capacity.candidates), &counters_->edge_edge, &counters_->vertex_face,
            capacity.candidates};
@@ -114,7 +114,7 @@ struct Traversal {
     const Bodies bodies = bodies_;
     const TraverseInput input = input_;
     TraverseCounters* counters = counters_;
-    const PairsWithin within = within_;
+    const SelfPairs self_pairs = self_pairs_;
     auto* sweeps = const_cast<Sweep*>(pairs_.sweeps);
     auto* pose_begin = const_cast<uint32_t*>(pairs_.pose_begin);
     LocalPose* poses = context_.allocate<LocalPose>(capacity);
@@ -128,11 +128,11 @@ struct Traversal {
       }
       const Sweep sweep(bodies, i, j, input.settings, horizon_of(input, pair));
       const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
-      // Where they do not fit they are written over others: nobody will look.
+      // Clamp to a valid row; the overflow flag discards the result.
       const uint32_t begin = has_place(place + sweep.segment_count, capacity) ? static_cast<uint32_t>(place) : 0u;
       for (int k = 0; k <= sweep.segment_count; ++k) store_words(sweep.pose(bodies, k), poses[begin + k]);
       store_words(sweep, sweeps[pair]);
-      within.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
+      self_pairs.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
       pose_begin[pair] = begin;
     });
   }
@@ -179,9 +179,9 @@ struct Traversal {
             pairs_, &counters_->taken[0], leaves, rest, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_from_roots");
     if constexpr (Sweep::may_be_one_body) {
-      start_within<Bodies><<<resident_blocks_of(start_within<Bodies>), kBlockThreads, 0, context_.stream>>>(
-          pairs_, within_, leaves, rest, &counters_->node_tests);
-      check_cuda(cudaGetLastError(), "start_within");
+      start_self_pairs<Bodies><<<resident_blocks_of(start_self_pairs<Bodies>), kBlockThreads, 0, context_.stream>>>(
+          pairs_, self_pairs_, leaves, rest, &counters_->node_tests);
+      check_cuda(cudaGetLastError(), "start_self_pairs");
     }
   }
 
@@ -206,7 +206,7 @@ struct Traversal {
   const TraverseInput& input_;
   TraverseCounters* counters_;
   Pairs<Bodies> pairs_;
-  PairsWithin within_;
+  SelfPairs self_pairs_;
   Task* tasks_[2] = {};
   uint32_t task_capacity_ = 0;
 };
@@ -232,7 +232,7 @@ void traverse_cuda(const DeviceContext& context, const Bodies& bodies, const Tra
 }
 
 template <class Bodies>
-CandidateSpan traverse_within(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
+CandidateSpan traverse_padded(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
                               const int64_t* pair_count, const TraverseCapacity& capacity, int64_t* counts) {
   if (input.pair_count == 0) {
     for_each_item(context, kTraverseCounts, [=] __device__(int64_t k) {
@@ -240,16 +240,16 @@ CandidateSpan traverse_within(const DeviceContext& context, const Bodies& bodies
     });
     return {};
   }
-  return Traversal<Bodies>(context, bodies, input, pair_count).run_within(capacity, counts);
+  return Traversal<Bodies>(context, bodies, input, pair_count).run_padded(capacity, counts);
 }
 
 template void traverse_cuda(const DeviceContext&, const RigidBodies&, const TraverseInput&, const CandidateOutput&,
                             int64_t*);
 template void traverse_cuda(const DeviceContext&, const DeformingBodies&, const TraverseInput&, const CandidateOutput&,
                             int64_t*);
-template CandidateSpan traverse_within(const DeviceContext&, const RigidBodies&, const TraverseInput&, const int64_t*,
+template CandidateSpan traverse_padded(const DeviceContext&, const RigidBodies&, const TraverseInput&, const int64_t*,
                                        const TraverseCapacity&, int64_t*);
-template CandidateSpan traverse_within(const DeviceContext&, const DeformingBodies&, const TraverseInput&,
+template CandidateSpan traverse_padded(const DeviceContext&, const DeformingBodies&, const TraverseInput&,
                                        const int64_t*, const TraverseCapacity&, int64_t*);
 
 }  // namespace pgccd

@@ -17,10 +17,10 @@ template <class Bodies>
 void traverse_cuda(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
                    const CandidateOutput& make_output, int64_t* node_tests);
 
-// As traverse_cuda for the first *pair_count (device) of input.pair_count rows, of which there is room for. The
+// As traverse_cuda for the first *pair_count (device) of input.pair_count rows. The
 // candidates live as long as the context's memory.
 template <class Bodies>
-CandidateSpan traverse_within(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
+CandidateSpan traverse_padded(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
                               const int64_t* pair_count, const TraverseCapacity& capacity, int64_t* counts);
 
 }  // namespace pgccd

@@ -1,5 +1,5 @@
-// How warps share out the items of a launch, whose costs differ widely: each takes some more when it has none left, so
-// that all of the device ends at about the same time.
+// Distributes the items of a launch over warps. Costs differ widely, so a warp takes more items when it has none left,
+// and all warps end at about the same time.
 #pragma once
 
 #include "kernels/device.cuh"
@@ -11,14 +11,14 @@ constexpr uint32_t kNoItem = ~0u;
 struct WorkQueue {
   uint32_t* next;          // how many were taken from the queue: 0 when the launch begins
   uint32_t count;          // items
-  uint32_t most_of_block;  // a block that took so many from the queue ends: others wait for its place
+  uint32_t most_of_block;  // a block ends after so many items from the queue, so that its multiprocessor can start another
 };
 
 // A warp's part of the queue. All members are called by whole warps.
 class WorkShare {
  public:
-  // The first items of each group are fixed, `groups_a_warp` for each warp of the launch: where items are few, nobody
-  // waits for the queue. `taken_by_block` is shared memory of the block.
+  // The first items of each group are fixed, `groups_a_warp` for each warp of the launch: with few
+  // items no warp waits for the queue. `taken_by_block` is shared memory of the block.
   __device__ WorkShare(const WorkQueue& queue, int groups_a_warp, uint32_t& taken_by_block)
       : queue_(queue), taken_by_block_(taken_by_block) {
     if (threadIdx.x == 0) taken_by_block_ = 0;

@@ -37,8 +37,8 @@ struct VoxelBodies {
   double tolerance;  // as in pair_tolerance
 };
 
-// The voxels that boxes touch, by ascending coordinates, and how many boxes each gets. `make_output(count)` gives room
-// for so many of both.
+// The voxels that boxes touch, by ascending coordinates, and how many boxes each gets. `make_output(count)` returns
+// memory for so many of both.
 struct TouchedVoxels {
   Voxel* voxels;
   int64_t* counts;

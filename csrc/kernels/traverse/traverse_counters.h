@@ -1,4 +1,4 @@
-// What a traversal counts on a device, and the room it has. Whether all fitted is decided here, by the counts alone.
+// Counters of a traversal on a device, and its capacities. Overflow is decided here, by the counts alone.
 #pragma once
 
 #include "core/counter.h"
@@ -14,30 +14,30 @@ struct TraverseCounters {
   Counter edge_edge, vertex_face;  // candidates
   Counter poses;
   Counter node_tests;
-  Counter within;         // see PairsWithin
-  Counter blocks_within;  // of all of these pairs
-  Counter unsound;        // rows that name bodies, or bodies that name meshes, that are not there
-  uint32_t taken[3];      // tasks, of those that fitted
+  Counter self_pairs;   // see SelfPairs
+  Counter self_blocks;  // of all of these pairs
+  Counter unsound;      // rows that name bodies, or bodies that name meshes, that are not there
+  uint32_t taken[3];    // tasks, of those that fitted
 };
 
 PGCCD_HD Counter candidates_of(const TraverseCounters& seen) { return seen.edge_edge + seen.vertex_face; }
 
 // Blocks of all bodies that are tested against themselves are numbered by 32 bits.
-constexpr int64_t kMostBlocksWithin = 0xffffffff;
+constexpr int64_t kMostSelfBlocks = 0xffffffff;
 
-struct TraverseRoom {
+struct TraverseListSizes {
   uint32_t poses, tasks, leaves, candidates;
 
   // Of tasks, only those that one launch left to the next are counted.
   PGCCD_HD bool holds(const TraverseCounters& seen) const {
     return fits(seen.poses, poses) && fits(seen.most_rest, tasks) && fits(seen.leaves, leaves) &&
-           fits(candidates_of(seen), candidates) && fits(seen.blocks_within, kMostBlocksWithin);
+           fits(candidates_of(seen), candidates) && fits(seen.self_blocks, kMostSelfBlocks);
   }
 
-  // Can more room help?
+  // Can a larger capacity help?
   bool can_grow(const TraverseCounters& seen) const {
     return fits(seen.poses, kMostRows) && fits(seen.most_rest, kMostRows) && fits(seen.leaves, kMostRows) &&
-           fits(candidates_of(seen), kMostRows) && fits(seen.blocks_within, kMostBlocksWithin);
+           fits(candidates_of(seen), kMostRows) && fits(seen.self_blocks, kMostSelfBlocks);
   }
   void grow(const TraverseCounters& seen) {
     poses = grown(seen.poses, poses);
@@ -54,7 +54,8 @@ struct TraverseRoom {
 };
 
 // To the counts (kTraverseCounts) but for times; `last`: which of `rest` the last launch left.
-PGCCD_HD void store_traverse_counts(const TraverseCounters& seen, const TraverseRoom& room, int last, int64_t* counts) {
+PGCCD_HD void store_traverse_counts(const TraverseCounters& seen, const TraverseListSizes& capacity, int last,
+                                    int64_t* counts) {
   const Counter left = seen.rest[last];
   counts[kPosesNeeded] = static_cast<int64_t>(seen.poses);
   counts[kTasksNeeded] = static_cast<int64_t>(larger(seen.most_rest, left));
@@ -62,7 +63,7 @@ PGCCD_HD void store_traverse_counts(const TraverseCounters& seen, const Traverse
   counts[kCandidatesNeeded] = static_cast<int64_t>(candidates_of(seen));
   counts[kTasksLeft] = static_cast<int64_t>(left);
   counts[kNodeTests] = static_cast<int64_t>(seen.node_tests);
-  counts[kTraverseOverflow] = left != 0 || !room.holds(seen) || seen.unsound != 0 ? 1 : 0;
+  counts[kTraverseOverflow] = left != 0 || !capacity.holds(seen) || seen.unsound != 0 ? 1 : 0;
 }
 
 }  // namespace pgccd

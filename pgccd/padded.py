@@ -1,4 +1,4 @@
-"""Detection within a given room: nothing waits for the device until the result is asked for."""
+"""Detection in a given capacity: the host does not wait for the device until the result is read."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Search:
         return Counts.of(values[: len(COUNT_ROWS)])
 
     def contacts(self, counts: Counts) -> Contacts:
-        """The result, once the counts are known and there was room."""
+        """The result, once the counts are known and nothing overflowed."""
         count = counts.contacts
         rows = self.rows
         if rows[0].shape[0] != count:
@@ -62,8 +62,8 @@ class Search:
             columns = (None,) * len(columns)  # type: ignore[assignment]
         lost = sum(self._count(f"{stage}_overflow") for stage in ("pairs", "traverse", "contacts"))
         overflow = lost + self.counts[-1:] > 0
-        told = (self.broad_phase, self.bodies.scene.body_count, self.bodies.faults)
-        padded = PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, *told)
+        origin = (self.broad_phase, self.bodies.scene.body_count, self.bodies.faults)
+        padded = PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, *origin)
         padded.scene = self.bodies.scene
         return padded
 
@@ -88,7 +88,7 @@ def counts_of_given(pairs: Tensor, count: Tensor | None = None) -> Tensor:
 _REPORTS = narrow.REPORTS | {"earliest": 3}
 
 
-def search_within(
+def search_padded(
     bodies: MovingBodies,
     query: Query,
     capacity: Capacity,
@@ -101,7 +101,7 @@ def search_within(
     Args:
         bodies: made with `wait=False`.
         query: what is asked.
-        capacity: room for the answer and for what is needed on the way.
+        capacity: of the result and of all intermediate lists.
         broad_phase: how the PCS is found.
         pairs: (P, 2) int64, instead of that.
         pair_counts: (7,) int64, left on the device: what is known of their number, if that is not P.
@@ -109,7 +109,7 @@ def search_within(
     faults = bodies.first_faults()
     if pairs is None:
         chosen = broad.choose(bodies, broad_phase)
-        pairs, pair_counts = broad.find_pairs_within(
+        pairs, pair_counts = broad.find_pairs_padded(
             bodies, query.min_separation, chosen, capacity, faults[-1:], query.tolerance
         )
     else:
@@ -118,13 +118,13 @@ def search_within(
         if not bodies.checked:
             pair_counts = pair_counts * (1 - faults[-1:])
     linear_path = None if bodies.deforming else bodies.linear_path
-    rows, counts = contacts_within(
+    rows, counts = contacts_padded(
         bodies.mesh_set, bodies.tensors, linear_path, pairs, pair_counts, faults, query, capacity
     )
     return Search(bodies, query, capacity, chosen or "given", rows, counts)
 
 
-def contacts_within(
+def contacts_padded(
     mesh_set: Sequence[Tensor],
     tensors: Sequence[Tensor],
     linear_path: bool | None,
@@ -143,7 +143,7 @@ def contacts_within(
         pair_counts: (7,) int64, the first of `Counts`.
         faults: (F,) int64, handed on.
         query: what is asked.
-        capacity: room for the answer.
+        capacity: of the result.
 
     Returns:
         Contacts with padding, the first column being body pairs; and counts (21 + F,).
@@ -151,9 +151,9 @@ def contacts_within(
     settings = (query.min_separation, broad.operator_tolerance(query.tolerance), query.nonzero_toi)
     rest = (pairs, pair_counts, faults, *settings, _REPORTS[query.report], capacity.of_contacts)
     if linear_path is None:
-        *rows, counts = ops.contacts_within_deforming(mesh_set, tensors, *rest)
+        *rows, counts = ops.contacts_padded_deforming(mesh_set, tensors, *rest)
     else:
-        *rows, counts = ops.contacts_within_rigid(mesh_set, tensors, linear_path, *rest)
+        *rows, counts = ops.contacts_padded_rigid(mesh_set, tensors, linear_path, *rest)
     return tuple(rows), counts  # type: ignore[return-value]
 
 
@@ -168,7 +168,7 @@ def lower_first_toi(
     query: Query,
     capacity: Capacity,
 ) -> Tensor:
-    """As `contacts_within` for the first contacts of rigid bodies, where only toi matters.
+    """As `contacts_padded` for the first contacts of rigid bodies, where only toi matters.
 
     Args:
         first: (N,) float64: the first toi so far; lowered in place.
@@ -178,8 +178,8 @@ def lower_first_toi(
         Counts (21,), of which `contacts` is the number of pairs that have one.
     """
     settings = (query.min_separation, broad.operator_tolerance(query.tolerance), query.nonzero_toi)
-    room = capacity.of_contacts[:-1]  # none for contacts
-    return ops.lower_first_toi_rigid(first, owners, mesh_set, tensors, linear_path, pairs, pair_counts, *settings, room)
+    rest = (*settings, capacity.of_contacts[:-1])  # no contacts are written
+    return ops.lower_first_toi_rigid(first, owners, mesh_set, tensors, linear_path, pairs, pair_counts, *rest)
 
 
 def _earliest_row(rows: ContactRows) -> ContactRows:

@@ -1,4 +1,4 @@
-"""Self-collision in a fixed room: pairs of one body need room too, and nothing waits for them."""
+"""Self-collision in a fixed capacity: self pairs need capacity too, and nothing waits for them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from pgccd.memory import recall_capacity
 from pgccd.query import Query
 
 
-def crumpled_room(device: torch.device) -> tuple[pgccd.Scene, list[Ends], pgccd.Capacity]:
-    """A scene whose bodies collide with themselves, and room for all contacts of its step."""
+def crumpled_capacity(device: torch.device) -> tuple[pgccd.Scene, list[Ends], pgccd.Capacity]:
+    """A scene whose bodies collide with themselves, and the capacity for all contacts of its step."""
     shapes, ends = crumpled(2)
     scene = pgccd.Scene(shapes, device=device, self_collision=True)
     needed = pgccd.detect(scene, motion_of(*ends, device=device), "all").stats.needed
@@ -33,15 +33,15 @@ def test_in_a_fixed_room(device: torch.device, report: narrow.Report) -> None:
     needed = expected.stats.needed
     assert needed is not None and needed.pairs == expected.stats.pcs > 3
     # A CPU that bounds its search by a first guess meets fewer candidates.
-    room = replace(needed.times(1.5), candidates=100_000)
+    capacity = replace(needed.times(1.5), candidates=100_000)
     for broad_phase in ("sweep", "grid", "lbvh"):
-        hits = pgccd.detect(scene, motion, report, broad_phase=broad_phase, capacity=room)
+        hits = pgccd.detect(scene, motion, report, broad_phase=broad_phase, capacity=capacity)
         assert not bool(hits.overflow)
         assert hits.trim().stats.pcs == needed.pairs
         assert_same(hits.trim(), expected)
     # Just enough, one too few, fewer than bodies that collide with themselves, and none.
     for pairs in (needed.pairs, needed.pairs - 1, 2, 0):
-        hits = pgccd.detect(scene, motion, report, capacity=replace(room, pairs=pairs))
+        hits = pgccd.detect(scene, motion, report, capacity=replace(capacity, pairs=pairs))
         assert bool(hits.overflow) == (pairs < needed.pairs)
         if pairs < needed.pairs:
             with pytest.raises(pgccd.CapacityError, match=f"pairs: .* in {pairs}"):
@@ -49,25 +49,25 @@ def test_in_a_fixed_room(device: torch.device, report: narrow.Report) -> None:
 
 
 def test_invalid_vertices(device: torch.device) -> None:
-    scene, ends, room = crumpled_room(device)
+    scene, ends, capacity = crumpled_capacity(device)
     ends[1][1][3, 2] = np.nan
     with pytest.MonkeyPatch.context() as patch:  # a CPU would tell at once
         patch.setattr(torch.compiler, "is_compiling", lambda: True)
         motion = motion_of(*ends, device=device)
-    hits = pgccd.detect(scene, motion, capacity=room)
+    hits = pgccd.detect(scene, motion, capacity=capacity)
     assert bool(hits.overflow) and int(hits.count) == 0
     with pytest.raises(ValueError, match="^x_t1: vertex 45"):
         hits.trim()
 
 
 def test_compile_the_whole_step(device: torch.device) -> None:
-    scene, ends, room = crumpled_room(device)
+    scene, ends, capacity = crumpled_capacity(device)
     start, end = (x.to(device) for x in (motion_of(*ends, device=device).x_t0, motion_of(*ends, device=device).x_t1))
     expected = pgccd.detect(scene, pgccd.VertexMotion(start, end))
 
     @torch.compile(fullgraph=True, backend="aot_eager")
     def step(x_t0: torch.Tensor, x_t1: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        hits = pgccd.detect(scene, pgccd.VertexMotion(x_t0, x_t1), capacity=room)
+        hits = pgccd.detect(scene, pgccd.VertexMotion(x_t0, x_t1), capacity=capacity)
         return hits.pairs, hits.count, hits.overflow
 
     pairs, count, overflow = step(start, end)
@@ -79,22 +79,22 @@ def test_compile_the_whole_step(device: torch.device) -> None:
 def test_capture_in_a_graph() -> None:
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
-    scene, ends, room = crumpled_room(torch.device("cuda"))
+    scene, ends, capacity = crumpled_capacity(torch.device("cuda"))
     motion = motion_of(*ends, device=torch.device("cuda"))
     start, end = motion.x_t0.clone(), motion.x_t1.clone()
     torch.cuda.set_sync_debug_mode("error")  # nothing waits, nothing is copied to the host
     try:
-        pgccd.detect(scene, pgccd.VertexMotion(start, end), "all", capacity=room)
+        pgccd.detect(scene, pgccd.VertexMotion(start, end), "all", capacity=capacity)
     finally:
         torch.cuda.set_sync_debug_mode("default")
     stream = torch.cuda.Stream()
     stream.wait_stream(torch.cuda.current_stream())
     with torch.cuda.stream(stream):
-        pgccd.detect(scene, pgccd.VertexMotion(start, end), "all", capacity=room)
+        pgccd.detect(scene, pgccd.VertexMotion(start, end), "all", capacity=capacity)
     torch.cuda.current_stream().wait_stream(stream)
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
-        hits = pgccd.detect(scene, pgccd.VertexMotion(start, end), "all", capacity=room)
+        hits = pgccd.detect(scene, pgccd.VertexMotion(start, end), "all", capacity=capacity)
     for shift in (0.0, 0.01, -0.02):
         end.copy_(motion.x_t1 + shift * motion.x_t1.sin())
         graph.replay()

@@ -2,21 +2,21 @@
 #pragma once
 
 #include "kernels/traverse/task_queue.cuh"
-#include "kernels/traverse/traverse_room.h"
+#include "kernels/traverse/traverse_counters.h"
 
 namespace pgccd {
 
 // Rounds before a group hands back what it has of a body and itself: a few large parts of the tree hold most of the
 // work, and are soon spread.
-constexpr int kRoundsWithin = 8;
+constexpr int kSelfPairRounds = 8;
 
 // The rows of the body pairs that are a body and itself, and the blocks of their hierarchies one after the other.
-struct PairsWithin {
+struct SelfPairs {
   Counter* reserved;  // the number of rows in the upper half, of blocks in the lower
   Counter* blocks;    // all of them: the lower half may not hold them
   uint32_t* begin;    // (rows) first of its blocks
   int32_t* pair;      // (rows)
-  int64_t most;       // rows there is room for
+  int64_t most;       // capacity in rows
 
   template <class Bodies>
   __device__ void add_if_one_body(const Bodies& bodies, const typename SweepOf<Bodies>::type& sweep,
@@ -26,7 +26,7 @@ struct PairsWithin {
       const int32_t count = PairTree<Bodies>(bodies, sweep, nullptr).block_count();
       atomicAdd(this->blocks, static_cast<Counter>(count));
       const Counter at = atomicAdd(reserved, (Counter{1} << 32) + static_cast<uint32_t>(count));
-      // A carry moves rows on, but then nobody looks; none of them is past the last row given.
+      // A carry out of the lower half shifts rows, but then the result is discarded; no row is past the last one given.
       const Counter place = at >> 32;
       if (!has_place(place, most)) return;
       begin[place] = static_cast<uint32_t>(at);
@@ -38,10 +38,10 @@ struct PairsWithin {
 // One warp a block.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
-    start_within(Pairs<Bodies> pairs, PairsWithin within, TaskList leaves, TaskList rest, Counter* node_tests) {
-  if (pairs.count() == 0 || !fits(*within.blocks, kMostBlocksWithin)) return;
-  const uint32_t row_count = static_cast<uint32_t>(*within.reserved >> 32);
-  const uint32_t block_count = static_cast<uint32_t>(*within.reserved);
+    start_self_pairs(Pairs<Bodies> pairs, SelfPairs self_pairs, TaskList leaves, TaskList rest, Counter* node_tests) {
+  if (pairs.count() == 0 || !fits(*self_pairs.blocks, kMostSelfBlocks)) return;
+  const uint32_t row_count = static_cast<uint32_t>(*self_pairs.reserved >> 32);
+  const uint32_t block_count = static_cast<uint32_t>(*self_pairs.reserved);
   const uint32_t warps = gridDim.x * kWarpsPerBlock;
   const int lane = threadIdx.x % kWarp;
   uint32_t visited = 0;
@@ -50,9 +50,9 @@ __global__ void __launch_bounds__(kBlockThreads)
     uint32_t row = 0;
     for (uint32_t end = row_count; end - row > 1;) {
       const uint32_t middle = row + (end - row) / 2;
-      (within.begin[middle] <= item ? row : end) = middle;
+      (self_pairs.begin[middle] <= item ? row : end) = middle;
     }
-    const int32_t pair = within.pair[row], block = static_cast<int32_t>(item - within.begin[row]);
+    const int32_t pair = self_pairs.pair[row], block = static_cast<int32_t>(item - self_pairs.begin[row]);
     const PairTree<Bodies> tree = pairs.tree(pair);
     if (lane < kPairsInBlock) {
       int slot = 0, other = lane;

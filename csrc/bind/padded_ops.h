@@ -1,4 +1,4 @@
-// The detection operators with room instead of exact sizes, so that nothing waits for the device: what does not fit is
+// The detection operators in given capacities, so that the host does not wait for the device: what does not fit is
 // counted. Written once for both backends.
 #pragma once
 
@@ -14,7 +14,7 @@ namespace pgccd::bind {
 enum class BroadPhase : int64_t { kSweep = 0, kGrid = 1, kLbvh = 2 };
 
 template <class Backend>
-struct WithinOps {
+struct PaddedOps {
   // Columns of contacts, with body pairs (rows, 2) first; and all counts.
   using Found = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
@@ -32,7 +32,7 @@ struct WithinOps {
     Tensor rows = new_tensor<int64_t>(radius, {capacity[0], 2});
     Tensor counts = new_tensor<int64_t>(radius, {kPairCounts});
     const PaddedPairs out{{capacity[0], capacity[1], capacity[2] != 0}, data<int64_t>(rows), data<int64_t>(counts)};
-    Backend(radius).pairs_within(bodies, static_cast<BroadPhase>(broad_phase), out);
+    Backend(radius).pairs_padded(bodies, static_cast<BroadPhase>(broad_phase), out);
     return {rows, counts};
   }
 
@@ -66,13 +66,13 @@ struct WithinOps {
     backend.require_owners(known.owners, task.of_pairs + kPairsWritten, pairs.size(0), first.size(0));
     counts.begin(backend, task.of_pairs, {nullptr, 0, counts.end()});
     backend.lower_first_toi(rigid_view(mesh_set, bodies, linear_path), task.traversal, task.of_pairs + kPairsWritten,
-                            traverse_room(capacity), task.narrow, capacity[5], known, counts.of_traverse(),
+                            traverse_capacity(capacity), task.narrow, capacity[5], known, counts.of_traverse(),
                             counts.of_contacts());
     return counts.column;
   }
 
  private:
-  // What is asked of the pairs.
+  // Query of the pairs.
   struct Task {
     Task(const Tensor& pairs, const Tensor& pair_counts, const NarrowSettings& settings, Report report)
         : of_pairs(rows<int64_t>(pair_counts, "pair_counts", {kPairCounts})) {
@@ -103,7 +103,7 @@ struct WithinOps {
     Tensor column;
   };
 
-  static TraverseCapacity traverse_room(const std::vector<int64_t>& capacity) {
+  static TraverseCapacity traverse_capacity(const std::vector<int64_t>& capacity) {
     return {capacity[0], capacity[1], capacity[2], capacity[3], capacity[4]};
   }
 
@@ -139,18 +139,18 @@ struct WithinOps {
     CountColumn counts(pairs, faults.size(0));
     const Backend backend(pairs);
     counts.begin(backend, task.of_pairs, {handed_on, faults.size(0), counts.end()});
-    backend.contacts_within(bodies, task.traversal, task.of_pairs + kPairsWritten, traverse_room(capacity), task.narrow,
-                            report == kOnlyEarliest, {capacity[5], capacity[6]}, make_output, counts.of_traverse(),
-                            counts.of_contacts());
+    backend.contacts_padded(bodies, task.traversal, task.of_pairs + kPairsWritten, traverse_capacity(capacity),
+                            task.narrow, report == kOnlyEarliest, {capacity[5], capacity[6]}, make_output,
+                            counts.of_traverse(), counts.of_contacts());
     return std::tuple_cat(found, std::make_tuple(counts.column));
   }
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
 #define PGCCD_REGISTER_WITHIN_OPS(library, Backend)                                                                  \
-  library.impl("pairs_within", TORCH_BOX(&OnOneDevice<&WithinOps<Backend>::pairs>::call));                           \
-  library.impl("contacts_within_rigid", TORCH_BOX(&OnOneDevice<&WithinOps<Backend>::contacts_rigid>::call));         \
-  library.impl("contacts_within_deforming", TORCH_BOX(&OnOneDevice<&WithinOps<Backend>::contacts_deforming>::call)); \
-  library.impl("lower_first_toi_rigid", TORCH_BOX(&OnOneDevice<&WithinOps<Backend>::lower_first_toi_rigid>::call))
+  library.impl("pairs_padded", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::pairs>::call));                           \
+  library.impl("contacts_padded_rigid", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::contacts_rigid>::call));         \
+  library.impl("contacts_padded_deforming", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::contacts_deforming>::call)); \
+  library.impl("lower_first_toi_rigid", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::lower_first_toi_rigid>::call))
 
 }  // namespace pgccd::bind

@@ -1,0 +1,93 @@
+"""Ghosts in messages of fixed size, of any capacity: the steps of one process, bit for bit."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any
+from unittest import mock
+
+import pytest
+import torch
+from torch import Tensor
+
+from distributed.conftest import World
+from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
+from pgccd import sim
+from pgccd.distributed import Comm, DistributedSimulation, Partition, halo_capacity, share, starting_share
+from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo, Sent
+
+CAPACITIES = ["ample", "usual", "exact", "none", "boundary"]
+
+
+def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bool]]:
+    """Records; and of each padded halo, whether its capacity sufficed."""
+    model = sim.Model(CONFIG)
+    half = model.half_extent
+    partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
+    enough: list[bool] = []
+    wait, after = PaddedHalo.wait, HaloCapacity.after
+
+    def watched(self: PaddedHalo, boundary_count: int) -> Sent | None:
+        sent = wait(self, boundary_count)
+        enough.append(sent is not None)
+        if sent is not None:  # the rows in place, whatever the capacity
+            assert sent.route.sent == sent.counts.tolist() and len(sent.route.rows) == sum(sent.route.sent)
+            assert len(sent.ghosts["id"]) == sum(sent.route.received) and len(sent.replica_ranks) == boundary_count
+        return sent
+
+    def cramped(sent: list[int], received: list[int], boundary: int) -> HaloCapacity:
+        """One rank looks at fewer of its own bodies than it should."""
+        return replace(after(sent, received, boundary), boundary=boundary // 2 if comm.rank == 0 else boundary)
+
+    functions = {"ample": lambda count: 4 * count + 500, "exact": lambda count: count, "none": lambda _: 0}
+    patches = [
+        mock.patch.object(share, "_sends_ahead", lambda comm, _: comm.size > 1),
+        mock.patch.object(PaddedHalo, "wait", watched),
+    ]
+    if capacities in functions:
+        patches.append(mock.patch.object(halo_capacity, "_room", functions[capacities]))
+    if capacities == "boundary":
+        patches.append(mock.patch.object(HaloCapacity, "after", cramped))
+    with ExitStack() as stack:
+        for patch in patches:
+            stack.enter_context(patch)
+        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition))
+        records = [without_times(simulation.step(index).record) for index in range(STEPS)]
+    return records, enough
+
+
+@pytest.mark.parametrize("capacities", CAPACITIES)
+def test_same_bits_whatever_room_there_is(world: World, capacities: str) -> None:
+    expected = by_one_process()
+    of_ranks = world(by_ranks, capacities)
+    for records, enough in of_ranks:
+        assert records == expected
+        # In the first step, and when cells have changed hands, the capacity is unknown. What is not
+        # enough is so for all ranks.
+        assert enough == of_ranks[0][1] and len(enough) < STEPS
+    if len(of_ranks) == 1:  # one rank has no ghosts
+        return
+    enough = of_ranks[0][1]
+    assert len(enough) > 0
+    if capacities in ("ample", "usual"):
+        assert all(enough) if capacities == "ample" else any(enough)
+    else:
+        assert not all(enough) if capacities == "exact" else not any(enough)
+
+
+def test_room_is_for_more_than_there_were() -> None:
+    capacity = HaloCapacity.after([0, 1, 1000], [3, 0, 5_000_000], 12)
+    assert capacity.sent[0] == 0 and capacity.received[1] == 0  # no neighbours
+    for size, count in zip(
+        [*capacity.sent[1:], capacity.received[0], capacity.received[2], capacity.boundary],
+        [1, 1000, 3, 5_000_000, 12],
+        strict=True,
+    ):
+        assert 1.25 * count <= size <= 1.25 * count + 320
+
+
+def test_what_filled_the_rooms() -> None:
+    rows: Tensor = torch.arange(9)
+    assert halo_capacity._filled(rows, [3, 0, 4, 2], [1, 0, 4, 0]).tolist() == [0, 3, 4, 5, 6]
+    assert halo_capacity._filled(rows, [3, 0, 4, 2], [0, 0, 0, 0]).tolist() == []
