@@ -33,7 +33,7 @@ def main() -> None:
     arguments = parse_arguments()
     device = arguments.device
     world = MixedWorld(arguments.robots or _ROBOTS[device], arguments.steps_before, device, arguments.seed)
-    motions = [world.world.motion(state) for state in itertools.islice(world, 1 + arguments.rounds)]
+    motions = [world.model.motion(state) for state in itertools.islice(world, 1 + arguments.rounds)]
     rows = [
         *compare("broad phase", broad_phases(world), motions, device),
         *compare("report", reports(world), motions, device),
@@ -81,7 +81,7 @@ def geometries(world: MixedWorld, device: str) -> dict[str, Variant]:
     found: dict[str, Variant] = {"shared by instances": lambda motion: pgccd.detect(world.scene, motion)}
     if len(world.state) > _MOST_OWN[device]:
         return found
-    vertices = world.world.meshes.meshes[0].vertices.to(device)
+    vertices = world.model.meshes.meshes[0].vertices.to(device)
 
     def own(motion: pgccd.RigidMotion) -> pgccd.Contacts:
         arcs = with_path(motion, "rigid")  # the same ends
@@ -174,7 +174,7 @@ def _queries(world: MixedWorld, motion: pgccd.RigidMotion, device: str) -> list[
     pairs = pgccd.broad.find_pairs(moving)
     candidates, _ = pgccd.traverse.bvtt(moving, pairs)
     candidates = candidates[candidates[:, 1] == int(pgccd.VF_AB)].long()
-    mesh = world.world.meshes.meshes[0]
+    mesh = world.model.meshes.meshes[0]
     corners = torch.cat([candidates[:, 2:3], mesh.faces.to(device).long()[candidates[:, 3]]], dim=1)
     bodies = pairs[candidates[:, 0]]
     owner = torch.cat([bodies[:, :1], bodies[:, 1:].expand(-1, 3)], dim=1)

@@ -120,7 +120,7 @@ def standard(arguments: argparse.Namespace) -> Iterator[Case]:
 
         def make(robots: int = robots, steps_before: int = steps_before) -> Steps:
             world = MixedWorld(robots, steps_before, arguments.device)
-            return world.scene, (world.world.motion(state) for state in world)
+            return world.scene, (world.model.motion(state) for state in world)
 
         yield Case("standard", robots, make, {"steps_before": steps_before})
 

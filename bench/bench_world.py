@@ -100,7 +100,7 @@ def run(world: MixedWorld, arguments: argparse.Namespace, rates: dict[str, float
     stages: dict[str, list[float]] = {}
     counts: dict[str, list[int]] = {}
     for index, state in enumerate(itertools.islice(world, arguments.warm_up + arguments.rounds)):
-        motion = world.world.motion(state)
+        motion = world.model.motion(state)
         duration, hits = timing.seconds(lambda motion=motion: pgccd.detect(world.scene, motion, report="first"), device)
         if index < arguments.warm_up:
             continue
@@ -138,7 +138,7 @@ def as_graph(world: MixedWorld, arguments: argparse.Namespace) -> dict[str, floa
     device, spent = arguments.device, []
     graphed: GraphedDetection | None = None
     for state in itertools.islice(world, 1 + arguments.rounds):
-        motion = world.world.motion(state)
+        motion = world.model.motion(state)
         hits = pgccd.detect(world.scene, motion, report="first")
         if graphed is None:
             if hits.stats.needed is None:

@@ -174,7 +174,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
                 return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
     except (ValueError, OSError) as error:
         raise ArgumentError("--resume", error) from error
-    wishes = {"robots": options.robots, "pattern": options.model, "seed": options.seed}
+    wishes = {"robots": options.robots, "pattern": options.world, "seed": options.seed}
     try:
         config = sim.ModelConfig(**{name: value for name, value in wishes.items() if value is not None})
     except ValueError as error:

@@ -81,7 +81,7 @@ class Detection:
         self.program = Program(f'pgccd, report="{report}"', "pgccd", f"{answers}; meshes on arcs", device=where)
 
     def load(self, state: sim.RobotState) -> None:
-        self._motion = self._world.world.motion(state)
+        self._motion = self._world.model.motion(state)
 
     def find(self) -> None:
         self._hits = pgccd.detect(self._world.scene, self._motion, self._report)

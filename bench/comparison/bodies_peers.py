@@ -36,7 +36,7 @@ def available(world: MixedWorld, device: str) -> list[Any]:
 
 def _mesh(world: MixedWorld) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) about the origin of motion, faces (F, 3)."""
-    mesh = world.world.meshes.meshes[0]
+    mesh = world.model.meshes.meshes[0]
     return (mesh.vertices - mesh.origin).numpy(), mesh.faces.numpy().astype(np.int32)
 
 
@@ -226,7 +226,7 @@ class Ipctk:
 
     def __init__(self, ipctk: Any, world: MixedWorld) -> None:
         vertices, faces = _mesh(world)
-        edges = world.world.meshes.meshes[0].edges.numpy()
+        edges = world.model.meshes.meshes[0].edges.numpy()
         robots, count = len(world.state), len(vertices)
         shift = count * np.arange(robots)[:, None, None]
         self._ipctk, self._vertices = ipctk, torch.from_numpy(vertices)

@@ -70,7 +70,7 @@ def collect(free: int, colliding: int, seed: int, robots: int = 4000) -> Pairs:
     world = MixedWorld(robots, 40, seed=seed)
     random = torch.Generator().manual_seed(seed)
     for state in itertools.islice(world, 10_000):
-        motion = world.world.motion(state)
+        motion = world.model.motion(state)
         hits = pgccd.detect(world.scene, motion, report="any")
         met = pgccd.broad.sweep(pgccd.MovingBodies(world.scene, motion))
         keys = (met[:, 0] * robots + met[:, 1]).numpy()
@@ -82,7 +82,7 @@ def collect(free: int, colliding: int, seed: int, robots: int = 4000) -> Pairs:
             position = state.position[take]
             middle = position.mean(dim=1, keepdim=True)
             columns = (state.orientation[take], state.velocity[take], state.angular_velocity[take])
-            part.append(Pairs(world.world.meshes.meshes[0], position - middle, *columns))
+            part.append(Pairs(world.model.meshes.meshes[0], position - middle, *columns))
         if all(sum(map(len, part)) == wanted[collides] for collides, part in parts.items()):
             break
     every = parts[False] + parts[True]

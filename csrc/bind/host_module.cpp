@@ -37,7 +37,7 @@ py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces
   {
     py::gil_scoped_release unlocked;
     topology = pgccd::make_topology(rows);
-    tree = pgccd::build_hierarchy(vertices.data(), rows, leaf_size);
+    tree = pgccd::build_hierarchy(vertices.data(), vertices.shape(0), rows, leaf_size);
     const std::vector<int32_t> represented =
         pgccd::representatives(rows, topology, tree.triangle_order, vertices.shape(0));
     for (size_t k = 0; k < rows.size(); ++k) {

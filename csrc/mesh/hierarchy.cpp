@@ -5,28 +5,98 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <utility>
 
 #include "core/vec3.h"
 
 namespace pgccd {
 namespace {
 
-using Point = std::array<double, 3>;
+// Four numbers at a time; coordinates are the first three. Both g++ and clang++ know these types.
+using Lanes = double __attribute__((vector_size(32)));
+using LaneMask = int64_t __attribute__((vector_size(32)));
+constexpr int64_t kLanes = 4;
+
+Lanes multiply_add(Lanes a, Lanes b, Lanes c) {
+  for (int lane = 0; lane < kLanes; ++lane) c[lane] = std::fma(a[lane], b[lane], c[lane]);
+  return c;
+}
 
 struct Box {
-  Point lower{HUGE_VAL, HUGE_VAL, HUGE_VAL};
-  Point upper{-HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
+  Lanes lower{HUGE_VAL, HUGE_VAL, HUGE_VAL, HUGE_VAL};
+  Lanes upper{-HUGE_VAL, -HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
 
   void include(const Box& other) {
-    for (int k = 0; k < 3; ++k) {
-      lower[k] = std::min(lower[k], other.lower[k]);
-      upper[k] = std::max(upper[k], other.upper[k]);
-    }
+    lower = other.lower < lower ? other.lower : lower;
+    upper = upper < other.upper ? other.upper : upper;
   }
   double half_area() const {
-    const double x = upper[0] - lower[0], y = upper[1] - lower[1], z = upper[2] - lower[2];
-    return x * y + y * z + z * x;
+    const Lanes extent = upper - lower;
+    return extent[0] * extent[1] + extent[1] * extent[2] + extent[2] * extent[0];
   }
+};
+
+// Points of one node, in columns padded to whole lanes with copies of the first.
+class PointColumns {
+ public:
+  void load(const double* vertices, const std::vector<int32_t>& rows) {
+    count_ = (static_cast<int64_t>(rows.size()) + kLanes - 1) / kLanes;
+    for (std::vector<Lanes>& column : columns_) column.resize(static_cast<size_t>(count_));
+    for (int64_t k = 0; k < count_ * kLanes; ++k) {
+      const size_t row = k < static_cast<int64_t>(rows.size()) ? static_cast<size_t>(k) : 0;
+      const double* const point = vertices + 3 * int64_t{rows[row]};
+      for (int axis = 0; axis < 3; ++axis) columns_[axis][static_cast<size_t>(k / kLanes)][k % kLanes] = point[axis];
+    }
+  }
+
+  // The point farthest from the centre, the first of equally far ones, and its squared distance.
+  std::pair<double, Vec3<double>> farthest(Vec3<double> centre) const {
+    Lanes most{-1.0, -1.0, -1.0, -1.0};
+    LaneMask at{0, 0, 0, 0};
+    for (int64_t k = 0; k < count_; ++k) {
+      const Lanes x = columns_[0][k] - centre.x, y = columns_[1][k] - centre.y, z = columns_[2][k] - centre.z;
+      const Lanes squared = multiply_add(z, z, multiply_add(y, y, x * x));  // rounded as `dot` is
+      const LaneMask is_farther = squared > most;
+      most = is_farther ? squared : most;
+      at = is_farther ? LaneMask{k, k, k, k} : at;
+    }
+    // Without branches, which would be mispredicted half the time.
+    LaneMask place = kLanes * at + LaneMask{0, 1, 2, 3};
+    const auto keep_farther = [&](Lanes other, LaneMask other_place) {
+      const LaneMask is_farther = (other > most) | ((other == most) & (other_place < place));
+      most = is_farther ? other : most;
+      place = is_farther ? other_place : place;
+    };
+    keep_farther(__builtin_shufflevector(most, most, 2, 3, 0, 1), __builtin_shufflevector(place, place, 2, 3, 0, 1));
+    keep_farther(__builtin_shufflevector(most, most, 1, 0, 3, 2), __builtin_shufflevector(place, place, 1, 0, 3, 2));
+    return {most[0], point(place[0])};
+  }
+
+  Vec3<double> point(int64_t place) const {
+    const int64_t k = place / kLanes, lane = place % kLanes;
+    return {columns_[0][k][lane], columns_[1][k][lane], columns_[2][k][lane]};
+  }
+
+  // Least and largest projection of points, relative to the centre, on a direction.
+  std::pair<double, double> extent(Vec3<double> centre, Vec3<double> direction) const {
+    Lanes low{HUGE_VAL, HUGE_VAL, HUGE_VAL, HUGE_VAL}, high = -low;
+    const Lanes zero{0.0, 0.0, 0.0, 0.0}, dx = zero + direction.x, dy = zero + direction.y, dz = zero + direction.z;
+    for (int64_t k = 0; k < count_; ++k) {
+      const Lanes x = columns_[0][k] - centre.x, y = columns_[1][k] - centre.y, z = columns_[2][k] - centre.z;
+      const Lanes along = multiply_add(z, dz, multiply_add(y, dy, dx * x));
+      low = along < low ? along : low;
+      high = high < along ? along : high;
+    }
+    std::pair<double, double> both{low[0], high[0]};
+    for (int lane = 1; lane < kLanes; ++lane) {
+      both = {smaller(both.first, low[lane]), larger(both.second, high[lane])};
+    }
+    return both;
+  }
+
+ private:
+  std::array<std::vector<Lanes>, 3> columns_;
+  int64_t count_ = 0;  // in lanes
 };
 
 struct NodeVolume {
@@ -36,16 +106,24 @@ struct NodeVolume {
 
 class Builder {
  public:
-  Builder(const double* vertices, const std::vector<Face>& faces, int leaf_size)
-      : vertices_(vertices), faces_(faces), leaf_size_(leaf_size), boxes_(faces.size()) {
+  Builder(const double* vertices, int64_t vertex_count, const std::vector<Face>& faces, int leaf_size)
+      : vertices_(vertices),
+        faces_(faces),
+        leaf_size_(leaf_size),
+        boxes_(faces.size()),
+        node_of_vertex_(static_cast<size_t>(vertex_count), -1),
+        is_left_(faces.size()),
+        right_area_(faces.size()) {
     for (size_t f = 0; f < faces.size(); ++f) {
       for (const int32_t v : faces[f]) {
-        const Point p{vertices[3 * int64_t(v)], vertices[3 * int64_t(v) + 1], vertices[3 * int64_t(v) + 2]};
-        boxes_[f].include({p, p});
+        const double* const p = vertices + 3 * int64_t{v};
+        const Lanes point{p[0], p[1], p[2], 0.0};
+        boxes_[f].include({point, point});
       }
     }
     tree_.triangle_order.resize(faces.size());
     std::iota(tree_.triangle_order.begin(), tree_.triangle_order.end(), 0);
+    for (int axis = 0; axis < 3; ++axis) sort_along(axis);
   }
 
   Hierarchy build() {
@@ -61,26 +139,53 @@ class Builder {
     NodeVolume volume;
   };
 
+  struct Split {
+    int axis;
+    int32_t middle;
+  };
+
+  // A node of the binary tree that has no volume yet.
+  struct Task {
+    int32_t node, depth;
+    const std::vector<int32_t>* order;  // that its triangles are in
+    std::vector<int32_t> vertices;      // of its parent, ascending
+  };
+
+  struct PendingVolume {
+    int32_t node;
+    Vec3<float> normal;
+    PointColumns points;
+  };
+  static constexpr int kVolumesAtOnce = 4;
+
   void split_all() {
-    struct Task {
-      int32_t node, depth;
-    };
-    binary_.push_back({0, static_cast<int32_t>(faces_.size()), -1, {}});
-    std::vector<Task> tasks{{0, 1}};
+    const int32_t count = static_cast<int32_t>(faces_.size());
+    binary_.push_back({0, count, -1, {}});
+    std::vector<int32_t> all(node_of_vertex_.size());
+    std::iota(all.begin(), all.end(), 0);
+    const std::vector<int32_t> as_given = tree_.triangle_order;
+    std::vector<Task> tasks;
+    tasks.push_back({0, 1, &as_given, std::move(all)});
     while (!tasks.empty()) {
-      const Task task = tasks.back();
+      Task task = std::move(tasks.back());
       tasks.pop_back();
       const int32_t begin = binary_[task.node].begin, end = binary_[task.node].end;
-      binary_[task.node].volume = bounding_volume(begin, end);
-      if (end - begin <= leaf_size_) continue;
-      const int32_t middle = split(begin, end, task.depth);
+      keep_vertices_of_node(task);
+      add_volume(task);
+      if (end - begin <= leaf_size_) {
+        std::copy(task.order->begin() + begin, task.order->begin() + end, tree_.triangle_order.begin() + begin);
+        continue;
+      }
+      const Split split = best_split(begin, end, task.depth);
+      partition_orders(begin, end, split);
       const int32_t child = static_cast<int32_t>(binary_.size());
       binary_[task.node].child = child;
-      binary_.push_back({begin, middle, -1, {}});
-      binary_.push_back({middle, end, -1, {}});
-      tasks.push_back({child + 1, task.depth + 1});
-      tasks.push_back({child, task.depth + 1});
+      binary_.push_back({begin, split.middle, -1, {}});
+      binary_.push_back({split.middle, end, -1, {}});
+      tasks.push_back({child + 1, task.depth + 1, &along_[split.axis], task.vertices});
+      tasks.push_back({child, task.depth + 1, &along_[split.axis], std::move(task.vertices)});
     }
+    set_pending_volumes();
   }
 
   // Each block takes the grandchildren of its largest nodes until it is full.
@@ -147,48 +252,76 @@ class Builder {
   // Below this depth the tree halves: 31-bit counts then need at most kMaxTreeDepth levels in all.
   static constexpr int kFreeDepth = kMaxTreeDepth - 32;
 
-  void sort_along(int axis, int32_t begin, int32_t end) {
-    std::sort(tree_.triangle_order.begin() + begin, tree_.triangle_order.begin() + end, [&](int32_t p, int32_t q) {
-      const double cp = boxes_[p].lower[axis] + boxes_[p].upper[axis],
-                   cq = boxes_[q].lower[axis] + boxes_[q].upper[axis];
-      return cp != cq ? cp < cq : p < q;
-    });
+  // Triangles by the middles of their boxes, then by their numbers. Children keep this order.
+  void sort_along(int axis) {
+    std::vector<std::pair<double, int32_t>> keys(faces_.size());
+    for (size_t f = 0; f < faces_.size(); ++f) {
+      keys[f] = {boxes_[f].lower[axis] + boxes_[f].upper[axis], static_cast<int32_t>(f)};
+    }
+    std::sort(keys.begin(), keys.end());
+    along_[axis].reserve(keys.size());
+    for (const auto& [middle, f] : keys) along_[axis].push_back(f);
   }
 
-  int32_t split(int32_t begin, int32_t end, int depth) {
+  Split best_split(int32_t begin, int32_t end, int depth) {
     const int32_t count = end - begin;
     double best_cost = HUGE_VAL;
-    int best_axis = 0;
-    int32_t best_left = count / 2;
-    std::vector<double> right_area(count);
+    Split best{0, begin + count / 2};
     for (int axis = 0; axis < 3; ++axis) {
-      sort_along(axis, begin, end);
+      const int32_t* const order = along_[axis].data() + begin;
       Box right;
       for (int32_t k = count - 1; k > 0; --k) {
-        right.include(boxes_[tree_.triangle_order[begin + k]]);
-        right_area[k] = right.half_area();
+        right.include(boxes_[order[k]]);
+        right_area_[k] = right.half_area();
       }
       Box left;
       for (int32_t k = 1; k < count; ++k) {
-        left.include(boxes_[tree_.triangle_order[begin + k - 1]]);
+        left.include(boxes_[order[k - 1]]);
         if (depth >= kFreeDepth && k != count / 2) continue;
-        const double cost = left.half_area() * k + right_area[k] * (count - k);
+        const double cost = left.half_area() * k + right_area_[k] * (count - k);
         if (cost < best_cost) {
           best_cost = cost;
-          best_axis = axis;
-          best_left = k;
+          best = {axis, begin + k};
         }
       }
     }
-    if (best_axis != 2) sort_along(best_axis, begin, end);
-    return begin + best_left;
+    return best;
+  }
+
+  // In each order the left triangles of a node first, then the right ones.
+  void partition_orders(int32_t begin, int32_t end, const Split& split) {
+    const std::vector<int32_t>& chosen = along_[split.axis];
+    for (int32_t k = begin; k < end; ++k) is_left_[chosen[k]] = k < split.middle;
+    for (int axis = 0; axis < 3; ++axis) {
+      if (axis == split.axis) continue;
+      std::vector<int32_t>& order = along_[axis];
+      right_side_.clear();
+      int32_t left = begin;
+      for (int32_t k = begin; k < end; ++k) {
+        const int32_t f = order[k];
+        if (is_left_[f]) {
+          order[left++] = f;
+        } else {
+          right_side_.push_back(f);
+        }
+      }
+      std::copy(right_side_.begin(), right_side_.end(), order.begin() + left);
+    }
+  }
+
+  // Of the parent's vertices those of the node's own triangles, still ascending.
+  void keep_vertices_of_node(Task& task) {
+    for (int32_t k = binary_[task.node].begin; k < binary_[task.node].end; ++k) {
+      for (const int32_t v : faces_[(*task.order)[k]]) node_of_vertex_[v] = task.node;
+    }
+    std::erase_if(task.vertices, [&](int32_t v) { return node_of_vertex_[v] != task.node; });
   }
 
   // Area-weighted mean of the triangles' normals, or any direction where that vanishes.
-  Vec3<float> mean_normal(int32_t begin, int32_t end) const {
+  Vec3<float> mean_normal(const std::vector<int32_t>& order, int32_t begin, int32_t end) const {
     Vec3<double> sum{0.0, 0.0, 0.0};
     for (int32_t k = begin; k < end; ++k) {
-      const Face& face = faces_[tree_.triangle_order[k]];
+      const Face& face = faces_[order[k]];
       const Vec3<double> p = load_vec3(vertices_ + 3 * int64_t(face[0]));
       sum =
           sum + cross(load_vec3(vertices_ + 3 * int64_t(face[1])) - p, load_vec3(vertices_ + 3 * int64_t(face[2])) - p);
@@ -197,56 +330,63 @@ class Builder {
     return length > 0.0 ? cast<float>((1.0 / length) * sum) : Vec3<float>{0.0f, 0.0f, 1.0f};
   }
 
-  NodeVolume bounding_volume(int32_t begin, int32_t end) const {
-    std::vector<int32_t> used;
-    for (int32_t k = begin; k < end; ++k) {
-      for (const int32_t v : faces_[tree_.triangle_order[k]]) used.push_back(v);
-    }
-    std::sort(used.begin(), used.end());
-    used.erase(std::unique(used.begin(), used.end()), used.end());
-    const auto farthest = [&](Vec3<double> centre) {
-      std::pair<double, Vec3<double>> far{-1.0, centre};
-      for (const int32_t v : used) {
-        const Vec3<double> p = load_vec3(vertices_ + 3 * int64_t(v));
-        const double squared = norm_squared(p - centre);
-        if (squared > far.first) far = {squared, p};
-      }
-      return far;
-    };
+  // Of a node, which gets it with the next few others, or at the end.
+  void add_volume(const Task& task) {
+    const int steps = task.vertices.size() > 1000 ? 24 : 96;
+    if (pending_count_ == kVolumesAtOnce || (pending_count_ > 0 && steps != steps_)) set_pending_volumes();
+    steps_ = steps;
+    PendingVolume& pending = pending_[pending_count_++];
+    pending.node = task.node;
+    pending.normal = mean_normal(*task.order, binary_[task.node].begin, binary_[task.node].end);
+    pending.points.load(vertices_, task.vertices);
+  }
+
+  // Several at once: each step waits for the one before it, but not for those of other nodes.
+  void set_pending_volumes() {
     // Towards the smallest enclosing sphere: step k moves 1/(k+1) of the way to the farthest point (Badoiu & Clarkson
     // 2003).
-    Vec3<double> centre = load_vec3(vertices_ + 3 * int64_t(used.front()));
-    const int steps = used.size() > 1000 ? 24 : 96;
-    for (int step = 1; step <= steps; ++step) centre = centre + (1.0 / (step + 1)) * (farthest(centre).second - centre);
-    const Vec3<float> rounded = cast<float>(centre);
-    const double radius = std::sqrt(farthest(cast<double>(rounded)).first) * (1.0 + 1e-14);
-    NodeVolume volume{rounded, mean_normal(begin, end), std::nextafter(static_cast<float>(radius), HUGE_VALF), 0.0f,
-                      0.0f};
-    double low = HUGE_VAL, high = -HUGE_VAL;
-    for (const int32_t v : used) {
-      const Vec3<double> x = load_vec3(vertices_ + 3 * int64_t(v)) - cast<double>(rounded);
-      const double along = dot(cast<double>(volume.normal), x);
-      low = smaller(low, along);
-      high = larger(high, along);
+    std::array<Vec3<double>, kVolumesAtOnce> centres;
+    for (int k = 0; k < pending_count_; ++k) centres[k] = pending_[k].points.point(0);
+    for (int step = 1; step <= steps_; ++step) {
+      for (int k = 0; k < pending_count_; ++k) {
+        const Vec3<double> farthest = pending_[k].points.farthest(centres[k]).second;
+        centres[k] = centres[k] + (1.0 / (step + 1)) * (farthest - centres[k]);
+      }
     }
+    for (int k = 0; k < pending_count_; ++k) {
+      binary_[pending_[k].node].volume = volume_about(cast<float>(centres[k]), pending_[k]);
+    }
+    pending_count_ = 0;
+  }
+
+  static NodeVolume volume_about(Vec3<float> centre, const PendingVolume& node) {
+    const double radius = std::sqrt(node.points.farthest(cast<double>(centre)).first) * (1.0 + 1e-14);
+    const auto [low, high] = node.points.extent(cast<double>(centre), cast<double>(node.normal));
     const double slack = 1e-14 * radius;  // more than the rounding of the projection
-    volume.low = std::nextafter(static_cast<float>(low - slack), -HUGE_VALF);
-    volume.high = std::nextafter(static_cast<float>(high + slack), HUGE_VALF);
-    return volume;
+    return {centre, node.normal, std::nextafter(static_cast<float>(radius), HUGE_VALF),
+            std::nextafter(static_cast<float>(low - slack), -HUGE_VALF),
+            std::nextafter(static_cast<float>(high + slack), HUGE_VALF)};
   }
 
   const double* vertices_;
   const std::vector<Face>& faces_;
   int leaf_size_;
   std::vector<Box> boxes_;
+  std::array<std::vector<int32_t>, 3> along_;  // triangles in order along each axis, within each node
+  std::vector<int32_t> node_of_vertex_;        // that was made last of those with the vertex
+  std::vector<char> is_left_;                  // of each triangle, in the split that is made
+  std::vector<int32_t> right_side_;
+  std::vector<double> right_area_;
+  std::array<PendingVolume, kVolumesAtOnce> pending_;
+  int pending_count_ = 0, steps_ = 0;
   std::vector<BinaryNode> binary_;
   Hierarchy tree_;
 };
 
 }  // namespace
 
-Hierarchy build_hierarchy(const double* vertices, const std::vector<Face>& faces, int leaf_size) {
-  return Builder(vertices, faces, leaf_size).build();
+Hierarchy build_hierarchy(const double* vertices, int64_t vertex_count, const std::vector<Face>& faces, int leaf_size) {
+  return Builder(vertices, vertex_count, faces, leaf_size).build();
 }
 
 }  // namespace pgccd

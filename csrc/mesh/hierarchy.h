@@ -19,6 +19,6 @@ struct Hierarchy {
 
 // `vertices`: x, y, z rows. Splits where the surface area heuristic (Goldsmith & Salmon 1987) is least; in the middle
 // once the tree grows deep, so that depth stays within kMaxTreeDepth.
-Hierarchy build_hierarchy(const double* vertices, const std::vector<Face>& faces, int leaf_size);
+Hierarchy build_hierarchy(const double* vertices, int64_t vertex_count, const std::vector<Face>& faces, int leaf_size);
 
 }  // namespace pgccd

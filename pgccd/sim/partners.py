@@ -28,7 +28,7 @@ class Partners:
     """
 
     def __init__(self, model: Model, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, pairs: Tensor) -> None:
-        self._world, self._pairs = model, pairs
+        self._model, self._pairs = model, pairs
         self._own = list(own.values())
         self._ghosts = [column[:0] if ghosts is None else ghosts[name] for name, column in own.items()]
         #: HaloCapacity that each round needed, where rounds were waited for.
@@ -43,7 +43,7 @@ class Partners:
         """See `FindContacts`."""
         # A slowed robot stays within the volume it was to sweep: it can only meet its partners in the PCS.
         given = self._own, self._ghosts, fraction, changed.view(torch.uint8), self._pairs
-        _, _, counts = self._world.affected_pairs(*given, 0)
+        _, _, counts = self._model.affected_pairs(*given, 0)
         # Read together: on a GPU each read of a number waits for the device.
         goes_on, count, *_ = torch.cat([any_changed, counts]).tolist()
         if not goes_on:
@@ -51,8 +51,8 @@ class Partners:
         if not count:
             self.needed.append(Capacity(0, 0))
             return self._pairs[:0], fraction[:0]
-        pairs, bodies, _ = self._world.affected_pairs(*given, count)
-        scene, motion = self._world.pair_motion(bodies)
+        pairs, bodies, _ = self._model.affected_pairs(*given, count)
+        scene, motion = self._model.pair_motion(bodies)
         # nonzero_toi: as for the whole step.
         contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=self._copies_of(count))
         self.needed.append(contacts.stats.needed or Capacity.guess(2 * count, count))
@@ -65,8 +65,8 @@ class Partners:
         if capacity.pairs > len(self._copies):
             self._copies = self._copies_of(capacity.pairs)
         given = self._own, self._ghosts, fraction, changed, self._pairs
-        pairs, bodies, pair_counts = self._world.affected_pairs(*given, capacity.pairs)
-        copies, meshes = self._copies[: capacity.pairs], self._world.meshes.tensors
+        pairs, bodies, pair_counts = self._model.affected_pairs(*given, capacity.pairs)
+        copies, meshes = self._copies[: capacity.pairs], self._model.meshes.tensors
         return lower_first_toi(first, pairs, meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, capacity)
 
     def _copies_of(self, count: int) -> Tensor:

@@ -37,7 +37,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
         return sent
 
     def cramped(sent: list[int], received: list[int], boundary: int) -> HaloCapacity:
-        """One rank looks at fewer of its own bodies than it should."""
+        """One rank uses fewer of its own bodies than it should."""
         return replace(after(sent, received, boundary), boundary=boundary // 2 if comm.rank == 0 else boundary)
 
     functions = {"ample": lambda count: 4 * count + 500, "exact": lambda count: count, "none": lambda _: 0}
@@ -46,7 +46,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
         mock.patch.object(PaddedHalo, "wait", watched),
     ]
     if capacities in functions:
-        patches.append(mock.patch.object(halo_capacity, "_room", functions[capacities]))
+        patches.append(mock.patch.object(halo_capacity, "_padded_count", functions[capacities]))
     if capacities == "boundary":
         patches.append(mock.patch.object(HaloCapacity, "after", cramped))
     with ExitStack() as stack:
@@ -58,7 +58,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
 
 
 @pytest.mark.parametrize("capacities", CAPACITIES)
-def test_same_bits_whatever_room_there_is(world: World, capacities: str) -> None:
+def test_same_bits_for_any_capacity(world: World, capacities: str) -> None:
     expected = by_one_process()
     of_ranks = world(by_ranks, capacities)
     for records, enough in of_ranks:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import torch
-from distributed import test_detection, test_exchange, test_fleet, test_pcccd
+from distributed import test_detection, test_distributed_simulation, test_exchange, test_pcccd
 
 from pgccd.distributed import MpiComm
 
@@ -17,6 +17,6 @@ for neighbours_above in (32, 0):
 test_exchange.reduce_values(comm)
 test_detection.find(comm, "on corners of many cells")
 test_pcccd.compare(comm, "on corners of many cells")
-test_fleet.follow(comm, "random", "cost", 12, True, True)
+test_distributed_simulation.follow(comm, "random", "cost", 12, True, True)
 comm.close()
 Path(sys.argv[1], f"rank-{comm.rank}").touch()

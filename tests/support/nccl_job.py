@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 import torch
-from distributed import test_detection, test_exchange, test_fleet
+from distributed import test_detection, test_distributed_simulation, test_exchange
 
 from pgccd.distributed import choose_device, connect
 from support.crowds import crowds
@@ -19,5 +19,5 @@ with connect("cuda", "nccl") as comm:
     for name in crowds():
         test_detection.find(comm, name, device)
     # With cells distributed at random, and a rank whose capacity is exceeded now and then.
-    seen = test_fleet.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
+    seen = test_distributed_simulation.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
     assert seen["contacts"] > 100 and seen["arrived"] > 20
