@@ -141,7 +141,7 @@ def find_pairs_padded(
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
         `pgccd.capacity.Counts`. On overflow any pairs may be missing.
     """
-    number = list(_FINDERS).index(choose(bodies, broad_phase))
+    number = list(FINDERS).index(choose(bodies, broad_phase))
     own = 0 if bodies.scene.self_collision is None else len(bodies.self_colliding)
     pair_capacity, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_padded(
@@ -181,10 +181,11 @@ def find_pairs_of_checked(
     bodies: MovingBodies, min_separation: float, chosen: BroadPhase, tolerance: float | None = None
 ) -> Tensor:
     """As `find_pairs`, by the broad phase that `choose` has named, of bodies whose faults have been looked for."""
-    return with_self_pairs(bodies, _FINDERS[chosen](_columns(bodies), *_kept(min_separation, tolerance)))
+    return with_self_pairs(bodies, FINDERS[chosen](_columns(bodies), *_kept(min_separation, tolerance)))
 
 
-_FINDERS: dict[str, Callable[[_Columns, float, float], Tensor]] = {
+#: In the order of the operators (enum BroadPhase of bind/padded_ops.h).
+FINDERS: dict[str, Callable[[_Columns, float, float], Tensor]] = {
     "sweep": lambda columns, separation, tolerance: ops.sweep(*columns, separation, tolerance, _AXES["auto"]),
     "grid": lambda columns, separation, tolerance: ops.grid(*columns, separation, tolerance),
     "lbvh": lambda columns, separation, tolerance: ops.lbvh(*columns, separation, tolerance),

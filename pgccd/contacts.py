@@ -21,6 +21,24 @@ if TYPE_CHECKING:
 ContactRows = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
+def earliest_row(toi: Tensor, *ties: Tensor) -> Tensor:
+    """(1,) int64: the row with the least toi (K,); of equal ones that with the least of the first of `ties` (K,), then
+    of the next one, then the first row. (0,) if K is 0. Waits for nothing."""
+    rows = torch.arange(len(toi), device=toi.device)
+    is_least = torch.ones_like(rows, dtype=torch.bool)
+    for column in (toi, *ties, rows) if len(rows) else ():
+        largest = torch.inf if column.is_floating_point() else torch.iinfo(column.dtype).max
+        column = torch.where(is_least, column, largest)
+        is_least &= column == column.min()
+    return torch.where(is_least, rows, 0).sum().reshape(1) if len(rows) else rows
+
+
+def take_earliest(rows: ContactRows) -> ContactRows:
+    """Of rows in canonical order, perhaps padded, the one with the least toi, the first of equal ones."""
+    row = earliest_row(rows[4])
+    return tuple(column[row] for column in rows)  # type: ignore[return-value]
+
+
 @dataclass
 class Stats:
     """What one call of `detect` did.
@@ -119,6 +137,12 @@ class Contacts:
         """
         picked = arguments.rows(rows, "rows", len(self))
         return self._with({name: column[picked] for name, column in _columns(self).items()})
+
+    def earliest(self, *ties: Tensor) -> Contacts:
+        """The one with the least toi; of equal ones see `earliest_row`. None of none."""
+        assert self.toi is not None
+        found = self[earliest_row(self.toi, *ties)]
+        return replace(found, stats=replace(found.stats, contacts=len(found)))
 
     def to(self, device: torch.device | str) -> Contacts:
         """The same on another device.

@@ -12,7 +12,7 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.bodies import MovingBodies
 from pgccd.broad import check_separation, operator_tolerance, require_bodies
-from pgccd.contacts import ContactRows
+from pgccd.contacts import ContactRows, take_earliest
 from pgccd.traverse import check_pairs, require
 
 Report = Literal["any", "first", "all", "earliest"]
@@ -152,7 +152,7 @@ def contacts(
         rows = ops.narrow_deforming(bodies.mesh_set, bodies.tensors, *rest)
     else:
         rows = ops.narrow_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
-    return keep_earliest(rows) if report == "earliest" else rows
+    return take_earliest(rows) if report == "earliest" else rows
 
 
 def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> Tensor:
@@ -168,18 +168,6 @@ def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> 
         mesh = bodies.scene.mesh_index[pairs[row, side]].long() if len(pairs) else row
         known = known & (features[side] >= 0) & (features[side] < counts[mesh, column[kind, side]])
     return known
-
-
-def keep_earliest(rows: ContactRows) -> ContactRows:
-    """Of rows in canonical order, the one with the least toi, the first of equal ones."""
-    row = earliest_row(rows[4])
-    return tuple(column[row] for column in rows)  # type: ignore[return-value]
-
-
-def earliest_row(toi: Tensor) -> slice:
-    """The row with the least toi (K,), the first of equal ones; no row of none."""
-    first = int(torch.nonzero(toi == toi.min())[0]) if len(toi) > 1 else 0
-    return slice(first, first + 1)
 
 
 def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:

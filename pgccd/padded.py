@@ -11,7 +11,7 @@ from torch import Tensor
 from pgccd import broad, narrow, ops
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts
-from pgccd.contacts import ContactRows, Contacts, PaddedContacts, stats_of
+from pgccd.contacts import ContactRows, Contacts, PaddedContacts, stats_of, take_earliest
 from pgccd.query import Query
 
 
@@ -43,7 +43,7 @@ class Search:
         if rows[0].shape[0] != count:
             rows = tuple(column[:count] for column in rows)  # type: ignore[assignment]
         if self.query.report == "earliest":
-            rows = narrow.keep_earliest(rows)
+            rows = take_earliest(rows)
         bodies, waits = self.bodies.scene.body_count, int(self.counts.is_cuda)
         stats = stats_of(counts, self.capacity, bodies, len(rows[0]), self.broad_phase, waits)
         if self.query.report == "any":
@@ -55,7 +55,7 @@ class Search:
         """The result, whatever the counts."""
         rows, count = self.rows, self._count("contacts")
         if self.query.report == "earliest":
-            rows, count = _earliest_row(rows), count.clamp(max=1)
+            rows, count = take_earliest(rows), count.clamp(max=1)
         pairs, kind, features, status, toi, coordinates, point, normal = rows
         columns = (toi, kind, features, coordinates, point, normal, status)
         if self.query.report == "any":
@@ -180,11 +180,3 @@ def lower_first_toi(
     settings = (query.min_separation, broad.operator_tolerance(query.tolerance), query.nonzero_toi)
     rest = (*settings, capacity.of_contacts[:-1])  # no contacts are written
     return ops.lower_first_toi_rigid(first, owners, mesh_set, tensors, linear_path, pairs, pair_counts, *rest)
-
-
-def _earliest_row(rows: ContactRows) -> ContactRows:
-    """One row: of those with the least toi the first; padding if there is none."""
-    toi = rows[4]
-    row = torch.arange(len(toi), device=toi.device)
-    first = torch.where(toi == toi.min(), row, len(toi)).min().reshape(1)
-    return tuple(column[first] for column in rows)  # type: ignore[return-value]

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd import broad, narrow
+from pgccd import broad
 from pgccd.bodies import MovingBodies
 from pgccd.capacity import Capacity
 from pgccd.contacts import Contacts, Stats
@@ -63,7 +63,7 @@ def stream(
         parts.append(solve_at_any_price(chunk) if found is None else found)
     contacts = parts[0] if len(parts) == 1 else join_contacts(parts, [part.pairs for part in parts])
     if len(parts) > 1 and query.report == "earliest":
-        contacts = _earliest(contacts)
+        contacts = contacts.earliest()
     contacts.stats.broad_phase = chosen
     contacts.stats.seconds = {"broad": seconds} | {
         stage: spent for stage, spent in contacts.stats.seconds.items() if stage != "broad"
@@ -97,10 +97,3 @@ def join_contacts(parts: Sequence[Contacts], pairs: Sequence[Tensor]) -> Contact
 
 def _columns(part: Contacts) -> list[Tensor]:
     return [column for column in (getattr(part, name) for name in _COLUMNS) if column is not None]
-
-
-def _earliest(contacts: Contacts) -> Contacts:
-    assert contacts.toi is not None
-    first = narrow.earliest_row(contacts.toi)
-    columns: dict[str, Any] = {name: column[first] for name, column in vars(contacts).items() if name in _COLUMNS}
-    return replace(contacts, **columns, stats=replace(contacts.stats, contacts=len(columns["pairs"])))

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, narrow
-from pgccd.contacts import By, Contacts, first_time
+from pgccd.contacts import By, Contacts, earliest_row, first_time
 from pgccd.faults import LARGEST_COORDINATE, UNIT_TOLERANCE
 from pgccd.motion import PathKind, RigidMotion, VertexMotion
 from pgccd.query import Query
@@ -151,7 +151,7 @@ def detect_trajectory(
         chosen = _first_of_pairs(pairs, count)
     elif query.report == "earliest" and len(pairs):
         first = segment[0]  # rows are sorted by segment
-        chosen = narrow.earliest_row(torch.where(segment == first, found.toi, torch.inf))
+        chosen = earliest_row(torch.where(segment == first, found.toi, torch.inf))
     columns: dict[str, Any] = {
         name: getattr(found, name)[chosen]
         for name in ("toi", "kind", "features", "coordinates", "point", "normal", "status")

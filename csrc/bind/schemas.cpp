@@ -1,19 +1,19 @@
-// Every operator of pgccd, on one page. pgccd/ops.py documents them: shapes, units and errors.
+// The detection operators; those of other stages are in *_schemas.cpp. pgccd/ops/ documents them: shapes, units,
+// errors.
 //
 // mesh_set = [vertices (V, 3) f64, faces (F, 3) i32, edges (E, 2) i32, triangles (F, 8) i32, node_blocks (n, 9, 8) f32,
 //             node_links (n, 8, 2) i32, corners (9, F + padding) f32, offsets (meshes + 1, 4) i64, centres (meshes, 3),
 //             reaches (meshes,), both without rows where all SBV centres are origins] see core/mesh_set.h
 // rigid bodies = [mesh_index (N,) i32, position_t0 (N, 3), position_t1 (N, 3), radius (N,), orientation (N, 4),
-// rotation (N, 3)] deforming bodies = [mesh_index (N,) i32, position_t0, position_t1, radius, vertices_t0 (X, 3),
-// vertices_t1 (X, 3),
+//                 rotation (N, 3)]
+// deforming bodies = [mesh_index (N,) i32, position_t0, position_t1, radius, vertices_t0 (X, 3), vertices_t1 (X, 3),
 //                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64]
 //                     see core/bodies.h; after either list perhaps margin (N,)
-// All that is given is looked at: shapes, dtypes, devices, lengths, and rows that name other rows. On a CPU what is
-// wrong raises an error that names the argument. On a GPU the host does not wait for that check: traversals count no
-// pairs and overflow
+// All arguments are checked: shapes, dtypes, devices, lengths, and rows that name other rows. On a CPU a wrong one
+// raises an error that names it. On a GPU the host does not wait for checks of values: traversals count no pairs and
+// overflow
 // (`contacts_padded_*`), or raise (`traverse_*`, `narrow_*`, which wait anyway); other launches fail, as torch's own do
-// for an index out of range. Taken as made by the package is what the columns of a mesh set say, and node
-// blocks, as `refit` makes them.
+// for an index out of range. The contents of mesh sets and of node blocks are not checked: the package makes them.
 //
 // contact rows = (pair i32, kind i8, features (., 2) i32, status i8, toi f64, coordinates (., 2), point (., 3), normal
 // (., 3))

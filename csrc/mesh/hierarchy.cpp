@@ -8,19 +8,10 @@
 #include <utility>
 
 #include "core/vec3.h"
+#include "mesh/point_columns.h"
 
 namespace pgccd {
 namespace {
-
-// Four numbers at a time; coordinates are the first three. Both g++ and clang++ know these types.
-using Lanes = double __attribute__((vector_size(32)));
-using LaneMask = int64_t __attribute__((vector_size(32)));
-constexpr int64_t kLanes = 4;
-
-Lanes multiply_add(Lanes a, Lanes b, Lanes c) {
-  for (int lane = 0; lane < kLanes; ++lane) c[lane] = std::fma(a[lane], b[lane], c[lane]);
-  return c;
-}
 
 struct Box {
   Lanes lower{HUGE_VAL, HUGE_VAL, HUGE_VAL, HUGE_VAL};
@@ -34,69 +25,6 @@ struct Box {
     const Lanes extent = upper - lower;
     return extent[0] * extent[1] + extent[1] * extent[2] + extent[2] * extent[0];
   }
-};
-
-// Points of one node, in columns padded to whole lanes with copies of the first.
-class PointColumns {
- public:
-  void load(const double* vertices, const std::vector<int32_t>& rows) {
-    count_ = (static_cast<int64_t>(rows.size()) + kLanes - 1) / kLanes;
-    for (std::vector<Lanes>& column : columns_) column.resize(static_cast<size_t>(count_));
-    for (int64_t k = 0; k < count_ * kLanes; ++k) {
-      const size_t row = k < static_cast<int64_t>(rows.size()) ? static_cast<size_t>(k) : 0;
-      const double* const point = vertices + 3 * int64_t{rows[row]};
-      for (int axis = 0; axis < 3; ++axis) columns_[axis][static_cast<size_t>(k / kLanes)][k % kLanes] = point[axis];
-    }
-  }
-
-  // The point farthest from the centre, the first of equally far ones, and its squared distance.
-  std::pair<double, Vec3<double>> farthest(Vec3<double> centre) const {
-    Lanes most{-1.0, -1.0, -1.0, -1.0};
-    LaneMask at{0, 0, 0, 0};
-    for (int64_t k = 0; k < count_; ++k) {
-      const Lanes x = columns_[0][k] - centre.x, y = columns_[1][k] - centre.y, z = columns_[2][k] - centre.z;
-      const Lanes squared = multiply_add(z, z, multiply_add(y, y, x * x));  // rounded as `dot` is
-      const LaneMask is_farther = squared > most;
-      most = is_farther ? squared : most;
-      at = is_farther ? LaneMask{k, k, k, k} : at;
-    }
-    // Without branches, which would be mispredicted half the time.
-    LaneMask place = kLanes * at + LaneMask{0, 1, 2, 3};
-    const auto keep_farther = [&](Lanes other, LaneMask other_place) {
-      const LaneMask is_farther = (other > most) | ((other == most) & (other_place < place));
-      most = is_farther ? other : most;
-      place = is_farther ? other_place : place;
-    };
-    keep_farther(__builtin_shufflevector(most, most, 2, 3, 0, 1), __builtin_shufflevector(place, place, 2, 3, 0, 1));
-    keep_farther(__builtin_shufflevector(most, most, 1, 0, 3, 2), __builtin_shufflevector(place, place, 1, 0, 3, 2));
-    return {most[0], point(place[0])};
-  }
-
-  Vec3<double> point(int64_t place) const {
-    const int64_t k = place / kLanes, lane = place % kLanes;
-    return {columns_[0][k][lane], columns_[1][k][lane], columns_[2][k][lane]};
-  }
-
-  // Least and largest projection of points, relative to the centre, on a direction.
-  std::pair<double, double> extent(Vec3<double> centre, Vec3<double> direction) const {
-    Lanes low{HUGE_VAL, HUGE_VAL, HUGE_VAL, HUGE_VAL}, high = -low;
-    const Lanes zero{0.0, 0.0, 0.0, 0.0}, dx = zero + direction.x, dy = zero + direction.y, dz = zero + direction.z;
-    for (int64_t k = 0; k < count_; ++k) {
-      const Lanes x = columns_[0][k] - centre.x, y = columns_[1][k] - centre.y, z = columns_[2][k] - centre.z;
-      const Lanes along = multiply_add(z, dz, multiply_add(y, dy, dx * x));
-      low = along < low ? along : low;
-      high = high < along ? along : high;
-    }
-    std::pair<double, double> both{low[0], high[0]};
-    for (int lane = 1; lane < kLanes; ++lane) {
-      both = {smaller(both.first, low[lane]), larger(both.second, high[lane])};
-    }
-    return both;
-  }
-
- private:
-  std::array<std::vector<Lanes>, 3> columns_;
-  int64_t count_ = 0;  // in lanes
 };
 
 struct NodeVolume {

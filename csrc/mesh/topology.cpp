@@ -5,8 +5,9 @@
 namespace pgccd {
 
 Topology make_topology(const std::vector<Face>& faces) {
+  // Both ends of an edge in one number, which sorts faster than two.
   struct HalfEdge {
-    Edge edge;
+    uint64_t ends;
     int64_t face;
     int corner;
   };
@@ -14,15 +15,16 @@ Topology make_topology(const std::vector<Face>& faces) {
   halves.reserve(3 * faces.size());
   for (size_t f = 0; f < faces.size(); ++f) {
     for (int corner = 0; corner < 3; ++corner) {
-      const int32_t p = faces[f][corner], q = faces[f][(corner + 1) % 3];
-      halves.push_back({{std::min(p, q), std::max(p, q)}, static_cast<int64_t>(f), corner});
+      const auto [p, q] = std::minmax({faces[f][corner], faces[f][(corner + 1) % 3]});
+      halves.push_back({uint64_t(p) << 32 | uint64_t(q), static_cast<int64_t>(f), corner});
     }
   }
-  std::sort(halves.begin(), halves.end(), [](const HalfEdge& a, const HalfEdge& b) { return a.edge < b.edge; });
+  std::sort(halves.begin(), halves.end(), [](const HalfEdge& a, const HalfEdge& b) { return a.ends < b.ends; });
   Topology topology;
   topology.face_edges.resize(faces.size());
   for (const HalfEdge& half : halves) {
-    if (topology.edges.empty() || topology.edges.back() != half.edge) topology.edges.push_back(half.edge);
+    const Edge edge{static_cast<int32_t>(half.ends >> 32), static_cast<int32_t>(half.ends)};
+    if (topology.edges.empty() || topology.edges.back() != edge) topology.edges.push_back(edge);
     topology.face_edges[half.face][half.corner] = static_cast<int32_t>(topology.edges.size() - 1);
   }
   return topology;

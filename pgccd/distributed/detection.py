@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -72,18 +71,5 @@ def detect_distributed(
     found = contacts_of_step(share.parts)
     clock.add(search_seconds(found.stats))
     if options.report == "earliest":
-        found = _earliest(found, share.held.id)
+        found = found.earliest(*share.held.id[found.pairs].unbind(dim=1))
     return Detection(share, replace(found, stats=replace(found.stats, bodies=len(share.held))))
-
-
-def _earliest(contacts: Contacts, id: Tensor) -> Contacts:
-    """The one with the least toi, of equal ones that of the smallest ids; none, if there are none."""
-    assert contacts.toi is not None
-    if len(contacts) == 0:
-        return contacts
-    first = torch.nonzero(contacts.toi == contacts.toi.min())[:, 0]
-    pairs = id[contacts.pairs[first]]
-    first = first[torch.argsort(pairs[:, 1], stable=True)]
-    chosen = first[torch.argsort(id[contacts.pairs[first]][:, 0], stable=True)][:1]
-    columns: dict[str, Any] = {name: c[chosen] for name, c in vars(contacts).items() if isinstance(c, Tensor)}
-    return replace(contacts, **columns, stats=replace(contacts.stats, contacts=1))

@@ -111,8 +111,8 @@ def make_step(
         state: of all robots, after step `index` - 1.
         index: number of the step, from 0.
         broad_phase: as for `detect`.
-        ahead: whether the rounds of resolution are enqueued several at a time, without waiting for a GPU in each (default: if
-            there is one). The result does not depend on it.
+        ahead: whether the rounds of resolution are enqueued several at a time, without waiting for a GPU in each
+            (default: if there is one). The result does not depend on it.
         begun: `next` of the step before, of which `state` came.
         more: whether the next step follows at once: then a GPU is given its first work before the host knows how this
             one ends.

@@ -44,8 +44,6 @@ PGCCD_HD Quaternion random_orientation(const Uniforms& r) {
   return normalized({t * b.cosine, {s * a.sine, s * a.cosine, t * b.sine}});
 }
 
-PGCCD_HD double axis_component(Vec3<double> v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
-
 PGCCD_HD int64_t nearest_corner(Vec3<double> position) {
   return (position.x > 0.0 ? 1 : 0) | (position.y > 0.0 ? 2 : 0) | (position.z > 0.0 ? 4 : 0);
 }

@@ -9,9 +9,10 @@ namespace pgccd {
 constexpr uint32_t kNoItem = ~0u;
 
 struct WorkQueue {
-  uint32_t* next;          // how many were taken from the queue: 0 when the launch begins
-  uint32_t count;          // items
-  uint32_t most_of_block;  // a block ends after so many items from the queue, so that its multiprocessor can start another
+  uint32_t* next;  // how many were taken from the queue: 0 when the launch begins
+  uint32_t count;  // items
+  uint32_t
+      most_of_block;  // a block ends after so many items from the queue, so that its multiprocessor can start another
 };
 
 // A warp's part of the queue. All members are called by whole warps.

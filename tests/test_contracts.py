@@ -1,0 +1,64 @@
+"""Numbers that Python and C++ share: enumerations and columns of counts, in the same order on both sides."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from pgccd import broad, narrow, sim
+from pgccd.capacity import COUNTS_OF_PAIRS, Counts
+
+CSRC = Path(__file__).resolve().parents[1] / "csrc"
+
+
+def enumerators(header: str, name: str) -> dict[str, int]:
+    """Names in snake case, without their k, and values."""
+    text = (CSRC / header).read_text()
+    found = re.search(rf"enum (?:class )?{name} : \w+ {{(.*?)}}", text, re.DOTALL)
+    assert found is not None, f"{header}: no enum {name}"
+    body = re.sub(r"//[^\n]*", "", found.group(1))
+    values: dict[str, int] = {}
+    for entry in filter(None, (part.strip() for part in body.split(","))):
+        word, _, value = entry.partition("=")
+        snake = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", word.strip().removeprefix("k")).lower()
+        values[snake] = int(value) if value else len(values)
+    return values
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "expected"),
+    [
+        ("bind/padded_ops.h", "BroadPhase", {name: k for k, name in enumerate(broad.FINDERS)}),
+        ("kernels/narrow/narrow.h", "Report", {name: k for name, k in narrow.REPORTS.items() if name != "earliest"}),
+        ("kernels/narrow/search_state.h", "Status", {each.name.lower(): each.value for each in narrow.Status}),
+        (
+            "core/candidate.h",
+            "FeatureKind",
+            {"vertex_face": narrow.Kind.VF_AB, "face_vertex": narrow.Kind.VF_BA, "edge_edge": narrow.Kind.EE},
+        ),
+        ("kernels/simulate/world.h", "MovementPattern", {name: k for k, name in enumerate(sim.PATTERNS)}),
+    ],
+)
+def test_enumerations(header: str, name: str, expected: dict[str, int]) -> None:
+    written = enumerators(header, name)
+    assert {key: written.get(key) for key in expected} == expected
+
+
+def test_columns_of_counts() -> None:
+    """In the order of `Counts`: those of the broad phase, the traversal and the narrow phase."""
+    stages = [
+        enumerators("kernels/padded_pairs.h", "PairCount"),
+        enumerators("kernels/traverse/traverse.h", "TraverseCount"),
+        enumerators("kernels/narrow/narrow.h", "ContactCount"),
+    ]
+    names = []
+    for stage in stages:
+        *columns, total = stage  # the last one is their number
+        assert total.endswith("_counts") and list(stage.values()) == list(range(len(stage)))
+        names += columns
+    expected = [re.sub("_needed$", "", name).replace("unresolved_written", "unresolved") for name in names]
+    assert [field.name for field in fields(Counts)] == expected
+    assert len(stages[0]) - 1 == COUNTS_OF_PAIRS
