@@ -14,15 +14,15 @@ namespace pgccd {
 namespace {
 
 struct Box {
-  Lanes lower{HUGE_VAL, HUGE_VAL, HUGE_VAL, HUGE_VAL};
-  Lanes upper{-HUGE_VAL, -HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
+  Double4 lower{HUGE_VAL, HUGE_VAL, HUGE_VAL, HUGE_VAL};
+  Double4 upper{-HUGE_VAL, -HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
 
   void include(const Box& other) {
     lower = other.lower < lower ? other.lower : lower;
     upper = upper < other.upper ? other.upper : upper;
   }
   double half_area() const {
-    const Lanes extent = upper - lower;
+    const Double4 extent = upper - lower;
     return extent[0] * extent[1] + extent[1] * extent[2] + extent[2] * extent[0];
   }
 };
@@ -45,7 +45,7 @@ class Builder {
     for (size_t f = 0; f < faces.size(); ++f) {
       for (const int32_t v : faces[f]) {
         const double* const p = vertices + 3 * int64_t{v};
-        const Lanes point{p[0], p[1], p[2], 0.0};
+        const Double4 point{p[0], p[1], p[2], 0.0};
         boxes_[f].include({point, point});
       }
     }

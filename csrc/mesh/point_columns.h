@@ -12,12 +12,12 @@
 namespace pgccd {
 
 // Four numbers at a time; coordinates are the first three. Both g++ and clang++ know these types.
-using Lanes = double __attribute__((vector_size(32)));
-using LaneMask = int64_t __attribute__((vector_size(32)));
-constexpr int64_t kLanes = 4;
+using Double4 = double __attribute__((vector_size(32)));
+using Mask4 = int64_t __attribute__((vector_size(32)));
+constexpr int64_t kDoubleLanes = 4;
 
-inline Lanes multiply_add(Lanes a, Lanes b, Lanes c) {
-  for (int lane = 0; lane < kLanes; ++lane) c[lane] = std::fma(a[lane], b[lane], c[lane]);
+inline Double4 multiply_add(Double4 a, Double4 b, Double4 c) {
+  for (int lane = 0; lane < kDoubleLanes; ++lane) c[lane] = std::fma(a[lane], b[lane], c[lane]);
   return c;
 }
 
@@ -25,30 +25,31 @@ inline Lanes multiply_add(Lanes a, Lanes b, Lanes c) {
 class PointColumns {
  public:
   void load(const double* vertices, const std::vector<int32_t>& rows) {
-    count_ = (static_cast<int64_t>(rows.size()) + kLanes - 1) / kLanes;
-    for (std::vector<Lanes>& column : columns_) column.resize(static_cast<size_t>(count_));
-    for (int64_t k = 0; k < count_ * kLanes; ++k) {
+    count_ = (static_cast<int64_t>(rows.size()) + kDoubleLanes - 1) / kDoubleLanes;
+    for (std::vector<Double4>& column : columns_) column.resize(static_cast<size_t>(count_));
+    for (int64_t k = 0; k < count_ * kDoubleLanes; ++k) {
       const size_t row = k < static_cast<int64_t>(rows.size()) ? static_cast<size_t>(k) : 0;
       const double* const point = vertices + 3 * int64_t{rows[row]};
-      for (int axis = 0; axis < 3; ++axis) columns_[axis][static_cast<size_t>(k / kLanes)][k % kLanes] = point[axis];
+      for (int axis = 0; axis < 3; ++axis)
+        columns_[axis][static_cast<size_t>(k / kDoubleLanes)][k % kDoubleLanes] = point[axis];
     }
   }
 
   // The point farthest from the centre, the first of equally far ones, and its squared distance.
   std::pair<double, Vec3<double>> farthest(Vec3<double> centre) const {
-    Lanes most{-1.0, -1.0, -1.0, -1.0};
-    LaneMask at{0, 0, 0, 0};
+    Double4 most{-1.0, -1.0, -1.0, -1.0};
+    Mask4 at{0, 0, 0, 0};
     for (int64_t k = 0; k < count_; ++k) {
-      const Lanes x = columns_[0][k] - centre.x, y = columns_[1][k] - centre.y, z = columns_[2][k] - centre.z;
-      const Lanes squared = multiply_add(z, z, multiply_add(y, y, x * x));  // rounded as `dot` is
-      const LaneMask is_farther = squared > most;
+      const Double4 x = columns_[0][k] - centre.x, y = columns_[1][k] - centre.y, z = columns_[2][k] - centre.z;
+      const Double4 squared = multiply_add(z, z, multiply_add(y, y, x * x));  // rounded as `dot` is
+      const Mask4 is_farther = squared > most;
       most = is_farther ? squared : most;
-      at = is_farther ? LaneMask{k, k, k, k} : at;
+      at = is_farther ? Mask4{k, k, k, k} : at;
     }
     // Without branches, which would be mispredicted half the time.
-    LaneMask place = kLanes * at + LaneMask{0, 1, 2, 3};
-    const auto keep_farther = [&](Lanes other, LaneMask other_place) {
-      const LaneMask is_farther = (other > most) | ((other == most) & (other_place < place));
+    Mask4 place = kDoubleLanes * at + Mask4{0, 1, 2, 3};
+    const auto keep_farther = [&](Double4 other, Mask4 other_place) {
+      const Mask4 is_farther = (other > most) | ((other == most) & (other_place < place));
       most = is_farther ? other : most;
       place = is_farther ? other_place : place;
     };
@@ -58,29 +59,29 @@ class PointColumns {
   }
 
   Vec3<double> point(int64_t place) const {
-    const int64_t k = place / kLanes, lane = place % kLanes;
+    const int64_t k = place / kDoubleLanes, lane = place % kDoubleLanes;
     return {columns_[0][k][lane], columns_[1][k][lane], columns_[2][k][lane]};
   }
 
   // Least and largest projection of points, relative to the centre, on a direction.
   std::pair<double, double> extent(Vec3<double> centre, Vec3<double> direction) const {
-    Lanes low{HUGE_VAL, HUGE_VAL, HUGE_VAL, HUGE_VAL}, high = -low;
-    const Lanes zero{0.0, 0.0, 0.0, 0.0}, dx = zero + direction.x, dy = zero + direction.y, dz = zero + direction.z;
+    Double4 low{HUGE_VAL, HUGE_VAL, HUGE_VAL, HUGE_VAL}, high = -low;
+    const Double4 zero{0.0, 0.0, 0.0, 0.0}, dx = zero + direction.x, dy = zero + direction.y, dz = zero + direction.z;
     for (int64_t k = 0; k < count_; ++k) {
-      const Lanes x = columns_[0][k] - centre.x, y = columns_[1][k] - centre.y, z = columns_[2][k] - centre.z;
-      const Lanes along = multiply_add(z, dz, multiply_add(y, dy, dx * x));
+      const Double4 x = columns_[0][k] - centre.x, y = columns_[1][k] - centre.y, z = columns_[2][k] - centre.z;
+      const Double4 along = multiply_add(z, dz, multiply_add(y, dy, dx * x));
       low = along < low ? along : low;
       high = high < along ? along : high;
     }
     std::pair<double, double> both{low[0], high[0]};
-    for (int lane = 1; lane < kLanes; ++lane) {
+    for (int lane = 1; lane < kDoubleLanes; ++lane) {
       both = {smaller(both.first, low[lane]), larger(both.second, high[lane])};
     }
     return both;
   }
 
  private:
-  std::array<std::vector<Lanes>, 3> columns_;
+  std::array<std::vector<Double4>, 3> columns_;
   int64_t count_ = 0;  // in lanes
 };
 
