@@ -1123,16 +1123,16 @@ _BOUNDS = [
     Mutant(
         "node-radius-slack",
         "csrc/mesh/hierarchy.cpp",
-        "std::sqrt(farthest(cast<double>(rounded)).first) * (1.0 + 1e-14)",
-        "std::sqrt(farthest(cast<double>(rounded)).first)",
+        "std::sqrt(node.points.farthest(cast<double>(centre)).first) * (1.0 + 1e-14)",
+        "std::sqrt(node.points.farthest(cast<double>(centre)).first)",
         ON_BOUNDS,
         equivalent="the next float above the nearest is 2^-25 of the radius above it",
     ),
     Mutant(
         "node-radius-0.999",
         "csrc/mesh/hierarchy.cpp",
-        "std::sqrt(farthest(cast<double>(rounded)).first) * (1.0 + 1e-14)",
-        "0.999 * std::sqrt(farthest(cast<double>(rounded)).first)",
+        "std::sqrt(node.points.farthest(cast<double>(centre)).first) * (1.0 + 1e-14)",
+        "0.999 * std::sqrt(node.points.farthest(cast<double>(centre)).first)",
         ON_BOUNDS,
     ),
     Mutant(
