@@ -20,7 +20,7 @@ from support import results, timing
 from torch import Tensor
 
 from pgccd import broad, ops, sim
-from pgccd.bodies import MovingBodies
+from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed import Partition
 
 _ROWS = 1 << 18  # of bodies by ranks at a time

@@ -4,18 +4,19 @@ import importlib as _importlib
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
-from pgccd import broad, narrow, traverse
 from pgccd._host import build_information as _build_information
-from pgccd.bodies import MovingBodies
-from pgccd.capacity import Capacity, CapacityError
-from pgccd.contacts import Contacts, PaddedContacts, Stats
-from pgccd.detect import detect
-from pgccd.mesh import Mesh, MeshSet
-from pgccd.motion import RigidMotion, VertexMotion
-from pgccd.narrow import Kind, Status
-from pgccd.rotation import integrate_orientation
-from pgccd.scene import Scene
-from pgccd.trajectory import Trajectory, TrajectoryContacts
+from pgccd.detection import broad, narrow, traverse
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.capacity import Capacity, CapacityError
+from pgccd.detection.contacts import Contacts, PaddedContacts, Stats
+from pgccd.detection.narrow import Kind, Status
+from pgccd.detection.pipeline import detect
+from pgccd.detection.trajectories import TrajectoryContacts
+from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.rotation import integrate_orientation
+from pgccd.motion.trajectory import Trajectory
 
 if _TYPE_CHECKING:
     from pgccd import about, baselines, distributed, files, sim, viz

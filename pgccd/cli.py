@@ -17,12 +17,12 @@ import torch
 import pgccd
 from pgccd import distributed, sim
 from pgccd.about import describe_installation
-from pgccd.broad import BROAD_PHASES
+from pgccd.detection.broad import BROAD_PHASES
+from pgccd.detection.memory import is_out_of_memory
+from pgccd.detection.narrow import REPORTS, Kind, Status
 from pgccd.distributed import command
 from pgccd.files import load_motion, load_scene
-from pgccd.memory import is_out_of_memory
-from pgccd.narrow import REPORTS, Kind, Status
-from pgccd.origin import Origin
+from pgccd.geometry.origin import Origin
 from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.summary import summary_lines, totals, write_pictures
 

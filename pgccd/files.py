@@ -13,9 +13,9 @@ import numpy as np
 import torch
 
 from pgccd import arguments
-from pgccd.mesh import Mesh
-from pgccd.motion import RigidMotion
-from pgccd.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.motion.paths import RigidMotion
 
 _START = ("position_t0", "orientation_t0")
 _END = ("position_t1", "orientation_t1")

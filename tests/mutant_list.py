@@ -1165,7 +1165,7 @@ _BOUNDS = [
     ),
     Mutant(
         "mesh-radius-slack",
-        "pgccd/mesh.py",
+        "pgccd/geometry/mesh.py",
         "radius * (1.0 + 2.0**-50)",
         "radius",
         ("test_mesh.py::test_sphere_bound_and_edges", *ON_BOUNDS),
@@ -1336,7 +1336,7 @@ _MARGIN = [
     ),
     Mutant(
         "margin-not-in-reach",
-        "pgccd/bodies.py",
+        "pgccd/detection/bodies.py",
         "self.reach = (self.reach + scene.margin) * (1.0 + 2.0**-50)",
         "self.reach = self.reach * (1.0 + 2.0**-50)",
         ON_MARGIN,
@@ -1344,7 +1344,7 @@ _MARGIN = [
     ),
     Mutant(
         "margin-in-reach-0.999",
-        "pgccd/bodies.py",
+        "pgccd/detection/bodies.py",
         "self.reach = (self.reach + scene.margin) * (1.0 + 2.0**-50)",
         "self.reach = (self.reach + 0.999 * scene.margin) * (1.0 + 2.0**-50)",
         ON_MARGIN,
@@ -1352,7 +1352,7 @@ _MARGIN = [
     ),
     Mutant(
         "margin-in-reach-rounding",
-        "pgccd/bodies.py",
+        "pgccd/detection/bodies.py",
         "self.reach = (self.reach + scene.margin) * (1.0 + 2.0**-50)",
         "self.reach = self.reach + scene.margin",
         ON_MARGIN,

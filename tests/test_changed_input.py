@@ -11,8 +11,8 @@ import torch
 from support.shapes import Bodies, approaching, tensors
 
 import pgccd
-from pgccd import faults
-from pgccd.capacity import Capacity
+from pgccd.detection.capacity import Capacity
+from pgccd.motion import faults
 
 NAN, INF = float("nan"), float("inf")
 RIGID = {"position_t0": NAN, "position_t1": -INF, "orientation_t0": 0.1, "rotation": 1e7}

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pgccd import broad, narrow, sim
-from pgccd.capacity import COUNTS_OF_PAIRS, Counts
+from pgccd.detection.capacity import COUNTS_OF_PAIRS, Counts
 
 CSRC = Path(__file__).resolve().parents[1] / "csrc"
 

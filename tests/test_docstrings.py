@@ -35,7 +35,7 @@ NOT_ALONE = (
     "pgccd.distributed.side_stream",
     "pgccd.distributed.torch_comm",
     "pgccd.distributed.share",
-    "pgccd.host_copy",
+    "pgccd.runtime.host_copy",
 )
 
 
@@ -106,9 +106,9 @@ def namespace(module: str) -> dict[str, Any]:
         names |= two_bodies() | {"comm": distributed.Alone()}
         payload = {"velocity": names["v"]}
         names["world"] = distributed.World([names["rock"]], (0, 0, 0), (9, 9, 9), names["x"], payload=payload)
-    if module == "pgccd.narrow":
+    if module == "pgccd.detection.narrow":
         names |= dict.fromkeys(("x0", "x1"), torch.rand(5, 4, 3))
-    if module == "pgccd.stages":
+    if module == "pgccd.runtime.stages":
         names |= of_robots() | {"step": 0}
     if module == "pgccd.distributed.comm":
         names |= {"lower": (0, 0, 0), "upper": (9, 9, 9), "position": torch.zeros(1, 3)}

@@ -91,17 +91,19 @@ def test_only_ops_names_the_operators() -> None:
 
 def test_trimesh_is_imported_lazily_and_in_one_place() -> None:
     using = [p for p in python_files(PACKAGE) if any(n.split(".")[0] == "trimesh" for n in imports(p))]
-    allowed = {PACKAGE / "mesh_files.py"} | set(python_files(PACKAGE / "viz"))  # viz draws its pages through it
-    assert set(using) <= allowed and PACKAGE / "mesh_files.py" in using
+    meshes = PACKAGE / "geometry" / "mesh_files.py"
+    allowed = {meshes} | set(python_files(PACKAGE / "viz"))  # viz draws its pages through it
+    assert set(using) <= allowed and meshes in using
     for path in using:
         assert not any(n.split(".")[0] == "trimesh" for n in imports(path, only_top_level=True)), path
 
 
 def test_single_device_modules_do_not_know_the_cluster() -> None:
     upper = ("pgccd.distributed", "pgccd.sim", "pgccd.baselines", "pgccd.viz", "pgccd.cli")
+    lower = (PACKAGE / folder for folder in ("geometry", "motion", "detection", "ops", "runtime"))
     wrong = [
         (path.name, name)
-        for path in [*PACKAGE.glob("*.py"), *(PACKAGE / "ops").glob("*.py")]
+        for path in [*PACKAGE.glob("*.py"), *python_files(*lower)]
         if path.stem not in {"cli", "__main__", "__init__"}  # the last names them for type checkers: see test_package
         for name in imports(path)
         if name.startswith(upper)
@@ -110,6 +112,28 @@ def test_single_device_modules_do_not_know_the_cluster() -> None:
     for name in ("partition", "balance"):
         for path in (PACKAGE / "distributed").glob(f"{name}*.py"):
             assert not any("distributed.comm" in n or n.startswith("torch.distributed") for n in imports(path)), path
+
+
+def test_packages_import_only_those_below() -> None:
+    may_import = {
+        "runtime": set(),
+        "geometry": set(),
+        "motion": {"geometry"},
+        "detection": {"geometry", "motion", "runtime"},
+    }
+    rooms = {f"pgccd.{name}" for name in may_import}
+    for name, below in may_import.items():
+        known = {f"pgccd.{other}" for other in {name, *below}}
+        for path in python_files(PACKAGE / name):
+            used = {".".join(module.split(".")[:2]) for module in imports(path)} & rooms
+            assert used <= known, path
+
+
+def test_stages_do_not_import_one_another() -> None:
+    stages = {"broad", "traverse", "narrow"}
+    for stage in stages:
+        used = imports(PACKAGE / "detection" / f"{stage}.py")
+        assert not used & {f"pgccd.detection.{other}" for other in stages - {stage}}, stage
 
 
 def test_one_process_needs_no_ranks() -> None:

@@ -14,8 +14,8 @@ from support.shapes import approaching, tensors
 import pgccd
 from pgccd import ops
 from pgccd.baselines import PCCCD
+from pgccd.detection.padded import counts_of_given, lower_first_toi
 from pgccd.distributed import Partition
-from pgccd.padded import counts_of_given, lower_first_toi
 from pgccd.sim.partners import FIRST_CONTACTS
 
 Call = tuple[str, tuple[Any, ...]]

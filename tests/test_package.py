@@ -66,4 +66,4 @@ def test_mypy_outside_the_tree(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "program.py"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=280)
     revealed = [line.split('"')[1] for line in done.stdout.splitlines() if "Revealed" in line]
-    assert revealed == ["int", "pgccd.motion.RigidMotion", "int"], done.stdout
+    assert revealed == ["int", "pgccd.motion.paths.RigidMotion", "int"], done.stdout

@@ -11,14 +11,14 @@ import torch
 from support.crowds import crowds
 
 import pgccd
-from pgccd.capacity import Capacity
-from pgccd.detect import find_contacts
-from pgccd.memory import recall_capacity, remember_needs
-from pgccd.padded import counts_of_given
-from pgccd.parts import Part, contacts_of_step, find_part, pairs_of_step
-from pgccd.query import Query
+from pgccd.detection.capacity import Capacity
+from pgccd.detection.memory import recall_capacity, remember_needs
+from pgccd.detection.padded import counts_of_given
+from pgccd.detection.parts import Part, contacts_of_step, find_part, pairs_of_step
+from pgccd.detection.pipeline import find_contacts
+from pgccd.detection.query import Query
 
-parts_module = sys.modules["pgccd.parts"]
+parts_module = sys.modules["pgccd.detection.parts"]
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 
 
@@ -92,8 +92,8 @@ def test_too_little_room(device: torch.device, monkeypatch: pytest.MonkeyPatch) 
     divided = Divided(device, "first", padded=True)
     with monkeypatch.context() as patch:
         little = Capacity(0, 1)
-        patch.setattr(sys.modules["pgccd.detect"], "EXACTLY", little)
-        patch.setattr(sys.modules["pgccd.detect"], "recall_capacity", lambda *_: little)
+        patch.setattr(sys.modules["pgccd.detection.pipeline"], "EXACTLY", little)
+        patch.setattr(sys.modules["pgccd.detection.pipeline"], "recall_capacity", lambda *_: little)
         counts = [part.start().read() for part in divided.parts]
     assert all(each.overflow for each in counts)
     divided.parts[0].learn(counts[0])  # or not

@@ -11,8 +11,8 @@ from support.deforming import Ends, assert_same, crumpled, motion_of
 
 import pgccd
 from pgccd import narrow
-from pgccd.memory import recall_capacity
-from pgccd.query import Query
+from pgccd.detection.memory import recall_capacity
+from pgccd.detection.query import Query
 
 
 def crumpled_capacity(device: torch.device) -> tuple[pgccd.Scene, list[Ends], pgccd.Capacity]:

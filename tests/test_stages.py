@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from pgccd import stages
-from pgccd.stages import StageClock
+from pgccd.runtime import stages
+from pgccd.runtime.stages import StageClock
 
 
 class Event:

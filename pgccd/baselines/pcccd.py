@@ -15,22 +15,23 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from pgccd import arguments, narrow, ops
+from pgccd import arguments, ops
 from pgccd.baselines.triangle_pairs import feature_candidates
 from pgccd.baselines.voxel_boxes import VoxelContents, send_boxes
 from pgccd.baselines.voxel_directory import VoxelDirectory, greedy_ranks, run_starts, voxel_keys
-from pgccd.bodies import MovingBodies
-from pgccd.broad import operator_tolerance
-from pgccd.contacts import Contacts, Stats
+from pgccd.detection import narrow
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.checks import operator_tolerance
+from pgccd.detection.contacts import Contacts, Stats
+from pgccd.detection.query import Query
 from pgccd.distributed.agreement import require_agreement, together
 from pgccd.distributed.comm import Alone, Comm
 from pgccd.distributed.exchange import Columns, make_route, take_rows
-from pgccd.mesh import Mesh, MeshSet
-from pgccd.motion import RigidMotion
-from pgccd.query import Query
-from pgccd.scene import Scene
+from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion
+from pgccd.runtime.stages import StageClock
 from pgccd.sim.files import meshes_digest
-from pgccd.stages import StageClock
 
 _COLUMNS = ("kind", "features", "status", "toi", "coordinates", "point", "normal")
 

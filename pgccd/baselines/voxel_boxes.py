@@ -9,10 +9,10 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.baselines.voxel_directory import VoxelDirectory, run_starts, voxel_keys
-from pgccd.bodies import MovingBodies
+from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import make_route
-from pgccd.stages import StageClock
+from pgccd.runtime.stages import StageClock
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,15 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.contacts import Contacts
+from pgccd.detection.contacts import Contacts
+from pgccd.detection.parts import Part, contacts_of_step, search_seconds
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns
 from pgccd.distributed.halo import Held, centres_of
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, OwnSearch, Share
-from pgccd.parts import Part, contacts_of_step, search_seconds
-from pgccd.stages import StageClock
+from pgccd.runtime.stages import StageClock
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,12 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.bodies import MovingBodies
+from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Arrival, Columns, Route
 from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo
 from pgccd.distributed.partition import Partition
-from pgccd.host_copy import HostCopy
+from pgccd.runtime.host_copy import HostCopy
 
 #: SBV centres at t0 and t1 (N, 3) of bodies, and how far they reach from the way between these (N,).
 Centres = tuple[Tensor, Tensor, Tensor]

@@ -14,7 +14,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns, Route, pack, unpack
-from pgccd.host_copy import HostCopy
+from pgccd.runtime.host_copy import HostCopy
 
 # A capacity is the last count times _SLACK plus _SOME (for small counts), rounded up to a multiple, so that buffers
 # keep their sizes from step to step.

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd.contacts import Contacts
+from pgccd.detection.contacts import Contacts
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.detection import Detection
 from pgccd.distributed.exchange import Columns, make_route, take_rows

@@ -9,8 +9,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from pgccd.broad import BroadPhase
-from pgccd.contacts import Contacts
+from pgccd.detection.broad import BroadPhase
+from pgccd.detection.contacts import Contacts
 from pgccd.distributed.agreement import on_first, require_agreement, together
 from pgccd.distributed.balance import BalanceOptions
 from pgccd.distributed.checkpoint import Checkpoints, Header, load_share, newest_header, read_owners
@@ -18,7 +18,7 @@ from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns, make_route, take_rows
 from pgccd.distributed.partition import Partition, Triple
 from pgccd.distributed.step import DistributedSimulation, RankStep, starting_share
-from pgccd.mesh import Mesh
+from pgccd.geometry.mesh import Mesh
 from pgccd.sim.files import (
     CHECKPOINT_FILE,
     WORLD_FILE,

@@ -14,20 +14,22 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from pgccd import broad, narrow, ops
-from pgccd.bodies import MovingBodies
+from pgccd import ops
+from pgccd.detection import broad, narrow
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.checks import check_separation, operator_tolerance
+from pgccd.detection.parts import Part, find_part, pairs_of_step
+from pgccd.detection.query import Query
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns
 from pgccd.distributed.halo import Halo, Held, HeldExchange, centres_of
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.side_stream import SideStream
-from pgccd.host_copy import HostCopy
-from pgccd.motion import RigidMotion
-from pgccd.parts import Part, find_part, pairs_of_step
-from pgccd.query import Query
-from pgccd.scene import OPTIONAL_COLUMNS, Scene
-from pgccd.stages import StageClock
+from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.motion.paths import RigidMotion
+from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.stages import StageClock
 
 #: From columns of bodies to their scene and motion: the same bits on every rank that holds a body.
 Build = Callable[[Columns], tuple[Scene, RigidMotion]]
@@ -118,7 +120,7 @@ class OwnSearch:
     ) -> None:
         self._comm, self._partition, self._build, self._options = comm, partition, build, options
         self._clock, self._begin = clock, begin
-        self._kept = broad.check_separation(options.min_separation), broad.operator_tolerance(options.tolerance)
+        self._kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
         with clock.stage("plan"):
             self._bodies = bodies = MovingBodies(*build(own), wait=False)
         with clock.stage("halo"):

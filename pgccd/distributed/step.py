@@ -10,7 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd.broad import BroadPhase
+from pgccd.detection.broad import BroadPhase
+from pgccd.detection.parts import Part, contacts_of_step
 from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rebalance
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.detection import Detection
@@ -20,16 +21,15 @@ from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Options, OwnSearch, Share
 from pgccd.distributed.step_reports import Reports
-from pgccd.motion import RigidMotion
-from pgccd.parts import Part, contacts_of_step
-from pgccd.scene import Scene
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion
+from pgccd.runtime.stages import StageClock
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
 from pgccd.sim.response import Resolution, respond
 from pgccd.sim.rounds import Pace, goes_ahead, knows_rounds
 from pgccd.sim.step import ResolvedStep, resolve_step
 from pgccd.sim.tally import Tally, count_step
-from pgccd.stages import StageClock
 
 # Robots made at a time at the start of a world.
 _BLOCK_ROBOTS = 1 << 20

@@ -8,9 +8,10 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from pgccd import arguments, narrow
-from pgccd.broad import BroadPhase
-from pgccd.contacts import Contacts
+from pgccd import arguments
+from pgccd.detection import narrow
+from pgccd.detection.broad import BroadPhase
+from pgccd.detection.contacts import Contacts
 from pgccd.distributed.agreement import require_agreement, together
 from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rank_loads, rebalance
 from pgccd.distributed.comm import Alone, Comm
@@ -22,11 +23,11 @@ from pgccd.distributed.partition import Partition, Point, Triple
 from pgccd.distributed.report import earliest_for_all, tell_owners
 from pgccd.distributed.share import Options
 from pgccd.distributed.step import cell_loads
-from pgccd.mesh import Mesh, MeshSet
-from pgccd.motion import RigidMotion
-from pgccd.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.motion.paths import RigidMotion
+from pgccd.runtime.stages import StageClock
 from pgccd.sim.files import meshes_digest
-from pgccd.stages import StageClock
 
 
 class World:

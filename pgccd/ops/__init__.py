@@ -1,4 +1,4 @@
-"""One-to-one wrappers of the compiled operators (`library`); their fake kernels are in `pgccd.fake_ops`.
+"""One-to-one wrappers of the compiled operators (`library`); their fake kernels are in `pgccd.ops.fake`.
 
 Thin on purpose: shapes and dtypes are checked by the operators, meaning and units are documented by the stage modules
 that call these.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from pgccd.contacts import ContactRows
+from pgccd.detection.contacts import ContactRows
 from pgccd.ops import library
 
 
@@ -168,7 +168,7 @@ def pairs_padded(
     broad_phase: int,
     capacity: Sequence[int],
 ) -> tuple[Tensor, Tensor]:
-    """Pairs padded with -1, and counts (7,): see `pgccd.capacity`. Waits for nothing on a GPU."""
+    """Pairs padded with -1, and counts (7,): see `pgccd.detection.capacity`. Waits for nothing on a GPU."""
     columns = position_t0, position_t1, radius, group, mask, world, is_static, is_invalid
     return library.operators.pairs_padded(*columns, min_separation, tolerance, broad_phase, list(capacity))
 

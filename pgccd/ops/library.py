@@ -3,7 +3,7 @@
 import torch
 
 import pgccd._C as _C  # (importing it registers the operators)
-import pgccd.fake_ops  # noqa: F401  (and this their fake kernels)
+import pgccd.ops.fake  # noqa: F401  (and this their fake kernels)
 
 operators = torch.ops.pgccd
 

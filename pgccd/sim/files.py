@@ -13,7 +13,7 @@ from typing import Any, TextIO
 
 import torch
 
-from pgccd.mesh import Mesh
+from pgccd.geometry.mesh import Mesh
 from pgccd.sim.model import ModelConfig, RobotState
 
 WORLD_FILE = "world.json"

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.mesh import Mesh, MeshSet
-from pgccd.motion import RigidMotion
-from pgccd.scene import Scene
+from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion
 from pgccd.sim.robot import robot_mesh
 
 Pattern = Literal["random", "skewed"]

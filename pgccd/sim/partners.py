@@ -5,12 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pgccd.capacity import Capacity
-from pgccd.contacts import Contacts
-from pgccd.detect import detect
-from pgccd.memory import memory_limit
-from pgccd.padded import lower_first_toi
-from pgccd.query import Query
+from pgccd.detection.capacity import Capacity
+from pgccd.detection.contacts import Contacts
+from pgccd.detection.memory import memory_limit
+from pgccd.detection.padded import lower_first_toi
+from pgccd.detection.pipeline import detect
+from pgccd.detection.query import Query
 from pgccd.sim.model import Model
 
 #: What is asked of the whole step, and in every round of settling. nonzero_toi: robots that part after a contact are

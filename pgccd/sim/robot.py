@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgccd.mesh import Mesh
+from pgccd.geometry.mesh import Mesh
 
 RING_COUNT = 14
 RING_SIZE = 25

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.capacity import COUNT_ROWS, Capacity, Counts
-from pgccd.host_copy import HostCopy
-from pgccd.parts import Part
+from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
+from pgccd.detection.parts import Part
+from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.stages import StageClock
 from pgccd.sim.response import Exchange, Resolution, limits_of
 from pgccd.sim.tally import Rows
-from pgccd.stages import StageClock
 
 # Rounds made at a time, after as many as any of the last steps took.
 _MORE_ROUNDS = 2
@@ -83,7 +83,7 @@ class StartRound(Protocol):
             first: (N,) float64: first toi, in what each is to make of the step; lowered in place.
 
         Returns:
-            (21,) int64, left on the device: `pgccd.capacity.Counts`.
+            (21,) int64, left on the device: `pgccd.detection.capacity.Counts`.
         """
         ...
 

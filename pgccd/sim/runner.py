@@ -13,8 +13,8 @@ from typing import Any, Protocol
 
 import torch
 
-from pgccd.broad import BroadPhase
-from pgccd.mesh import Mesh
+from pgccd.detection.broad import BroadPhase
+from pgccd.geometry.mesh import Mesh
 from pgccd.sim.files import (
     WORLD_FILE,
     Checkpoint,

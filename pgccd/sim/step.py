@@ -10,19 +10,19 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd import broad
-from pgccd.bodies import MovingBodies
-from pgccd.capacity import Counts
-from pgccd.contacts import Contacts
-from pgccd.host_copy import HostCopy
-from pgccd.parts import Part, contacts_of_step, find_part, pairs_of_step, search_seconds
-from pgccd.scene import Scene
+from pgccd.detection import broad
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.capacity import Counts
+from pgccd.detection.contacts import Contacts
+from pgccd.detection.parts import Part, contacts_of_step, find_part, pairs_of_step, search_seconds
+from pgccd.geometry.scene import Scene
+from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.stages import StageClock
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
 from pgccd.sim.response import Exchange, OneRank, Resolution, resolve_collisions, respond
 from pgccd.sim.rounds import Meanwhile, Pace, goes_ahead, knows_rounds, resolve_ahead
 from pgccd.sim.tally import WORK, Rows, Tally, count_step, work_of_counts, work_of_stats
-from pgccd.stages import StageClock
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.capacity import COUNT_ROWS
-from pgccd.contacts import Stats
+from pgccd.detection.capacity import COUNT_ROWS
+from pgccd.detection.contacts import Stats
+from pgccd.runtime.stages import StageClock
 from pgccd.sim.hashing import hashed_columns
 from pgccd.sim.model import RobotState
-from pgccd.stages import StageClock
 
 #: (ranks, k) int64: a row for each rank.
 Rows = NDArray[np.int64]
@@ -30,7 +30,7 @@ def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int
     """(ranks, 6), columns as in `WORK`.
 
     Args:
-        counts: (ranks, parts, 21): `pgccd.capacity.Counts` of each part of the whole step.
+        counts: (ranks, parts, 21): `pgccd.detection.capacity.Counts` of each part of the whole step.
         secondary_contacts: (ranks,) found in rounds of settling.
     """
     names = ("pairs_written", "contacts", "candidates", "unresolved")

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pgccd.mesh import Mesh
-from pgccd.narrow import Kind
+from pgccd.detection.narrow import Kind
+from pgccd.geometry.mesh import Mesh
 from pgccd.sim import Model, RobotState, Step
 from pgccd.sim.response import respond
 from pgccd.viz.raster import rotation_matrices

@@ -13,7 +13,7 @@ import torch
 
 from distributed.conftest import World
 from pgccd import sim
-from pgccd.capacity import Capacity
+from pgccd.detection.capacity import Capacity
 from pgccd.distributed import BalanceOptions, Comm, DistributedSimulation, Partition, share, starting_share
 from pgccd.distributed.runner import gather_state, gather_step
 from pgccd.sim.rounds import Pace

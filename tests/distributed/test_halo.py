@@ -15,7 +15,7 @@ from pgccd import ops, sim
 from pgccd.distributed import Alone, Comm, DistributedSimulation, Partition, starting_share
 from pgccd.distributed.detection import detect_distributed
 from pgccd.distributed.share import Options
-from pgccd.stages import StageClock
+from pgccd.runtime.stages import StageClock
 
 
 def touching_spheres(seed: int, offset: float, separation: float) -> list[torch.Tensor]:

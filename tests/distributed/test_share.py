@@ -9,11 +9,11 @@ from unittest import mock
 import pytest
 
 from distributed.conftest import World
-from pgccd import parts as parts_module
 from pgccd import sim
-from pgccd.capacity import EXACTLY, Capacity
+from pgccd.detection import parts as parts_module
+from pgccd.detection.capacity import EXACTLY, Capacity
+from pgccd.detection.parts import Part
 from pgccd.distributed import Comm, DistributedSimulation, Partition, starting_share
-from pgccd.parts import Part
 
 CONFIG = sim.ModelConfig(robots=150, speed=0.3, spin=0.5, seed=3)
 STEPS = 14

@@ -13,9 +13,10 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
-from pgccd.capacity import COUNT_ROWS, Capacity
-from pgccd.detect import find_contacts
-from pgccd.parts import Part
+from pgccd.detection.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.parts import Part
+from pgccd.detection.pipeline import find_contacts
+from pgccd.runtime.stages import StageClock
 from pgccd.sim import Model, ModelConfig, RobotState, make_step, robot_mesh
 from pgccd.sim import partners as partners_module
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
@@ -23,9 +24,8 @@ from pgccd.sim.response import OneRank, Resolution, resolve_collisions
 from pgccd.sim.rounds import Ahead, Pace, resolve_ahead
 from pgccd.sim.step import ResolvedStep, resolve_step
 from pgccd.sim.tally import WORK
-from pgccd.stages import StageClock
 
-detect_module = sys.modules["pgccd.detect"]
+detect_module = sys.modules["pgccd.detection.pipeline"]
 step_module = sys.modules["pgccd.sim.step"]
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5}
 

@@ -14,9 +14,9 @@ import torch
 
 import pgccd
 from pgccd import sim
+from pgccd.runtime.stages import StageClock
 from pgccd.sim import runner
 from pgccd.sim.files import CHECKPOINT_FILE, LOG_FILE, WORLD_FILE
-from pgccd.stages import StageClock
 
 CONFIG = sim.ModelConfig(robots=200, pattern="skewed", seed=11, speed=0.2)
 FIELDS = {"step", "robots", "pcs", "contacts", "contacts_hash", "state_hash", "seconds", "stage_seconds", "candidates"}

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pgccd.capacity import COUNT_ROWS
+from pgccd.detection.capacity import COUNT_ROWS
 from pgccd.sim.tally import WORK, work_of_counts
 
 intervals = st.tuples(st.integers(0, 30), st.integers(0, 12)).map(lambda given: (given[0], given[0] + given[1]))

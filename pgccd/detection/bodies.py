@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.faults import Faults, first_faulty_radius
-from pgccd.motion import RigidMotion, VertexMotion
-from pgccd.scene import Scene
+from pgccd.geometry.scene import Scene
+from pgccd.motion.faults import Faults, first_faulty_radius
+from pgccd.motion.paths import RigidMotion, VertexMotion
 
 
 class MovingBodies:

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.bodies import MovingBodies
-from pgccd.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.checks import check_separation, operator_tolerance, require_bodies
 
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
@@ -22,8 +23,6 @@ BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
 _FEW_BODIES = 2_000
 _GRID_OCTAVES = 3
 _MANY_BODIES = 150_000
-#: The default tolerance, relative to the smaller SBV radius of a pair.
-RELATIVE_TOLERANCE = 1e-6
 #: Centres at t0 and t1, radius, and the filters.
 _Columns = tuple[Tensor, Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]
 
@@ -139,7 +138,7 @@ def find_pairs_padded(
 
     Returns:
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
-        `pgccd.capacity.Counts`. On overflow any pairs may be missing.
+        `pgccd.detection.capacity.Counts`. On overflow any pairs may be missing.
     """
     number = list(FINDERS).index(choose(bodies, broad_phase))
     own = 0 if bodies.scene.self_collision is None else len(bodies.self_colliding)
@@ -213,12 +212,6 @@ def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
     return merged
 
 
-def require_bodies(bodies: MovingBodies) -> None:
-    """Raises unless these are bodies in motion."""
-    if not isinstance(bodies, MovingBodies):
-        raise TypeError(f"bodies: expected a pgccd.MovingBodies, got {arguments.describe(bodies)}")
-
-
 def _checked_columns(bodies: MovingBodies) -> _Columns:
     require_bodies(bodies)
     bodies.check()
@@ -229,16 +222,6 @@ def _columns(bodies: MovingBodies) -> _Columns:
     scene = bodies.scene
     filters = scene.group, scene.mask, scene.world, scene.static
     return bodies.centre_t0, bodies.centre_t1, bodies.reach, *filters
-
-
-def check_separation(min_separation: float) -> float:
-    """The value, if it is a length in [0, 1e150]."""
-    return arguments.length(min_separation, "min_separation")
-
-
-def operator_tolerance(tolerance: float | None) -> float:
-    """The operators take a negative tolerance as relative to the smaller radius of each pair."""
-    return -RELATIVE_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
 
 
 def _kept(min_separation: float, tolerance: float | None) -> tuple[float, float]:

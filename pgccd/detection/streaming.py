@@ -10,12 +10,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd import broad
-from pgccd.bodies import MovingBodies
-from pgccd.capacity import Capacity
-from pgccd.contacts import Contacts, Stats
-from pgccd.memory import pairs_a_chunk
-from pgccd.query import Query
+from pgccd.detection import broad
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.capacity import Capacity
+from pgccd.detection.contacts import Contacts, Stats
+from pgccd.detection.memory import pairs_a_chunk
+from pgccd.detection.query import Query
 
 _COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 _SUMS = ("pcs", "node_tests", "candidates", "contacts", "unresolved", "chunks", "waits")

@@ -11,8 +11,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from pgccd import _host, arguments, mesh_files
-from pgccd.origin import Origin, checked_origin, origin_point
+from pgccd import _host, arguments
+from pgccd.geometry import mesh_files
+from pgccd.geometry.origin import Origin, checked_origin, origin_point
 
 # Triangles a leaf of the hierarchy holds at most: one for each lane of a vector unit.
 LEAF_SIZE = 8
@@ -246,7 +247,7 @@ class MeshSet:
         self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
         #: As torch resolves it: "cuda" becomes "cuda:0".
         self.device = self.tensors[0].device
-        #: What steps have needed; kept by `pgccd.memory`.
+        #: What steps have needed; kept by `pgccd.detection.memory`.
         self.experience: dict[str, object] = {}
 
     def __len__(self) -> int:

@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.bodies import MovingBodies
-from pgccd.broad import check_separation, operator_tolerance, require_bodies
-from pgccd.contacts import ContactRows, take_earliest
-from pgccd.traverse import check_pairs, require
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.checks import check_pairs, check_separation, operator_tolerance, require, require_bodies
+from pgccd.detection.contacts import ContactRows, take_earliest
 
 Report = Literal["any", "first", "all", "earliest"]
 # What the operators are asked for; "earliest" is then chosen from the first contacts.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pgccd.events import record_event
+from pgccd.runtime.events import record_event
 
 
 class HostCopy:

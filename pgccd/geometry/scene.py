@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.mesh import Mesh, MeshSet
+from pgccd.geometry.mesh import Mesh, MeshSet
 
 #: Columns of a scene that say which of its bodies may collide.
 FILTERS = ("group", "mask", "world", "static")
@@ -31,7 +31,7 @@ class VertexLayout:
 
 
 class Scene:
-    """N bodies, each an instance of one of a few meshes. Positions are not part of it: see `pgccd.motion`.
+    """N bodies, each an instance of one of a few meshes. Positions are not part of it: see `pgccd.motion.paths`.
 
     Filters are implicit, never stored as pair lists. A pair of bodies is tested if both are in the same `world`, at
     least one is not `static`, and each one's `group` has a bit in common with the other's `mask`.

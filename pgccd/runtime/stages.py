@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import torch
 
-from pgccd.events import record_event
+from pgccd.runtime.events import record_event
 
 _WORK = ("plan", "bounds", "broad", "traverse", "narrow")
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from pgccd.capacity import Capacity
-from pgccd.query import Query
-from pgccd.scene import Scene
+from pgccd.detection.capacity import Capacity
+from pgccd.detection.query import Query
+from pgccd.geometry.scene import Scene
 
 _DEFAULT_BUDGET = 1 << 30
 # Times what the last step needed.

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.capacity import COUNT_ROWS, Capacity, CapacityError, Counts
-from pgccd.faults import Faults
+from pgccd.detection.capacity import COUNT_ROWS, Capacity, CapacityError, Counts
+from pgccd.motion.faults import Faults
 
 if TYPE_CHECKING:
-    from pgccd.scene import Scene
+    from pgccd.geometry.scene import Scene
 
 #: Columns of contacts as the operators give them: row of the pairs (K,), kind (K,), features (K, 2), status (K,), toi
 #: (K,), coordinates (K, 2), point (K, 3), normal (K, 3).
@@ -182,7 +182,7 @@ class PaddedContacts:
     #: (1,) bool: a capacity was exceeded, or the input is invalid, and contacts may be missing. `trim` raises and says
     #: which.
     overflow: Tensor
-    counts: Tensor  #: (21 + F,) int64: `pgccd.capacity.Counts`, then `pgccd.MovingBodies.first_faults`
+    counts: Tensor  #: (21 + F,) int64: `pgccd.detection.capacity.Counts`, then `pgccd.MovingBodies.first_faults`
     capacity: Capacity
     broad_phase: str  #: as in `Stats`
     bodies: int  #: number of bodies

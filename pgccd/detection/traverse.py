@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.bodies import MovingBodies
-from pgccd.broad import check_separation, operator_tolerance, require_bodies
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.checks import check_pairs, check_separation, operator_tolerance, require, require_bodies
 
 
 def bvtt(
@@ -59,41 +59,3 @@ def _check_horizon(horizon: Tensor, pairs: Tensor) -> None:
         raise ValueError(f"horizon: expected device {pairs.device}, got {horizon.device}")
     arguments.refuse_gradient(horizon, "horizon")
     require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
-
-
-def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) -> Tensor:
-    """`pairs`, if it has the right dtype, shape and device, and names bodies of the scene.
-
-    Args:
-        ascending: whether rows must be sorted, and no two of them alike.
-    """
-    if not isinstance(pairs, Tensor) or pairs.dtype != torch.int64:
-        raise TypeError(f"pairs: expected an int64 tensor, got {arguments.describe(pairs)}")
-    if pairs.dim() != 2 or pairs.shape[1] != 2:
-        raise ValueError(f"pairs: expected shape (P, 2), got {tuple(pairs.shape)}")
-    if pairs.device != bodies.device:
-        raise ValueError(f"pairs: expected device {bodies.device}, got {pairs.device}")
-    count = bodies.scene.body_count
-    i, j = pairs.unbind(dim=1)
-    in_order = (i >= 0) & (i < j) & (j < count)
-    expected = f"pairs: expected rows 0 <= i < j < {count}"
-    own = bodies.scene.self_collision
-    if own is not None and len(bodies.self_colliding):
-        in_order |= (i == j) & (i >= 0) & (j < count) & own[i.clamp(0, count - 1)]
-        expected += ", or (i, i) of a body that collides with itself"
-    require(in_order, expected)
-    if ascending:
-        rises = (i[1:] > i[:-1]) | ((i[1:] == i[:-1]) & (j[1:] > j[:-1]))
-        require(rises, "pairs: expected rows sorted by i, then j, each once (torch.unique(pairs, dim=0) makes them so)")
-    return pairs.contiguous()
-
-
-def require(valid: Tensor, message: str) -> None:
-    """Raises ValueError unless all of `valid` is true.
-
-    On a GPU the assertion is asynchronous: it does not stall the stream.
-    """
-    if valid.device.type != "cpu" or torch.compiler.is_compiling():
-        torch._assert_async(valid.all(), message)
-    elif not bool(valid.all()):
-        raise ValueError(message)

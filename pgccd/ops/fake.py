@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd.contacts import ContactRows
+from pgccd.detection.contacts import ContactRows
 
 
 def _unknown_count() -> torch.SymInt:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.arguments import real_rows
-from pgccd.faults import Faults, first_faults, joined
+from pgccd.motion.faults import Faults, first_faults, joined
 
 _Self = TypeVar("_Self", bound="MovingColumns")
 

@@ -9,17 +9,20 @@ from typing import Any, overload
 
 from torch import Tensor
 
-from pgccd import arguments, broad, narrow, ops, traverse
-from pgccd.bodies import MovingBodies
-from pgccd.capacity import EXACTLY, Capacity, check_capacity
-from pgccd.contacts import Contacts, PaddedContacts
-from pgccd.memory import memory_limit, recall_capacity, remember_needs
-from pgccd.motion import RigidMotion, VertexMotion
-from pgccd.padded import Search, search_padded
-from pgccd.query import Query
-from pgccd.scene import Scene
-from pgccd.streaming import SolvePairs, stream
-from pgccd.trajectory import Trajectory, TrajectoryContacts, detect_trajectory
+from pgccd import arguments, ops
+from pgccd.detection import broad, narrow
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.capacity import EXACTLY, Capacity, check_capacity
+from pgccd.detection.checks import check_pairs
+from pgccd.detection.contacts import Contacts, PaddedContacts
+from pgccd.detection.memory import memory_limit, recall_capacity, remember_needs
+from pgccd.detection.padded import Search, search_padded
+from pgccd.detection.query import Query
+from pgccd.detection.streaming import SolvePairs, stream
+from pgccd.detection.trajectories import TrajectoryContacts, detect_trajectory
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.trajectory import Trajectory
 
 # A step that overflows is repeated with a larger capacity, at most once for every stage that may overflow.
 _ATTEMPTS = 6
@@ -142,7 +145,7 @@ def detect(
     seconds = time.perf_counter() - start if capacity is None else 0.0
     broad.choose(bodies, broad_phase)  # complains of a name it does not know
     if pairs is not None:
-        pairs = traverse.check_pairs(pairs, bodies, ascending=True)
+        pairs = check_pairs(pairs, bodies, ascending=True)
     if capacity is not None:
         return search_padded(bodies, query, capacity, broad_phase, pairs).padded()
     found = find_contacts(bodies, query, broad_phase, pairs, memory_budget)

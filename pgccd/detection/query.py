@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pgccd import arguments, broad, narrow
+from pgccd import arguments
+from pgccd.detection import narrow
+from pgccd.detection.checks import check_separation, operator_tolerance
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,6 @@ class Query:
 
     def __post_init__(self) -> None:
         arguments.choice(self.report, "report", narrow.REPORTS)
-        broad.check_separation(self.min_separation)
-        broad.operator_tolerance(self.tolerance)
+        check_separation(self.min_separation)
+        operator_tolerance(self.tolerance)
         arguments.flag(self.nonzero_toi, "nonzero_toi")

@@ -9,15 +9,16 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pgccd import broad, ops
-from pgccd.bodies import MovingBodies
-from pgccd.capacity import COUNT_ROWS, Capacity, Counts
-from pgccd.contacts import Contacts, Stats
-from pgccd.detect import expected_capacity, find_contacts, start_search
-from pgccd.memory import remember_needs
-from pgccd.padded import Search
-from pgccd.query import Query
-from pgccd.streaming import join_contacts
+from pgccd import ops
+from pgccd.detection import broad
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
+from pgccd.detection.contacts import Contacts, Stats
+from pgccd.detection.memory import remember_needs
+from pgccd.detection.padded import Search
+from pgccd.detection.pipeline import expected_capacity, find_contacts, start_search
+from pgccd.detection.query import Query
+from pgccd.detection.streaming import join_contacts
 
 # Capacity for pairs found without waiting, over what the last step needed. More than where their number is known
 # how many more pairs there are.
@@ -33,7 +34,7 @@ class Part:
         bodies: moving.
         pairs: (P, 2) int64 rows of these, of each pair first the body that contacts are to name first. Rows of -1 may
             follow.
-        pair_counts: (7,) int64, left on the device: the first of `pgccd.capacity.Counts`. Default: there are P pairs.
+        pair_counts: (7,) int64, left on the device: the first of `Counts`. Default: there are P pairs.
         rows: (B,) int64: which of the step's bodies each of `bodies` is. Default: they are those of the step.
         capacity: of the search, chosen before the pairs were known. Default: what is expected to suffice.
         find_pairs: finds all pairs, if they exceeded the capacity.

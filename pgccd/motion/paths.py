@@ -10,9 +10,9 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.arguments import real_rows
-from pgccd.columns import MovingColumns
-from pgccd.faults import first_faults
-from pgccd.times import broadcast_times
+from pgccd.motion.columns import MovingColumns
+from pgccd.motion.faults import first_faults
+from pgccd.motion.times import broadcast_times
 
 PathKind = Literal["rigid", "linear"]
 _PATHS = get_args(PathKind)

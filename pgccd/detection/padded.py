@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pgccd import broad, narrow, ops
-from pgccd.bodies import MovingBodies
-from pgccd.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts
-from pgccd.contacts import ContactRows, Contacts, PaddedContacts, stats_of, take_earliest
-from pgccd.query import Query
+from pgccd import ops
+from pgccd.detection import broad, narrow
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts
+from pgccd.detection.checks import operator_tolerance
+from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, stats_of, take_earliest
+from pgccd.detection.query import Query
 
 
 @dataclass
@@ -148,7 +150,7 @@ def contacts_padded(
     Returns:
         Contacts with padding, the first column being body pairs; and counts (21 + F,).
     """
-    settings = (query.min_separation, broad.operator_tolerance(query.tolerance), query.nonzero_toi)
+    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
     rest = (pairs, pair_counts, faults, *settings, _REPORTS[query.report], capacity.of_contacts)
     if linear_path is None:
         *rows, counts = ops.contacts_padded_deforming(mesh_set, tensors, *rest)
@@ -177,6 +179,6 @@ def lower_first_toi(
     Returns:
         Counts (21,), of which `contacts` is the number of pairs that have one.
     """
-    settings = (query.min_separation, broad.operator_tolerance(query.tolerance), query.nonzero_toi)
+    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
     rest = (*settings, capacity.of_contacts[:-1])  # no contacts are written
     return ops.lower_first_toi_rigid(first, owners, mesh_set, tensors, linear_path, pairs, pair_counts, *rest)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.mesh import LARGEST_RADIUS, SMALLEST_RADIUS
+from pgccd.geometry.mesh import LARGEST_RADIUS, SMALLEST_RADIUS
 
 # Quaternions further from unit length than this are taken for mistakes; nearer ones are normalised exactly.
 UNIT_TOLERANCE = 1e-3

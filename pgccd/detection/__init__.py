@@ -1,0 +1,1 @@
+"""From a scene in motion to its contacts: broad phase, traversal, narrow phase, and the pipeline of these stages."""

@@ -1,0 +1,66 @@
+"""Checks of arguments that several stages share."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.detection.bodies import MovingBodies
+
+#: The default tolerance, relative to the smaller SBV radius of a pair.
+RELATIVE_TOLERANCE = 1e-6
+
+
+def require_bodies(bodies: MovingBodies) -> None:
+    """Raises unless these are bodies in motion."""
+    if not isinstance(bodies, MovingBodies):
+        raise TypeError(f"bodies: expected a pgccd.MovingBodies, got {arguments.describe(bodies)}")
+
+
+def check_separation(min_separation: float) -> float:
+    """The value, if it is a length in [0, 1e150]."""
+    return arguments.length(min_separation, "min_separation")
+
+
+def operator_tolerance(tolerance: float | None) -> float:
+    """The operators take a negative tolerance as relative to the smaller radius of each pair."""
+    return -RELATIVE_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
+
+
+def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) -> Tensor:
+    """`pairs`, if it has the right dtype, shape and device, and names bodies of the scene.
+
+    Args:
+        ascending: whether rows must be sorted, and no two of them alike.
+    """
+    if not isinstance(pairs, Tensor) or pairs.dtype != torch.int64:
+        raise TypeError(f"pairs: expected an int64 tensor, got {arguments.describe(pairs)}")
+    if pairs.dim() != 2 or pairs.shape[1] != 2:
+        raise ValueError(f"pairs: expected shape (P, 2), got {tuple(pairs.shape)}")
+    if pairs.device != bodies.device:
+        raise ValueError(f"pairs: expected device {bodies.device}, got {pairs.device}")
+    count = bodies.scene.body_count
+    i, j = pairs.unbind(dim=1)
+    in_order = (i >= 0) & (i < j) & (j < count)
+    expected = f"pairs: expected rows 0 <= i < j < {count}"
+    own = bodies.scene.self_collision
+    if own is not None and len(bodies.self_colliding):
+        in_order |= (i == j) & (i >= 0) & (j < count) & own[i.clamp(0, count - 1)]
+        expected += ", or (i, i) of a body that collides with itself"
+    require(in_order, expected)
+    if ascending:
+        rises = (i[1:] > i[:-1]) | ((i[1:] == i[:-1]) & (j[1:] > j[:-1]))
+        require(rises, "pairs: expected rows sorted by i, then j, each once (torch.unique(pairs, dim=0) makes them so)")
+    return pairs.contiguous()
+
+
+def require(valid: Tensor, message: str) -> None:
+    """Raises ValueError unless all of `valid` is true.
+
+    On a GPU the assertion is asynchronous: it does not stall the stream.
+    """
+    if valid.device.type != "cpu" or torch.compiler.is_compiling():
+        torch._assert_async(valid.all(), message)
+    elif not bool(valid.all()):
+        raise ValueError(message)

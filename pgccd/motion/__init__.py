@@ -1,0 +1,1 @@
+"""Where bodies go in a step: rigid paths, paths of vertices, trajectories."""

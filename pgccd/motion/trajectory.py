@@ -1,0 +1,103 @@
+"""Trajectories: paths through many waypoints."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.motion.faults import LARGEST_COORDINATE, UNIT_TOLERANCE
+from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
+
+
+class Trajectory:
+    """Bodies on paths through T waypoints: T - 1 segments, each a step as of `RigidMotion` or `VertexMotion`.
+
+    Args:
+        position: (T, N, 3) where the meshes' origins are, world frame, scene length units; or vertices (T, X, 3) of
+            bodies that deform, in the order of `VertexMotion`, if there is no `orientation`.
+        orientation: (T, N, 4) unit quaternions (w, x, y, z), body to world. Between waypoints bodies turn the shorter
+            way.
+        path: "rigid" or "linear", as for `RigidMotion`.
+
+    float32 input is widened to float64 exactly. Making one waits for a GPU once.
+
+    Raises:
+        TypeError, ValueError: naming the argument, and the first offending waypoint and body or vertex.
+
+    Example:
+        >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))  # (T, N, 3), (T, N, 4)
+        >>> hits = pgccd.detect(scene, trajectory)
+        >>> hits.segment, hits.toi, hits.time
+    """
+
+    def __init__(self, position: Tensor, orientation: Tensor | None = None, path: PathKind = "rigid") -> None:
+        if path not in ("rigid", "linear"):
+            raise ValueError(f'path: expected "rigid" or "linear", got {path!r}')
+        self.path: PathKind = path
+        row = "vertex" if orientation is None else "body"
+        self.position = _waypoints(position, "position", 3, None)
+        _require(
+            self.position.abs() <= LARGEST_COORDINATE, "position", row, f"finite numbers up to {LARGEST_COORDINATE:g}"
+        )
+        #: (T, N, 4) float64, or None where bodies deform.
+        self.orientation: Tensor | None = None
+        if orientation is not None:
+            self.orientation = _waypoints(orientation, "orientation", 4, self.position)
+            is_unit = (self.orientation.norm(dim=2, keepdim=True) - 1.0).abs() <= UNIT_TOLERANCE
+            _require(is_unit, "orientation", row, "a unit quaternion (w, x, y, z)")
+
+    @property
+    def device(self) -> torch.device:
+        return self.position.device
+
+    @property
+    def segment_count(self) -> int:
+        """T - 1."""
+        return self.position.shape[0] - 1
+
+    def segment(self, index: int) -> RigidMotion | VertexMotion:
+        """One step, from waypoint `index` to the next: `detect` finds in it what it finds in the trajectory's segment,
+        to the bit.
+
+        Raises:
+            IndexError: there is no such segment.
+
+        Example:
+            >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))
+            >>> position, orientation = trajectory.segment(0).at(0.5)
+        """
+        if not 0 <= index < self.segment_count:
+            raise IndexError(f"index: expected a segment in [0, {self.segment_count}), got {index}")
+        return self._motion(slice(index, index + 1))
+
+    def steps(self) -> RigidMotion | VertexMotion:
+        """All segments as one step, of bodies of which the rows of segment k follow those of segment k - 1."""
+        return self._motion(slice(0, self.segment_count))
+
+    def _motion(self, segments: slice) -> RigidMotion | VertexMotion:
+        ends = slice(segments.start + 1, segments.stop + 1)
+        start, end = (self.position[rows].reshape(-1, 3) for rows in (segments, ends))
+        if self.orientation is None:
+            return VertexMotion(start, end)
+        turn = (self.orientation[rows].reshape(-1, 4) for rows in (segments, ends))
+        return RigidMotion(start, next(turn), end, next(turn), self.path)
+
+
+def _waypoints(values: Tensor, name: str, width: int, like: Tensor | None) -> Tensor:
+    arguments.real_tensor(values, name)
+    if values.dim() != 3 or values.shape[2] != width or values.shape[0] < 2:
+        raise ValueError(f"{name}: expected shape (T, N, {width}) with T >= 2, got {tuple(values.shape)}")
+    if like is not None and values.shape[:2] != like.shape[:2]:
+        expected = (*like.shape[:2], width)
+        raise ValueError(f"{name}: expected shape {expected}, as of position, got {tuple(values.shape)}")
+    if like is not None and values.device != like.device:
+        raise ValueError(f"{name}: expected device {like.device}, got {values.device}")
+    return values.detach().to(torch.float64).contiguous()
+
+
+def _require(valid: Tensor, name: str, row: str, expected: str) -> None:
+    faulty = ~valid.all(dim=2)
+    if bool(faulty.any()):
+        waypoint, index = torch.nonzero(faulty)[0].tolist()
+        raise ValueError(f"{name}: waypoint {waypoint}, {row} {index}: expected {expected}")
