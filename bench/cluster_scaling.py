@@ -130,16 +130,16 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
 
 def start(
     comm: distributed.Comm, config: sim.ModelConfig, device: torch.device, arguments: argparse.Namespace
-) -> distributed.DistributedSimulation:
+) -> sim.distributed.DistributedSimulation:
     """The world before step 0."""
     model = sim.Model(config, device=device)
     x, y, z = model.half_extent
     partition = distributed.Partition.uniform(
         (-x, -y, -z), (x, y, z), comm.size, axes=arguments.axes, cells=arguments.cells, device=device
     )
-    share = distributed.starting_share(comm, model, partition)
+    share = sim.distributed.starting_share(comm, model, partition)
     balance = distributed.BalanceOptions(arguments.balance)
-    return distributed.DistributedSimulation(
+    return sim.distributed.DistributedSimulation(
         comm, model, partition, share, balance, not arguments.no_overlap, ahead=ahead(arguments, comm.size)
     )
 

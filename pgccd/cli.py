@@ -20,9 +20,9 @@ from pgccd.about import describe_installation
 from pgccd.detection.broad import BROAD_PHASES
 from pgccd.detection.memory import is_out_of_memory
 from pgccd.detection.narrow import REPORTS, Kind, Status
-from pgccd.distributed import command
 from pgccd.files import load_motion, load_scene
 from pgccd.geometry.origin import Origin
+from pgccd.sim.distributed import command
 from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.summary import summary_lines, totals, write_pictures
 
@@ -162,12 +162,12 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
         if on_ranks:
             spread: dict[str, Any] = {"options": command.distributed_options(options)}
             spread["keep_last_step"] = not options.no_pictures
-            start: Callable[..., sim.Run] = functools.partial(distributed.run, comm, **spread)
-            go_on: Callable[..., sim.Run] = functools.partial(distributed.resume, comm, **spread)
+            start: Callable[..., sim.Run] = functools.partial(sim.distributed.run, comm, **spread)
+            go_on: Callable[..., sim.Run] = functools.partial(sim.distributed.resume, comm, **spread)
         else:
             start, go_on = sim.run, sim.resume
         if folder is not None:
-            header, _ = distributed.on_first(comm, lambda: distributed.find_checkpoint(folder))
+            header, _ = distributed.on_first(comm, lambda: sim.distributed.find_checkpoint(folder))
             files = options.mesh or distributed.on_first(comm, lambda: _listed_meshes(folder))
             meshes = distributed.together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))
             with _progress(comm, header.steps_made, options.steps or header.steps_wanted) as progress:

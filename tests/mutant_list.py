@@ -1200,7 +1200,7 @@ _DISTRIBUTED = [
     ),
     Mutant(
         "distributed-simulation-without-census",
-        "pgccd/distributed/step.py",
+        "pgccd/sim/distributed/simulation.py",
         "Census(tally.robots, tally.id_hash).require(self._expected)",
         "pass",
         ("distributed/test_census.py",),

@@ -28,10 +28,10 @@ from pgccd.sim.step import FIRST_CONTACTS
 ROOT = Path(__file__).resolve().parents[1]
 # What needs ranks, a scheduler or a GPU's streams; tests of its own run it.
 NOT_ALONE = (
-    "pgccd.distributed.checkpoint",
+    "pgccd.sim.distributed.checkpoint",
     "pgccd.distributed.guard",
     "pgccd.distributed.mpi_comm",
-    "pgccd.distributed.runner",
+    "pgccd.sim.distributed.runner",
     "pgccd.distributed.side_stream",
     "pgccd.distributed.torch_comm",
     "pgccd.distributed.share",

@@ -27,11 +27,11 @@ from pgccd.detection.query import Query
 from pgccd.distributed.agreement import require_agreement, together
 from pgccd.distributed.comm import Alone, Comm
 from pgccd.distributed.exchange import Columns, make_route, take_rows
+from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
-from pgccd.sim.files import meshes_digest
 
 _COLUMNS = ("kind", "features", "status", "toi", "coordinates", "point", "normal")
 

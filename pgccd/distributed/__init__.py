@@ -1,7 +1,7 @@
 """The system on many ranks: one process a GPU (or CPU core), any number of machines.
 
-`World` spreads a scene of one's own over ranks, `run` and `resume` the nanorobot world; `connect` finds the ranks that
-were launched together. Whatever the number of ranks, the results are the same to the last bit.
+`World` spreads a scene over ranks; `connect` finds the ranks that were launched together. (`pgccd.sim.distributed` runs
+the nanorobot simulation.) Whatever the number of ranks, the results are the same to the last bit.
 """
 
 from pgccd.distributed.agreement import DisagreementError, on_first, require_agreement, together
@@ -12,8 +12,6 @@ from pgccd.distributed.launch import choose_device, connect
 from pgccd.distributed.mpi_comm import MpiComm
 from pgccd.distributed.partition import Partition, factorise
 from pgccd.distributed.placement import Placement, find_placement
-from pgccd.distributed.runner import DistributedOptions, find_checkpoint, resume, run
-from pgccd.distributed.step import DistributedSimulation, RankStep, starting_share
 from pgccd.distributed.torch_comm import TorchComm
 from pgccd.distributed.world import World
 
@@ -24,26 +22,19 @@ __all__ = [
     "CellLoads",
     "Comm",
     "DisagreementError",
-    "DistributedSimulation",
-    "DistributedOptions",
     "MpiComm",
     "Partition",
     "Placement",
     "RankFailureError",
-    "RankStep",
     "TorchComm",
     "World",
     "choose_device",
     "connect",
     "factorise",
-    "find_checkpoint",
     "find_placement",
     "imbalance",
     "on_first",
     "rebalance",
     "require_agreement",
-    "resume",
-    "run",
-    "starting_share",
     "together",
 ]

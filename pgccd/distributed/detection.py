@@ -11,6 +11,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.parts import Part, contacts_of_step, search_seconds
+from pgccd.distributed.balance import CellLoads
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns
 from pgccd.distributed.halo import Held, centres_of
@@ -73,3 +74,9 @@ def detect_distributed(
     if options.report == "earliest":
         found = found.earliest(*share.held.id[found.pairs].unbind(dim=1))
     return Detection(share, replace(found, stats=replace(found.stats, bodies=len(share.held))))
+
+
+def cell_loads(partition: Partition, position: Tensor, found: Detection) -> CellLoads:
+    """What one rank saw in each cell."""
+    cells = [partition.cell_of(position), *found.cells(partition)]
+    return CellLoads(*(torch.bincount(cell, minlength=partition.cell_count) for cell in cells))

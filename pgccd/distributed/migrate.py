@@ -11,7 +11,7 @@ from pgccd import ops
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns, Route, replace_rows
 from pgccd.distributed.partition import Partition
-from pgccd.sim.hashing import id_hash
+from pgccd.runtime.hashing import row_hash
 
 # Ids made at a time.
 _BLOCK = 1 << 22
@@ -90,7 +90,7 @@ class Census:
     @classmethod
     def of(cls, id: Tensor) -> Census:
         """Of one rank's bodies (N,) int64."""
-        return cls(len(id), id_hash(id))
+        return cls(len(id), row_hash([id]))
 
     @classmethod
     def of_range(cls, count: int) -> Census:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
+from typing import TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -22,7 +22,7 @@ from pgccd.detection.parts import Part, find_part, pairs_of_step
 from pgccd.detection.query import Query
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns
-from pgccd.distributed.halo import Halo, Held, HeldExchange, centres_of
+from pgccd.distributed.halo import Centres, Halo, Held, centres_of
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.side_stream import SideStream
@@ -30,6 +30,8 @@ from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
+
+T = TypeVar("T")
 
 #: From columns of bodies to their scene and motion: the same bits on every rank that holds a body.
 Build = Callable[[Columns], tuple[Scene, RigidMotion]]
@@ -168,13 +170,14 @@ class OwnSearch:
             near, found = ops.near_ghosts(own, ghosts, *self._kept, subdomain)
             return near, HostCopy(found)
 
-    def exchange(self) -> HeldExchange:
-        """How ranks that hold a body agree about it. Waits for ghosts."""
+    def of_held(self, make: Callable[[Held, Centres, tuple[float, float], Partition], T]) -> T:
+        """What `make` makes of the bodies held, the centres of ghosts (of all bodies, if there is one rank), the
+        distances kept and the partition; beside the search. Waits for ghosts."""
         held, centres = self._held, centres_of(self._bodies if self._comm.size == 1 else self._ghosts)
         if self._comm.size > 1:
             _ = self._near  # first, so that their number is known when it is asked for
         with self._side, self._clock.stage("halo"):
-            return HeldExchange(held, centres, self._kept, self._partition)
+            return make(held, centres, self._kept, self._partition)
 
     def with_ghosts(self) -> Share:
         """The whole share: waits for ghosts, and begins to search the pairs with them."""

@@ -15,19 +15,18 @@ from pgccd.detection.contacts import Contacts
 from pgccd.distributed.agreement import require_agreement, together
 from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rank_loads, rebalance
 from pgccd.distributed.comm import Alone, Comm
-from pgccd.distributed.detection import Detection, detect_distributed
+from pgccd.distributed.detection import Detection, cell_loads, detect_distributed
 from pgccd.distributed.exchange import Columns, make_route, take_rows
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.migrate import Census, migrate
 from pgccd.distributed.partition import Partition, Point, Triple
 from pgccd.distributed.report import earliest_for_all, tell_owners
 from pgccd.distributed.share import Options
-from pgccd.distributed.step import cell_loads
+from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
-from pgccd.sim.files import meshes_digest
 
 
 class World:

@@ -1,7 +1,12 @@
 """The nanorobot model: very many robots that move, collide, stop and turn round (Du, Liu & Suzumura 2017, section 5).
 
-A run is `run(ModelConfig(...), steps, folder)`. Its parts are here too, for worlds that are put together differently.
+A run is `run(ModelConfig(...), steps, folder)`; on many ranks, `sim.distributed.run(comm, ...)`. Their parts are here
+too, for simulations of one's own.
 """
+
+import importlib as _importlib
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
 
 from pgccd.sim.files import LOG_FILE, Checkpoint, load_checkpoint, read_log, save_checkpoint
 from pgccd.sim.hashing import contacts_hash, state_hash
@@ -10,6 +15,9 @@ from pgccd.sim.response import Exchange, Resolution, first_collisions, resolve_c
 from pgccd.sim.robot import robot_mesh
 from pgccd.sim.runner import Run, resume, run
 from pgccd.sim.step import Step, make_step
+
+if _TYPE_CHECKING:
+    from pgccd.sim import distributed
 
 __all__ = [
     "LOG_FILE",
@@ -23,6 +31,7 @@ __all__ = [
     "Model",
     "ModelConfig",
     "contacts_hash",
+    "distributed",
     "first_collisions",
     "load_checkpoint",
     "make_step",
@@ -35,3 +44,9 @@ __all__ = [
     "resolve_collisions",
     "state_hash",
 ]
+
+
+def __getattr__(name: str) -> _Any:
+    if name == "distributed":  # imported when first used: one process needs no ranks
+        return _importlib.import_module("pgccd.sim.distributed")
+    raise AttributeError(f"module 'pgccd.sim' has no attribute {name!r}")

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
 import torch
 
-from pgccd.geometry.mesh import Mesh
 from pgccd.sim.model import ModelConfig, RobotState
 
 WORLD_FILE = "world.json"
@@ -32,19 +29,6 @@ class Checkpoint:
     steps_wanted: int
     meshes: str  #: their `meshes_digest`
     state: RobotState  #: on the CPU
-
-
-def meshes_digest(meshes: Sequence[Mesh]) -> str:
-    """Hexadecimal SHA-256 over the vertices and faces of meshes, in order. Vertices are relative to the origins; where
-    SBV centres are elsewhere, these count too."""
-    digest = hashlib.sha256()
-    for mesh in meshes:
-        for table in (mesh.vertices, mesh.faces):
-            digest.update(str(tuple(table.shape)).encode())
-            digest.update(table.numpy().tobytes())
-        if bool(mesh.centre_offset.any()):
-            digest.update(b"centre" + mesh.centre_offset.numpy().tobytes())
-    return digest.hexdigest()
 
 
 def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> Path:

@@ -1,15 +1,10 @@
-"""Order-independent hashes of contacts and states, so that runs can be compared by their logs alone.
-
-Each row is mixed to 64 bits (SplitMix64: Steele, Lea & Flood 2014, doi:10.1145/2714064.2660195); rows are summed modulo
-2^64. Integer arithmetic only: the same on every device and for any order of rows, and the hash of a whole is the sum of
-the hashes of its parts (as ranks need).
-"""
+"""Order-independent hashes of contacts and states, so that runs can be compared by their logs alone."""
 
 from __future__ import annotations
 
 from torch import Tensor
 
-from pgccd import ops
+from pgccd.runtime.hashing import row_hash
 from pgccd.sim.model import RobotState
 
 
@@ -31,7 +26,7 @@ def contacts_hash(pairs: Tensor, toi: Tensor) -> int:
     Example:
         >>> f"{pgccd.sim.contacts_hash(hits.pairs, hits.toi):016x}"
     """
-    return int(ops.simulate_hash([pairs.amin(dim=1), pairs.amax(dim=1), toi])) % 2**64
+    return row_hash([pairs.amin(dim=1), pairs.amax(dim=1), toi])
 
 
 def state_hash(state: RobotState) -> int:
@@ -40,7 +35,7 @@ def state_hash(state: RobotState) -> int:
     Example:
         >>> f"{pgccd.sim.state_hash(state):016x}"
     """
-    return int(ops.simulate_hash(hashed_columns(state))) % 2**64
+    return row_hash(hashed_columns(state))
 
 
 def id_hash(id: Tensor) -> int:
@@ -49,4 +44,4 @@ def id_hash(id: Tensor) -> int:
     Example:
         >>> f"{pgccd.sim.hashing.id_hash(state.id):016x}"
     """
-    return int(ops.simulate_hash([id])) % 2**64
+    return row_hash([id])

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import torch
 
 from pgccd.detection.broad import BroadPhase
+from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
 from pgccd.sim.files import (
     WORLD_FILE,
@@ -21,7 +22,6 @@ from pgccd.sim.files import (
     StepLog,
     forget_checkpoints,
     load_checkpoint,
-    meshes_digest,
     save_checkpoint,
     write_json,
 )

@@ -11,10 +11,11 @@ from support.shapes import tetrahedron
 from torch import Tensor
 
 from pgccd import sim
-from pgccd.distributed import Alone, DistributedSimulation, Partition, World, migrate, starting_share
+from pgccd.distributed import Alone, Partition, World, migrate
 from pgccd.distributed import world as world_module
 from pgccd.distributed.exchange import Columns, take_rows
 from pgccd.distributed.migrate import Census
+from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 COUNT = 12
 

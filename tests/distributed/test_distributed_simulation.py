@@ -14,8 +14,9 @@ import torch
 from distributed.conftest import World
 from pgccd import sim
 from pgccd.detection.capacity import Capacity
-from pgccd.distributed import BalanceOptions, Comm, DistributedSimulation, Partition, share, starting_share
-from pgccd.distributed.runner import gather_state, gather_step
+from pgccd.distributed import BalanceOptions, Comm, Partition, share
+from pgccd.sim.distributed import DistributedSimulation, starting_share
+from pgccd.sim.distributed.runner import gather_state, gather_step
 from pgccd.sim.rounds import Pace
 
 TIMES = ("seconds", "stage_seconds", "ranks")

@@ -12,10 +12,11 @@ from support.shapes import directions, tensors
 import pgccd
 from distributed.conftest import World
 from pgccd import ops, sim
-from pgccd.distributed import Alone, Comm, DistributedSimulation, Partition, starting_share
+from pgccd.distributed import Alone, Comm, Partition
 from pgccd.distributed.detection import detect_distributed
 from pgccd.distributed.share import Options
 from pgccd.runtime.stages import StageClock
+from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 
 def touching_spheres(seed: int, offset: float, separation: float) -> list[torch.Tensor]:

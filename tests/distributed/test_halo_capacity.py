@@ -14,8 +14,9 @@ from torch import Tensor
 from distributed.conftest import World
 from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
 from pgccd import sim
-from pgccd.distributed import Comm, DistributedSimulation, Partition, halo_capacity, share, starting_share
+from pgccd.distributed import Comm, Partition, halo_capacity, share
 from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo, Sent
+from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 CAPACITIES = ["ample", "usual", "exact", "none", "boundary"]
 

@@ -10,17 +10,9 @@ import torch
 
 from distributed.conftest import World
 from pgccd import sim
-from pgccd.distributed import (
-    BalanceOptions,
-    Comm,
-    DistributedOptions,
-    DistributedSimulation,
-    Partition,
-    resume,
-    run,
-    runner,
-)
-from pgccd.distributed.checkpoint import read_owners
+from pgccd.distributed import BalanceOptions, Comm, Partition
+from pgccd.sim.distributed import DistributedOptions, DistributedSimulation, resume, run, runner
+from pgccd.sim.distributed.checkpoint import read_owners
 
 CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
 

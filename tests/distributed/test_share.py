@@ -13,7 +13,8 @@ from pgccd import sim
 from pgccd.detection import parts as parts_module
 from pgccd.detection.capacity import EXACTLY, Capacity
 from pgccd.detection.parts import Part
-from pgccd.distributed import Comm, DistributedSimulation, Partition, starting_share
+from pgccd.distributed import Comm, Partition
+from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 CONFIG = sim.ModelConfig(robots=150, speed=0.3, spin=0.5, seed=3)
 STEPS = 14

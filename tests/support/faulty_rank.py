@@ -13,7 +13,8 @@ import threading
 import torch
 
 from pgccd import sim
-from pgccd.distributed import DistributedSimulation, Partition, choose_device, connect, guard, starting_share
+from pgccd.distributed import Partition, choose_device, connect, guard
+from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 RANK, STEP = 1, 3
 guard._GRACE_SECONDS = 2.0  # so that the test need not wait long

@@ -19,7 +19,7 @@ from pgccd.distributed.comm import Comm
 from pgccd.distributed.guard import RankFailureError
 from pgccd.distributed.launch import DEFAULT_TIMEOUT, TRANSPORTS, connect
 from pgccd.distributed.placement import find_placement
-from pgccd.distributed.runner import DistributedOptions, find_checkpoint
+from pgccd.sim.distributed.runner import DistributedOptions, find_checkpoint
 from pgccd.sim.files import forget_checkpoints
 
 _FAILURE_CODE = 70

@@ -13,19 +13,19 @@ from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
 from pgccd.distributed.agreement import on_first, require_agreement, together
 from pgccd.distributed.balance import BalanceOptions
-from pgccd.distributed.checkpoint import Checkpoints, Header, load_share, newest_header, read_owners
 from pgccd.distributed.comm import Comm
 from pgccd.distributed.exchange import Columns, make_route, take_rows
 from pgccd.distributed.partition import Partition, Triple
-from pgccd.distributed.step import DistributedSimulation, RankStep, starting_share
+from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
+from pgccd.sim.distributed.checkpoint import Checkpoints, Header, load_share, newest_header, read_owners
+from pgccd.sim.distributed.simulation import DistributedSimulation, RankStep, starting_share
 from pgccd.sim.files import (
     CHECKPOINT_FILE,
     WORLD_FILE,
     StepLog,
     forget_checkpoints,
     load_checkpoint,
-    meshes_digest,
     write_json,
 )
 from pgccd.sim.model import Model, ModelConfig, RobotState
@@ -79,7 +79,7 @@ def run(
 
     Example:
         >>> with pgccd.distributed.connect() as comm:
-        ...     pgccd.distributed.run(comm, pgccd.sim.ModelConfig(robots=10**6), 100, "out/million")
+        ...     pgccd.sim.distributed.run(comm, pgccd.sim.ModelConfig(robots=10**6), 100, "out/million")
     """
     folder, options = Path(folder), options or DistributedOptions()
     if steps < 0:
@@ -125,7 +125,7 @@ def resume(
         ValueError: it cannot be read, or does not fit the meshes, the log or the number of steps; on all ranks.
 
     Example:
-        >>> pgccd.distributed.resume(comm, "out/million", steps=200)
+        >>> pgccd.sim.distributed.resume(comm, "out/million", steps=200)
     """
     folder, options = Path(folder), options or DistributedOptions()
     header, is_single = on_first(comm, lambda: find_checkpoint(folder))

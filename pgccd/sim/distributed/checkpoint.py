@@ -103,7 +103,7 @@ class Checkpoints:
 
     def _write(self, header: Header, columns: dict[str, Tensor], begin: int, total: int, owners: _Owners) -> None:
         # Importing it takes as long as half of torch, which runs that write no checkpoint need not wait for.
-        from pgccd.distributed.row_planners import SaveRows, dcp
+        from pgccd.sim.distributed.row_planners import SaveRows, dcp
 
         name = f"step-{header.steps_made:09d}"
         unfinished = self._root / f"{name}.unfinished"
@@ -181,7 +181,7 @@ def load_share(comm: Comm, folder: Path) -> RobotState:
     Raises:
         ValueError: it cannot be read.
     """
-    from pgccd.distributed.row_planners import LoadRows, dcp
+    from pgccd.sim.distributed.row_planners import LoadRows, dcp
 
     root = folder / CHECKPOINT_FOLDER
     try:

@@ -1,4 +1,4 @@
-"""One step of the nanorobot world on many ranks: plan, halo, detect, resolve_collisions, respond, balance, migrate."""
+"""One step of the nanorobot world on many ranks: plan, halo, detect, resolve, respond, balance, migrate."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from pgccd.detection.broad import BroadPhase
 from pgccd.detection.parts import Part, contacts_of_step
 from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rebalance
 from pgccd.distributed.comm import Comm
-from pgccd.distributed.detection import Detection
+from pgccd.distributed.detection import Detection, cell_loads
 from pgccd.distributed.exchange import Columns, take_rows
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Options, OwnSearch, Share
-from pgccd.distributed.step_reports import Reports
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
+from pgccd.sim.distributed.held_exchange import HeldExchange
+from pgccd.sim.distributed.reports import Reports
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
 from pgccd.sim.response import Resolution, respond
@@ -143,7 +144,7 @@ class DistributedSimulation:
         begun = self._take_begun(index)
         planned, clock = begun.planned, begun.clock
         # In this order, so that the host can read how many agree before the search with ghosts is over.
-        exchange, share = begun.search.exchange(), begun.search.with_ghosts()
+        exchange, share = begun.search.of_held(HeldExchange), begun.search.with_ghosts()
         self._capacity = share.held.capacity
         with clock.stage("halo"):
             partners = Partners(self.model, planned.moving_columns, share.held.ghosts, share.pairs)
@@ -266,12 +267,6 @@ class DistributedSimulation:
         """Hands robots over; the state's ids ascend."""
         columns, self._arrived = migrate(self.comm, self.partition, state.columns, state.position, known)
         self.state = RobotState(**columns)
-
-
-def cell_loads(partition: Partition, position: Tensor, found: Detection) -> CellLoads:
-    """What one rank saw in each cell."""
-    cells = [partition.cell_of(position), *found.cells(partition)]
-    return CellLoads(*(torch.bincount(cell, minlength=partition.cell_count) for cell in cells))
 
 
 def starting_share(comm: Comm, model: Model, partition: Partition) -> RobotState:

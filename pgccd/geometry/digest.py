@@ -1,0 +1,21 @@
+"""Digests of meshes, so that runs and ranks can be compared."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+from pgccd.geometry.mesh import Mesh
+
+
+def meshes_digest(meshes: Sequence[Mesh]) -> str:
+    """Hexadecimal SHA-256 over the vertices and faces of meshes, in order. Vertices are relative to the origins; where
+    SBV centres are elsewhere, these count too."""
+    digest = hashlib.sha256()
+    for mesh in meshes:
+        for table in (mesh.vertices, mesh.faces):
+            digest.update(str(tuple(table.shape)).encode())
+            digest.update(table.numpy().tobytes())
+        if bool(mesh.centre_offset.any()):
+            digest.update(b"centre" + mesh.centre_offset.numpy().tobytes())
+    return digest.hexdigest()
