@@ -25,7 +25,7 @@ import torch
 from support import results, timing
 
 from pgccd import distributed, sim
-from pgccd.distributed.launch import TRANSPORTS
+from pgccd.distributed.launch.connect import TRANSPORTS
 from pgccd.sim.rounds import goes_ahead
 from pgccd.sim.runner import HasRecord
 

@@ -30,10 +30,10 @@ ROOT = Path(__file__).resolve().parents[1]
 NOT_ALONE = (
     "pgccd.sim.distributed.checkpoint",
     "pgccd.distributed.guard",
-    "pgccd.distributed.mpi_comm",
+    "pgccd.distributed.comm.mpi_comm",
     "pgccd.sim.distributed.runner",
-    "pgccd.distributed.side_stream",
-    "pgccd.distributed.torch_comm",
+    "pgccd.runtime.side_stream",
+    "pgccd.distributed.comm.torch_comm",
     "pgccd.distributed.share",
     "pgccd.runtime.host_copy",
 )

@@ -24,9 +24,9 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import operator_tolerance
 from pgccd.detection.contacts import Contacts, Stats
 from pgccd.detection.query import Query
-from pgccd.distributed.agreement import require_agreement, together
-from pgccd.distributed.comm import Alone, Comm
-from pgccd.distributed.exchange import Columns, make_route, take_rows
+from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
+from pgccd.distributed.comm.interface import Alone, Comm
+from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene

@@ -10,8 +10,8 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.baselines.voxel_directory import VoxelDirectory, run_starts, voxel_keys
 from pgccd.detection.bodies import MovingBodies
-from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import make_route
+from pgccd.distributed.comm.exchange import make_route
+from pgccd.distributed.comm.interface import Comm
 from pgccd.runtime.stages import StageClock
 
 

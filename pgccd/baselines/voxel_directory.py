@@ -7,8 +7,8 @@ import heapq
 import torch
 from torch import Tensor
 
-from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import make_route
+from pgccd.distributed.comm.exchange import make_route
+from pgccd.distributed.comm.interface import Comm
 
 # 21 bits an axis, as in csrc/kernels/voxel/voxel_table.h.
 _BITS = 21

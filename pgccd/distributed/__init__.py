@@ -4,15 +4,15 @@
 the nanorobot simulation.) Whatever the number of ranks, the results are the same to the last bit.
 """
 
-from pgccd.distributed.agreement import DisagreementError, on_first, require_agreement, together
 from pgccd.distributed.balance import POLICIES, BalanceOptions, CellLoads, imbalance, rebalance
-from pgccd.distributed.comm import Alone, Comm
+from pgccd.distributed.comm.interface import Alone, Comm
+from pgccd.distributed.comm.mpi_comm import MpiComm
+from pgccd.distributed.comm.torch_comm import TorchComm
 from pgccd.distributed.guard import RankFailureError
-from pgccd.distributed.launch import choose_device, connect
-from pgccd.distributed.mpi_comm import MpiComm
+from pgccd.distributed.launch.agreement import DisagreementError, on_first, require_agreement, together
+from pgccd.distributed.launch.connect import choose_device, connect
+from pgccd.distributed.launch.placement import Placement, find_placement
 from pgccd.distributed.partition import Partition, factorise
-from pgccd.distributed.placement import Placement, find_placement
-from pgccd.distributed.torch_comm import TorchComm
 from pgccd.distributed.world import World
 
 __all__ = [

@@ -12,8 +12,8 @@ from pgccd import ops
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.parts import Part, contacts_of_step, search_seconds
 from pgccd.distributed.balance import CellLoads
-from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Columns
+from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo import Held, centres_of
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.partition import Partition

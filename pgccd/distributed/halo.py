@@ -18,8 +18,8 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Arrival, Columns, Route
+from pgccd.distributed.comm.exchange import Arrival, Columns, Route
+from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo
 from pgccd.distributed.partition import Partition
 from pgccd.runtime.host_copy import HostCopy

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Columns, Route, pack, unpack
+from pgccd.distributed.comm.exchange import Columns, Route, pack, unpack
+from pgccd.distributed.comm.interface import Comm
 from pgccd.runtime.host_copy import HostCopy
 
 # A capacity is the last count times _SLACK plus _SOME (for small counts), rounded up to a multiple, so that buffers

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Columns, Route, replace_rows
+from pgccd.distributed.comm.exchange import Columns, Route, replace_rows
+from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.partition import Partition
 from pgccd.runtime.hashing import row_hash
 

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.contacts import Contacts
-from pgccd.distributed.comm import Comm
+from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
+from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection import Detection
-from pgccd.distributed.exchange import Columns, make_route, take_rows
 
 
 def tell_owners(comm: Comm, found: Detection) -> Contacts:

@@ -20,15 +20,15 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import check_separation, operator_tolerance
 from pgccd.detection.parts import Part, find_part, pairs_of_step
 from pgccd.detection.query import Query
-from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Columns
+from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo import Centres, Halo, Held, centres_of
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.partition import Partition
-from pgccd.distributed.side_stream import SideStream
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.side_stream import SideStream
 from pgccd.runtime.stages import StageClock
 
 T = TypeVar("T")

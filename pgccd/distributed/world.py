@@ -12,12 +12,12 @@ from pgccd import arguments
 from pgccd.detection import narrow
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
-from pgccd.distributed.agreement import require_agreement, together
 from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rank_loads, rebalance
-from pgccd.distributed.comm import Alone, Comm
+from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
+from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.detection import Detection, cell_loads, detect_distributed
-from pgccd.distributed.exchange import Columns, make_route, take_rows
 from pgccd.distributed.halo_capacity import HaloCapacity
+from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.migrate import Census, migrate
 from pgccd.distributed.partition import Partition, Point, Triple
 from pgccd.distributed.report import earliest_for_all, tell_owners

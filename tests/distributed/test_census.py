@@ -13,7 +13,7 @@ from torch import Tensor
 from pgccd import sim
 from pgccd.distributed import Alone, Partition, World, migrate
 from pgccd.distributed import world as world_module
-from pgccd.distributed.exchange import Columns, take_rows
+from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.migrate import Census
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 

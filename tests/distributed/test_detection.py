@@ -13,7 +13,7 @@ import pgccd
 from distributed.conftest import World
 from pgccd.distributed import BalanceOptions, Comm
 from pgccd.distributed import World as SharedWorld
-from pgccd.distributed.exchange import take_rows
+from pgccd.distributed.comm.exchange import take_rows
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 REPORTS = ("first", "all", "any", "earliest")

@@ -16,8 +16,9 @@ import pytest
 from support.launch import ROOT, children, environment, free_port, torchrun
 
 from pgccd import sim
-from pgccd.distributed import Alone, agents
-from pgccd.distributed.agents import AGENTS_FILE, agent_name, have_agents_here, note_agents
+from pgccd.distributed import Alone
+from pgccd.distributed.launch import agents
+from pgccd.distributed.launch.agents import AGENTS_FILE, agent_name, have_agents_here, note_agents
 from pgccd.sim.distributed import command
 
 pytestmark = pytest.mark.ranks

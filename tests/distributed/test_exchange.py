@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from distributed.conftest import World
 from pgccd.distributed import Comm, Partition
-from pgccd.distributed.exchange import Columns, make_route, pack, replace_rows, unpack
+from pgccd.distributed.comm.exchange import Columns, make_route, pack, replace_rows, unpack
 from pgccd.distributed.migrate import Census, migrate
 
 

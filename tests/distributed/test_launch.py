@@ -10,7 +10,8 @@ import pytest
 import torch
 import torch.distributed as dist
 
-from pgccd.distributed import Placement, choose_device, connect, find_placement, nccl
+from pgccd.distributed import Placement, choose_device, connect, find_placement
+from pgccd.distributed.comm import nccl
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import torch.distributed as dist
 
-from pgccd.distributed import rendezvous
-from pgccd.distributed.placement import Placement
-from pgccd.distributed.rendezvous import agree_on_start, first_host
+from pgccd.distributed.launch import rendezvous
+from pgccd.distributed.launch.placement import Placement
+from pgccd.distributed.launch.rendezvous import agree_on_start, first_host
 
 SIZE = 4
 

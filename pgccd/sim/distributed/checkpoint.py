@@ -21,7 +21,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from pgccd.distributed.comm import Comm
+from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.partition import Partition
 from pgccd.sim.files import CHECKPOINT_FOLDER
 from pgccd.sim.model import ModelConfig, RobotState

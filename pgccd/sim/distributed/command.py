@@ -12,13 +12,13 @@ from typing import NoReturn
 
 import torch
 
-from pgccd.distributed.agents import have_agents_here, note_agents
-from pgccd.distributed.agreement import on_first
 from pgccd.distributed.balance import POLICIES, BalanceOptions
-from pgccd.distributed.comm import Comm
+from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.guard import RankFailureError
-from pgccd.distributed.launch import DEFAULT_TIMEOUT, TRANSPORTS, connect
-from pgccd.distributed.placement import find_placement
+from pgccd.distributed.launch.agents import have_agents_here, note_agents
+from pgccd.distributed.launch.agreement import on_first
+from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connect
+from pgccd.distributed.launch.placement import find_placement
 from pgccd.sim.distributed.runner import DistributedOptions, find_checkpoint
 from pgccd.sim.files import forget_checkpoints
 

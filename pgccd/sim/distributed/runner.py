@@ -11,10 +11,10 @@ from torch import Tensor
 
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
-from pgccd.distributed.agreement import on_first, require_agreement, together
 from pgccd.distributed.balance import BalanceOptions
-from pgccd.distributed.comm import Comm
-from pgccd.distributed.exchange import Columns, make_route, take_rows
+from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.distributed.partition import Partition, Triple
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh

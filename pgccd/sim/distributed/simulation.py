@@ -13,9 +13,9 @@ from torch import Tensor
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.parts import Part, contacts_of_step
 from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rebalance
-from pgccd.distributed.comm import Comm
+from pgccd.distributed.comm.exchange import Columns, take_rows
+from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection import Detection, cell_loads
-from pgccd.distributed.exchange import Columns, take_rows
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition

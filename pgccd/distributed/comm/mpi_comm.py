@@ -12,7 +12,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from pgccd.distributed.comm import Comm, Pending, split_rows
+from pgccd.distributed.comm.interface import Comm, Pending, split_rows
 from pgccd.distributed.guard import Guard
 
 # Environment variables that make MPI libraries read GPU memory.

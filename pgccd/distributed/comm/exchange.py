@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.distributed.comm import Comm, Pending
+from pgccd.distributed.comm.interface import Comm, Pending
 
 Columns = dict[str, Tensor]
 

@@ -8,12 +8,12 @@ from typing import Any, Literal, get_args
 import torch
 import torch.distributed as dist
 
-from pgccd.distributed import nccl
-from pgccd.distributed.comm import Alone, Comm
+from pgccd.distributed.comm import nccl
+from pgccd.distributed.comm.interface import Alone, Comm
+from pgccd.distributed.comm.torch_comm import TorchComm
 from pgccd.distributed.guard import Guard
-from pgccd.distributed.placement import Placement, find_placement
-from pgccd.distributed.rendezvous import agent_keeps_store, meet
-from pgccd.distributed.torch_comm import TorchComm
+from pgccd.distributed.launch.placement import Placement, find_placement
+from pgccd.distributed.launch.rendezvous import agent_keeps_store, meet
 
 Transport = Literal["auto", "nccl", "gloo", "torch-mpi", "mpi4py"]
 TRANSPORTS: tuple[str, ...] = get_args(Transport)
@@ -74,7 +74,7 @@ def connect(
     control = dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=_delta(timeout))
     comm: Comm
     if transport == "mpi4py":
-        from pgccd.distributed.mpi_comm import MpiComm
+        from pgccd.distributed.comm.mpi_comm import MpiComm
 
         comm = MpiComm(control, guard, dist.destroy_process_group)
     else:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import torch
 
 import pgccd
-from pgccd.distributed.comm import Comm
+from pgccd.distributed.comm.interface import Comm
 
 T = TypeVar("T")
 

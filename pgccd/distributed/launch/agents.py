@@ -9,8 +9,8 @@ import os
 import socket
 from pathlib import Path
 
-from pgccd.distributed.agreement import on_first
-from pgccd.distributed.comm import Comm
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.launch.agreement import on_first
 
 AGENTS_FILE = "agents.json"
 

@@ -11,7 +11,7 @@ from datetime import timedelta
 
 import torch.distributed as dist
 
-from pgccd.distributed.placement import Placement
+from pgccd.distributed.launch.placement import Placement
 
 _POLL_SECONDS = 0.01
 # A process may connect more than once.
