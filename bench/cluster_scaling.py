@@ -26,7 +26,6 @@ from support import results, timing
 
 from pgccd import distributed, sim
 from pgccd.distributed.launch.connect import TRANSPORTS
-from pgccd.sim.rounds import goes_ahead
 from pgccd.sim.runner import HasRecord
 
 # What the stages of a step are summed up to.
@@ -69,7 +68,6 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
     parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
     parser.add_argument("--no-overlap", action="store_true", help="wait for ghosts first, begin no step early")
-    parser.add_argument("--no-ahead", action="store_true", help="wait for every round of collision resolution")
     parser.add_argument("--steps-before", type=int, default=20, help="steps made before the first is timed")
     parser.add_argument("--rounds", type=int, default=20, help="steps timed")
     parser.add_argument("--seed", type=int, default=0)
@@ -94,12 +92,12 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
     ranks = [record["ranks"] for record in records]
     single: list[float] = []
     if comm.size == 1:
-        scene, begun = simulation.model.scene(state.id), None
+        scene, plan = simulation.model.scene(state.id), sim.StepPlan()
 
         def advance(index: int) -> sim.Step:
-            nonlocal state, begun
-            made = sim.make_step(simulation.model, scene, state, index, ahead=ahead(arguments), begun=begun, more=True)
-            state, begun = made.after, made.next
+            nonlocal state
+            made = sim.make_step(simulation.model, scene, state, index, plan=plan)
+            state = made.after
             return made
 
         single, alone = follow(comm, begin, arguments.rounds, advance)
@@ -114,7 +112,6 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "cells": arguments.cells,
         "axes": arguments.axes,
         "overlap": not arguments.no_overlap,
-        "ahead": ahead(arguments, comm.size),
         "ms": timing.summary(whole),
         "single_process_ms": timing.summary(single) if single else None,
         "mean_of_ranks_ms": {name: over_ranks(parts, name, mean) for name in (*PARTS, REST)},
@@ -139,14 +136,7 @@ def start(
     )
     share = sim.distributed.starting_share(comm, model, partition)
     balance = distributed.BalanceOptions(arguments.balance)
-    return sim.distributed.DistributedSimulation(
-        comm, model, partition, share, balance, not arguments.no_overlap, ahead=ahead(arguments, comm.size)
-    )
-
-
-def ahead(arguments: argparse.Namespace, ranks: int = 1) -> bool:
-    """Whether rounds of collision resolution are enqueued several at a time."""
-    return goes_ahead(False if arguments.no_ahead else None, torch.device(arguments.device), ranks)
+    return sim.distributed.DistributedSimulation(comm, model, partition, share, balance, not arguments.no_overlap)
 
 
 def follow(

@@ -8,6 +8,7 @@ from pgccd._host import build_information as _build_information
 from pgccd.detection import broad, narrow, traverse
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import Capacity, CapacityError
+from pgccd.detection.captured import CapturedDetection
 from pgccd.detection.contacts import Contacts, PaddedContacts, Stats
 from pgccd.detection.narrow import Kind, Status
 from pgccd.detection.pipeline import detect
@@ -39,6 +40,7 @@ __all__ = [
     "VF_BA",
     "Capacity",
     "CapacityError",
+    "CapturedDetection",
     "Contacts",
     "Kind",
     "Mesh",

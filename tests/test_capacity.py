@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import fields, replace
 from typing import Any
 
@@ -14,6 +13,7 @@ from support.shapes import approaching
 
 import pgccd
 from pgccd.detection.capacity import Capacity, Counts
+from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import counts_of_given, lower_first_toi
 from pgccd.detection.pipeline import _detect_at_once as detect_at_once
 from pgccd.detection.query import Query
@@ -232,7 +232,7 @@ def test_room_grows_until_a_step_fits(device: torch.device, report: Any) -> None
         # As if the last step had needed hardly anything.
         little = replace(expected.stats.needed, **dict.fromkeys(names, 0))
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(sys.modules["pgccd.detection.pipeline"], "recall_capacity", lambda *_, little=little: little)
+            patch.setattr(CapacityEstimate, "capacity", lambda *_, little=little: little)
             found = detect_at_once(pgccd.MovingBodies(scene, motion, wait=False), query, "grid", None, None)
         assert found is not None and found.stats.waits > 1
         assert (found.stats.scratch_bytes > 0) == (device.type == "cuda")

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from pgccd import broad, narrow, sim
 from pgccd.detection.capacity import COUNTS_OF_PAIRS, Counts
+from pgccd.sim import model
 
 CSRC = Path(__file__).resolve().parents[1] / "csrc"
 
@@ -62,3 +64,12 @@ def test_columns_of_counts() -> None:
     expected = [re.sub("_needed$", "", name).replace("unresolved_written", "unresolved") for name in names]
     assert [field.name for field in fields(Counts)] == expected
     assert len(stages[0]) - 1 == COUNTS_OF_PAIRS
+
+
+@pytest.mark.parametrize("fields", [model.WorldIntegers, model.WorldScales])
+def test_numbers_of_a_world(fields: Any) -> None:
+    text = (CSRC / "kernels/simulate/world.h").read_text()
+    found = re.search(rf"struct {fields.__name__} {{(.*?)}};", text, re.DOTALL)
+    assert found is not None
+    declared = re.findall(r"(?:int64_t|double) ([\w, ]+);", found.group(1))
+    assert [name.strip() for names in declared for name in names.split(",")] == list(fields._fields)

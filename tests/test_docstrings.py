@@ -88,10 +88,9 @@ def of_robots() -> dict[str, Any]:
     moved = model.plan(state, 0)
     hits = pgccd.detect(scene, model.motion(moved), FIRST_CONTACTS.report)
     names = {"model": model, "state": state, "scene": scene, "step": step, "hits": hits, "comm": comm}
-    resolved = sim.resolve_collisions(hits.pairs, hits.toi, len(state), lambda *_: None)  # type: ignore[arg-type]
     partition = distributed.Partition.uniform((0, 0, 0), (30, 30, 30), 1)
     loads = distributed.CellLoads(*(torch.zeros(len(partition.owner), dtype=torch.int64) for _ in range(3)))
-    names |= {"resolved": resolved, "find_contacts": lambda *_: None, "partition": partition, "loads": loads}
+    names |= {"resolved": step.resolution, "partition": partition, "loads": loads}
     return names | {"id": state.id, "mood": state.position, "x": state.position}
 
 
@@ -110,7 +109,7 @@ def namespace(module: str) -> dict[str, Any]:
         names |= dict.fromkeys(("x0", "x1"), torch.rand(5, 4, 3))
     if module == "pgccd.runtime.stages":
         names |= of_robots() | {"step": 0}
-    if module == "pgccd.distributed.comm":
+    if module == "pgccd.distributed.comm.interface":
         names |= {"lower": (0, 0, 0), "upper": (9, 9, 9), "position": torch.zeros(1, 3)}
     options = type("Options", (), {"robots": 9})
     return names | vars(sys.modules[module]) | {"options": options, "digest": "0"}

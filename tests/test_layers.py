@@ -157,7 +157,7 @@ def test_few_files_know_what_carries_messages() -> None:
         "torch_comm.py",
         "nccl.py",
         "mpi_comm.py",
-        "launch.py",
+        "connect.py",
         "rendezvous.py",
         "row_planners.py",
     }

@@ -41,7 +41,6 @@ INDICES = [
     ("owned_pairs", (0,), "pairs"),
     ("owned_pairs", (1,), "rows"),
     ("leaving_bodies", (2,), "owner"),
-    ("simulate_slow_down", (0,), "robots"),
     ("simulate_first_toi", (2,), "pairs"),
     ("simulate_affected_motion", (4,), "pairs"),
     ("simulate_tally", (3,), "pairs"),
@@ -69,15 +68,15 @@ def calls() -> dict[str, tuple[Any, ...]]:
     recorder = Recorder(ops.library.operators)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ops.library, "operators", recorder)
-        model = sim.Model(sim.ModelConfig(robots=60))
+        model = sim.Model(sim.ModelConfig(robots=60, speed=0.4))
         scene, state = model.scene(torch.arange(60)), model.start()
-        for ahead in (True, False):
-            for index in range(3):
-                state = sim.make_step(model, scene, state, index, ahead=ahead).after
+        for index in range(6):
+            state = sim.make_step(model, scene, state, index).after
         ops.simulate_hash([state.id, state.position])
         ops.random_uniforms(state.id, 1, 2, 3)
-        robots = torch.arange(5)
-        ops.simulate_slow_down(robots, torch.ones(5).double(), torch.ones(5).double(), 0.5, 0.1)
+        plan = state.velocity, state.angular_velocity, state.target, state.stay_until
+        columns = [column.clone() for column in state.columns.values()]
+        ops.simulate_commit(columns, plan, torch.ones(60).double(), torch.zeros(1, dtype=torch.int64))
     most: dict[str, tuple[tuple[int, int], tuple[Any, ...]]] = {}
     for name, arguments in every + recorder.calls:
         tensors = [a for a in torch.utils._pytree.tree_leaves(arguments) if isinstance(a, torch.Tensor)]

@@ -12,7 +12,7 @@ from support.crowds import crowds
 
 import pgccd
 from pgccd.detection.capacity import Capacity
-from pgccd.detection.memory import recall_capacity, remember_needs
+from pgccd.detection.memory import CapacityEstimate, estimate_of
 from pgccd.detection.padded import counts_of_given
 from pgccd.detection.parts import Part, contacts_of_step, find_part, pairs_of_step
 from pgccd.detection.pipeline import find_contacts
@@ -27,9 +27,16 @@ class Divided:
 
     Args:
         padded: whether rows of -1 follow the pairs, whose number only the device knows.
+        estimates: of the parts of an earlier step.
     """
 
-    def __init__(self, device: torch.device, report: Any, padded: bool) -> None:
+    def __init__(
+        self,
+        device: torch.device,
+        report: Any,
+        padded: bool,
+        estimates: tuple[CapacityEstimate, CapacityEstimate] | None = None,
+    ) -> None:
         crowd = crowds()["faster than cells"]
         self.query = Query(report, 0.01, None, False)
 
@@ -48,17 +55,23 @@ class Divided:
         rows = second.unique().flip(0)
         place = torch.zeros(count, dtype=torch.int64, device=device)
         place[rows] = torch.arange(len(rows), device=device)
-        self.parts = [self._part("first", bodies, first, padded, None)]
-        self.parts.append(self._part("second", moving(rows.cpu()), place[second], padded, rows))
+        self.estimates = estimates or (CapacityEstimate(), CapacityEstimate())
+        self.parts = [self._part(bodies, first, padded, None, self.estimates[0])]
+        self.parts.append(self._part(moving(rows.cpu()), place[second], padded, rows, self.estimates[1]))
 
     def _part(
-        self, name: str, bodies: pgccd.MovingBodies, pairs: torch.Tensor, padded: bool, rows: torch.Tensor | None
+        self,
+        bodies: pgccd.MovingBodies,
+        pairs: torch.Tensor,
+        padded: bool,
+        rows: torch.Tensor | None,
+        estimate: CapacityEstimate,
     ) -> Part:
         counts = None
         if padded:
             counts = counts_of_given(pairs, torch.tensor([len(pairs)], device=pairs.device))
             pairs = torch.cat([pairs, pairs.new_full((7, 2), -1)])
-        return Part(name, self.query, bodies, pairs, counts, rows)
+        return Part(self.query, bodies, pairs, counts, rows, estimate=estimate)
 
     def check(self) -> None:
         found = contacts_of_step(self.parts)
@@ -88,56 +101,53 @@ def test_same_contacts(device: torch.device, report: Any, padded: bool) -> None:
     assert not any(part.start() is not search for part, search in zip(started.parts, searches, strict=True))
 
 
-def test_too_little_room(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_little_capacity(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
     divided = Divided(device, "first", padded=True)
     with monkeypatch.context() as patch:
         little = Capacity(0, 1)
         patch.setattr(sys.modules["pgccd.detection.pipeline"], "EXACTLY", little)
-        patch.setattr(sys.modules["pgccd.detection.pipeline"], "recall_capacity", lambda *_: little)
+        patch.setattr(CapacityEstimate, "capacity", lambda *_: little)
         counts = [part.start().read() for part in divided.parts]
     assert all(each.overflow for each in counts)
     divided.parts[0].learn(counts[0])  # or not
     divided.check()
 
 
-def test_a_part_is_given_the_room_that_it_needed(device: torch.device) -> None:
+def test_a_part_gets_the_capacity_that_it_needed(device: torch.device) -> None:
     if device.type == "cpu":
         pytest.skip("capacities are exact on a CPU")
+    estimates = None
     for _ in range(2):
-        divided = Divided(device, "all", padded=True)
+        divided = Divided(device, "all", True, estimates)
         divided.check()
+        estimates = divided.estimates
         needed = [part.find().stats.needed for part in divided.parts]
     for part, each in zip(divided.parts, needed, strict=True):
         assert each is not None
         capacity = part.start().capacity
         for name in ("leaf_pairs", "candidates", "contacts"):
             assert getattr(each, name) <= getattr(capacity, name) <= 2 * getattr(each, name) + 2 * 4096
-    # Whatever else is searched in between.
-    other = replace(divided.query, report="first")
-    for part in divided.parts:
-        find_contacts(part.bodies, other, pairs=part.find().pairs[:1])
-        again = Part(part.name, part.query, part.bodies, part.pairs)
-        assert again.start().capacity == part.start().capacity
 
 
-def test_what_is_remembered_of_parts() -> None:
-    """By name, and in proportion to pairs where they are given, else to bodies; whatever else is searched between."""
+def test_what_is_learnt_of_steps() -> None:
+    """In proportion to pairs where they are given, else to bodies."""
     divided = Divided(torch.device("cpu"), "first", padded=False)
     scene, query, pairs = divided.parts[0].bodies.scene, divided.query, divided.pairs
     needed = replace(Capacity.guess(100_000), launches=9)
-    remember_needs(scene, query, None, needed, "one")
-    remember_needs(scene, query, pairs, replace(needed, launches=10), "other")
-    remember_needs(scene, query, None, Capacity(0, 0))
-    remember_needs(scene, query, pairs, Capacity(0, 0))
-    assert recall_capacity(scene, query, None, "one") == needed.times(1.25)
-    assert recall_capacity(scene, query, None, "one", slack=2.0) == needed.times(2.0)
+    of_bodies, of_pairs = CapacityEstimate(), CapacityEstimate()
+    assert of_bodies.capacity(scene, None) == Capacity.guess(scene.body_count)
+    of_bodies.learn(scene.body_count, needed)
+    of_pairs.learn(len(pairs), replace(needed, launches=10))
+    of_bodies.learn(0, Capacity(0, 0))  # nothing can be learnt from no bodies
+    assert of_bodies.capacity(scene, None) == needed.times(1.25)
+    assert of_bodies.capacity(scene, None, slack=2.0) == needed.times(2.0)
     half = pairs[: len(pairs) // 2]
-    assert (
-        recall_capacity(scene, query, half, "other").candidates
-        == needed.times(1.25 * len(half) / len(pairs)).candidates
-    )
-    assert recall_capacity(scene, query, pairs).launches == Capacity.guess(1).launches
-    assert recall_capacity(scene, query, None, "third").launches == Capacity.guess(1).launches
+    assert of_pairs.capacity(scene, half).candidates == needed.times(1.25 * len(half) / len(pairs)).candidates
+    # A scene has an estimate for each report, and for each octave of numbers of given pairs.
+    assert estimate_of(scene, query, None) is estimate_of(scene, query, None)
+    assert estimate_of(scene, query, pairs) is not estimate_of(scene, query, None)
+    assert estimate_of(scene, query, half) is not estimate_of(scene, query, pairs)
+    assert estimate_of(scene, replace(query, report="all"), None) is not estimate_of(scene, query, None)
 
 
 @pytest.mark.parametrize("capacity", ["enough", "too little"])

@@ -1,6 +1,8 @@
 // From the simulate operators' arguments to the views their kernels read; shared by the backends.
 #pragma once
 
+#include <cstring>
+
 #include "bind/arguments.h"
 #include "kernels/simulate/hash_item.h"
 #include "kernels/simulate/pair_motion_item.h"
@@ -10,30 +12,38 @@
 
 namespace pgccd::bind {
 
-// integers and scales in the order of pgccd.sim.world.World.
+template <class Fields, class Number>
+Fields fields_of(const std::vector<Number>& numbers, const char* name) {
+  constexpr size_t kCount = sizeof(Fields) / sizeof(Number);
+  STD_TORCH_CHECK(numbers.size() == kCount, name, ": expected ", kCount, " values, got ", numbers.size());
+  Fields fields;
+  std::memcpy(&fields, numbers.data(), sizeof(Fields));
+  return fields;
+}
+
 inline World world_view(const std::vector<int64_t>& integers, const std::vector<double>& scales) {
-  STD_TORCH_CHECK(integers.size() == 8, "world integers: expected 8 values, got ", integers.size());
-  STD_TORCH_CHECK(scales.size() == 8, "world scales: expected 8 values, got ", scales.size());
-  STD_TORCH_CHECK(integers[0] > 0 && integers[1] > 0 && integers[2] > 0 && integers[3] > 0,
-                  "world integers: expected at least one robot and one cell an axis");
+  const auto n = fields_of<WorldIntegers>(integers, "integers");
+  const auto s = fields_of<WorldScales>(scales, "scales");
+  STD_TORCH_CHECK(n.robot_count > 0 && n.cells_x > 0 && n.cells_y > 0 && n.cells_z > 0,
+                  "integers: expected at least one robot and one cell an axis");
   // So that products of them do not overflow.
-  STD_TORCH_CHECK(larger(larger(integers[1], integers[2]), integers[3]) <= 1 << 20 && integers[0] < int64_t{1} << 31,
-                  "world integers: expected less than 2^31 robots and at most 2^20 cells an axis");
-  STD_TORCH_CHECK(integers[4] == 0 || integers[4] == 1, "world integers: unknown movement pattern ", integers[4]);
-  return {integers[0],
-          {integers[1], integers[2], integers[3]},
-          static_cast<MovementPattern>(integers[4]),
-          static_cast<uint64_t>(integers[5]),
-          integers[6],
-          integers[7],
-          scales[0],
-          scales[1],
-          scales[2],
-          scales[3],
-          scales[4],
-          scales[5],
-          scales[6],
-          scales[7]};
+  STD_TORCH_CHECK(larger(larger(n.cells_x, n.cells_y), n.cells_z) <= 1 << 20 && n.robot_count < int64_t{1} << 31,
+                  "integers: expected less than 2^31 robots and at most 2^20 cells an axis");
+  STD_TORCH_CHECK(n.pattern == 0 || n.pattern == 1, "integers: unknown movement pattern ", n.pattern);
+  return {n.robot_count,
+          {n.cells_x, n.cells_y, n.cells_z},
+          static_cast<MovementPattern>(n.pattern),
+          static_cast<uint64_t>(n.seed),
+          n.stay_shortest,
+          n.stay_longest,
+          s.radius,
+          s.spacing,
+          s.speed,
+          s.spin,
+          s.course_change,
+          s.resumption,
+          s.arrival,
+          s.crowd};
 }
 
 inline RobotColumns robot_columns(const std::vector<Tensor>& t) {

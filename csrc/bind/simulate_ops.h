@@ -33,10 +33,10 @@ struct SimulateOps {
     return {position, orientation, velocity, angular_velocity, target, stay_until};
   }
 
-  static std::tuple<Tensor, Tensor, Tensor, Tensor> simulate_plan(const TensorList& state, int64_t step,
+  static std::tuple<Tensor, Tensor, Tensor, Tensor> simulate_plan(const TensorList& state, const Tensor& step,
                                                                   IntegerList integers, ScaleList scales) {
     const RobotColumns robots = robot_columns(state);
-    counter_word(step, "step");
+    const int64_t* index = rows<int64_t>(step, "step", {1});
     Tensor velocity = new_rows(state[0], robots.count, 3), angular_velocity = new_rows(state[0], robots.count, 3);
     Tensor target = new_integers(state[0], robots.count), stay_until = new_integers(state[0], robots.count);
     RobotResults results;
@@ -44,7 +44,7 @@ struct SimulateOps {
     results.angular_velocity = data<double>(angular_velocity);
     results.target = data<int64_t>(target);
     results.stay_until = data<int64_t>(stay_until);
-    Backend(state[0]).plan(world_view(integers, scales), robots, step, results);
+    Backend(state[0]).plan(world_view(integers, scales), robots, index, results);
     return {velocity, angular_velocity, target, stay_until};
   }
 
@@ -62,19 +62,24 @@ struct SimulateOps {
     return {position, orientation, velocity, angular_velocity};
   }
 
-  static std::tuple<Tensor, Tensor> simulate_slow_down(const Tensor& robots, const Tensor& first,
-                                                       const Tensor& fraction, double approach, double smallest) {
-    SlowDownInput input;
-    input.rows = rows<int64_t>(robots, "robots", {kAnySize});
-    input.first = rows<double>(first, "first", {kAnySize});
-    const int64_t count = input.count = robots.size(0);
-    input.robot_count = first.size(0);
-    input.fraction = rows<double>(fraction, "fraction", {input.robot_count});
-    input.approach = approach;
-    input.smallest = smallest;
-    Tensor made = new_tensor<double>(first, {count}), changes = new_tensor<uint8_t>(first, {count});
-    Backend(first).slow_down(input, data<double>(made), data<uint8_t>(changes));
-    return {made, changes};
+  // In place: the step that was planned, unless it is to be discarded.
+  static void simulate_commit(const TensorList& state, const TensorList& planned, const Tensor& fraction,
+                              const Tensor& discard) {
+    RobotColumns robots = robot_columns(state);
+    RobotResults results;
+    results.position = const_cast<double*>(robots.position);
+    results.orientation = const_cast<double*>(robots.orientation);
+    results.velocity = const_cast<double*>(robots.velocity);
+    results.angular_velocity = const_cast<double*>(robots.angular_velocity);
+    results.target = const_cast<int64_t*>(robots.target);
+    results.stay_until = const_cast<int64_t*>(robots.stay_until);
+    STD_TORCH_CHECK(planned.size() == 4, "planned: expected 4 tensors, got ", planned.size());
+    robots.velocity = rows<double>(planned[0], "planned.velocity", {robots.count, 3});
+    robots.angular_velocity = rows<double>(planned[1], "planned.angular_velocity", {robots.count, 3});
+    robots.target = rows<int64_t>(planned[2], "planned.target", {robots.count});
+    robots.stay_until = rows<int64_t>(planned[3], "planned.stay_until", {robots.count});
+    Backend(fraction).commit(robots, rows<double>(fraction, "fraction", {robots.count}),
+                             rows<int64_t>(discard, "discard", {1}), results);
   }
 
   static void simulate_slow_all_down(Tensor first, Tensor fraction, Tensor changed, Tensor changes, double approach,
@@ -172,7 +177,7 @@ struct SimulateOps {
   library.impl("simulate_start", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_start>::call));         \
   library.impl("simulate_plan", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_plan>::call));           \
   library.impl("simulate_respond", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_respond>::call));     \
-  library.impl("simulate_slow_down", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_slow_down>::call)); \
+  library.impl("simulate_commit", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_commit>::call));       \
   library.impl("simulate_slow_all_down",                                                                        \
                TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_slow_all_down>::call));                   \
   library.impl("simulate_first_toi", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_first_toi>::call)); \

@@ -13,18 +13,20 @@ class SimulateOnCpu {
   void start(const World& world, const int64_t* id, int64_t count, const RobotResults& results) const {
     start_cpu(executor_, world, id, count, results);
   }
-  void plan(const World& world, const RobotColumns& robots, int64_t step, const RobotResults& results) const {
+  void plan(const World& world, const RobotColumns& robots, const int64_t* step, const RobotResults& results) const {
+    counter_word(*step, "step");
     plan_cpu(executor_, world, robots, step, results);
   }
   void respond(const RobotColumns& robots, const double* fraction, const RobotResults& results) const {
     respond_cpu(executor_, robots, fraction, results);
   }
+  void commit(const RobotColumns& robots, const double* fraction, const int64_t* discard,
+              const RobotResults& results) const {
+    commit_cpu(executor_, robots, fraction, discard, results);
+  }
   void random_uniforms(uint64_t seed, const int64_t* id, int64_t count, uint32_t step, uint32_t stream,
                        double* uniforms) const {
     random_uniforms_cpu(executor_, seed, id, count, step, stream, uniforms);
-  }
-  void slow_down(const SlowDownInput& input, double* fraction, uint8_t* changes) const {
-    slow_down_cpu(executor_, input, fraction, changes);
   }
   void slow_all_down(const SlowAllDown& robots, int64_t* changes) const {
     slow_all_down_cpu(executor_, robots, changes);

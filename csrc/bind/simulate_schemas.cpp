@@ -1,8 +1,8 @@
 // The nanorobot world's operators.
 //
 // state = [id (N,) i64, position (N, 3), orientation (N, 4), velocity (N, 3), angular_velocity (N, 3), target (N,) i64,
-//          stay_until (N,) i64], see kernels/simulate/world.h
-// world integers and scales: see bind/simulate_arguments.h
+//          stay_until (N,) i64], see kernels/simulate/robot.h
+// integers, scales: WorldIntegers and WorldScales of kernels/simulate/world.h
 #include <torch/csrc/stable/library.h>
 
 STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
@@ -10,14 +10,13 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "simulate_start(Tensor id, int[] integers, float[] scales) -> (Tensor position, Tensor orientation, "
       "Tensor velocity, Tensor angular_velocity, Tensor target, Tensor stay_until)");
   library.def(
-      "simulate_plan(Tensor[] state, int step, int[] integers, float[] scales) -> (Tensor velocity, "
+      "simulate_plan(Tensor[] state, Tensor step, int[] integers, float[] scales) -> (Tensor velocity, "
       "Tensor angular_velocity, Tensor target, Tensor stay_until)");
   library.def(
       "simulate_respond(Tensor[] state, Tensor fraction) -> (Tensor position, Tensor orientation, Tensor velocity, "
       "Tensor angular_velocity)");
-  library.def(
-      "simulate_slow_down(Tensor robots, Tensor first, Tensor fraction, float approach, float smallest) -> "
-      "(Tensor made, Tensor changes)");
+  // planned: velocity, angular_velocity, target, stay_until
+  library.def("simulate_commit(Tensor(a!)[] state, Tensor[] planned, Tensor fraction, Tensor discard) -> ()");
   library.def(
       "simulate_slow_all_down(Tensor(a!) first, Tensor(b!) fraction, Tensor(c!) changed, Tensor(d!) changes, "
       "float approach, float smallest) -> ()");

@@ -153,6 +153,14 @@ class Contacts:
         device = arguments.device(device)
         return self._with({name: column.to(device) for name, column in _columns(self).items()})
 
+    def clone(self) -> Contacts:
+        """The same in memory of its own.
+
+        Example:
+            >>> kept = hits.clone()
+        """
+        return self._with({name: column.clone() for name, column in _columns(self).items()})
+
     def _with(self, columns: dict[str, Any]) -> Contacts:
         changed = replace(self, **columns)
         changed.scene = self.scene

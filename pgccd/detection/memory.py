@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -40,58 +40,55 @@ def is_out_of_memory(error: Exception) -> bool:
     return isinstance(error, torch.OutOfMemoryError) or "out of memory: no room for" in str(error)
 
 
-@dataclass(frozen=True)
-class _Experience:
-    size: int  #: of the step: bodies, or pairs where they were given
-    needed: Capacity
+class CapacityEstimate:
+    """The capacity of a step, estimated from what the last one of its kind needed. It changes how often a step is
+    repeated, never its result.
 
-
-def recall_capacity(
-    scene: Scene, query: Query, pairs: Tensor | None, part: str | None = None, slack: float = _SLACK
-) -> Capacity:
-    """Capacity for a step like the last one of these meshes, or of the standard scene if there was none.
-
-    The meshes remember, since scenes come and go with the bodies of a rank. What they remember changes how often a step
-    is repeated, never its result.
-
-    Args:
-        scene, query: what is asked of which bodies.
-        pairs: if they are given.
-        part: of every step, which this is.
-        slack: times what the last step needed.
+    Example:
+        >>> estimate = CapacityEstimate()
+        >>> capacity = estimate.capacity(scene, pairs=None)
     """
-    size = scene.body_count if pairs is None else len(pairs)
-    last = scene.meshes.experience.get(_kind(query, pairs, part))
-    given = None if pairs is None else len(pairs)
-    guess = Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
-    if not isinstance(last, _Experience):
-        return guess
-    capacity = last.needed.times(slack * size / last.size)
-    return replace(capacity, launches=max(capacity.launches, guess.launches))
+
+    def __init__(self) -> None:
+        self._size = 0  # of the last step: bodies, or pairs where they were given
+        #: What the last step needed; None before the first.
+        self.needed: Capacity | None = None
+
+    def learn(self, size: int, needed: Capacity) -> None:
+        """Takes note of a step of so many bodies, or of so many pairs where these were given."""
+        if size > 0:
+            self._size, self.needed = size, needed
+
+    def capacity(self, scene: Scene, pairs: Tensor | None, slack: float = _SLACK) -> Capacity:
+        """For a step like the last one, or like one of the standard scene if there was none.
+
+        Args:
+            scene: the bodies.
+            pairs: (P, 2), if they are given.
+            slack: times what the last step needed.
+        """
+        size, given = (scene.body_count, None) if pairs is None else (len(pairs), len(pairs))
+        guess = Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
+        if self.needed is None:
+            return guess
+        capacity = self.needed.times(slack * size / self._size)
+        return replace(capacity, launches=max(capacity.launches, guess.launches))
 
 
-def remember_needs(scene: Scene, query: Query, pairs: Tensor | None, needed: Capacity, part: str | None = None) -> None:
-    """For `recall_capacity`."""
-    size = scene.body_count if pairs is None else len(pairs)
-    if size > 0:
-        scene.meshes.experience[_kind(query, pairs, part)] = _Experience(size, needed)
+def estimate_of(scene: Scene, query: Query, pairs: Tensor | None) -> CapacityEstimate:
+    """That of the scene's steps with this report. A whole step and a repetition of a part of it may need very different
+    memory a pair: where pairs are given, octaves of their number have estimates of their own."""
+    octave = None if pairs is None else len(pairs).bit_length()
+    estimate = scene.capacity_estimates.setdefault((query.report, octave), CapacityEstimate())
+    assert isinstance(estimate, CapacityEstimate)
+    return estimate
 
 
 def pairs_a_chunk(scene: Scene, query: Query, budget: int | None, pair_count: int) -> int:
     """How many body pairs to traverse at a time, so that memory stays within the budget."""
     bytes_per_pair = _BYTES_PER_PAIR
-    last = scene.meshes.experience.get(query.report)
-    if isinstance(last, _Experience) and last.needed.pairs:
-        bytes_per_pair = max(bytes_per_pair, math.ceil(last.needed.bytes / last.needed.pairs))
+    needed = estimate_of(scene, query, None).needed
+    if needed is not None and needed.pairs:
+        bytes_per_pair = max(bytes_per_pair, math.ceil(needed.bytes / needed.pairs))
     limit = memory_limit(budget, pair_count * bytes_per_pair, scene.device)
     return max(1, limit // bytes_per_pair)
-
-
-def _kind(query: Query, pairs: Tensor | None, part: str | None) -> str:
-    if part is not None:
-        return f"{query.report}: {part}"
-    if pairs is None:
-        return query.report
-    # A whole step and a repetition of a part of it may need very different memory a pair: octaves of sizes
-    # distinguish them.
-    return f"{query.report} of 2^{len(pairs).bit_length()} given pairs"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import torch
 from torch import Tensor
@@ -14,7 +14,7 @@ from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
 from pgccd.detection.contacts import Contacts, Stats
-from pgccd.detection.memory import remember_needs
+from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import Search
 from pgccd.detection.pipeline import expected_capacity, find_contacts, start_search
 from pgccd.detection.query import Query
@@ -29,7 +29,6 @@ class Part:
     """Body pairs of a step that are searched together.
 
     Args:
-        name: distinguishes it from other parts; the same in every step, since the next one is expected to need as much.
         query: what is asked.
         bodies: moving.
         pairs: (P, 2) int64 rows of these, of each pair first the body that contacts are to name first. Rows of -1 may
@@ -38,11 +37,11 @@ class Part:
         rows: (B,) int64: which of the step's bodies each of `bodies` is. Default: they are those of the step.
         capacity: of the search, chosen before the pairs were known. Default: what is expected to suffice.
         find_pairs: finds all pairs, if they exceeded the capacity.
+        estimate: of the capacity of the same part of the next step, which learns what this one needed.
     """
 
     def __init__(
         self,
-        name: str,
         query: Query,
         bodies: MovingBodies,
         pairs: Tensor,
@@ -50,11 +49,13 @@ class Part:
         rows: Tensor | None = None,
         capacity: Capacity | None = None,
         find_pairs: Callable[[], Tensor] | None = None,
+        estimate: CapacityEstimate | None = None,
     ) -> None:
-        self.name, self.query, self.bodies, self.pairs, self.rows = name, query, bodies, pairs, rows
+        self.query, self.bodies, self.pairs, self.rows = query, bodies, pairs, rows
+        self._estimate = estimate or CapacityEstimate()
         self._pair_counts, self._capacity, self._find_pairs = pair_counts, capacity, find_pairs
         # What the capacity is proportional to: bodies, if it was chosen before the pairs were known.
-        self._given = pairs if capacity is None else None
+        self._size = len(pairs) if capacity is None else bodies.scene.body_count
         self._search: Search | None = None
         self._counts: Counts | None = None
         self._scratch_bytes = 0
@@ -63,16 +64,15 @@ class Part:
     def start(self) -> Search:
         """Starts the search for their contacts, unless it has been started. Waits for nothing."""
         if self._search is None:
-            self._search = start_search(
-                self.bodies, self.query, self.pairs, self._pair_counts, self._capacity, self.name
-            )
+            given = self._pair_counts, self._capacity, self._estimate
+            self._search = start_search(self.bodies, self.query, self.pairs, *given)
             # Now: when its counts are read, another search may have been started.
             self._scratch_bytes = ops.take_scratch_peak() if self.pairs.is_cuda else 0
         return self._search
 
     def begin(self) -> None:
-        """Starts the search on a GPU. Elsewhere makes it."""
-        if self.pairs.is_cuda:
+        """Starts the search on a GPU. Elsewhere makes it, unless it has been started."""
+        if self.pairs.is_cuda or self._search is not None:
             self.start()
         else:
             self.find()
@@ -81,7 +81,7 @@ class Part:
         """Takes note of what the search counted, which the host has read, for `find` and for the next step."""
         self._counts = counts
         if not counts.overflow:
-            remember_needs(self.bodies.scene, self.query, self._given, counts.needed(self.start().capacity), self.name)
+            self._estimate.learn(self._size, counts.needed(self.start().capacity))
 
     def find(self) -> Contacts:
         """Their contacts, as rows of `bodies`. Waits for them."""
@@ -111,8 +111,24 @@ class Part:
                     overlaps=self._counts.overlaps,
                     long_rows=self._counts.long_rows != 0,
                 )
-            remember_needs(self.bodies.scene, self.query, self._given, needed, self.name)
+            self._estimate.learn(self._size, needed)
         return self._contacts
+
+    def first_contacts(self) -> tuple[Tensor, Tensor]:
+        """Pairs (K, 2) as rows of the step's bodies and toi (K,) of the contacts: those that `find` gave, else of the
+        search as far as it goes, padded with -1 and inf. Asks for first contacts; waits for nothing."""
+        if self._contacts is None:
+            rows = self.start().rows
+            return self.in_step(rows[0]), rows[4]
+        if self._contacts.toi is None:
+            raise ValueError('report: "any" gives no toi')
+        return self.in_step(self._contacts.pairs), self._contacts.toi
+
+    def counts(self) -> Tensor:
+        """(21,) int64, on the device: `Counts` of what `first_contacts` gives."""
+        if self._contacts is None:
+            return self.start().counts[: len(COUNT_ROWS)]
+        return _counts_of(self._contacts.stats).to(self.pairs.device)
 
     def in_step(self, pairs: Tensor) -> Tensor:
         """Rows of `bodies` (K, 2), perhaps -1, as rows of the step's."""
@@ -138,8 +154,8 @@ def find_part(
     broad_phase: broad.BroadPhase = "auto",
     select: Select | None = None,
     discard: Tensor | None = None,
-    name: str = "found",
     rows: Tensor | None = None,
+    estimate: CapacityEstimate | None = None,
 ) -> Part:
     """The PCS of bodies, as a part. On a GPU it is found without waiting for its size, in a capacity, where that can be
     foreseen how much suffices. Then the bodies need not be checked: if they are invalid there are no pairs.
@@ -148,7 +164,7 @@ def find_part(
         bodies, query, broad_phase: as for `find_contacts`.
         select: which of the pairs are searched. Default: all.
         discard: (1,) int64 on the device; nonzero: the result will be discarded, and the search returns at once.
-        name, rows: as for `Part`.
+        rows, estimate: as for `Part`.
 
     Raises:
         ValueError: the bodies are invalid, and that had to be known.
@@ -162,12 +178,12 @@ def find_part(
         pairs, count = select(pairs)
         return pairs[: int(count)]
 
-    padded_name = f"{name}, padded"
-    capacity = expected_capacity(bodies, query, None, padded_name, slack=_SLACK) if _looks_ahead(bodies) else None
+    estimate = estimate or CapacityEstimate()
+    capacity = expected_capacity(bodies, None, estimate, slack=_SLACK) if _looks_ahead(bodies) else None
     if capacity is None:
         if not bodies.checked:
             bodies.raise_faults(bodies.first_faults().tolist())
-        return Part(name, query, bodies, find_pairs(), rows=rows)
+        return Part(query, bodies, find_pairs(), rows=rows)
     invalid = bodies.first_faults()[-1:]
     if discard is not None:
         invalid = torch.maximum(invalid, discard)
@@ -176,7 +192,17 @@ def find_part(
         pairs, count = select(pairs)
         row = COUNT_ROWS["pairs_written"]
         counts[row : row + 1].copy_(count)
-    return Part(padded_name, query, bodies, pairs, counts, rows, capacity=capacity, find_pairs=find_pairs)
+    return Part(query, bodies, pairs, counts, rows, capacity, find_pairs, estimate)
+
+
+def _counts_of(stats: Stats) -> Tensor:
+    """(21,) int64: what `Counts` would say of a search of which the statistics are known."""
+    counts = dict.fromkeys((field.name for field in fields(Counts)), 0)
+    counts |= {"pairs": stats.pcs, "pairs_written": stats.pcs, "candidates": stats.candidates}
+    counts |= {"contacts": stats.contacts, "unresolved": stats.unresolved, "node_tests": stats.node_tests}
+    counts["traverse_ended"] = round(1e9 * stats.seconds["traverse"])
+    counts["narrow_ended"] = counts["traverse_ended"] + round(1e9 * stats.seconds["narrow"])
+    return torch.tensor(list(counts.values()))
 
 
 def _looks_ahead(bodies: MovingBodies) -> bool:

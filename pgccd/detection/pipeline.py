@@ -15,7 +15,7 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import EXACTLY, Capacity, check_capacity
 from pgccd.detection.checks import check_pairs
 from pgccd.detection.contacts import Contacts, PaddedContacts
-from pgccd.detection.memory import memory_limit, recall_capacity, remember_needs
+from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit
 from pgccd.detection.padded import Search, search_padded
 from pgccd.detection.query import Query
 from pgccd.detection.streaming import SolvePairs, stream
@@ -182,7 +182,7 @@ def start_search(
     pairs: Tensor,
     pair_counts: Tensor | None = None,
     capacity: Capacity | None = None,
-    part: str | None = None,
+    estimate: CapacityEstimate | None = None,
 ) -> Search:
     """Starts `find_contacts` without waiting for a GPU; `Search.contacts` completes it.
 
@@ -191,22 +191,22 @@ def start_search(
         pair_counts: (7,) int64, left on the device: the first of `Counts`, if some of the pairs are padding.
         capacity: of the search. Default: `expected_capacity`; if that is None there is none, and all of it
             overflows.
-        part: of every step, which the pairs are.
+        estimate: see `expected_capacity`.
     """
     if bodies.device.type != "cpu":
         ops.take_scratch_peak()  # of earlier steps
     if capacity is None:
-        capacity = expected_capacity(bodies, query, pairs, part) or Capacity(0, 0)
+        capacity = expected_capacity(bodies, pairs, estimate or CapacityEstimate()) or Capacity(0, 0)
     return search_padded(bodies, query, capacity, "auto", pairs, pair_counts)
 
 
 def expected_capacity(
-    bodies: MovingBodies, query: Query, pairs: Tensor | None, part: str | None, **slack: float
+    bodies: MovingBodies, pairs: Tensor | None, estimate: CapacityEstimate, **slack: float
 ) -> Capacity | None:
-    """As `recall_capacity`; None if that takes too much memory."""
+    """As estimated; None if that takes too much memory."""
     if bodies.device.type == "cpu":
         return EXACTLY
-    capacity = recall_capacity(bodies.scene, query, pairs, part, **slack)
+    capacity = estimate.capacity(bodies.scene, pairs, **slack)
     return None if capacity.bytes > memory_limit(None, capacity.bytes, bodies.device) else capacity
 
 
@@ -241,7 +241,8 @@ def _detect_at_once(
     bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
 ) -> Contacts | None:
     """All stages one after the other in the capacity that a step is expected to need; None if that is too much."""
-    capacity = recall_capacity(bodies.scene, query, pairs)
+    estimate = estimate_of(bodies.scene, query, pairs)
+    capacity = estimate.capacity(bodies.scene, pairs)
     ops.take_scratch_peak()  # of earlier steps
     for attempt in range(1, _ATTEMPTS + 1):
         if capacity.bytes > memory_limit(memory_budget, capacity.bytes, bodies.device):
@@ -249,7 +250,7 @@ def _detect_at_once(
         search = search_padded(bodies, query, capacity, broad_phase, pairs)
         counts = search.read()
         needed = counts.needed(capacity)
-        remember_needs(bodies.scene, query, pairs, needed)
+        estimate.learn(bodies.scene.body_count if pairs is None else len(pairs), needed)
         if not counts.overflow:
             contacts = search.contacts(counts)
             contacts.stats.waits = attempt

@@ -106,6 +106,7 @@ def repeated(scene: Scene, times: int) -> Scene:
     columns["world"] = (first[:, None] + world).reshape(-1)
     many = Scene.of_checked(scene.meshes, scene.mesh_index.repeat(times), **columns)
     many.radius = scene.radius.repeat(times)
+    many.capacity_estimates = scene.capacity_estimates
     if scene.self_collision is not None:
         many.self_collision = scene.self_collision.repeat(times)
         step = torch.arange(times, device=scene.device)[:, None] * scene.body_count

@@ -17,7 +17,7 @@ from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo import Held, centres_of
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.partition import Partition
-from pgccd.distributed.share import Build, Options, OwnSearch, Share
+from pgccd.distributed.share import Build, Options, OwnSearch, PartEstimates, Share
 from pgccd.runtime.stages import StageClock
 
 
@@ -62,13 +62,15 @@ def detect_distributed(
     build: Build,
     options: Options,
     clock: StageClock,
+    estimates: PartEstimates | None = None,
     capacity: HaloCapacity | None = None,
 ) -> Detection:
     """Finds the contacts of this rank's share of pairs; the shares of all ranks together are all pairs, once each.
 
     Arguments as for `OwnSearch`.
     """
-    share = OwnSearch(comm, partition, own, build, options, clock, Part.begin, capacity=capacity).with_ghosts()
+    search = OwnSearch(comm, partition, own, build, options, clock, estimates or PartEstimates(), capacity=capacity)
+    share = search.with_ghosts()
     found = contacts_of_step(share.parts)
     clock.add(search_seconds(found.stats))
     if options.report == "earliest":

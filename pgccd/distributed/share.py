@@ -7,7 +7,7 @@ way; ghosts then meet the own bodies near them, on a GPU beside that search.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeVar, cast
 
@@ -18,6 +18,7 @@ from pgccd import ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import check_separation, operator_tolerance
+from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.parts import Part, find_part, pairs_of_step
 from pgccd.detection.query import Query
 from pgccd.distributed.comm.exchange import Columns
@@ -57,6 +58,14 @@ class Options:
         return Query(report, self.min_separation, self.tolerance, self.nonzero_toi)
 
 
+@dataclass
+class PartEstimates:
+    """What the parts of the last step needed; belongs to a simulation or `World`."""
+
+    own: CapacityEstimate = field(default_factory=CapacityEstimate)
+    with_ghosts: CapacityEstimate = field(default_factory=CapacityEstimate)
+
+
 @dataclass(frozen=True)
 class Share:
     """What one rank tests in one step: pairs of own bodies, and if there are other ranks those with ghosts."""
@@ -71,6 +80,11 @@ class Share:
     def pairs(self) -> Tensor:
         """(P, 2) int64: the PCS as rows of bodies held, that of the smaller id first; rows of -1 among them."""
         return pairs_of_step(self.parts)
+
+    def first_contacts(self) -> tuple[Tensor, Tensor]:
+        """Pairs (K, 2) as rows of bodies held, and toi (K,), of all parts: see `Part.first_contacts`."""
+        pairs, toi = zip(*(part.first_contacts() for part in self.parts), strict=True)
+        return (pairs[0], toi[0]) if len(pairs) == 1 else (torch.cat(pairs), torch.cat(toi))
 
     def lend(self) -> None:
         """Says that the current stream goes on reading all this while the side stream works for the next step."""
@@ -97,7 +111,7 @@ class OwnSearch:
         build: their scene and motion.
         options: what to find.
         clock: stages are timed here.
-        begin: called with each part as soon as it is known.
+        estimates: of the capacities of parts.
         discard: see `find_part`.
         capacity: of the halo, if it can be predicted; the same on all ranks. On GPUs ghosts are then sent at once.
 
@@ -105,7 +119,7 @@ class OwnSearch:
         ValueError: a pose is invalid.
 
     Example:
-        >>> share = OwnSearch(comm, partition, own, build, Options(), StageClock(), Part.begin).with_ghosts()
+        >>> share = OwnSearch(comm, partition, own, build, Options(), StageClock(), PartEstimates()).with_ghosts()
     """
 
     def __init__(
@@ -116,12 +130,12 @@ class OwnSearch:
         build: Build,
         options: Options,
         clock: StageClock,
-        begin: Callable[[Part], object],
+        estimates: PartEstimates,
         discard: Tensor | None = None,
         capacity: HaloCapacity | None = None,
     ) -> None:
         self._comm, self._partition, self._build, self._options = comm, partition, build, options
-        self._clock, self._begin = clock, begin
+        self._clock, self._estimates = clock, estimates
         self._kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
         with clock.stage("plan"):
             self._bodies = bodies = MovingBodies(*build(own), wait=False)
@@ -143,8 +157,9 @@ class OwnSearch:
 
         with clock.stage("broad"):
             select = owned if comm.size > 1 else None
-            self._part = find_part(bodies, options.query, options.broad_phase, select, discard)
-        begin(self._part)
+            asked = options.query, options.broad_phase, select
+            self._part = find_part(bodies, *asked, discard, estimate=estimates.own)
+        self._part.begin()
 
     @cached_property
     def _held(self) -> Held:
@@ -194,8 +209,8 @@ class OwnSearch:
                     return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *self._where)
 
                 find = options.query, options.broad_phase, owned
-                with_ghosts = find_part(at_boundary, *find, name="with ghosts", rows=rows)
-            self._begin(with_ghosts)
+                with_ghosts = find_part(at_boundary, *find, rows=rows, estimate=self._estimates.with_ghosts)
+            with_ghosts.begin()
         self._side.join()
         return Share(held, [self._part, with_ghosts], ghosts, self._side, self._kept)
 

@@ -21,7 +21,7 @@ from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.migrate import Census, migrate
 from pgccd.distributed.partition import Partition, Point, Triple
 from pgccd.distributed.report import earliest_for_all, tell_owners
-from pgccd.distributed.share import Options
+from pgccd.distributed.share import Options, PartEstimates
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
@@ -122,6 +122,7 @@ class World:
         self._census = Census.of_ranks(self.comm, columns["id"])
         self._found: Detection | None = None
         self._capacity: HaloCapacity | None = None
+        self._estimates = PartEstimates()
         self._seconds, self._steps = 0.0, 0
         self._columns = take_rows(columns, torch.argsort(columns["id"]))
         self._change_hands()
@@ -179,7 +180,8 @@ class World:
         own |= motion.columns()
         self.comm.guard.activity = "step"
         clock = StageClock()
-        found = detect_distributed(self.comm, self.partition, own, self._build, self.options, clock, self._capacity)
+        where = self.comm, self.partition, own, self._build, self.options, clock
+        found = detect_distributed(*where, self._estimates, self._capacity)
         self._found, self._seconds, self._steps = found, clock.work, self._steps + 1
         self._capacity = found.held.capacity
         if self.options.report == "earliest":

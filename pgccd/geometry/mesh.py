@@ -247,8 +247,6 @@ class MeshSet:
         self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
         #: As torch resolves it: "cuda" becomes "cuda:0".
         self.device = self.tensors[0].device
-        #: What steps have needed; kept by `pgccd.detection.memory`.
-        self.experience: dict[str, object] = {}
 
     def __len__(self) -> int:
         return len(self.meshes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,16 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.geometry.columns import (
+    bool_column,
+    integer_column,
+    margin_column,
+    require_meshes,
+    rows_of,
+    self_column,
+    vertex_count,
+    world_column,
+)
 from pgccd.geometry.mesh import Mesh, MeshSet
 
 #: Columns of a scene that say which of its bodies may collide.
@@ -93,27 +103,42 @@ class Scene:
         if mesh_index is None:
             mesh_index = list(range(len(meshes)))
         #: (N,) int32.
-        self.mesh_index = _integer_column(mesh_index, "mesh_index", None, self.device)
+        self.mesh_index = integer_column(mesh_index, "mesh_index", None, self.device)
         #: Number of bodies N.
         self.body_count = len(self.mesh_index)
-        _require_meshes(self.mesh_index, len(meshes))
+        require_meshes(self.mesh_index, len(meshes))
         self.mesh_index = self.mesh_index.to(torch.int32)
         count = self.body_count
-        self.group = None if group is None else _integer_column(group, "group", count, self.device)
-        self.mask = None if mask is None else _integer_column(mask, "mask", count, self.device)
-        self.world = None if world is None else _world_column(world, count, self.device)
-        self.static = None if static is None else _bool_column(static, "static", count, self.device)
+        self.group = None if group is None else integer_column(group, "group", count, self.device)
+        self.mask = None if mask is None else integer_column(mask, "mask", count, self.device)
+        self.world = None if world is None else world_column(world, count, self.device)
+        self.static = None if static is None else bool_column(static, "static", count, self.device)
         _ = self.world_count  # now, so that a step need not ask a device for it
         #: (N,) float64, or None where no body has any.
-        self.margin = None if margin is None else _margin_column(margin, count, self.device)
+        self.margin = None if margin is None else margin_column(margin, count, self.device)
         #: (N,) bool, or None where no body is tested against itself.
-        self.self_collision = _self_column(self_collision, count, self.device)
+        self.self_collision = self_column(self_collision, count, self.device)
         if self.self_collision is not None and self.static is not None:
             self.self_collision &= self.static == 0
         #: (S,) int64, ascending: these bodies. Known from the start, so that a step need not ask a device for them.
-        self.self_colliding = _rows_of(self.self_collision, self.device)
+        self.self_colliding = rows_of(self.self_collision, self.device)
         #: How many vertices they have together.
-        self.self_colliding_vertices = _vertex_count(meshes, self.mesh_index[self.self_colliding])
+        self.self_colliding_vertices = vertex_count(meshes, self.mesh_index[self.self_colliding])
+
+    # Of what earlier steps needed, by kind of step; kept by `pgccd.detection.memory`. They change how often a step is
+    # repeated on a GPU, never its result.
+    _capacity_estimates: dict[Hashable, Any] | None = None
+
+    @property
+    def capacity_estimates(self) -> dict[Hashable, Any]:
+        """What earlier steps of this scene needed. Scenes that follow one another in a simulation may share it."""
+        if self._capacity_estimates is None:
+            self._capacity_estimates = {}
+        return self._capacity_estimates
+
+    @capacity_estimates.setter
+    def capacity_estimates(self, estimates: dict[Hashable, Any]) -> None:
+        self._capacity_estimates = estimates
 
     @classmethod
     def of_checked(cls, meshes: MeshSet, mesh_index: Tensor, **columns: Tensor) -> Scene:
@@ -129,7 +154,7 @@ class Scene:
         for name in OPTIONAL_COLUMNS:
             setattr(scene, name, columns.get(name))
         scene.self_collision, scene.self_colliding_vertices = None, 0
-        scene.self_colliding = _rows_of(None, meshes.device)
+        scene.self_colliding = rows_of(None, meshes.device)
         return scene
 
     # What follows from `mesh_index`, and from `world`.
@@ -144,7 +169,7 @@ class Scene:
             if torch.compiler.is_compiling():  # of whose values nothing is known
                 return self.meshes.radius[self.mesh_index.long()]
             if self._radius is not None and self.device.type == "cpu":
-                _require_meshes(self.mesh_index, len(self.meshes))
+                require_meshes(self.mesh_index, len(self.meshes))
             self._radius = _Derived(self.mesh_index, self.meshes.radius[self.mesh_index.long()])
         return self._radius.value
 
@@ -161,7 +186,7 @@ class Scene:
 
     def _find_layout(self) -> VertexLayout:
         index = self.mesh_index.cpu().long()
-        _require_meshes(index, len(self.meshes))
+        require_meshes(index, len(self.meshes))
         offsets = self.meshes.offsets
         counts = (offsets[1:] - offsets[:-1])[index]
         begin = (counts.cumsum(0) - counts).to(self.device)
@@ -200,7 +225,7 @@ class Scene:
         meshes = self.meshes.to(device)
         moved = copy.copy(self)
         moved.meshes, moved.device = meshes, meshes.device
-        moved._radius = moved._layout = moved._world_count = None
+        moved._radius = moved._layout = moved._world_count = moved._capacity_estimates = None
         for name in (*_DTYPES, "self_collision", "self_colliding"):
             column = getattr(self, name)
             if column is not None:
@@ -245,89 +270,3 @@ _DTYPES = {
 
 def _word(dtype: torch.dtype) -> str:
     return str(dtype).removeprefix("torch.")
-
-
-def _require_meshes(mesh_index: Tensor, count: int) -> None:
-    if len(mesh_index):
-        low, high = (int(x) for x in torch.aminmax(mesh_index))
-        if low < 0 or high >= count:
-            raise ValueError(f"mesh_index: values in [{low}, {high}], but there are {count} meshes")
-
-
-def _column(values: Any, name: str, expected: str) -> Tensor:
-    """The values as a tensor of one dimension."""
-    try:
-        column = torch.as_tensor(values)
-    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
-        raise TypeError(
-            f"{name}: expected {expected}, one a body, got {arguments.describe(values)}: {error}"
-        ) from error
-    if column.dim() != 1:
-        raise ValueError(f"{name}: expected {expected}, shape (N,), got {arguments.describe(column)}")
-    return column
-
-
-def _integer_column(values: Tensor | Sequence[int], name: str, count: int | None, device: torch.device) -> Tensor:
-    column = _column(values, name, "integers")
-    if column.numel() == 0:
-        column = column.to(torch.int64)
-    if column.dtype.is_floating_point or column.dtype.is_complex or column.dtype == torch.bool:
-        raise TypeError(f"{name}: expected integers, got {column.dtype}")
-    if count is not None and len(column) != count:
-        raise ValueError(f"{name}: expected {count} values, one a body, got {len(column)}")
-    return column.to(device=device, dtype=torch.int64).contiguous()
-
-
-def _world_column(values: Tensor | Sequence[int], count: int, device: torch.device) -> Tensor:
-    column = _integer_column(values, "world", count, device)
-    if count and (int(column.min()) < 0 or int(column.max()) >= 2**31):
-        raise ValueError("world: ids must lie in [0, 2^31)")
-    return column.to(torch.int32)
-
-
-def _bool_column(values: Tensor | Sequence[bool], name: str, count: int, device: torch.device) -> Tensor:
-    column = _column(values, name, "bool")
-    if column.numel() and column.dtype != torch.bool:
-        raise TypeError(f"{name}: expected bool, got {column.dtype}")
-    if column.shape != (count,):
-        raise ValueError(f"{name}: expected shape ({count},), got {tuple(column.shape)}")
-    return column.to(device=device, dtype=torch.uint8).contiguous()
-
-
-def _margin_column(values: Tensor | Sequence[float] | float, count: int, device: torch.device) -> Tensor:
-    try:
-        column = torch.as_tensor(values)
-        is_meta = column.is_meta
-    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
-        raise TypeError(f"margin: expected lengths, got {arguments.describe(values)}") from error
-    if is_meta or column.is_complex() or column.dtype in (torch.bool, torch.float16, torch.bfloat16):
-        raise TypeError(f"margin: expected lengths, got {column.dtype}")
-    arguments.refuse_gradient(column, "margin")
-    column = column.detach().to(device=device, dtype=torch.float64)
-    if column.dim() == 0:
-        column = column.expand(count)
-    if column.shape != (count,):
-        raise ValueError(f"margin: expected a number or shape ({count},), got {tuple(column.shape)}")
-    if count:
-        faulty = ~((column >= 0.0) & (column < torch.inf))
-        if bool(faulty.any()):
-            body = int(faulty.long().argmax())
-            raise ValueError(f"margin: body {body}: expected a finite length >= 0, got {float(column[body])}")
-    return column.contiguous()
-
-
-def _self_column(values: Tensor | Sequence[bool] | bool, count: int, device: torch.device) -> Tensor | None:
-    if isinstance(values, bool):
-        return torch.ones(count, dtype=torch.bool, device=device) if values else None
-    return _bool_column(values, "self_collision", count, device).to(torch.bool)
-
-
-def _vertex_count(meshes: MeshSet, mesh_index: Tensor) -> int:
-    begin = meshes.offsets[:, 0]
-    return int((begin[1:] - begin[:-1])[mesh_index.cpu().long()].sum()) if len(mesh_index) else 0
-
-
-def _rows_of(column: Tensor | None, device: torch.device) -> Tensor:
-    if column is None:
-        return torch.empty(0, dtype=torch.int64, device=device)
-    return torch.nonzero(column).flatten()

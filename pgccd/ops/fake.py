@@ -250,7 +250,7 @@ def _(id: Tensor, integers: list[int], scales: list[float]) -> tuple[Tensor, ...
 
 
 @torch.library.register_fake("pgccd::simulate_plan")
-def _(state: list[Tensor], step: int, integers: list[int], scales: list[float]) -> tuple[Tensor, ...]:
+def _(state: list[Tensor], step: Tensor, integers: list[int], scales: list[float]) -> tuple[Tensor, ...]:
     id = state[0]
     return (*_fake_robots(id, id.shape[0], 3, 3), id.new_empty((id.shape[0],)), id.new_empty((id.shape[0],)))
 
@@ -260,10 +260,9 @@ def _(state: list[Tensor], fraction: Tensor) -> tuple[Tensor, ...]:
     return _fake_robots(fraction, fraction.shape[0], 3, 4, 3, 3)
 
 
-@torch.library.register_fake("pgccd::simulate_slow_down")
-def _(robots: Tensor, first: Tensor, *_rest: object) -> tuple[Tensor, Tensor]:
-    count = robots.shape[0]
-    return first.new_empty((count,)), first.new_empty((count,), dtype=torch.uint8)
+@torch.library.register_fake("pgccd::simulate_commit")
+def _(state: list[Tensor], planned: list[Tensor], fraction: Tensor, discard: Tensor) -> None:
+    return None
 
 
 @torch.library.register_fake("pgccd::simulate_slow_all_down")

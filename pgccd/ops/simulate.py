@@ -13,10 +13,9 @@ def simulate_start(id: Tensor, integers: Sequence[int], scales: Sequence[float])
 
 
 def simulate_plan(
-    state: Sequence[Tensor], step: int, integers: Sequence[int], scales: Sequence[float]
+    state: Sequence[Tensor], step: Tensor, integers: Sequence[int], scales: Sequence[float]
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Velocity, angular velocity, target and stay of robots for the step to come."""
-    _check_counter_words(step=step)
+    """Velocity, angular velocity, target and stay of robots for step number `step` (1,) int64, below 2^32."""
     return library.operators.simulate_plan(list(state), step, list(integers), list(scales))
 
 
@@ -25,18 +24,18 @@ def simulate_respond(state: Sequence[Tensor], fraction: Tensor) -> tuple[Tensor,
     return library.operators.simulate_respond(list(state), fraction)
 
 
-def simulate_slow_down(
-    robots: Tensor, first: Tensor, fraction: Tensor, approach: float, smallest: float
-) -> tuple[Tensor, Tensor]:
-    """Fractions of the rows `robots` (R,), given first toi and fraction so far (N,); and which change (uint8)."""
-    return library.operators.simulate_slow_down(robots, first, fraction, approach, smallest)
+def simulate_commit(state: Sequence[Tensor], planned: Sequence[Tensor], fraction: Tensor, discard: Tensor) -> None:
+    """Moves robots, in place, by `fraction` (N,) of a step with these velocities, angular velocities, targets and
+    stays; nothing is written if discard (1,) int64 is nonzero."""
+    library.operators.simulate_commit(list(state), list(planned), fraction, discard)
 
 
 def simulate_slow_all_down(
     first: Tensor, fraction: Tensor, changed: Tensor, changes: Tensor, approach: float, smallest: float
 ) -> None:
-    """The same for all robots, in place: fraction (N,), and changed (N,) uint8, 1 for those that change; first (N,)
-    becomes infinite; changes (1,) int64 becomes 1 if any changes."""
+    """Slows robots down that are about to collide, in place: fraction (N,) of the step that each makes, given the first
+    toi (N,) in it, inf for none; changed (N,) uint8, 1 for those that change; first becomes infinite; changes (1,)
+    int64 becomes 1 if any changes."""
     library.operators.simulate_slow_all_down(first, fraction, changed, changes, approach, smallest)
 
 

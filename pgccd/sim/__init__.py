@@ -8,13 +8,15 @@ import importlib as _importlib
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
+from pgccd.sim.captured import StepMaker
 from pgccd.sim.files import LOG_FILE, Checkpoint, load_checkpoint, read_log, save_checkpoint
 from pgccd.sim.hashing import contacts_hash, state_hash
 from pgccd.sim.model import PATTERNS, Model, ModelConfig, RobotState
-from pgccd.sim.response import Exchange, Resolution, first_collisions, resolve_collisions, respond
+from pgccd.sim.resolution import Resolution
+from pgccd.sim.response import first_collisions, respond
 from pgccd.sim.robot import robot_mesh
 from pgccd.sim.runner import Run, resume, run
-from pgccd.sim.step import Step, make_step
+from pgccd.sim.step import Step, StepPlan, make_step
 
 if _TYPE_CHECKING:
     from pgccd.sim import distributed
@@ -23,11 +25,12 @@ __all__ = [
     "LOG_FILE",
     "PATTERNS",
     "Checkpoint",
-    "Exchange",
     "RobotState",
     "Run",
     "Resolution",
     "Step",
+    "StepMaker",
+    "StepPlan",
     "Model",
     "ModelConfig",
     "contacts_hash",
@@ -41,7 +44,6 @@ __all__ = [
     "robot_mesh",
     "run",
     "save_checkpoint",
-    "resolve_collisions",
     "state_hash",
 ]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor
@@ -75,6 +75,32 @@ class ModelConfig:
             raise ValueError(
                 f"speed: a box with {space:.3g} radii of free space takes at most {space / 3.0:.3g}, got {self.speed}"
             )
+
+
+class WorldIntegers(NamedTuple):
+    """Numbers that operators take, as the struct of that name in csrc/kernels/simulate/world.h."""
+
+    robot_count: int
+    cells_x: int
+    cells_y: int
+    cells_z: int
+    pattern: int
+    seed: int
+    stay_shortest: int
+    stay_longest: int
+
+
+class WorldScales(NamedTuple):
+    """Numbers that operators take, as the struct of that name in csrc/kernels/simulate/world.h."""
+
+    radius: float
+    spacing: float
+    speed: float
+    spin: float
+    course_change: float
+    resumption: float
+    arrival: float
+    crowd: float
 
 
 def lattice_cells(robots: int) -> tuple[int, int, int]:
@@ -158,10 +184,13 @@ class Model:
         self.cells = lattice_cells(config.robots)
         #: Upper ends of the box, which is centred on the origin; the SBVs of robots stay inside.
         self.half_extent = tuple(0.5 * (config.spacing * self.radius) * cells for cells in self.cells)
-        # In the order of world_view in csrc/bind/simulate_arguments.h.
-        self._integers = [config.robots, *self.cells, PATTERNS.index(config.pattern), config.seed, *config.stay_steps]
-        self._scales = [self.radius, config.spacing, config.speed, config.spin, 1.0 / config.course_steps]
-        self._scales += [1.0 / config.resume_steps, config.arrival, config.crowd]
+        self._integers = WorldIntegers(
+            config.robots, *self.cells, PATTERNS.index(config.pattern), config.seed, *config.stay_steps
+        )
+        changes = 1.0 / config.course_steps, 1.0 / config.resume_steps
+        self._scales = WorldScales(
+            self.radius, config.spacing, config.speed, config.spin, *changes, config.arrival, config.crowd
+        )
 
     def start(self, id: Tensor | None = None) -> RobotState:
         """The state before step 0 of the robots `id` (N,) int64, ascending; default all. No two SBVs overlap."""
@@ -169,8 +198,16 @@ class Model:
             id = torch.arange(self.config.robots, device=self.device)
         return RobotState(id, *ops.simulate_start(id, self._integers, self._scales))
 
-    def plan(self, state: RobotState, step: int) -> RobotState:
-        """The state with the velocities of step number `step` (from 0): new courses, and reflection at the walls."""
+    def plan(self, state: RobotState, step: int | Tensor) -> RobotState:
+        """The state with the velocities of step number `step` (from 0): new courses, and reflection at the walls.
+
+        Args:
+            step: a number, or (1,) int64 on the device, which is not looked at.
+        """
+        if not isinstance(step, Tensor):
+            if not 0 <= step < 2**32:
+                raise ValueError(f"step: expected a value in [0, 2^32), got {step}")
+            step = torch.full((1,), step, dtype=torch.int64, device=self.device)
         tensors = list(state.columns.values())
         velocity, angular_velocity, target, stay_until = ops.simulate_plan(tensors, step, self._integers, self._scales)
         return replace(

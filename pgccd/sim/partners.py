@@ -1,77 +1,87 @@
-"""Whom robots may meet that have been slowed down."""
+"""Detection in rounds of collision resolution: between robots that have been slowed down and all others."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import Capacity
+from pgccd.detection.capacity import COUNT_ROWS, Capacity
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.memory import memory_limit
 from pgccd.detection.padded import lower_first_toi
-from pgccd.detection.pipeline import detect
 from pgccd.detection.query import Query
 from pgccd.sim.model import Model
 
-#: What is asked of the whole step, and in every round of settling. nonzero_toi: robots that part after a contact are
-#: free.
+#: What is asked of the whole step, and of every round. nonzero_toi: robots that part after a contact are free.
 FIRST_CONTACTS = Query("first", 0.0, None, True)
+
+_CONTACTS = COUNT_ROWS["contacts"]
 
 
 class Partners:
-    """What settling asks, answered for potentially colliding pairs.
+    """Potentially colliding pairs, of which rounds search those with a robot that has changed: a slowed robot stays
+    within the volume it was to sweep, so it can only meet its partners in the PCS.
 
     Args:
         model: the rules.
         own, ghosts: `moving_columns` of planned states; rows of ghosts follow own ones.
-        pairs: (P, 2) int64 rows, the robot of smaller id first.
+        pairs: (P, 2) int64 rows, the robot of smaller id first; rows of -1 are padding.
     """
 
     def __init__(self, model: Model, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, pairs: Tensor) -> None:
         self._model, self._pairs = model, pairs
         self._own = list(own.values())
         self._ghosts = [column[:0] if ghosts is None else ghosts[name] for name, column in own.items()]
-        #: HaloCapacity that each round needed, where rounds were waited for.
-        self.needed: list[Capacity] = []
-        self._copies = self._copies_of(0)
+        self._copies = pairs[:0]
 
     def look_among(self, pairs: Tensor) -> None:
         """From now on these are the PCS."""
         self._pairs = pairs
 
-    def __call__(self, changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
-        """See `FindContacts`."""
-        # A slowed robot stays within the volume it was to sweep: it can only meet its partners in the PCS.
-        given = self._own, self._ghosts, fraction, changed.view(torch.uint8), self._pairs
-        _, _, counts = self._model.affected_pairs(*given, 0)
-        # Read together: on a GPU each read of a number waits for the device.
-        goes_on, count, *_ = torch.cat([any_changed, counts]).tolist()
-        if not goes_on:
-            return None
-        if not count:
-            self.needed.append(Capacity(0, 0))
-            return self._pairs[:0], fraction[:0]
-        pairs, bodies, _ = self._model.affected_pairs(*given, count)
-        scene, motion = self._model.pair_motion(bodies)
-        # nonzero_toi: as for the whole step.
-        contacts = detect(scene, motion, report="first", nonzero_toi=True, pairs=self._copies_of(count))
-        self.needed.append(contacts.stats.needed or Capacity.guess(2 * count, count))
-        return pairs[contacts.pairs[:, 0] // 2], toi_of(contacts)
-
     def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
-        """See `StartRound`."""
-        if capacity.bytes > memory_limit(None, capacity.bytes, fraction.device):
-            capacity = Capacity(0, 0)  # which does not suffice: the rounds are waited for, then, and searched in pieces
-        if capacity.pairs > len(self._copies):
-            self._copies = self._copies_of(capacity.pairs)
-        given = self._own, self._ghosts, fraction, changed, self._pairs
-        pairs, bodies, pair_counts = self._model.affected_pairs(*given, capacity.pairs)
-        copies, meshes = self._copies[: capacity.pairs], self._model.meshes.tensors
-        return lower_first_toi(first, pairs, meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, capacity)
+        """Detection among robots that have changed, and between them and all others: lowers the first toi of those in
+        contact. Waits for nothing on a GPU.
+
+        Args:
+            changed: (N,) uint8.
+            fraction: (N,) float64: what each robot makes of the step, at constant velocities.
+            capacity: of the round on a GPU; elsewhere sizes are as needed.
+            first: (N,) float64: first toi, in what each robot makes of the step; lowered in place.
+
+        Returns:
+            (21,) int64, left on the device: `pgccd.detection.capacity.Counts`.
+        """
+        if self._pairs.device.type == "cpu":
+            capacity = Capacity(pairs=len(self._pairs), contacts=0)
+        pieces = self._pieces(capacity)
+        if pieces == 1:
+            return self._search(changed, fraction, self._pairs, capacity, first)
+        share = capacity.times(1.0 / pieces) if pieces < len(self._pairs) else capacity
+        parts = self._pairs.tensor_split(pieces)
+        counts = torch.stack([self._search(changed, fraction, part, share, first) for part in parts])
+        together = pieces * counts.amax(dim=0)
+        together[_CONTACTS] = counts[:, _CONTACTS].sum()
+        return together
+
+    def _pieces(self, capacity: Capacity) -> int:
+        """How many parts of the PCS are searched one after the other, so that memory suffices; down to single pairs."""
+        limit = memory_limit(None, capacity.bytes, self._pairs.device)
+        return max(1, min(-(-capacity.bytes // limit), len(self._pairs)))
+
+    def _search(self, changed: Tensor, fraction: Tensor, pairs: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+        given = self._own, self._ghosts, fraction, changed, pairs
+        count = capacity.pairs
+        if pairs.device.type == "cpu":
+            count = int(self._model.affected_pairs(*given, 0)[2][COUNT_ROWS["pairs"]])
+        found, bodies, pair_counts = self._model.affected_pairs(*given, count)
+        copies, meshes = self._copies_of(count), self._model.meshes.tensors
+        return lower_first_toi(first, found, meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, capacity)
 
     def _copies_of(self, count: int) -> Tensor:
-        """The two robots of each pair among their copies."""
-        return torch.arange(2 * count, device=self._pairs.device).view(count, 2)
+        """(count, 2): the two robots of each pair among their copies."""
+        if count > len(self._copies):
+            self._copies = torch.arange(2 * count, device=self._pairs.device).view(count, 2)
+        return self._copies[:count]
 
 
 def toi_of(contacts: Contacts) -> Tensor:

@@ -16,6 +16,7 @@ import torch
 from pgccd.detection.broad import BroadPhase
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
+from pgccd.sim.captured import StepMaker
 from pgccd.sim.files import (
     WORLD_FILE,
     Checkpoint,
@@ -27,7 +28,7 @@ from pgccd.sim.files import (
 )
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress, Silent
-from pgccd.sim.step import Step, make_step
+from pgccd.sim.step import Step
 
 
 @dataclass
@@ -52,6 +53,7 @@ def run(
     broad_phase: BroadPhase = "auto",
     checkpoint_every: int = 0,
     progress: Progress | None = None,
+    graph: bool | None = None,
 ) -> Run:
     """Simulates a world from its start and writes `model.json`, `steps.jsonl` and `checkpoint.pt` into a folder.
 
@@ -67,6 +69,7 @@ def run(
         broad_phase: as for `detect`.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
         progress: called after every step.
+        graph: whether steps are replays of one CUDA graph. Default: on a GPU. The result does not depend on it.
 
     Raises:
         ValueError: naming the argument.
@@ -82,7 +85,7 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)
     forget_checkpoints(folder)  # an earlier run's would not fit the log that starts now
     write_json(folder / WORLD_FILE, model.describe())
-    return _continue(model, model.start(), 0, steps, folder, broad_phase, checkpoint_every, progress)
+    return _continue(model, model.start(), 0, steps, folder, broad_phase, checkpoint_every, progress, graph)
 
 
 def resume(
@@ -94,6 +97,7 @@ def resume(
     broad_phase: BroadPhase = "auto",
     checkpoint_every: int = 0,
     progress: Progress | None = None,
+    graph: bool | None = None,
 ) -> Run:
     """Continues a run from its checkpoint, to the same result as if it had not been interrupted.
 
@@ -101,7 +105,7 @@ def resume(
         folder: of the run.
         steps: how many to make in all; default: as many as the run was to make.
         meshes: those of the run.
-        device, broad_phase, checkpoint_every, progress: as for `run`.
+        device, broad_phase, checkpoint_every, progress, graph: as for `run`.
 
     Raises:
         FileNotFoundError: there is no checkpoint.
@@ -119,7 +123,8 @@ def resume(
     if steps < checkpoint.steps_made:
         raise ValueError(f"steps: the run in {folder} has made {checkpoint.steps_made} already, got {steps}")
     state = checkpoint.state.to(model.device)
-    return _continue(model, state, checkpoint.steps_made, steps, folder, broad_phase, checkpoint_every, progress)
+    made = checkpoint.steps_made
+    return _continue(model, state, made, steps, folder, broad_phase, checkpoint_every, progress, graph)
 
 
 class HasRecord(Protocol):
@@ -138,8 +143,8 @@ class Machine(Protocol):
         """Whether to stop now, given whether this process was asked to."""
         ...
 
-    def step(self, index: int, more: bool) -> HasRecord:
-        """Makes a step; whether the next one follows at once."""
+    def step(self, index: int, more: int) -> HasRecord:
+        """Makes a step; how many more follow before the state is asked for."""
         ...
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
@@ -151,27 +156,31 @@ class Machine(Protocol):
         ...
 
 
-class _WorldMachine:
-    """All robots in this process."""
+class _OneProcess:
+    """All robots in this process. On a GPU steps that follow one another are replays of one CUDA graph."""
 
-    def __init__(self, model: Model, state: RobotState, folder: Path, broad_phase: BroadPhase) -> None:
-        self.model, self.state, self._folder, self._broad_phase = model, state, folder, broad_phase
-        self._scene = model.scene(state.id)
+    def __init__(
+        self, model: Model, state: RobotState, folder: Path, broad_phase: BroadPhase, graph: bool | None
+    ) -> None:
+        self.model, self.state, self._folder = model, state, folder
         self._digest = meshes_digest(model.meshes.meshes)
+        self._steps = StepMaker(model, state, broad_phase, graph)
+        self._stopping = False
         self.last_step: Step | None = None
 
     def stops(self, wish: bool) -> bool:
-        return wish
+        self._stopping = wish
+        return wish and not self._steps.is_ahead
 
-    def step(self, index: int, more: bool) -> HasRecord:
-        begun = None if self.last_step is None else self.last_step.next
-        self.last_step = make_step(
-            self.model, self._scene, self.state, index, self._broad_phase, begun=begun, more=more
-        )
-        self.state = self.last_step.after
-        return self.last_step
+    def step(self, index: int, more: int) -> HasRecord:
+        made = self._steps.step(index, 0 if self._stopping else more)
+        self.last_step = made if isinstance(made, Step) else None
+        if not more:
+            self.state = self._steps.state
+        return made
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
+        self.state = self._steps.state
         checkpoint = Checkpoint(self.model.config, steps_made, steps_wanted, self._digest, self.state)
         save_checkpoint(self._folder, checkpoint)
 
@@ -188,8 +197,9 @@ def _continue(
     broad_phase: BroadPhase,
     checkpoint_every: int,
     progress: Progress | None,
+    graph: bool | None,
 ) -> Run:
-    machine = _WorldMachine(model, state, folder, broad_phase)
+    machine = _OneProcess(model, state, folder, broad_phase, graph)
     log = StepLog(folder, steps_made)
     made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
     return Run(model, machine.state, made, log.records, machine.last_step, interrupted=made < steps)
@@ -218,13 +228,14 @@ def drive(
     """
     if checkpoint_every < 0:
         raise ValueError(f"checkpoint_every: expected a number >= 0, got {checkpoint_every}")
+    every = checkpoint_every
     with log or nullcontext(), _stop_requests() as stop:
         with _LateTeller(log, progress or Silent()) as teller:
             while steps_made < steps and not machine.stops(stop.is_set()):
-                saves = checkpoint_every != 0 and (steps_made + 1) % checkpoint_every == 0
-                teller.add(machine.step(steps_made, more=not saves and steps_made + 1 < steps))
+                until = steps if not checkpoint_every else min(steps, -(-(steps_made + 1) // every) * every)
+                teller.add(machine.step(steps_made, more=until - steps_made - 1))
                 steps_made += 1
-                if saves and steps_made < steps:
+                if steps_made == until < steps:
                     teller.finish()
                     machine.save(steps_made, steps)
         machine.save(steps_made, steps)

@@ -17,7 +17,7 @@ from pgccd.detection.capacity import Capacity
 from pgccd.distributed import BalanceOptions, Comm, Partition, share
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 from pgccd.sim.distributed.runner import gather_state, gather_step
-from pgccd.sim.rounds import Pace
+from pgccd.sim.resolution import RoundPlan
 
 TIMES = ("seconds", "stage_seconds", "ranks")
 # Fast robots in a small model, so that much happens in few steps.
@@ -44,17 +44,15 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if name not in TIMES}
 
 
-def make_simulation(
-    comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu", ahead: bool = False
-) -> DistributedSimulation:
+def make_simulation(comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu") -> DistributedSimulation:
     model = sim.Model(sim.ModelConfig(**WORLDS[name]), device=device)
     upper = model.half_extent
     partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=4, device=device)
     start = starting_share(comm, model, partition)
-    return DistributedSimulation(comm, model, partition, start, BalanceOptions(policy), overlap, ahead=ahead)
+    return DistributedSimulation(comm, model, partition, start, BalanceOptions(policy), overlap)
 
 
-class Cramped(Pace):
+class Cramped(RoundPlan):
     """Exceeds its capacity in one round of some steps."""
 
     def __init__(self) -> None:
@@ -79,10 +77,10 @@ def follow(
     """Compares every step's log and the last step's columns with one process. With `ahead`, steps are begun early too,
     as they are on a GPU, and now and then a rank exceeds its capacity."""
     records, last = single_run(name, steps)
-    simulation = make_simulation(comm, name, policy, overlap, device, ahead)
+    simulation = make_simulation(comm, name, policy, overlap, device)
     simulation.begins_early |= ahead
     if ahead and comm.rank == comm.size - 1:
-        simulation._pace = Cramped()
+        simulation._rounds = Cramped()
     generator = torch.Generator().manual_seed(17)
     seen = {"moved cells": 0, "arrived": 0, "contacts": 0, "away": 0}
     for index in range(steps):
@@ -175,7 +173,7 @@ def test_same_bits_for_two_hundred_steps(world: World, name: str, policy: str) -
 
 
 def begin_early(comm: Comm) -> None:
-    simulation = make_simulation(comm, "random", "none", True, ahead=True)
+    simulation = make_simulation(comm, "random", "none", True)
     simulation.begins_early = True
     begun: list[int] = []
     begin = simulation._begin

@@ -43,7 +43,7 @@ def by_one_process() -> list[dict[str, Any]]:
     return records
 
 
-def by_ranks(comm: Comm, capacity: str, ahead: bool) -> tuple[list[dict[str, Any]], int, int]:
+def by_ranks(comm: Comm, capacity: str) -> tuple[list[dict[str, Any]], int, int]:
     """Records; how often own pairs were found again; and how many own parts exceeded their capacity."""
     model = sim.Model(CONFIG)
     half = model.half_extent
@@ -51,19 +51,22 @@ def by_ranks(comm: Comm, capacity: str, ahead: bool) -> tuple[list[dict[str, Any
     renewed = searched = 0
 
     class Watched(Part):
-        def __init__(self, *given: Any, find_pairs: Any = None, **more: Any) -> None:
+        def __init__(self, *given: Any, **more: Any) -> None:
+            super().__init__(*given, **more)
+            find_pairs = self._find_pairs
+
             def renew() -> Any:
                 nonlocal renewed
                 renewed += 1
                 return find_pairs()
 
-            super().__init__(*given, find_pairs=find_pairs and renew, **more)
+            self._find_pairs = find_pairs and renew
 
         def find(self) -> Any:
             nonlocal searched
             former = self.pairs
             found = super().find()
-            searched += self.name.startswith("found") and self.pairs is not former
+            searched += self.rows is None and self.pairs is not former
             return found
 
     patches = {
@@ -72,7 +75,7 @@ def by_ranks(comm: Comm, capacity: str, ahead: bool) -> tuple[list[dict[str, Any
         "Part": Watched,
     }
     with mock.patch.multiple(parts_module, **patches):
-        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition), ahead=ahead)
+        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition))
         made = [simulation.step(index) for index in range(STEPS)]
     records = [without_times(step.record) for step in made]
     for step in made:
@@ -81,15 +84,13 @@ def by_ranks(comm: Comm, capacity: str, ahead: bool) -> tuple[list[dict[str, Any
     return records, renewed, searched
 
 
-@pytest.mark.parametrize("ahead", [True, False])
 @pytest.mark.parametrize("capacity", list(CAPACITIES))
-def test_same_steps(ranks: World, capacity: str, ahead: bool) -> None:
+def test_same_steps(ranks: World, capacity: str) -> None:
     expected = by_one_process()
     assert sum(step["contacts"] for step in expected) > 20
     for size in (2, 3):
-        for records, renewed, searched in ranks.run(size, by_ranks, capacity, ahead):
+        for records, renewed, searched in ranks.run(size, by_ranks, capacity):
             assert records == expected
             assert (renewed > 1) == (capacity in ("none", "pairs"))
             if capacity == "plenty":
-                # The first step is always waited for.
-                assert searched == (1 if ahead else STEPS)
+                assert searched == STEPS

@@ -9,12 +9,12 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.resolution import plain_resolution, plain_step, resolve_given
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
 from pgccd import ops
-from pgccd.sim import Model, ModelConfig, first_collisions, make_step, resolve_collisions, respond
+from pgccd.sim import Model, ModelConfig, first_collisions, make_step, respond
 from pgccd.sim.model import RobotState
 
 
@@ -42,14 +42,7 @@ def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
     hits = pgccd.detect(scene, model.motion(state), nonzero_toi=True)
     assert len(hits) == 1 and hits.toi is not None and 0.0 < hits.toi[0] < 1.0
 
-    def find(changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
-        if not bool(any_changed):
-            return None
-        found = pgccd.detect(scene, model.motion(state, fraction), nonzero_toi=True)
-        assert found.toi is not None
-        return found.pairs, found.toi
-
-    resolved = resolve_collisions(hits.pairs, hits.toi, 2, find)
+    resolved = plain_step(model, state).resolution
     assert resolved.fraction.tolist() == [0.99 * float(hits.toi[0])] * 2
     assert (resolved.rounds, resolved.secondary_contacts) == (1, 0)
     after = respond(state, resolved.fraction)
@@ -62,41 +55,39 @@ def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
     assert len(pgccd.detect(scene, model.motion(after), nonzero_toi=True)) == 0
 
 
-def test_a_robot_stops_for_one_that_stopped_in_its_way() -> None:
+NO_CONTACTS = torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
+RULES = pytest.mark.parametrize("resolve", [resolve_given, plain_resolution])
+
+
+@RULES
+def test_a_robot_stops_for_one_that_stopped_in_its_way(resolve: Any) -> None:
     asked = []
 
-    def find(changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
-        if not bool(any_changed):
-            return None
+    def find(changed: Tensor, fraction: Tensor) -> tuple[Tensor, Tensor]:
         asked.append((changed.tolist(), fraction.tolist()))
         if len(asked) == 1:  # 2 runs into 1, which no longer makes way
             return torch.tensor([[1, 2]]), torch.tensor([0.5], dtype=torch.float64)
-        return torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
+        return NO_CONTACTS
 
-    resolved = resolve_collisions(torch.tensor([[0, 1]]), torch.tensor([0.4], dtype=torch.float64), 4, find)
+    resolved = resolve(torch.tensor([[0, 1]]), torch.tensor([0.4], dtype=torch.float64), 4, find)
     assert [changed for changed, _ in asked] == [[True, True, False, False], [False, True, True, False]]
     assert resolved.fraction.tolist() == pytest.approx([0.99 * 0.4, 0.99 * 0.4 * 0.99 * 0.5, 0.99 * 0.5, 1.0])
     assert resolved.stopped.tolist() == [True, True, True, False]
     assert (resolved.rounds, resolved.secondary_contacts) == (2, 1)
 
 
-def test_settling_ends_even_where_contacts_never_cease() -> None:
-    def find(changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
-        if not bool(any_changed):
-            return None
-        return torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.9], dtype=torch.float64)
-
-    resolved = resolve_collisions(*find(*[torch.ones(1)] * 3), 4, find)
+@RULES
+def test_resolution_ends_even_where_contacts_never_cease(resolve: Any) -> None:
+    always = torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.9], dtype=torch.float64)
+    resolved = resolve(*always, 4, lambda *_: always)
     assert resolved.fraction.tolist() == [0.0, 0.0, 0.0, 1.0]
     assert resolved.rounds < 10
 
 
-def test_robots_that_could_hardly_move_stay() -> None:
-    no_contacts = torch.zeros((0, 2), dtype=torch.int64), torch.zeros(0, dtype=torch.float64)
+@RULES
+def test_robots_that_could_hardly_move_stay(resolve: Any) -> None:
     touching = torch.tensor([1e-3, 0.5], dtype=torch.float64)
-    resolved = resolve_collisions(
-        torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *asked: no_contacts if bool(asked[2]) else None
-    )
+    resolved = resolve(torch.tensor([[0, 1], [2, 3]]), touching, 4, lambda *_: NO_CONTACTS)
     assert resolved.fraction.tolist() == [0.0, 0.0, 0.99 * 0.5, 0.99 * 0.5]
 
 
@@ -236,30 +227,21 @@ def test_affected_pairs_are_those_with_a_robot_that_changed(device: torch.device
         there.affected_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), -1)
 
 
-def test_slowing_down(device: torch.device) -> None:
-    first = torch.tensor([0.5, torch.inf, 0.005, 1.0, 0.5], dtype=torch.float64, device=device)
-    fraction = torch.tensor([0.5, 1.0, 1.0, 1.0, 0.0], dtype=torch.float64, device=device)
-    rows = torch.tensor([4, 3, 2, 1, 0, 0], device=device)
-    made, changes = ops.simulate_slow_down(rows, first, fraction, 0.99, 0.01)
-    assert made.tolist() == [0.0, 0.99, 0.0, 1.0, 0.5 * 0.5 * 0.99, 0.5 * 0.5 * 0.99]
-    assert changes.tolist() == [0, 1, 1, 0, 1, 1]
-    made, _ = ops.simulate_slow_down(rows, first, fraction, 0.99, torch.inf)
-    assert made.tolist() == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
-
-
 def test_slowing_all_down(device: torch.device) -> None:
     first = torch.tensor([0.5, torch.inf, 0.005, 1.0, 0.5, torch.inf], dtype=torch.float64, device=device)
     fraction = torch.tensor([0.5, 1.0, 1.0, 1.0, 0.0, 0.0], dtype=torch.float64, device=device)
-    rows = torch.arange(6, device=device)
-    made, changes = ops.simulate_slow_down(rows, first, fraction, 0.99, 0.01)
     changed = torch.full((6,), 7, dtype=torch.uint8, device=device)
     reports = torch.zeros(4, dtype=torch.int64, device=device).split(1)
     ops.simulate_slow_all_down(first, fraction, changed, reports[1], 0.99, 0.01)
-    assert torch.equal(fraction, made) and torch.equal(changed, changes) and bool((first == torch.inf).all())
+    made = [0.5 * 0.5 * 0.99, 1.0, 0.0, 0.99, 0.0, 0.0]
+    assert fraction.tolist() == made and changed.tolist() == [1, 0, 1, 1, 0, 0] and bool((first == torch.inf).all())
     ops.simulate_slow_all_down(first, fraction, changed, reports[2], 0.99, 0.01)
-    assert torch.equal(fraction, made) and not bool(changed.any())
+    assert fraction.tolist() == made and not bool(changed.any())
     ops.simulate_slow_all_down(first[:0], fraction[:0], changed[:0], reports[3], 0.99, 0.01)
     assert torch.cat(reports).tolist() == [0, 1, 0, 0]
+    first.fill_(0.9)
+    ops.simulate_slow_all_down(first, fraction, changed, reports[3], 0.99, torch.inf)
+    assert not bool(fraction.any()) and changed.tolist() == [1, 1, 0, 1, 0, 0]
 
 
 def test_first_toi_of_padded_contacts(device: torch.device) -> None:
@@ -273,48 +255,18 @@ def test_first_toi_of_padded_contacts(device: torch.device) -> None:
     assert first.tolist() == [0.25, 0.75, torch.inf, 0.25]
 
 
-class Watch(TorchDispatchMode):
-    """Notes the operators that go over all of `count` rows, and those at which the host would wait for a GPU."""
-
-    def __init__(self, count: int) -> None:
-        super().__init__()
-        self._count = count
-        self.over_all: list[str] = []
-        self.waits: list[str] = []
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        result = func(*args, **(kwargs or {}))
-        name = func.name()
-        if name in ("aten::_local_scalar_dense", "aten::nonzero", "aten::_unique2", "aten::masked_select"):
-            self.waits.append(name)
-        # These touch the rows they are asked for.
-        some = (
-            "aten::index_put_",
-            "aten::index_fill_.int_Scalar",
-            "aten::scatter_reduce_.two",
-            "pgccd::simulate_slow_down",
-        )
-        leaves = torch.utils._pytree.tree_leaves((args, result))
-        shapes = [leaf.shape for leaf in leaves if isinstance(leaf, Tensor)]
-        if name not in some and any(shape[:1] == (self._count,) for shape in shapes):
-            self.over_all.append(name)
-        return result
-
-
-def test_a_round_costs_in_proportion_to_its_contacts() -> None:
-    """Not to the robots; and the host waits only where contacts are looked for."""
-    count = 12345
-    with Watch(count) as watch:
-        rounds = []
-
-        def find(changed: Tensor, fraction: Tensor, any_changed: Tensor) -> tuple[Tensor, Tensor] | None:
-            if not rounds:
-                watch.over_all.clear()  # what is made before the first round
-            rounds.append(len(changed))
-            if len(rounds) > 3:
-                return None
-            return torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.9, 0.8], dtype=torch.float64)
-
-        resolved = resolve_collisions(torch.tensor([[0, 1]]), torch.tensor([0.5], dtype=torch.float64), count, find)
-    assert rounds == [count] * 4 and resolved.secondary_contacts == 6
-    assert watch.over_all == [] and watch.waits == []
+def test_a_step_is_committed_unless_it_is_to_be_discarded(device: torch.device) -> None:
+    model = Model(ModelConfig(robots=300, seed=8), device=device)
+    state = model.start()
+    planned = model.plan(state, 3)
+    fraction = torch.rand(300, dtype=torch.float64, generator=torch.Generator().manual_seed(1)).to(device)
+    expected, before = respond(planned, fraction), {name: x.clone() for name, x in state.columns.items()}
+    plan = planned.velocity, planned.angular_velocity, planned.target, planned.stay_until
+    columns = list(state.columns.values())
+    ops.simulate_commit(columns, plan, fraction, torch.tensor([1], device=device))
+    assert all(torch.equal(getattr(state, name), column) for name, column in before.items())
+    ops.simulate_commit(columns, plan, fraction, torch.tensor([0], device=device))
+    assert all(torch.equal(getattr(state, name), column) for name, column in expected.columns.items())
+    assert not torch.equal(state.position, before["position"])
+    with pytest.raises(RuntimeError, match="planned: expected 4 tensors, got 3"):
+        ops.simulate_commit(columns, plan[:3], fraction, torch.tensor([0], device=device))

@@ -1,47 +1,31 @@
-"""Rounds of collision resolution enqueued several at a time: the same bits as when each is waited for."""
+"""Rounds of collision resolution: what the plain rule gives, however many are enqueued at once, in any capacity."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.resolution import PlainStep, plain_run, plain_step
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
 from pgccd.detection.capacity import COUNT_ROWS, Capacity
 from pgccd.detection.parts import Part
-from pgccd.detection.pipeline import find_contacts
 from pgccd.runtime.stages import StageClock
-from pgccd.sim import Model, ModelConfig, RobotState, make_step, robot_mesh
+from pgccd.sim import Model, ModelConfig, Resolution, RobotState, StepPlan, make_step, robot_mesh
 from pgccd.sim import partners as partners_module
-from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
-from pgccd.sim.response import OneRank, Resolution, resolve_collisions
-from pgccd.sim.rounds import Ahead, Pace, resolve_ahead
-from pgccd.sim.step import ResolvedStep, resolve_step
+from pgccd.sim.partners import FIRST_CONTACTS, Partners
+from pgccd.sim.resolution import OneRank, ResolvedStep, RoundPlan, resolve_collisions
 from pgccd.sim.tally import WORK
 
-detect_module = sys.modules["pgccd.detection.pipeline"]
-step_module = sys.modules["pgccd.sim.step"]
+pipeline_module = sys.modules["pgccd.detection.pipeline"]
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5}
-
-
-def follow(config: ModelConfig, steps: int, ahead: bool, meshes: list[pgccd.Mesh] | None = None) -> list[Any]:
-    """Every step's line of the log without its times, and the columns at the end."""
-    model = Model(config, meshes)
-    state = model.start()
-    scene, records = model.scene(state.id), []
-    for index in range(steps):
-        step = make_step(model, scene, state, index, ahead=ahead)
-        state = step.after
-        records.append({name: value for name, value in step.record.items() if "seconds" not in name})
-    return [*records, {name: column.tolist() for name, column in state.columns.items()}]
-
-
 WORLDS = st.integers(0, 999), st.sampled_from(["random", "skewed"]), st.integers(1, 2)
 
 
@@ -61,42 +45,13 @@ def test_same_bits_of_many_worlds(seed: int, pattern: str, kinds: int) -> None:
 def same_bits(seed: int, pattern: str, kinds: int) -> None:
     big = robot_mesh()
     meshes = [big, pgccd.Mesh(0.7 * big.vertices, big.faces, "centroid")][:kinds]
-    config = ModelConfig(pattern=pattern, seed=seed, **FAST)
-    assert follow(config, 12, True, meshes) == follow(config, 12, False, meshes)
-
-
-@pytest.mark.parametrize("pattern", ["random", "skewed"])
-def test_steps_begun_before_the_outcome_of_the_last_is_known(
-    device: torch.device, pattern: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    steps, discard, config = 40, 0, ModelConfig(pattern=pattern, seed=3, **FAST)
-    expected = follow(config, steps, True)
-    monkeypatch.setattr(step_module, "_begins_early", lambda _: True)
-    begin_step, begun = step_module.begin_step, []
-
-    def watched(*arguments: Any) -> Any:
-        begun.append(arguments[3])
-        return begin_step(*arguments)
-
-    monkeypatch.setattr(step_module, "begin_step", watched)
-    model = Model(config, device=device)
-    state, following = model.start(), None
+    model = Model(ModelConfig(pattern=pattern, seed=seed, **FAST), meshes)
+    state, plan = model.start(), StepPlan()
     scene = model.scene(state.id)
-    for index in range(steps):
-        more = index % 5 != 4
-        step = make_step(model, scene, state, index, ahead=True, begun=following, more=more)
-        assert more or step.next is None
-        for name, value in step.record.items():
-            # A GPU looks at other feature pairs on the way to the same contacts.
-            if "seconds" not in name and (name != "candidates" or device.type == "cpu"):
-                assert value == expected[index][name]
-        discard += begun.count(index + 1) - (step.next is not None)
-        state, following = step.after, step.next
-        if index == 21:  # another state, though the same to the bit
-            state = RobotState(**state.columns)
-    assert {name: column.tolist() for name, column in state.columns.items()} == expected[-1]
-    # Steps 0, 22 and those after every fifth were begun when they were made; others before; some were discarded.
-    assert discard > 0 and begun.count(0) == begun.count(25) == 1 and begun.count(22) >= 2
+    for index, expected in enumerate(plain_run(model, 12)):
+        step = make_step(model, scene, state, index, plan=plan)
+        state = step.after
+        assert {name: step.record[name] for name in expected} == expected
 
 
 def test_an_invalid_state(device: torch.device) -> None:
@@ -110,7 +65,20 @@ def test_an_invalid_state(device: torch.device) -> None:
         make_step(model, scene, state, 3)
 
 
-class AStep:
+class TwoAlike(OneRank):
+    """An exchange between two ranks of which the other one does as this one. Counts what the host waits for."""
+
+    ranks = 2
+
+    def __init__(self) -> None:
+        self.waits = 0
+
+    def gather(self, values: Tensor) -> Tensor:
+        self.waits += 1
+        return values.expand(2, -1)
+
+
+class PlannedStep:
     """A step about to be made.
 
     Args:
@@ -118,141 +86,165 @@ class AStep:
     """
 
     def __init__(self, model: Model, state: RobotState) -> None:
-        self.model, self.state, self.count = model, state, len(state)
+        self.model, self.state = model, state
         self.bodies = pgccd.MovingBodies(model.scene(state.id), model.motion(state))
         self.pairs = pgccd.broad.find_pairs(self.bodies)
-        self.contacts = find_contacts(self.bodies, FIRST_CONTACTS, pairs=self.pairs)
+        self.expected: PlainStep = plain_step(model, state)
 
-    def parts(self) -> list[Part]:
-        return [Part("all", FIRST_CONTACTS, self.bodies, self.pairs)]
+    @property
+    def rounds(self) -> int:
+        """How many the step takes."""
+        return self.expected.resolution.rounds
 
-    def partners(self) -> Partners:
-        return Partners(self.model, self.state.moving_columns, None, self.pairs)
+    def part(self) -> Part:
+        return Part(FIRST_CONTACTS, self.bodies, self.pairs)
 
-    def expected(self) -> Resolution:
-        return resolve_collisions(self.contacts.pairs, toi_of(self.contacts), self.count, self.partners())
-
-    def ahead(self, pace: Pace, exchange: OneRank | None = None, partners: Partners | None = None) -> Ahead | None:
-        start_round, exchange = (partners or self.partners()).start_round, exchange or OneRank(self.pairs[:, 0])
-        return resolve_ahead(self.parts(), self.count, start_round, exchange, pace, self.conclude, StageClock())
-
-    def resolved(self, pace: Pace, partners: Partners | None = None, exchange: OneRank | None = None) -> ResolvedStep:
-        partners = partners or self.partners()
-
-        def conclude(pairs: Tensor, toi: Tensor, fraction: Tensor) -> Tensor:
-            return self.conclude(fraction)
-
-        return resolve_step(self.parts(), self.count, partners, pace, conclude, StageClock(), exchange)
+    def resolve(
+        self,
+        plan: RoundPlan | None = None,
+        exchange: OneRank | None = None,
+        make_partners: Callable[..., Partners] = Partners,
+        part: Part | None = None,
+    ) -> ResolvedStep:
+        partners = make_partners(self.model, self.state.moving_columns, None, self.pairs)
+        given = [part or self.part()], len(self.state), partners, plan or RoundPlan(), self.conclude, StageClock()
+        resolved = resolve_collisions(*given, exchange)
+        found, expected = resolved.resolution, self.expected.resolution
+        assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
+        assert torch.equal(found.fraction, expected.fraction)
+        ranks = exchange.ranks if exchange else 1
+        assert resolved.conclusions.tolist() == [self.conclude(expected.fraction).tolist()] * ranks
+        assert resolved.work[:, WORK.index("contacts")].tolist() == [len(self.expected.contacts)] * ranks
+        return resolved
 
     @staticmethod
     def conclude(fraction: Tensor) -> Tensor:
         return (fraction < 1.0).sum().reshape(1)
 
 
-def same(found: Resolution, expected: Resolution) -> bool:
-    assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
-    return torch.equal(found.fraction, expected.fraction)
-
-
-def a_step(seed: int, speed: float = 0.3, robots: int = 150) -> AStep:
+def planned_step(seed: int, speed: float = 0.3, robots: int = 150) -> PlannedStep:
     model = Model(ModelConfig(robots=robots, speed=speed, seed=seed))
     state, scene = model.start(), model.scene(model.start().id)
     for index in range(8):  # until they have left the lattice
         state = make_step(model, scene, state, index).after
-    return AStep(model, model.plan(state, 8))
+    return PlannedStep(model, model.plan(state, 8))
 
 
-def many_rounds() -> AStep:
+def many_rounds() -> PlannedStep:
     """A step that takes several."""
     for seed in range(40):
-        made = a_step(seed)
-        if made.expected().rounds >= 3:
+        made = planned_step(seed)
+        if made.rounds >= 3:
             return made
     raise AssertionError("no step takes three rounds")
 
 
-def paced(rounds: int, needed: Capacity = Capacity(0, 0), pace: Pace | None = None) -> Pace:  # noqa: B008
-    """After a step of so many rounds."""
-    pace = pace or Pace()
-    pace.learn(rounds, lambda: [needed] * rounds)
-    return pace
-
-
-class Gathers(OneRank):
-    """Counts what the host waits for."""
-
-    def __init__(self, pairs: Tensor) -> None:
-        super().__init__(pairs.reshape(-1))
-        self.count = 0
-
-    def gather(self, values: Tensor) -> Tensor:
-        self.count += 1
-        return super().gather(values)
+def plan_after(rounds: int, plan: RoundPlan | None = None) -> RoundPlan:
+    """That of a simulation whose last step took so many rounds."""
+    plan = plan or RoundPlan()
+    plan.learn(rounds, lambda: [Capacity.guess(400, 200)] * rounds)
+    return plan
 
 
 def test_wherever_a_batch_ends() -> None:
     step = many_rounds()
-    expected = step.expected()
-    for rounds in range(expected.rounds + 3):
-        pace, exchange = paced(rounds, Capacity.guess(400, 200)), Gathers(step.pairs)
-        found = step.ahead(pace, exchange)
-        assert found is not None and same(found.resolution, expected)
-        assert found.conclusions.tolist() == [step.conclude(expected.fraction).tolist()]
-        assert found.counts[:, :, COUNT_ROWS["contacts"]].tolist() == [[len(step.contacts)]]
-        assert pace.rounds == max(rounds, expected.rounds)
-        assert exchange.count == 1 + max(0, -(-(expected.rounds - rounds) // 2))
+    for rounds in range(step.rounds + 3):
+        plan, exchange = plan_after(rounds), TwoAlike()
+        step.resolve(plan, exchange)
+        assert plan.at_once == max(rounds, step.rounds)
+        assert exchange.waits == 1 + max(0, -(-(step.rounds - rounds) // 2))
 
 
-def test_too_little_room_in_a_round() -> None:
+def test_a_step_of_which_nothing_is_known() -> None:
     step = many_rounds()
-    expected = step.expected()
-    short = []
-    for lacking in range(expected.rounds):
+    plan = RoundPlan()
+    step.resolve(plan, TwoAlike())
+    assert plan.at_once == step.rounds
 
-        class Tight(Pace):
-            def capacity(self, round: int, lacking: int = lacking) -> Capacity:
-                return Capacity(0, 0) if round == lacking else super().capacity(round)
 
-        pace = paced(expected.rounds, pace=Tight())
-        asked = step.partners()
-        short.append(step.ahead(pace, partners=asked) is None)
-        found = step.resolved(pace, asked)
-        assert same(found.resolution, expected)
+def test_one_rank_on_the_cpu_makes_the_rounds_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    step, made = many_rounds(), 0
+
+    class Counted(Partners):
+        def start_round(self, *given: Any) -> Tensor:
+            nonlocal made
+            made += 1
+            return super().start_round(*given)
+
+    step.resolve(plan_after(9), make_partners=Counted)
+    assert made == step.rounds
+
+
+def test_too_little_capacity_in_a_round() -> None:
+    """As on a GPU: the round is made again in more, and so are those before it."""
+    step = many_rounds()
+    for lacking in range(step.rounds):
+        calls: list[Capacity] = []
+
+        class Tight(Partners):
+            def start_round(
+                self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor, calls: Any = calls
+            ) -> Tensor:
+                calls.append(capacity)
+                lowered = first.clone()
+                counts = super().start_round(changed, fraction, capacity, lowered)
+                if counts[COUNT_ROWS["pairs"]] > capacity.pairs:
+                    counts[COUNT_ROWS["pairs_overflow"]] = 1
+                else:
+                    first.copy_(lowered)
+                return counts
+
+        plan = RoundPlan()
+        plenty, none = Capacity.guess(400, 200), Capacity(0, 0)
+        capacities = [none if round == lacking else plenty for round in range(step.rounds)]
+        plan._capacities, plan._recent = capacities, plan._recent.__class__([step.rounds])
+        step.resolve(plan, TwoAlike(), Tight)
+        assert len(calls) == 2 * step.rounds and calls[lacking].pairs == 0 < calls[step.rounds + lacking].pairs
         # What each round needed has been learnt.
-        assert pace.rounds == expected.rounds and len(asked.needed) == (expected.rounds if short[-1] else 0)
-    assert all(short)
+        assert all(plan.capacity(round).pairs > 0 for round in range(step.rounds))
 
 
-def test_too_little_room_for_the_whole_step(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("exchange", [None, TwoAlike()])
+def test_too_little_capacity_for_the_whole_step(exchange: OneRank | None, monkeypatch: pytest.MonkeyPatch) -> None:
     step = many_rounds()
-    expected = step.expected()
-    monkeypatch.setattr(detect_module, "EXACTLY", Capacity(0, len(step.contacts) - 1))
-    pace = paced(expected.rounds)
-    assert step.ahead(pace) is None
-    monkeypatch.setattr(detect_module, "EXACTLY", Capacity(0, len(step.contacts)))
-    found = step.ahead(pace)
-    assert found is not None and same(found.resolution, expected)
+    for lacking in (1, 0):
+        part = step.part()
+        with monkeypatch.context() as patch:
+            patch.setattr(pipeline_module, "EXACTLY", Capacity(0, len(step.expected.contacts) - lacking))
+            counts = part.start().read()
+        assert counts.overflow == bool(lacking)
+        step.resolve(plan_after(step.rounds), exchange, part=part)
 
 
-def test_more_memory_than_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    step = many_rounds()
-    monkeypatch.setattr(partners_module, "memory_limit", lambda *_: 1000)
-    pace = paced(1)
-    assert step.ahead(pace) is None
+def test_rounds_that_do_not_fit_into_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    step, pieces = many_rounds(), 0
+
+    class Counted(Partners):
+        def _search(self, *given: Any) -> Tensor:
+            nonlocal pieces
+            pieces += 1
+            return super()._search(*given)
+
+    for limit in (10_000, 1000, 1):
+        monkeypatch.setattr(partners_module, "memory_limit", lambda *_, limit=limit: limit)
+        pieces = 0
+        step.resolve(make_partners=Counted)
+        most = -(-Capacity(pairs=len(step.pairs), contacts=0).bytes // limit)
+        assert pieces == step.rounds * min(len(step.pairs), most) > step.rounds
 
 
-def test_nobody_collides() -> None:
-    step = a_step(0, speed=0.0)
-    assert len(step.contacts) == 0
-    pace = Pace()
-    for waits in (2, 1):  # the first step waits for each round and at its end, the second for all together
-        exchange = Gathers(step.pairs)
-        found = step.resolved(pace, exchange=exchange).resolution
-        assert (found.rounds, found.secondary_contacts, exchange.count) == (0, 0, waits)
-        assert bool((found.fraction == 1.0).all()) and pace.rounds == 0
+def test_no_robot_collides() -> None:
+    step = planned_step(0, speed=0.0)
+    assert len(step.expected.contacts) == 0
+    plan = RoundPlan()
+    for _ in range(2):
+        exchange = TwoAlike()
+        found = step.resolve(plan, exchange).resolution
+        assert (found.rounds, found.secondary_contacts, exchange.waits) == (0, 0, 1)
+        assert bool((found.fraction == 1.0).all()) and plan.at_once == 0
 
 
-def test_everybody_collides() -> None:
+def test_every_robot_collides() -> None:
     """All fly through the middle in one step, not quite at the same time."""
     tips = torch.tensor([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=torch.float64)
     faces = [[k, (k + 1) % 4, 4] for k in range(4)] + [[(k + 1) % 4, k, 5] for k in range(4)]
@@ -262,14 +254,12 @@ def test_everybody_collides() -> None:
     state.velocity = 10.0 * state.velocity - state.position * (
         1.5 + 0.5 * torch.rand(64, 1, dtype=torch.float64, generator=random)
     )
-    step = AStep(model, state)
-    assert len(step.contacts.pairs.unique()) == len(state)
-    pace = Pace()
-    first, second = (step.resolved(pace) for _ in range(2))
-    assert same(second.resolution, first.resolution) and second.conclusions.tolist() == first.conclusions.tolist()
-    contacts = WORK.index("contacts")
-    assert second.work[0, contacts] == first.work[0, contacts] == len(step.contacts)
-    assert first.resolution.rounds >= 2 and first.resolution.secondary_contacts > 0
+    step = PlannedStep(model, state)
+    assert len(step.expected.contacts.pairs.unique()) == len(state)
+    assert step.rounds >= 2 and step.expected.resolution.secondary_contacts > 0
+    plan = RoundPlan()
+    for exchange in (None, TwoAlike(), TwoAlike()):
+        step.resolve(plan, exchange)
 
 
 class Calls(TorchDispatchMode):
@@ -286,13 +276,33 @@ class Calls(TorchDispatchMode):
         return func(*args, **(kwargs or {}))
 
 
+class Unread(Partners):
+    """Does not look at the number of pairs, as on a GPU."""
+
+    def _search(self, changed: Tensor, fraction: Tensor, pairs: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+        given = self._own, self._ghosts, fraction, changed, pairs
+        found, bodies, counts = self._model.affected_pairs(*given, len(pairs))
+        copies, meshes = self._copies_of(len(pairs)), self._model.meshes.tensors
+        search = partners_module.lower_first_toi
+        return search(first, found, meshes, bodies, False, copies, counts, FIRST_CONTACTS, capacity)
+
+
 def test_a_round_is_few_operators_and_no_wait() -> None:
     step = many_rounds()
     calls = []
     for rounds in (8, 9):
-        pace = paced(rounds)
+        part, plan, exchange = step.part(), plan_after(rounds), TwoAlike()
+        part.start()
+        partners = Unread(step.model, step.state.moving_columns, None, step.pairs)
+        partners._copies_of(len(step.pairs))
+        given = [part], len(step.state), partners, plan, step.conclude, StageClock()
         with Calls() as watch:
-            step.ahead(pace)
+            found = resolve_collisions(*given, exchange).resolution
+        assert same(found, step.expected.resolution)
         calls.append(watch.calls)
         assert watch.waits == 0  # the one look is that of the numbers gathered
     assert calls[1] - calls[0] == 3
+
+
+def same(found: Resolution, expected: Resolution) -> bool:
+    return found.rounds == expected.rounds and torch.equal(found.fraction, expected.fraction)

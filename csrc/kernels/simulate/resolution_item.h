@@ -11,18 +11,6 @@ namespace pgccd {
 
 constexpr double kNever = std::numeric_limits<double>::infinity();
 
-struct SlowDownInput {
-  const int64_t* rows;  // (count,) robots looked at; any may be named several times
-  int64_t count;
-  int64_t robot_count;
-  const double* first;     // first toi of each robot in what it was to make of the step; infinite: none
-  const double* fraction;  // what each robot was to make of the step
-  double approach;         // part of the way to the toi that it goes
-  double smallest;         // a robot whose fraction would be smaller does not move at all
-
-  PGCCD_HD bool is_sound(int64_t k) const { return rows[k] >= 0 && rows[k] < robot_count; }
-};
-
 struct SlowedDown {
   double fraction;
   bool changes;
@@ -35,20 +23,14 @@ PGCCD_HD SlowedDown slowed_down(double first, double former, double approach, do
   return {allowed < smallest ? 0.0 : allowed, true};
 }
 
-PGCCD_HD void slow_down(const SlowDownInput& input, int64_t k, double* fraction, uint8_t* changes) {
-  const int64_t row = input.rows[k];
-  const SlowedDown made = slowed_down(input.first[row], input.fraction[row], input.approach, input.smallest);
-  changes[k] = made.changes ? 1 : 0;
-  fraction[k] = made.fraction;
-}
-
 // All robots, in place.
 struct SlowAllDown {
-  double* first;     // (count,), infinite afterwards
-  double* fraction;  // (count,)
+  double* first;     // (count,) first toi in what each robot was to make of the step, inf: none; inf afterwards
+  double* fraction;  // (count,) what each robot makes of the step
   uint8_t* changed;  // (count,)
   int64_t count;
-  double approach, smallest;  // as above
+  double approach;  // part of the way to the toi that a robot goes
+  double smallest;  // a robot whose fraction would be smaller does not move at all
 
   // Whether the robot changes.
   PGCCD_HD bool slow_down(int64_t row) const {

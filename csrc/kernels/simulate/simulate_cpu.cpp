@@ -21,11 +21,11 @@ void start_cpu(const Executor& executor, const World& world, const int64_t* id, 
   for_each_row(executor, count, [&](int64_t row) { store_robot(results, row, start_robot(world, id[row])); });
 }
 
-void plan_cpu(const Executor& executor, const World& world, const RobotColumns& robots, int64_t step,
+void plan_cpu(const Executor& executor, const World& world, const RobotColumns& robots, const int64_t* step,
               const RobotResults& results) {
   for_each_row(executor, robots.count, [&](int64_t row) {
     Robot robot = load_robot(robots, row);
-    plan_robot(world, robots.id[row], step, robot);
+    plan_robot(world, robots.id[row], *step, robot);
     store_robot(results, row, robot);
   });
 }
@@ -39,17 +39,17 @@ void respond_cpu(const Executor& executor, const RobotColumns& robots, const dou
   });
 }
 
+void commit_cpu(const Executor& executor, const RobotColumns& robots, const double* fraction, const int64_t* discard,
+                const RobotResults& results) {
+  if (*discard == 0) respond_cpu(executor, robots, fraction, results);
+}
+
 void random_uniforms_cpu(const Executor& executor, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
                          uint32_t stream, double* uniforms) {
   for_each_row(executor, count, [&](int64_t row) {
     const Uniforms drawn = random_uniforms(seed, {id[row], step, stream});
     for (int k = 0; k < 4; ++k) uniforms[4 * row + k] = drawn.u[k];
   });
-}
-
-void slow_down_cpu(const Executor& executor, const SlowDownInput& input, double* fraction, uint8_t* changes) {
-  require_rows(executor, input.count, "robots", "name robots", [&](int64_t k) { return input.is_sound(k); });
-  for_each_row(executor, input.count, [&](int64_t k) { slow_down(input, k, fraction, changes); });
 }
 
 void slow_all_down_cpu(const Executor& executor, const SlowAllDown& robots, int64_t* changes) {

@@ -14,22 +14,23 @@ namespace pgccd {
 void start_cuda(const DeviceContext& context, const World& world, const int64_t* id, int64_t count,
                 const RobotResults& results);
 
-// Velocities, targets and stays for this step.
-void plan_cuda(const DeviceContext& context, const World& world, const RobotColumns& robots, int64_t step,
+// Velocities, targets and stays for step number `step` (1,).
+void plan_cuda(const DeviceContext& context, const World& world, const RobotColumns& robots, const int64_t* step,
                const RobotResults& results);
 
 // Poses at the end of the step and velocities after it. fraction (count,): how much of the step each robot makes.
 void respond_cuda(const DeviceContext& context, const RobotColumns& robots, const double* fraction,
                   const RobotResults& results);
 
+// The same, unless `discard` (1,) is nonzero: then nothing is written. Results may be the columns themselves.
+void commit_cuda(const DeviceContext& context, const RobotColumns& robots, const double* fraction,
+                 const int64_t* discard, const RobotResults& results);
+
 // (count, 4) uniforms in (0, 1) of the counters (id, step, stream).
 void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
                           uint32_t stream, double* uniforms);
 
-// What robots that collide make of the step, fraction (count,), and which of them that slows down, changes (count,).
-void slow_down_cuda(const DeviceContext& context, const SlowDownInput& input, double* fraction, uint8_t* changes);
-
-// The same for all robots, in place; changes (1,) becomes 1 if any robot changes, else 0.
+// Slows all robots down that are about to collide, in place; changes (1,) becomes 1 if any robot changes.
 void slow_all_down_cuda(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes);
 
 // Lowers the first toi of robots to that of their contacts.

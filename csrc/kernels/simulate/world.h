@@ -12,6 +12,21 @@ enum class MovementPattern : int64_t {
   kSkewed = 1,  // to one of the eight corners, there for a while, then to another
 };
 
+// The numbers of a world as the operators take them; pgccd/sim/model.py has the same fields.
+struct WorldIntegers {
+  int64_t robot_count;
+  int64_t cells_x, cells_y, cells_z;
+  int64_t pattern;
+  int64_t seed;
+  int64_t stay_shortest, stay_longest;
+};
+
+struct WorldScales {
+  double radius, spacing, speed, spin;
+  double course_change, resumption;
+  double arrival, crowd;
+};
+
 struct World {
   int64_t robot_count;  // of the whole world; ids are 0 .. robot_count - 1
   int64_t cells[3];     // of the start lattice

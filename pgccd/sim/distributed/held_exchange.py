@@ -53,11 +53,6 @@ class HeldExchange:
         return self._shared[0][:, None].expand(-1, 2).contiguous()
 
     @property
-    def shared(self) -> Tensor:
-        """(S,) int64: rows of bodies that others hold too; more than once if several do."""
-        return self._shared[0]
-
-    @property
     def rank(self) -> int:
         return self._comm.rank
 

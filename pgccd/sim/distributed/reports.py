@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from pgccd.distributed.balance import imbalance
-from pgccd.sim.step import ResolvedStep
+from pgccd.sim.resolution import ResolvedStep
 from pgccd.sim.tally import COUNTED, WORK, Rows
 
 

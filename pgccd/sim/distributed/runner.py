@@ -199,8 +199,8 @@ class _SimulationMachine:
         self._wish = wish
         return self.last_step.wished if self.last_step is not None else self.simulation.comm.any(wish)
 
-    def step(self, index: int, more: bool) -> RankStep:
-        self.last_step = self.simulation.step(index, self._wish, more)
+    def step(self, index: int, more: int) -> RankStep:
+        self.last_step = self.simulation.step(index, self._wish, more > 0)
         return self.last_step
 
     def save(self, steps_made: int, steps_wanted: int) -> None:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.broad import BroadPhase
-from pgccd.detection.parts import Part, contacts_of_step
+from pgccd.detection.parts import contacts_of_step
 from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rebalance
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
@@ -19,7 +19,7 @@ from pgccd.distributed.detection import Detection, cell_loads
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.partition import Partition
-from pgccd.distributed.share import Options, OwnSearch, Share
+from pgccd.distributed.share import Options, OwnSearch, PartEstimates, Share
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
@@ -27,9 +27,8 @@ from pgccd.sim.distributed.held_exchange import HeldExchange
 from pgccd.sim.distributed.reports import Reports
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
-from pgccd.sim.response import Resolution, respond
-from pgccd.sim.rounds import Pace, goes_ahead, knows_rounds
-from pgccd.sim.step import ResolvedStep, resolve_step
+from pgccd.sim.resolution import Resolution, ResolvedStep, RoundPlan, resolve_collisions
+from pgccd.sim.response import respond
 from pgccd.sim.tally import Tally, count_step
 
 # Robots made at a time at the start of a world.
@@ -85,7 +84,6 @@ class DistributedSimulation:
         state: of any share of the robots; all ranks together have each robot once.
         balance: how cells change hands.
         broad_phase, overlap: see `Options`.
-        ahead: see `pgccd.sim.make_step`; the same on all ranks. Default: on a GPU, and with other ranks.
 
     `state` is that of the robots this rank has.
 
@@ -103,14 +101,12 @@ class DistributedSimulation:
         balance: BalanceOptions | None = None,
         overlap: bool = True,
         broad_phase: BroadPhase = "auto",
-        ahead: bool | None = None,
     ) -> None:
         self.comm, self.model, self.partition = comm, model, partition
         self.balance = balance or BalanceOptions()
         # nonzero_toi: robots that part after a contact are free.
         self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
-        # The simulation's own, so that all ranks know the same number of rounds.
-        self._pace = Pace() if goes_ahead(ahead, model.device, comm.size) else None
+        self._rounds, self._estimates = RoundPlan(), PartEstimates()
         self._expected = Census.of_range(model.config.robots)
         #: Whether a step that follows at once is begun before the outcome of the one before is known.
         self.begins_early = model.device.type != "cpu" and overlap
@@ -152,13 +148,13 @@ class DistributedSimulation:
         leaving: Leaving | None = None
         keeps = more and self.begins_early and self._was_calm
 
-        def conclude(pairs: Tensor, toi: Tensor, fraction: Tensor) -> Tensor:
+        def conclude(fraction: Tensor) -> Tensor:
             nonlocal after, leaving
             fraction = fraction[: len(planned)]
             with clock.stage("respond"):
                 after = respond(planned, fraction)
             with clock.stage("hash"):
-                counted = count_step(after, fraction, share.held.id, pairs, toi)
+                counted = count_step(after, fraction, share.held.id, *share.first_contacts())
                 leaving = Leaving(comm, self.partition, after.position)
                 moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
                 return torch.cat([counted, self._told_by_host(share, wish), leaving.counts.sum()[None], *moves])
@@ -166,9 +162,9 @@ class DistributedSimulation:
         def begin_next(discard: Tensor) -> None:
             self._begun = self._begin(index + 1, after, discard)
 
-        meanwhile = begin_next if keeps else None
-        resolved = resolve_step(
-            share.parts, len(share.held), partners, self._pace, conclude, clock, exchange, meanwhile
+        work_ahead = begin_next if keeps else None
+        resolved = resolve_collisions(
+            share.parts, len(share.held), partners, self._rounds, conclude, clock, exchange, work_ahead
         )
         reports = Reports.of(resolved)
         is_level, moved_cells = self._balance(index, share, resolved, planned, reports, clock)
@@ -206,10 +202,8 @@ class DistributedSimulation:
         clock = StageClock()
         with clock.stage("plan"):
             planned = self.model.plan(state, index)
-        begin = Part.start if knows_rounds(self._pace) else Part.begin
-        own = planned.moving_columns
-        where = self.comm, self.partition, own, self._build, self.options, clock
-        search = OwnSearch(*where, begin, discard, self._capacity)
+        where = self.comm, self.partition, planned.moving_columns, self._build, self.options, clock
+        search = OwnSearch(*where, self._estimates, discard, self._capacity)
         return _Begun(index, state, self.partition, planned, search, clock)
 
     def _has_begun(self, index: int) -> bool:

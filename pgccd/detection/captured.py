@@ -1,0 +1,147 @@
+"""Detection as one CUDA graph, for loops in which the host must not be what the GPU waits for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+from pgccd import arguments
+from pgccd.detection import broad, narrow
+from pgccd.detection.capacity import Capacity, CapacityError, check_capacity
+from pgccd.detection.contacts import Contacts, PaddedContacts
+from pgccd.detection.pipeline import detect
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.runtime.graph import capture
+
+# Capacity over what the motion given needed.
+_SLACK = 1.5
+
+
+class CapturedDetection:
+    """`pgccd.detect` for the steps of a loop: poses are loaded into fixed memory, one CUDA graph is replayed, and
+    contacts are read from fixed memory. The result is that of `detect`, to the bit.
+
+    On a CPU there are no graphs: each replay is then a call of `detect` in the same capacity (`is_graph` tells).
+
+    Args:
+        scene: the bodies. Its columns are read at each replay; it may be changed in place.
+        motion: a step like those to come: of the same kind, with as many bodies or vertices.
+        report, min_separation, tolerance, nonzero_toi, broad_phase: as for `detect`.
+        capacity: of the result and of all intermediate lists. Default: half as much again as `motion` needs.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+
+    Example:
+        >>> captured = pgccd.CapturedDetection(scene, motion)
+        >>> hits = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedContacts; waits for nothing
+        >>> safe = hits.first_toi().clamp(max=1.0)
+        >>> contacts = captured.contacts()  # exact and of its own memory; waits
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        report: narrow.Report = "first",
+        min_separation: float = 0.0,
+        *,
+        tolerance: float | None = None,
+        nonzero_toi: bool = False,
+        broad_phase: broad.BroadPhase = "auto",
+        capacity: Capacity | None = None,
+    ) -> None:
+        if not isinstance(motion, (RigidMotion, VertexMotion)):
+            kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
+            raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+        self.scene = scene
+        self._options: dict[str, Any] = {"report": report, "min_separation": min_separation, "tolerance": tolerance}
+        self._options |= {"nonzero_toi": nonzero_toi, "broad_phase": broad_phase}
+        if capacity is None:
+            needed = detect(scene, motion, **self._options).stats.needed
+            if needed is None:
+                raise ValueError("motion: this step needs more memory than there is at once; use pgccd.detect")
+            capacity = needed.times(_SLACK)
+        check_capacity(capacity)
+        #: The motion of each replay, in fixed memory: `load` writes to it, and so may kernels of one's own.
+        self.motion = _copy_of(motion)
+        self._capture(capacity)
+
+    def load(self, motion: RigidMotion | VertexMotion) -> None:
+        """Copies a step's motion to where replays read it. Waits for nothing on a GPU.
+
+        Raises:
+            TypeError, ValueError: it is of another kind, size or path.
+        """
+        if type(motion) is not type(self.motion):
+            raise TypeError(f"motion: expected a {type(self.motion).__name__}, got {arguments.describe(motion)}")
+        if isinstance(motion, RigidMotion) and motion.path != self.motion.path:  # type: ignore[union-attr]
+            raise ValueError(f"motion: its path is {motion.path!r}, that captured {self.motion.path!r}")  # type: ignore[union-attr]
+        given = motion.columns()
+        for name, column in self.motion.columns().items():
+            if given[name].shape != column.shape or given[name].device != column.device:
+                expected = f"{tuple(column.shape)} on {column.device}"
+                raise ValueError(
+                    f"motion: {name}: expected {expected}, got {tuple(given[name].shape)} on {given[name].device}"
+                )
+            column.copy_(given[name])
+
+    def replay(self) -> PaddedContacts:
+        """Detects the collisions of the motion loaded. Waits for nothing on a GPU; the next replay overwrites the
+        result."""
+        if self._graph is None:
+            self._found = self._detect()
+        else:
+            self._graph.replay()
+        return self._found
+
+    def __call__(self, motion: RigidMotion | VertexMotion) -> PaddedContacts:
+        """`load`, then `replay`."""
+        self.load(motion)
+        return self.replay()
+
+    def contacts(self) -> Contacts:
+        """The contacts of the last replay in memory of their own. Waits for them. If a capacity was exceeded, the step
+        is captured again in a larger one, and replayed.
+
+        Raises:
+            ValueError: the motion is invalid.
+        """
+        while True:
+            try:
+                found = self._found.trim()
+            except CapacityError as error:
+                self._capture(error.capacity.grown(error.needed))
+                self.replay()
+            else:
+                return found.clone() if self.is_graph else found
+
+    @property
+    def is_graph(self) -> bool:
+        """Whether replays are those of a CUDA graph."""
+        return self._graph is not None
+
+    def _detect(self) -> PaddedContacts:
+        return detect(self.scene, self.motion, capacity=self.capacity, **self._options)
+
+    def _capture(self, capacity: Capacity) -> None:
+        #: Of the result and of all intermediate lists.
+        self.capacity = capacity
+        self._graph: torch.cuda.CUDAGraph | None = None
+        if self.scene.device.type == "cuda":
+            self._graph, self._found = capture(self._detect, self.scene.device)
+            self._graph.replay()
+        else:
+            self._found = self._detect()
+
+    def __repr__(self) -> str:
+        return f"CapturedDetection(bodies={self.scene.body_count}, graph={self.is_graph}, device={self.scene.device})"
+
+
+def _copy_of(motion: RigidMotion | VertexMotion) -> RigidMotion | VertexMotion:
+    columns = {name: column.clone() for name, column in motion.columns().items()}
+    if isinstance(motion, VertexMotion):
+        return VertexMotion(**columns)
+    return RigidMotion.from_rotation(**columns, path=motion.path)

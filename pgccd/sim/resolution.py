@@ -1,0 +1,308 @@
+"""Collision resolution: how much of the step each robot makes, so that none collides.
+
+A robot stops (just before) its first toi. It then stands where others expected it to move on, so the slowed-down step
+is tested again, among the robots that have just been slowed down and between them and all others, until none collides.
+In the step that results no robot touches another, and the next one starts without contact.
+
+Rounds are enqueued several at a time, before it is known whether they are needed: a round after the last one that
+changed a robot changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pgccd import ops
+from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
+from pgccd.detection.parts import Part, pairs_of_step, search_seconds
+from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.stages import StageClock
+from pgccd.sim.partners import Partners
+from pgccd.sim.tally import Rows, work_of_counts
+
+# A robot moves this part of the way to its toi: at the toi itself it may be within the tolerance of contact, which the
+# next step would report again.
+_APPROACH = 0.99
+# A robot that could make less than this part of its step stays where it is. Otherwise the gap between robots that are
+# pressed together (by a wall, by a crowd) would shrink by the same factor in every step, until rounding closed it.
+_SMALLEST_PART = 0.01
+# From this round on a robot that collides stays where it is, which ends the iteration quickly.
+_STOPPING_ROUND = 4
+# Rounds enqueued at once in the first step, and after as many as any of the last steps took.
+_FIRST_ROUNDS, _MORE_ROUNDS = 4, 2
+# How many steps count as the last.
+_RECENT_STEPS = 8
+# Capacity over what a round needed in the last step.
+_SLACK = 1.5
+
+
+@dataclass
+class Resolution:
+    """How much of the step each robot makes, so that none collides."""
+
+    fraction: Tensor  #: (N,) float64 in [0, 1]; below 1 for those that collide
+    rounds: int  #: detections after the first
+    secondary_contacts: int  #: contacts they found: with robots that had stopped in the way
+
+    @property
+    def stopped(self) -> Tensor:
+        """(N,) bool."""
+        return self.fraction < 1.0
+
+
+@dataclass
+class ResolvedStep:
+    """How a step ended."""
+
+    resolution: Resolution
+    work: Rows  #: (ranks, 6), see `pgccd.sim.tally.WORK`
+    conclusions: Rows  #: (ranks, k): the numbers that each rank concluded
+    #: Lets the capacities of the next step learn what this one needed; a GPU may be given more urgent work before.
+    learn: Callable[[], None]
+
+
+class RoundPlan:
+    """How many rounds are enqueued at once, which is the same on all ranks, and the capacity of each on this one. It
+    belongs to a simulation."""
+
+    def __init__(self) -> None:
+        self._recent: deque[int] = deque(maxlen=_RECENT_STEPS)
+        self._needed: Callable[[], Sequence[Capacity]] | None = None
+        self._capacities: list[Capacity] = []
+
+    @property
+    def at_once(self) -> int:
+        """As many as any of the last steps took: one too many costs less than to find out that there is one more."""
+        return max(self._recent, default=_FIRST_ROUNDS)
+
+    def capacity(self, round: int) -> Capacity:
+        """For a round, from 0."""
+        if self._needed is not None:
+            capacities = [capacity.times(_SLACK) for capacity in self._needed()]
+            self._needed, self._capacities[: len(capacities)] = None, capacities
+        if not self._capacities:
+            return Capacity(0, 0).times(1.0)
+        return self._capacities[min(round, len(self._capacities) - 1)]
+
+    def grow(self, round: int, counts: Counts) -> None:
+        """Gives a round the capacity it lacked."""
+        capacities = [self.capacity(earlier) for earlier in range(max(round + 1, len(self._capacities)))]
+        capacities[round] = capacities[round].grown(counts.needed(capacities[round]))
+        self._capacities = capacities
+
+    def learn(self, rounds: int, needed: Callable[[], Sequence[Capacity]]) -> None:
+        """How many rounds a step took. What each needed is asked in the next one, when the host has time."""
+        self._recent.append(rounds)
+        self._needed = needed
+
+
+class Exchange(Protocol):
+    """What ranks tell one another when robots are spread over them."""
+
+    @property
+    def rank(self) -> int: ...
+
+    @property
+    def ranks(self) -> int: ...
+
+    def share(self, first: Tensor) -> None:
+        """Sets the first toi (N,) of all robots to the smallest over all ranks that hold them."""
+        ...
+
+    def gather(self, values: Tensor) -> Tensor:
+        """values (k,) -> (ranks, k): those of every rank."""
+        ...
+
+
+class OneRank:
+    """There is one rank."""
+
+    rank, ranks = 0, 1
+
+    def share(self, first: Tensor) -> None:
+        pass
+
+    def gather(self, values: Tensor) -> Tensor:
+        return values[None]
+
+
+#: Concludes a step, given the fractions (N,) float64 that the robots move: returns (k,) int64 numbers for all ranks.
+#: May be called again with other fractions, which replace the first.
+Conclude = Callable[[Tensor], Tensor]
+
+#: Work that can be enqueued before the host has read the conclusion. Its argument (1,) int64 stays on the device;
+#: nonzero: speculation failed (more rounds are needed, or a capacity was exceeded), discard.
+WorkAhead = Callable[[Tensor], None]
+
+
+def resolve_collisions(
+    parts: Sequence[Part],
+    body_count: int,
+    partners: Partners,
+    plan: RoundPlan,
+    conclude: Conclude,
+    clock: StageClock,
+    exchange: Exchange | None = None,
+    work_ahead: WorkAhead | None = None,
+) -> ResolvedStep:
+    """Decides how much of the step each robot makes.
+
+    The host waits for a GPU once, unless there are more rounds than in the last steps or a capacity was exceeded. What
+    decides how often is known to all ranks.
+
+    Args:
+        parts: of the whole step's pairs, first contacts being what is asked; as many on all ranks.
+        body_count: number of robots N.
+        partners: of robots in the PCS.
+        plan: how many rounds are enqueued at once, and their capacities.
+        conclude: what follows.
+        clock: stages are timed here.
+        exchange: how ranks agree; default: there is one.
+        work_ahead: what else is enqueued while the host waits for the outcome, perhaps several times.
+    """
+    exchange = exchange or OneRank()
+    clock.add({"traverse": 0.0, "narrow": 0.0})  # stages are listed in the order of work
+    for part in parts:
+        part.begin()
+    while True:
+        attempt = Attempt(parts, body_count, partners, plan, exchange, clock)
+        resolved = attempt.run(conclude, work_ahead)
+        if resolved is not None:
+            return resolved
+        # The capacity for pairs may have been exceeded.
+        partners.look_among(pairs_of_step(parts))
+
+
+class Attempt:
+    """Rounds on the device, in given capacities: first `begin`, then `make_rounds` until none changes a robot.
+
+    Arguments as for `resolve_collisions`.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[Part],
+        body_count: int,
+        partners: Partners,
+        plan: RoundPlan,
+        exchange: Exchange,
+        clock: StageClock,
+    ) -> None:
+        self._parts, self._partners, self._plan, self._exchange = parts, partners, plan, exchange
+        self._clock = clock
+        self._device = parts[0].bodies.device
+        #: (N,) float64: how much of the step each robot makes.
+        self.fraction = torch.ones(body_count, dtype=torch.float64, device=self._device)
+        self._first = torch.full_like(self.fraction, torch.inf)
+        self._changed = torch.empty(body_count, dtype=torch.uint8, device=self._device)
+        #: Of each round: its capacity.
+        self.capacities: list[Capacity] = []
+
+    def begin(self) -> Tensor:
+        """Slows the robots down that collide in the whole step. Returns (1,) int64: whether any does here."""
+        change = torch.zeros(1, dtype=torch.int64, device=self._device)
+        for part in self._parts:
+            pairs, toi = part.first_contacts()
+            ops.simulate_first_toi(self._first, None, pairs, toi)
+        self._slow_down(0, change)
+        return change
+
+    def make_rounds(self, count: int) -> tuple[Tensor, list[Tensor]]:
+        """Enqueues rounds. Returns (count,) int64: whether each changed a robot here; and what each counted, (21,)."""
+        changes, counts = torch.zeros(count, dtype=torch.int64, device=self._device), []
+        for change in changes.split(1) if count else ():
+            capacity = self._plan.capacity(len(self.capacities))
+            self.capacities.append(capacity)
+            counts.append(self._partners.start_round(self._changed, self.fraction, capacity, self._first))
+            self._slow_down(len(self.capacities), change)
+        return changes, counts
+
+    def _slow_down(self, round: int, change: Tensor) -> None:
+        self._exchange.share(self._first)
+        # Every round stops or slows a robot, and from one on stops it at t0: the iteration terminates.
+        smallest = _SMALLEST_PART if round < _STOPPING_ROUND else torch.inf
+        ops.simulate_slow_all_down(self._first, self.fraction, self._changed, change, _APPROACH, smallest)
+
+    def run(self, conclude: Conclude, work_ahead: WorkAhead | None) -> ResolvedStep | None:
+        """All of it; None, on all ranks, if a capacity was exceeded on one of them. It has grown then."""
+        exchange, clock = self._exchange, self._clock
+        with clock.stage("respond"):
+            changes = self.begin()
+            # The host of one rank on the CPU need not wait to see whether there is one more.
+            at_sight = exchange.ranks == 1 and self._device.type == "cpu"
+            more = int(changes) if at_sight else self._plan.at_once
+        went_on: list[bool] = []  # before each round: whether a robot has changed on any rank
+        made: list[NDArray[np.int64]] = []  # of each round: what this rank counted
+        secondary_contacts = np.zeros(exchange.ranks, dtype=np.int64)
+        while True:
+            with clock.stage("respond"):
+                more_changes, counts = self.make_rounds(more)
+                changes = torch.cat([changes, more_changes])
+                while at_sight and int(changes[-1]):
+                    one_change, one_count = self.make_rounds(1)
+                    changes, counts = torch.cat([changes, one_change]), counts + one_count
+            counts = [part.counts() for part in self._parts] + counts
+            mine = [changes, *counts, conclude(self.fraction)]
+            with clock.stage("gather"):
+                gathered = exchange.gather(torch.cat(mine))
+                on_host = HostCopy(gathered)
+            if work_ahead is not None:
+                work_ahead(gathered[:, len(changes) - 1].amax(dim=0, keepdim=True))
+            with clock.stage("gather"):
+                numbers = on_host.numpy()
+            begin, end = len(changes), len(changes) + len(COUNT_ROWS) * len(counts)
+            searched = numbers[:, begin:end].reshape(exchange.ranks, len(counts), len(COUNT_ROWS))
+            # The counts of parts come first, then those of rounds.
+            of_parts, of_rounds = searched[:, : len(self._parts)], searched[:, len(self._parts) :]
+            if searched[:, :, OVERFLOWS].any():
+                self._grow(of_parts[exchange.rank], of_rounds[exchange.rank], len(made))
+                return None
+            went_on += (numbers[:, :begin].max(axis=0) > 0).tolist()
+            secondary_contacts += of_rounds[:, :, COUNT_ROWS["contacts"]].sum(axis=1)
+            made += list(of_rounds[exchange.rank])
+            if not all(went_on):
+                rounds = went_on.index(False)
+                self._plan.learn(rounds, partial(_needed, made[:rounds], self.capacities))
+                resolution = Resolution(self.fraction, rounds, int(secondary_contacts[exchange.rank]))
+                work = work_of_counts(of_parts, secondary_contacts)
+                return ResolvedStep(resolution, work, numbers[:, end:], self._learning(of_parts[exchange.rank]))
+            more, changes = _MORE_ROUNDS, changes[:0]
+
+    def _grow(self, of_parts: NDArray[np.int64], of_rounds: NDArray[np.int64], first_round: int) -> None:
+        for part, numbers in zip(self._parts, of_parts, strict=True):
+            if numbers[OVERFLOWS].any():
+                part.find()
+        # What comes after the first round that lacked capacity saw only a part.
+        for round, numbers in enumerate(of_rounds, first_round):
+            if numbers[OVERFLOWS].any():
+                self._plan.grow(round, Counts.of(numbers.tolist()))
+                return
+
+    def _learning(self, of_parts: NDArray[np.int64]) -> Callable[[], None]:
+        @cache
+        def learn() -> None:
+            for part, numbers in zip(self._parts, of_parts.tolist(), strict=True):
+                counts = Counts.of(numbers)
+                part.learn(counts)
+                self._clock.add(search_seconds(counts))
+
+        return learn
+
+
+def _needed(made: Sequence[NDArray[np.int64]], capacities: Sequence[Capacity]) -> list[Capacity]:
+    return [
+        Counts.of(numbers.tolist()).needed(capacity)
+        for numbers, capacity in zip(made, capacities[: len(made)], strict=True)
+    ]
+
+
+OVERFLOWS = [COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts")]

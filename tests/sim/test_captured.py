@@ -1,0 +1,215 @@
+"""Steps as replays of one graph: the same lines of the log as launch by launch, whatever fails and whenever."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from pgccd.detection.capacity import Capacity
+from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, captured, make_step
+from pgccd.sim.captured import CommittedStep, StepGraph
+from pgccd.sim.resolution import RoundPlan
+from pgccd.sim.step import Step
+
+FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5, "seed": 3}
+STEPS = 40
+
+
+class Recorded:
+    """What stands for a graph where there is no GPU: work that is done again."""
+
+    def __init__(self, work: Callable[[], Tensor]) -> None:
+        self._work, self._found = work, work()
+
+    def replay(self) -> None:
+        self._found.copy_(self._work())
+
+
+class Now:
+    """What stands for an event."""
+
+    def synchronize(self) -> None:
+        pass
+
+    def elapsed_time(self, _: Now) -> float:
+        return 1.0
+
+
+def record(work: Callable[[], Tensor], device: torch.device) -> tuple[Any, Tensor]:
+    work()
+    graph = Recorded(work)
+    return graph, graph._found
+
+
+@pytest.fixture
+def graphs(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[StepGraph]]:
+    """The graphs that are captured; on a CPU stood in for."""
+    if device.type == "cpu":
+        monkeypatch.setattr(captured, "capture", record)
+        monkeypatch.setattr(captured, "record_event", lambda timed: Now())
+    made: list[StepGraph] = []
+
+    class Watched(StepGraph):
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            made.append(self)
+
+    monkeypatch.setattr(captured, "StepGraph", Watched)
+    yield made
+
+
+def without_times(record: dict[str, Any]) -> dict[str, Any]:
+    # A GPU looks at other feature pairs on the way to the same contacts.
+    return {name: value for name, value in record.items() if "seconds" not in name and name != "candidates"}
+
+
+def launch_by_launch(model: Model, steps: int) -> tuple[list[dict[str, Any]], RobotState]:
+    state, records = model.start(), []
+    scene = model.scene(state.id)
+    for index in range(steps):
+        step = make_step(model, scene, state, index)
+        state = step.after
+        records.append(without_times(step.record))
+    return records, state
+
+
+def same(found: RobotState, expected: RobotState) -> bool:
+    return all(torch.equal(getattr(found, name), column) for name, column in expected.columns.items())
+
+
+@pytest.mark.parametrize("pattern", ["random", "skewed"])
+def test_same_steps(device: torch.device, graphs: list[StepGraph], pattern: str) -> None:
+    model = Model(ModelConfig(pattern=pattern, **FAST), device=device)
+    expected, last = launch_by_launch(model, STEPS)
+    maker = StepMaker(model, model.start(), graph=True)
+    kinds = []
+    for index in range(STEPS):
+        # In step 19 the state is asked for, as for a checkpoint.
+        more = (19 if index < 20 else STEPS - 1) - index
+        made = maker.step(index, more)
+        kinds.append(type(made))
+        assert without_times(made.record) == expected[index]
+        assert made.record["stage_seconds"].keys() >= {"broad", "traverse", "narrow", "respond"}
+        assert maker.is_ahead <= (more > 1)
+    assert same(maker.state, last)
+    assert kinds[0] is kinds[19] is kinds[-1] is Step and kinds.count(CommittedStep) > STEPS // 2
+    # Those that lack rounds are made launch by launch, and captured again with more.
+    rounds = [graph.rounds for graph in graphs]
+    assert rounds == sorted(set(rounds)) and rounds[-1] <= max(record["resolution_rounds"] for record in expected)
+    assert len(graphs) > 1
+
+
+def test_a_graph_goes_on_from_a_checkpoint(device: torch.device, graphs: list[StepGraph]) -> None:
+    model = Model(ModelConfig(**FAST | {"speed": 0.0, "spin": 0.0}), device=device)
+    maker = StepMaker(model, model.start(), graph=True)
+    kinds = [type(maker.step(index, (9 if index < 10 else 19) - index)) for index in range(20)]
+    assert kinds == [Step, *[CommittedStep] * 8, Step] + [CommittedStep] * 9 + [Step] and len(graphs) == 1
+
+
+def test_a_step_that_fails_changes_nothing(device: torch.device, graphs: list[StepGraph]) -> None:
+    """Nor do those behind it."""
+    model = Model(ModelConfig(**FAST), device=device)
+    state, scene, plan = model.start(), model.scene(model.start().id), StepPlan()
+    index = 0
+    while True:
+        before, made = state, make_step(model, scene, state, index, plan=plan)
+        state = made.after
+        if made.resolution.rounds > 1:
+            break
+        index += 1
+    graph = StepGraph(model, before, index, "auto", plan, made.resolution.rounds - 1)
+    for _ in range(2):
+        assert graph.replay().read(index) is None
+        assert same(graph.state, before)
+    enough = StepGraph(model, before, index, "auto", plan, made.resolution.rounds)
+    committed = enough.replay().read(index)
+    assert committed is not None and committed.rounds == made.resolution.rounds and same(enough.state, state)
+    assert without_times(committed.record) == without_times(made.record)
+    # It goes on from there, and the one that failed does once it has been told where.
+    following = make_step(model, scene, state, index + 1, plan=plan)
+    graph.load(state, index + 1)
+    for each in (graph, enough):
+        committed = each.replay().read(index + 1)
+        assert (committed is not None) == (following.resolution.rounds <= each.rounds)
+        assert same(each.state, state if committed is None else following.after)
+
+
+@pytest.mark.parametrize("lacking", ["round", "step"])
+def test_too_little_capacity(device: torch.device, graphs: list[StepGraph], lacking: str) -> None:
+    if device.type == "cpu":
+        pytest.skip("capacities are exact on a CPU")
+    model = Model(ModelConfig(**FAST | {"robots": 20_000}), device=device)
+    expected, last = launch_by_launch(model, 12)
+    maker = StepMaker(model, model.start())
+    make_graph = captured.StepGraph
+
+    def make_tight(model: Any, state: Any, index: Any, broad_phase: Any, plan: StepPlan, rounds: int) -> StepGraph:
+        if not graphs:
+            tight = StepPlan()
+            little = Capacity(10, 10)
+            if lacking == "step":
+                tight.pairs.learn(20_000, little)
+                tight.rounds = plan.rounds
+            else:
+                tight.pairs, tight.rounds = plan.pairs, RoundPlan()
+                tight.rounds._capacities = [little]
+            plan = tight
+        return make_graph(model, state, index, broad_phase, plan, rounds)
+
+    captured.StepGraph = make_tight  # type: ignore[misc, assignment]  # the fixture puts it back
+    kinds = []
+    for index in range(12):
+        made = maker.step(index, 11 - index)
+        kinds.append(type(made))
+        assert without_times(made.record) == expected[index]
+    assert kinds[1] is Step and CommittedStep in kinds and len(graphs) > 1 and same(maker.state, last)
+
+
+def test_an_invalid_state(device: torch.device, graphs: list[StepGraph]) -> None:
+    model = Model(ModelConfig(**FAST), device=device)
+    maker = StepMaker(model, model.start(), graph=True)
+    for index in range(3):
+        maker.step(index, 100)
+    assert maker._graph is not None
+    while maker.is_ahead:
+        index += 1
+        maker.step(index, 1)
+    maker._graph.state.position[17, 1] = torch.nan
+    with pytest.raises(ValueError, match="position(_t0)?: body 17"):
+        maker.step(index + 1, 100)
+
+
+def test_rounds_that_no_recent_step_needed(
+    device: torch.device, graphs: list[StepGraph], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(captured, "_RECENT_STEPS", 6)
+    model = Model(ModelConfig(**FAST | {"speed": 0.02, "spin": 0.0}), device=device)
+    expected, last = launch_by_launch(model, STEPS)
+    maker = StepMaker(model, model.start(), graph=True)
+    maker._rounds = maker._rounds.__class__([3], maxlen=6)  # as though there had been more
+    for index in range(STEPS):
+        assert without_times(maker.step(index, STEPS - 1 - index).record) == expected[index]
+    most = max(record["resolution_rounds"] for record in expected)
+    assert most < 3 and [graph.rounds for graph in graphs][0] == 3 and graphs[-1].rounds <= most
+    assert same(maker.state, last)
+
+
+def test_without_a_graph(device: torch.device, graphs: list[StepGraph], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where none is wanted, and where none can be captured: which is said, once."""
+    model = Model(ModelConfig(**FAST), device=device)
+    expected, _ = launch_by_launch(model, 8)
+    plain = StepMaker(model, model.start(), graph=False)
+
+    def fail(*_: Any) -> Any:
+        raise RuntimeError("operation not permitted")
+
+    assert [without_times(plain.step(index, 7 - index).record) for index in range(8)] == expected
+    monkeypatch.setattr(captured, "capture", fail)
+    maker = StepMaker(model, model.start(), graph=True)
+    with pytest.warns(UserWarning, match="no CUDA graph of them: operation not permitted") as warned:
+        assert [without_times(maker.step(index, 7 - index).record) for index in range(8)] == expected
+    assert len(warned) == 1 and graphs == []

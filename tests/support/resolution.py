@@ -1,0 +1,122 @@
+"""Collision resolution by the plain rule: every round is a detection, and all is looked at one row after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, cast
+
+import torch
+from torch import Tensor
+
+import pgccd
+from pgccd.detection.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.parts import Part
+from pgccd.runtime.stages import StageClock
+from pgccd.sim import Model, Resolution, RobotState, contacts_hash, respond, state_hash
+from pgccd.sim.partners import Partners, toi_of
+from pgccd.sim.resolution import RoundPlan, resolve_collisions
+
+#: Contacts of robots of which some have changed (N,) bool, each making a fraction (N,) of its step.
+Find = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+
+@dataclass
+class PlainStep:
+    """A step that was resolved by the plain rule."""
+
+    resolution: Resolution
+    contacts: pgccd.Contacts
+
+
+def plain_step(model: Model, planned: RobotState) -> PlainStep:
+    """Every round detects among all robots, and drops the pairs of which neither has changed."""
+    scene = model.scene(planned.id)
+    contacts = pgccd.detect(scene, model.motion(planned), nonzero_toi=True)
+
+    def find(changed: Tensor, fraction: Tensor) -> tuple[Tensor, Tensor]:
+        found = pgccd.detect(scene, model.motion(planned, fraction), nonzero_toi=True)
+        assert found.toi is not None
+        affected = changed[found.pairs].any(dim=1)
+        return found.pairs[affected], found.toi[affected]
+
+    assert contacts.toi is not None
+    return PlainStep(plain_resolution(contacts.pairs, contacts.toi, len(planned), find), contacts)
+
+
+def plain_resolution(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Resolution:
+    """The rule of `pgccd.sim.resolution`, robot by robot."""
+    fraction, rounds, secondary = [1.0] * count, 0, 0
+    while True:
+        changed = set()
+        first: dict[int, float] = {}
+        for pair, time in zip(pairs.tolist(), toi.tolist(), strict=True):
+            for robot in pair:
+                first[robot] = min(first.get(robot, torch.inf), time)
+        for robot, time in first.items():
+            if time <= 1.0 and fraction[robot] > 0.0:
+                allowed = fraction[robot] * time * 0.99
+                fraction[robot] = 0.0 if allowed < (0.01 if rounds < 4 else torch.inf) else allowed
+                changed.add(robot)
+        made = torch.tensor(fraction, dtype=torch.float64)
+        if not changed:
+            return Resolution(made, rounds, secondary)
+        pairs, toi = find(torch.tensor([robot in changed for robot in range(count)]), made)
+        rounds, secondary = rounds + 1, secondary + len(toi)
+
+
+def resolve_given(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Resolution:
+    """What `resolve_collisions` makes of these contacts, and of those that `find` says rounds have."""
+
+    class GivenPart:
+        """Pairs whose contacts are known."""
+
+        bodies = SimpleNamespace(device=pairs.device)
+
+        def __init__(self) -> None:
+            self.pairs = pairs
+
+        def begin(self) -> None:
+            pass
+
+        def first_contacts(self) -> tuple[Tensor, Tensor]:
+            return pairs, toi
+
+        def counts(self) -> Tensor:
+            return torch.zeros(len(COUNT_ROWS), dtype=torch.int64)
+
+    class GivenRounds:
+        """Rounds whose contacts are known."""
+
+        def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+            counts = torch.zeros(len(COUNT_ROWS), dtype=torch.int64)
+            if bool(changed.any()):
+                found, times = find(changed.bool(), fraction)
+                first.scatter_reduce_(0, found.reshape(-1), times.repeat_interleave(2), "amin")
+                counts[COUNT_ROWS["contacts"]] = len(times)
+            return counts
+
+    parts, partners = cast(list[Part], [GivenPart()]), cast(Partners, GivenRounds())
+    nothing = torch.zeros(1, dtype=torch.int64)
+    return resolve_collisions(parts, count, partners, RoundPlan(), lambda _: nothing, StageClock()).resolution
+
+
+def plain_run(model: Model, steps: int) -> list[dict[str, Any]]:
+    """Steps from the start: what their lines in the log say that does not depend on who made them."""
+    state, lines = model.start(), []
+    for index in range(steps):
+        planned = model.plan(state, index)
+        made = plain_step(model, planned)
+        state = respond(planned, made.resolution.fraction)
+        lines.append(
+            {
+                "contacts": len(made.contacts),
+                "contacts_hash": f"{contacts_hash(state.id[made.contacts.pairs], toi_of(made.contacts)):016x}",
+                "state_hash": f"{state_hash(state):016x}",
+                "stopped": int(made.resolution.stopped.sum()),
+                "resolution_rounds": made.resolution.rounds,
+                "secondary_contacts": made.resolution.secondary_contacts,
+            }
+        )
+    return lines
