@@ -78,7 +78,10 @@ class Part:
             self.find()
 
     def learn(self, counts: Counts) -> None:
-        """Takes note of what the search counted, which the host has read, for `find` and for the next step."""
+        """Takes note of what the search counted, which the host has read, for `find` and for the next step. Once the
+        contacts have been found in another way, `find` has done so."""
+        if self._contacts is not None:
+            return
         self._counts = counts
         if not counts.overflow:
             self._estimate.learn(self._size, counts.needed(self.start().capacity))
