@@ -18,7 +18,7 @@ def describe_installation() -> dict[str, str]:
     kernels = [
         device.lower()
         for device in ("CPU", "CUDA")
-        if torch._C._dispatch_has_kernel_for_dispatch_key("pgccd::sweep", device)
+        if torch._C._dispatch_has_kernel_for_dispatch_key("pgccd::broad_pairs", device)
     ]
     devices = [torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count())]
     return {

@@ -17,11 +17,12 @@ import pgccd
 from pgccd import ops
 
 AXES = (-1, 0, 1, 2)
+SWEEP, GRID, LBVH = (pgccd.broad.BROAD_PHASE_NUMBERS[name] for name in ("sweep", "grid", "lbvh"))
 # Each broad phase, the sweep along each axis.
 WAYS: tuple[tuple[Callable[..., torch.Tensor], tuple[int, ...]], ...] = (
-    *((ops.sweep, (axis,)) for axis in AXES),
-    (ops.grid, ()),
-    (ops.lbvh, ()),
+    *((ops.broad_pairs, (SWEEP, axis)) for axis in AXES),
+    (ops.broad_pairs, (GRID,)),
+    (ops.broad_pairs, (LBVH,)),
 )
 ROUNDING = 1e-12
 

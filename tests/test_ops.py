@@ -173,7 +173,7 @@ def test_fake_kernels_have_the_right_shapes(device: torch.device) -> None:
 def test_compile_the_sweep(device: torch.device) -> None:
     @torch.compile(fullgraph=True, dynamic=True, backend="aot_eager")
     def pairs_of(start: torch.Tensor, end: torch.Tensor, radius: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        pairs = ops.sweep(start, end, 1.5 * radius, None, None, None, None, 0.0, 0.0, -1)
+        pairs = ops.broad_pairs(start, end, 1.5 * radius, None, None, None, None, 0.0, 0.0, 0)
         offset = start[pairs[:, 1]] - start[pairs[:, 0]]
         return pairs, offset.norm(dim=1)
 
@@ -182,7 +182,7 @@ def test_compile_the_sweep(device: torch.device) -> None:
         start = spread * rng.uniform(-1, 1, (count, 3))
         columns = tensors(start, start + 0.1, np.full(count, 0.5), device=device)
         pairs, distance = pairs_of(*columns)
-        expected = ops.sweep(columns[0], columns[1], 1.5 * columns[2], None, None, None, None, 0.0, 0.0, -1)
+        expected = ops.broad_pairs(columns[0], columns[1], 1.5 * columns[2], None, None, None, None, 0.0, 0.0, 0)
         assert torch.equal(pairs, expected) and distance.shape == (len(pairs),)
         assert (len(pairs) == 0) == (spread == 1e6)
 
@@ -216,9 +216,9 @@ def test_compile_with_the_default_backend(device: torch.device) -> None:
 def test_operators_complain_themselves(device: torch.device) -> None:
     columns = tensors(*np.zeros((2, 5, 3)), np.ones(5), device=device)
     with pytest.raises(RuntimeError, match="position_t0: wrong dtype"):
-        ops.sweep(columns[0].float(), *columns[1:], None, None, None, None, 0.0, 0.0, -1)
+        ops.broad_pairs(columns[0].float(), *columns[1:], None, None, None, None, 0.0, 0.0, 0)
     with pytest.raises(RuntimeError, match="expected size 5 in dimension 0, got 4"):
-        ops.lbvh(columns[0], columns[1][:4], columns[2], None, None, None, None, 0.0, 0.0)
+        ops.broad_pairs(columns[0], columns[1][:4], columns[2], None, None, None, None, 0.0, 0.0, 2)
     with pytest.raises(RuntimeError, match="capacity: expected 3 numbers, got 1"):
         ops.pairs_padded(*columns, None, None, None, None, None, 0.0, 0.0, 1, [8])
 
@@ -233,10 +233,10 @@ def test_out_of_memory_is_an_exception() -> None:
     torch.cuda.set_per_process_memory_fraction(0.005)
     try:
         with pytest.raises(RuntimeError, match=r"(?i)memory"):
-            ops.sweep(*columns, None, None, None, None, 0.0, 0.0, -1)  # 800 million pairs
+            ops.broad_pairs(*columns, None, None, None, None, 0.0, 0.0, 0)  # 800 million pairs
     finally:
         torch.cuda.set_per_process_memory_fraction(1.0)
-    assert ops.sweep(*(column[:50] for column in columns), None, None, None, None, 0.0, 0.0, -1).shape == (1225, 2)
+    assert ops.broad_pairs(*(column[:50] for column in columns), None, None, None, None, 0.0, 0.0, 0).shape == (1225, 2)
 
 
 def test_layout_does_not_matter(device: torch.device) -> None:

@@ -52,7 +52,7 @@ INDICES = [
     ("voxel_pairs", (3,), "first_segment"),
     *((name, (0, 7), "mesh_set.offsets") for name in ("refit", "traverse_rigid", "narrow_deforming")),
 ]
-LENGTHS = ("sweep", "grid", "lbvh", "pairs_padded", "swept_boxes", "boundary_bodies", "near_ghosts", "owned_pairs")
+LENGTHS = ("broad_pairs", "pairs_padded", "swept_boxes", "boundary_bodies", "near_ghosts", "owned_pairs")
 LENGTHS += ("replica_ranks", "traverse_rigid", "narrow_rigid", "contacts_padded_rigid", "lower_first_toi_rigid")
 LENGTHS += ("vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
 PROGRAM = "import sys; sys.path.insert(0, {tests!r}); import test_ops_bounds; test_ops_bounds.{function}()"

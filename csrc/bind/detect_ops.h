@@ -4,6 +4,7 @@
 
 #include <functional>
 
+#include "bind/broad_arguments.h"
 #include "bind/contact_tensors.h"
 #include "core/candidate.h"
 #include "kernels/bounds/faults.h"
@@ -70,28 +71,15 @@ struct DetectOps {
     return {position_t0, position_t1, radius, blocks_t0, blocks_t1};
   }
 
-  static Tensor sweep(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
-                      const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
-                      const std::optional<Tensor>& world, const std::optional<Tensor>& is_static, double min_separation,
-                      double tolerance, int64_t axis) {
-    STD_TORCH_CHECK(axis >= -1 && axis <= 2, "axis: expected 0, 1, 2 or -1 (any), got ", axis);
+  static Tensor broad_pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
+                            const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
+                            const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
+                            double min_separation, double tolerance, int64_t broad_phase, int64_t axis) {
+    const BroadPhaseChoice choice = broad_phase_choice(broad_phase, axis);
     const BroadBodies bodies =
         broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
-    return collect_pairs(radius, [&](const PairOutput& make_output) {
-      Backend(radius).sweep(bodies, static_cast<int>(axis), make_output);
-    });
-  }
-
-  // Broad phases without settings.
-  template <void (Backend::*kFind)(const BroadBodies&, const PairOutput&) const>
-  static Tensor find_pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
-                           const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
-                           const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                           double min_separation, double tolerance) {
-    const BroadBodies bodies =
-        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
-    const Backend backend(radius);
-    return collect_pairs(radius, [&](const PairOutput& make_output) { (backend.*kFind)(bodies, make_output); });
+    return collect_pairs(
+        radius, [&](const PairOutput& make_output) { Backend(radius).find_pairs(bodies, choice, make_output); });
   }
 
   static std::tuple<Tensor, Tensor> traverse_rigid(const TensorList& mesh_set, const TensorList& bodies,
@@ -182,9 +170,7 @@ struct DetectOps {
   library.impl("first_faults", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::first_faults>::call));             \
   library.impl("rotations_between", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::rotations_between>::call));   \
   library.impl("refit", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::refit>::call));                           \
-  library.impl("sweep", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::sweep>::call));                           \
-  library.impl("grid", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::find_pairs<&Backend::grid>>::call));       \
-  library.impl("lbvh", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::find_pairs<&Backend::lbvh>>::call));       \
+  library.impl("broad_pairs", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::broad_pairs>::call));               \
   library.impl("traverse_rigid", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::traverse_rigid>::call));         \
   library.impl("traverse_deforming", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::traverse_deforming>::call)); \
   library.impl("narrow_rigid", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::narrow_rigid>::call));             \

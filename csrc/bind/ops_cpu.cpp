@@ -29,14 +29,8 @@ class CpuBackend {
   }
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const { refit_cpu(executor_, input, bounds); }
 
-  void sweep(const BroadBodies& bodies, int axis, const PairOutput& make_output) const {
-    sweep_cpu(executor_, bodies, axis, make_output);
-  }
-  void grid(const BroadBodies& bodies, const PairOutput& make_output) const {
-    grid_cpu(executor_, bodies, make_output);
-  }
-  void lbvh(const BroadBodies& bodies, const PairOutput& make_output) const {
-    lbvh_cpu(executor_, bodies, make_output);
+  void find_pairs(const BroadBodies& bodies, const BroadPhaseChoice& choice, const PairOutput& make_output) const {
+    find_pairs_cpu(executor_, bodies, choice, make_output);
   }
 
   template <class Bodies, class Output>
@@ -64,7 +58,7 @@ class CpuBackend {
   void first_faults(const std::vector<RowColumn>& columns, int64_t* first) const {
     first_faults_cpu(executor_, columns, first);
   }
-  void pairs_padded(const BroadBodies& bodies, BroadPhase phase, const PaddedPairs& out) const {
+  void pairs_padded(const BroadBodies& bodies, const BroadPhaseChoice& choice, const PaddedPairs& out) const {
     out.counts[kBroadBegan] = nanoseconds();
     const int64_t capacity = out.capacity.pairs;
     std::vector<int64_t> too_many;
@@ -75,7 +69,7 @@ class CpuBackend {
       too_many.resize(2 * found);
       return too_many.data();
     };
-    if (!bodies.invalid()) find_pairs(bodies, phase, make_output);
+    if (!bodies.invalid()) find_pairs(bodies, choice, make_output);
     const int64_t written = std::min(count, capacity);
     if (!too_many.empty()) std::copy_n(too_many.data(), 2 * written, out.rows);
     std::fill(out.rows + 2 * written, out.rows + 2 * capacity, int64_t{-1});
@@ -187,16 +181,6 @@ class CpuBackend {
     ContactRows found = narrow_phase_cpu(executor_, bodies, narrow);
     narrow_time += nanoseconds() - start;
     return found;
-  }
-  void find_pairs(const BroadBodies& bodies, BroadPhase phase, const PairOutput& make_output) const {
-    switch (phase) {
-      case BroadPhase::kSweep:
-        return sweep(bodies, -1, make_output);
-      case BroadPhase::kGrid:
-        return grid(bodies, make_output);
-      case BroadPhase::kLbvh:
-        return lbvh(bodies, make_output);
-    }
   }
   template <class T>
   static void copy(const std::vector<T>& values, int64_t count, T* target) {

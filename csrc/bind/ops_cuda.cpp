@@ -32,14 +32,8 @@ class CudaBackend {
   void refit(const DeformingInput& input, const DeformingBounds& bounds) const {
     refit_cuda(session_.context(), input, bounds);
   }
-  void sweep(const BroadBodies& bodies, int axis, const PairOutput& make_output) const {
-    sweep_cuda(session_.context(), bodies, axis, make_output);
-  }
-  void grid(const BroadBodies& bodies, const PairOutput& make_output) const {
-    grid_cuda(session_.context(), bodies, make_output);
-  }
-  void lbvh(const BroadBodies& bodies, const PairOutput& make_output) const {
-    lbvh_cuda(session_.context(), bodies, make_output);
+  void find_pairs(const BroadBodies& bodies, const BroadPhaseChoice& choice, const PairOutput& make_output) const {
+    find_pairs_cuda(session_.context(), bodies, choice, make_output);
   }
   template <class Bodies>
   void traverse(const Bodies& bodies, const TraverseInput& input, const CandidateOutput& make_output,
@@ -52,15 +46,8 @@ class CudaBackend {
                             input.candidates.size);
     narrow_phase_cuda(session_.context(), bodies, input, make_output);
   }
-  void pairs_padded(const BroadBodies& bodies, BroadPhase phase, const PaddedPairs& out) const {
-    switch (phase) {
-      case BroadPhase::kSweep:
-        return sweep_cuda(session_.context(), bodies, -1, out);
-      case BroadPhase::kGrid:
-        return grid_cuda(session_.context(), bodies, out);
-      case BroadPhase::kLbvh:
-        return lbvh_cuda(session_.context(), bodies, out);
-    }
+  void pairs_padded(const BroadBodies& bodies, const BroadPhaseChoice& choice, const PaddedPairs& out) const {
+    find_pairs_cuda(session_.context(), bodies, choice, out);
   }
   void begin_counts(const CountSpan& first, const CountSpan& second, int64_t* time) const {
     begin_counts_cuda(session_.context(), first, second, time);

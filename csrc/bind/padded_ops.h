@@ -4,14 +4,13 @@
 
 #include <tuple>
 
+#include "bind/broad_arguments.h"
 #include "bind/contact_tensors.h"
 #include "kernels/begin_counts.h"
 #include "kernels/padded_pairs.h"
 #include "kernels/traverse/traverse.h"
 
 namespace pgccd::bind {
-
-enum class BroadPhase : int64_t { kSweep = 0, kGrid = 1, kLbvh = 2 };
 
 template <class Backend>
 struct PaddedOps {
@@ -26,13 +25,11 @@ struct PaddedOps {
     BroadBodies bodies =
         broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
     bodies.is_invalid = optional_column<int64_t>(is_invalid, "is_invalid", 1);
-    STD_TORCH_CHECK(broad_phase >= 0 && broad_phase <= 2, "broad_phase: expected 0 (sweep), 1 (grid) or 2 (lbvh), got ",
-                    broad_phase);
     check_capacity(capacity, 3);
     Tensor rows = new_tensor<int64_t>(radius, {capacity[0], 2});
     Tensor counts = new_tensor<int64_t>(radius, {kPairCounts});
     const PaddedPairs out{{capacity[0], capacity[1], capacity[2] != 0}, data<int64_t>(rows), data<int64_t>(counts)};
-    Backend(radius).pairs_padded(bodies, static_cast<BroadPhase>(broad_phase), out);
+    Backend(radius).pairs_padded(bodies, broad_phase_choice(broad_phase, -1), out);
     return {rows, counts};
   }
 

@@ -39,15 +39,10 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def(
       "moving_spheres(Tensor[] mesh_set, Tensor[] bodies, bool linear_path) -> (Tensor centre_t0, Tensor centre_t1, "
       "Tensor reach)");
+  // broad_phase: see kernels/broad/broad_phase.h; axis: of a sweep
   library.def(
-      "sweep(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, float min_separation, float tolerance, int axis) -> Tensor");
-  library.def(
-      "grid(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, float min_separation, float tolerance) -> Tensor");
-  library.def(
-      "lbvh(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, float min_separation, float tolerance) -> Tensor");
+      "broad_pairs(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
+      "Tensor? is_static, float min_separation, float tolerance, int broad_phase, int axis) -> Tensor");
   library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
       "float min_separation, float tolerance, bool leading) "
@@ -64,8 +59,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "narrow_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor candidates, "
       "float min_separation, float tolerance, bool nonzero_toi, int report) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor)");
-  // Without waiting for a size: capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h; broad_phase =
-  // 0 (sweep), 1 (grid) or 2 (lbvh).
+  // Without waiting for a size: capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h.
   library.def(
       "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, Tensor? is_invalid, float min_separation, float tolerance, int broad_phase, int[] capacity) "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Literal, get_args
 
 import torch
@@ -16,6 +15,8 @@ from pgccd.detection.checks import check_separation, operator_tolerance, require
 
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
+#: As operators number them (enum BroadPhase of csrc/kernels/broad/broad_phase.h).
+BROAD_PHASE_NUMBERS: dict[str, int] = {name: number for number, name in enumerate(BROAD_PHASES[1:])}
 
 # Where "auto" goes from one to another, as measured (bench/bench_broad_phase.py): fewer bodies are swept faster than
 # sorted into cells. On a CPU every octave of sizes is a level of the grid, searched one after the other for each body,
@@ -53,8 +54,7 @@ def sweep(
         >>> pairs = pgccd.broad.sweep(bodies)
     """
     arguments.choice(axis, "axis", _AXES)
-    pairs = ops.sweep(*_checked_columns(bodies), *_kept(min_separation, tolerance), _AXES[axis])
-    return with_self_pairs(bodies, pairs)
+    return _find(bodies, "sweep", min_separation, tolerance, _AXES[axis])
 
 
 def grid(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | None = None) -> Tensor:
@@ -73,7 +73,7 @@ def grid(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
     Example:
         >>> pairs = pgccd.broad.grid(bodies)
     """
-    return with_self_pairs(bodies, ops.grid(*_checked_columns(bodies), *_kept(min_separation, tolerance)))
+    return _find(bodies, "grid", min_separation, tolerance)
 
 
 def lbvh(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | None = None) -> Tensor:
@@ -92,7 +92,7 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
     Example:
         >>> pairs = pgccd.broad.lbvh(bodies)
     """
-    return with_self_pairs(bodies, ops.lbvh(*_checked_columns(bodies), *_kept(min_separation, tolerance)))
+    return _find(bodies, "lbvh", min_separation, tolerance)
 
 
 def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase:
@@ -140,7 +140,7 @@ def find_pairs_padded(
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
         `pgccd.detection.capacity.Counts`. On overflow any pairs may be missing.
     """
-    number = list(FINDERS).index(choose(bodies, broad_phase))
+    number = BROAD_PHASE_NUMBERS[choose(bodies, broad_phase)]
     own = 0 if bodies.scene.self_collision is None else len(bodies.self_colliding)
     pair_capacity, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_padded(
@@ -171,24 +171,15 @@ def find_pairs(
     Example:
         >>> pairs = pgccd.broad.find_pairs(bodies, min_separation=0.01)
     """
-    chosen = choose(bodies, broad_phase)
-    bodies.check()
-    return find_pairs_of_checked(bodies, min_separation, chosen, tolerance)
+    return _find(bodies, choose(bodies, broad_phase), min_separation, tolerance)
 
 
 def find_pairs_of_checked(
-    bodies: MovingBodies, min_separation: float, chosen: BroadPhase, tolerance: float | None = None
+    bodies: MovingBodies, min_separation: float, chosen: str, tolerance: float | None = None, axis: int = -1
 ) -> Tensor:
     """As `find_pairs`, by the broad phase that `choose` has named, of bodies whose faults have been looked for."""
-    return with_self_pairs(bodies, FINDERS[chosen](_columns(bodies), *_kept(min_separation, tolerance)))
-
-
-#: In the order of the operators (enum BroadPhase of bind/padded_ops.h).
-FINDERS: dict[str, Callable[[_Columns, float, float], Tensor]] = {
-    "sweep": lambda columns, separation, tolerance: ops.sweep(*columns, separation, tolerance, _AXES["auto"]),
-    "grid": lambda columns, separation, tolerance: ops.grid(*columns, separation, tolerance),
-    "lbvh": lambda columns, separation, tolerance: ops.lbvh(*columns, separation, tolerance),
-}
+    number = BROAD_PHASE_NUMBERS[chosen]
+    return with_self_pairs(bodies, ops.broad_pairs(*_columns(bodies), *_kept(min_separation, tolerance), number, axis))
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
@@ -212,10 +203,10 @@ def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
     return merged
 
 
-def _checked_columns(bodies: MovingBodies) -> _Columns:
+def _find(bodies: MovingBodies, chosen: str, min_separation: float, tolerance: float | None, axis: int = -1) -> Tensor:
     require_bodies(bodies)
     bodies.check()
-    return _columns(bodies)
+    return find_pairs_of_checked(bodies, min_separation, chosen, tolerance, axis)
 
 
 def _columns(bodies: MovingBodies) -> _Columns:

@@ -47,7 +47,7 @@ def stream(
     if pairs is None:
         if bodies.device.type != "cpu":
             bodies.raise_faults(bodies.first_faults().tolist())
-        pairs = broad.find_pairs_of_checked(bodies, query.min_separation, chosen, query.tolerance)  # type: ignore[arg-type]
+        pairs = broad.find_pairs_of_checked(bodies, query.min_separation, chosen, query.tolerance)
     seconds = time.perf_counter() - start
     parts: list[Contacts] = []
     # A list of chunks to come, the next one last.

@@ -5,12 +5,11 @@ that call these.
 """
 
 from pgccd.ops.detection import (
+    broad_pairs,
     contacts_padded_deforming,
     contacts_padded_rigid,
     edge_edge,
     first_faults,
-    grid,
-    lbvh,
     lower_first_toi_rigid,
     moving_spheres,
     narrow_deforming,
@@ -19,7 +18,6 @@ from pgccd.ops.detection import (
     poses_at,
     refit,
     rotations_between,
-    sweep,
     swept_boxes,
     traverse_deforming,
     traverse_rigid,
@@ -53,6 +51,7 @@ from pgccd.ops.subdomain import (
 from pgccd.ops.voxel import voxel_boxes, voxel_pairs, voxels_touched
 
 __all__ = [
+    "broad_pairs",
     "Centres",
     "Subdomain",
     "boundary_bodies",
@@ -61,9 +60,7 @@ __all__ = [
     "counts_to_send",
     "edge_edge",
     "first_faults",
-    "grid",
     "replica_ranks",
-    "lbvh",
     "leaving_bodies",
     "lower_first_toi_rigid",
     "merge_rows",
@@ -88,7 +85,6 @@ __all__ = [
     "simulate_slow_all_down",
     "simulate_start",
     "simulate_tally",
-    "sweep",
     "swept_boxes",
     "take_rows",
     "take_scratch_peak",

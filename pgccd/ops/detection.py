@@ -52,7 +52,7 @@ def refit(
     )
 
 
-def sweep(
+def broad_pairs(
     position_t0: Tensor,
     position_t1: Tensor,
     radius: Tensor,
@@ -62,52 +62,21 @@ def sweep(
     is_static: Tensor | None,
     min_separation: float,
     tolerance: float,
-    axis: int,
+    broad_phase: int,
+    axis: int = -1,
 ) -> Tensor:
     """Sorted pairs (P, 2) int64 of swept spheres that come within min_separation + tolerance; a negative tolerance is
-    relative to the smaller radius of a pair."""
-    return library.operators.sweep(
-        position_t0, position_t1, radius, group, mask, world, is_static, min_separation, tolerance, axis
-    )
-
-
-def grid(
-    position_t0: Tensor,
-    position_t1: Tensor,
-    radius: Tensor,
-    group: Tensor | None,
-    mask: Tensor | None,
-    world: Tensor | None,
-    is_static: Tensor | None,
-    min_separation: float,
-    tolerance: float,
-) -> Tensor:
-    """As `sweep`, by a hashed grid."""
+    relative to the smaller radius of a pair. broad_phase: a number of csrc/kernels/broad/broad_phase.h, with the same
+    result; axis: of a sweep, -1 for any."""
     columns = position_t0, position_t1, radius, group, mask, world, is_static
-    return library.operators.grid(*columns, min_separation, tolerance)
-
-
-def lbvh(
-    position_t0: Tensor,
-    position_t1: Tensor,
-    radius: Tensor,
-    group: Tensor | None,
-    mask: Tensor | None,
-    world: Tensor | None,
-    is_static: Tensor | None,
-    min_separation: float,
-    tolerance: float,
-) -> Tensor:
-    """As `sweep`, by a linear bounding volume hierarchy."""
-    columns = position_t0, position_t1, radius, group, mask, world, is_static
-    return library.operators.lbvh(*columns, min_separation, tolerance)
+    return library.operators.broad_pairs(*columns, min_separation, tolerance, broad_phase, axis)
 
 
 def swept_boxes(
     position_t0: Tensor, position_t1: Tensor, radius: Tensor, min_separation: float, tolerance: float
 ) -> tuple[Tensor, Tensor]:
     """Lower and upper corners (N, 3) of the boxes of swept spheres with half of separation and tolerance; of pairs that
-    `sweep` finds they overlap."""
+    `broad_pairs` finds they overlap."""
     return library.operators.swept_boxes(position_t0, position_t1, radius, min_separation, tolerance)
 
 

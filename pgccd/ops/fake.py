@@ -157,8 +157,7 @@ def _(columns: list[Tensor], removed: Tensor, packed: Tensor) -> list[Tensor]:
     return _fake_columns(columns, columns[0].shape[0] - removed.shape[0] + packed.shape[0])
 
 
-for _name in ("sweep", "grid", "lbvh"):
-    torch.library.register_fake(f"pgccd::{_name}")(_fake_pairs)
+torch.library.register_fake("pgccd::broad_pairs")(_fake_pairs)
 
 
 def _fake_candidates(pairs: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-// What a warp keeps in shared memory while it visits two pairs of leaves, and how its candidates leave it.
+// What a warp keeps in shared memory while it visits pairs of leaves, and how its candidates leave it.
 #pragma once
 
 #include "kernels/traverse/leaf_item.h"
@@ -10,25 +10,30 @@ constexpr int kHalf = kWarp / 2;
 constexpr int kTrianglePairs = kMaxLeafTriangles * kMaxLeafTriangles;
 static_assert(kMaxLeafTriangles == 8 && kHalf == 2 * kMaxLeafTriangles);
 
-// A triangle pair of the warp, 7 bits: which leaf pair, which triangle of i, which of j.
-__device__ inline int triangle_pair(int half, int p, int q) { return half * kTrianglePairs + 8 * p + q; }
-
-// The warp's triangles, 16 of each leaf pair: of i, then of j.
-__device__ inline int triangle_slot(int half, int side, int row) {
-  return half * kHalf + side * kMaxLeafTriangles + row;
-}
+// Triangles that a warp holds at a time.
+constexpr int kSlots = 64;
+static_assert(kSlots >= kWarp && kSlots * kSlots * 16 <= 1 << 16);
 
 struct LeafShared {
   // A column a triangle, so that lanes that read different triangles use different banks: x, y, z of three corners at
   // the start of the segment, then at its end.
-  float coordinate[18][kWarp];
-  const Triangle* first_triangle[2][2];  // leaf pair, side
-  float distance[2];
-  int32_t pair[2];
-  bool is_one_body[2], is_one_leaf[2];          // both sides are; written where a body may be tested against itself
-  alignas(4) uint16_t met[2 * kTrianglePairs];  // feature pairs emitted so far, where segments are many
-  uint16_t features[kWarp * kFeaturePairBits + kWarp];  // waiting: triangle pair * 16 + bit
+  float coordinate[18][kSlots];
+  const Triangle* triangle[kSlots];
+  float distance[kSlots];
+  int32_t pair[kSlots];
+  uint8_t lane[kSlots];                           // that placed it: leaf pair, side, row
+  bool remembers[kSlots];                         // segments are many, in which the same feature pair may meet
+  bool is_one_body[kSlots], is_one_leaf[kSlots];  // both sides are; written where a body may be tested against itself
+  uint16_t triangle_pairs[5 * kWarp];             // waiting: slot of i * kSlots + slot of j
+  uint16_t features[kWarp * (kFeaturePairBits + 1)];  // waiting: triangle pair * 16 + bit
+  alignas(4) uint16_t met[2 * kTrianglePairs];        // feature pairs emitted so far, where segments are many
 };
+
+// Where in `met` two triangles are, by the lanes that placed them.
+__device__ inline int met_place(const LeafShared& shared, int slot_i, int slot_j) {
+  const int i = shared.lane[slot_i], j = shared.lane[slot_j];
+  return i / kHalf * kTrianglePairs + i % kMaxLeafTriangles * kMaxLeafTriangles + j % kMaxLeafTriangles;
+}
 
 __device__ inline Vec3<float> corner(const LeafShared& shared, int slot, int index, int end) {
   const int row = 9 * end + 3 * index;
@@ -54,11 +59,6 @@ __device__ inline void store_triangle(LeafShared& shared, int slot, const Moving
       shared.coordinate[row + 2][slot] = v.z;
     }
   }
-}
-
-__device__ inline int nth_set_bit(uint32_t bits, int n) {
-  for (; n > 0; --n) bits &= bits - 1;
-  return __ffs(static_cast<int>(bits)) - 1;
 }
 
 // Sum over the lanes before this one; the total goes to `total`.

@@ -122,8 +122,9 @@ struct alignas(16) RigidSweep : PairFrame {
   // Relative to the SBV centre, body axes -> local frame, at the boundary with pose p.
   template <class T>
   PGCCD_HD static Vec3<T> place(const LocalPose& p, int side, Vec3<T> v) {
-    if (side == 0) return sweep_detail::transform(p.first, v);
-    return sweep_detail::shifted(p.shift, sweep_detail::transform(p.second, v));
+    // One path through the code for both sides: on a device they share a warp.
+    const Vec3<T> turned = sweep_detail::transform(side == 0 ? p.first : p.second, v);
+    return side == 0 ? turned : sweep_detail::shifted(p.shift, turned);
   }
 
   // Body-frame direction -> local frame, unit length kept.

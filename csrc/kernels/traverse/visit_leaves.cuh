@@ -1,135 +1,198 @@
-// From pairs of leaves to candidates. A warp takes two leaf pairs: half of it places their triangles each, then all of
-// it tests the triangle pairs of both, then the feature pairs they stand for, listed first so that lanes are full.
+// From pairs of leaves to candidates. A warp places the triangles of two leaf pairs at a time. Triangle pairs, and then
+// feature pairs, wait in lists until there are enough for all lanes: on average a leaf pair has nine and five.
 #pragma once
 
 #include "kernels/traverse/leaf_shared.cuh"
 
 namespace pgccd {
 
-// Tests one listed feature pair a lane (those with `is_given`), and emits the ones that may meet.
-template <class Sweep>
-__device__ void test_features(LeafShared& shared, int listed, bool is_given, bool remember, CandidateWriter& writer,
-                              int lane) {
-  const int code = listed / 16, bit = listed % 16;
-  const int half = code / kTrianglePairs, p = code / 8 % 8, q = code % 8;
-  const auto corner_of = [&](int side, int index, int end) {
-    return corner(shared, triangle_slot(half, side, side == 0 ? p : q), index, end);
-  };
-  const bool meets = is_given && pair_meets(corner_of, bit, shared.distance[half]);
-  Candidate candidate{};
-  if (meets) {
-    const bool is_one_body = Sweep::may_be_one_body && shared.is_one_body[half];
-    emit_pair(shared.first_triangle[half][0][p], shared.first_triangle[half][1][q], bit, is_one_body,
-              [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
-                candidate = {shared.pair[half], static_cast<int32_t>(kind), feature_i, feature_j};
-              });
-    // Other lanes may mark feature pairs of the same word.
-    if (remember) atomicOr(reinterpret_cast<unsigned int*>(shared.met) + code / 2, (1u << bit) << (16 * (code % 2)));
-  }
-  writer.add(meets, candidate, lane);
-}
-
-// `tasks`: two of them, or one at the end of the list.
 template <class Bodies>
-__device__ void visit_two_leaf_pairs(const Pairs<Bodies>& pairs, const Task* tasks, int count, LeafShared& shared,
-                                     CandidateWriter& writer) {
+class LeafVisitor {
   using Sweep = typename SweepOf<Bodies>::type;
-  const int lane = threadIdx.x % kWarp, half = lane / kHalf;
-  const int side = lane % kHalf / kMaxLeafTriangles, row = lane % kMaxLeafTriangles;
-  const bool has_pair = half < count;
-  const Task task = tasks[has_pair ? half : 0];
-  const PairTree<Bodies> tree = pairs.tree(task.pair);
-  const int32_t own = side == 0 ? task.nodes.first : task.nodes.second;
-  const int32_t other = side == 0 ? task.nodes.second : task.nodes.first;
-  const NodeLink link = tree.link(side, own);
-  const int own_segments = has_pair ? tree.sweep().segment_count : 0;
-  const int segments = __reduce_max_sync(kAllLanes, own_segments);
-  const bool remember = segments > 1;
-  if (row == 0) {
-    const int64_t first = tree.sweep().first_face[side] + link.first;
-    shared.first_triangle[half][side] = pairs.bodies.meshes.triangles + first;
-    shared.distance[half] = tree.sweep().inflation;
-    shared.pair[half] = task.pair;
-    if constexpr (Sweep::may_be_one_body) {
-      shared.is_one_body[half] = tree.sweep().is_one_body();
-      shared.is_one_leaf[half] = tree.sweep().is_one_body() && own == other;
+
+ public:
+  __device__ LeafVisitor(const Pairs<Bodies>& pairs, LeafShared& shared, CandidateWriter& writer)
+      : pairs_(pairs), shared_(shared), writer_(writer), lane_(threadIdx.x % kWarp) {}
+
+  // `tasks`: two of them, one at the end of the list, or none after it: then all that waits is tested.
+  __device__ __forceinline__ void visit(const Task* tasks, int count) {
+    const int half = lane_ / kHalf;
+    const int side = lane_ % kHalf / kMaxLeafTriangles, row = lane_ % kMaxLeafTriangles;
+    const bool has_pair = half < count;
+    const Task task = has_pair ? tasks[half] : Task{};
+    int own_segments = 0, triangle_count = 0;
+    if (has_pair) {
+      const PairTree<Bodies> tree = pairs_.tree(task.pair);
+      own_segments = tree.sweep().segment_count;
+      triangle_count = tree.link(side, side == 0 ? task.nodes.first : task.nodes.second).triangle_count;
     }
-  }
-  if (remember) {
-    for (int k = lane; k < 2 * kTrianglePairs; k += kWarp) shared.met[k] = 0;
-  }
-  for (int k = 1; k <= segments; ++k) {
-    // Which triangles reach into the other leaf's sphere?
-    bool reaches = false;
-    if (k <= own_segments && row < link.triangle_count) {
-      const MovingPoints<3, float> moving = moving_triangles<float>(tree, side, link.first + row, k);
-      store_triangle(shared, lane, moving);
-      const float reach = tree.local_radius(1 - side, other) + tree.sweep().inflation;
-      reaches = !stays_out(moving, tree.moving_centre(1 - side, other, k), reach);
+    const int segments = larger(__reduce_max_sync(kAllLanes, own_segments), 1);
+    const bool remembers = segments > 1;
+    if (remembers) {
+      for (int k = lane_; k < 2 * kTrianglePairs; k += kWarp) shared_.met[k] = 0;
     }
-    const uint32_t reaching = __ballot_sync(kAllLanes, reaches);
-    __syncwarp();  // the triangles, and on the first round all the rest, are written: other lanes may read them
-    const auto rows_reaching = [&](int h, int s) { return (reaching >> (kHalf * h + kMaxLeafTriangles * s)) & 0xffu; };
-    const int split = __popc(rows_reaching(0, 0)) * __popc(rows_reaching(0, 1));
-    const int combinations = split + __popc(rows_reaching(1, 0)) * __popc(rows_reaching(1, 1));
-    int waiting = 0;
-    for (int base = 0; base < combinations; base += kWarp) {
-      const int c = base + lane;
-      uint32_t wanted = 0;
-      int code = 0;
-      if (c < combinations) {
-        const int h = c < split ? 0 : 1, index = c - h * split;
-        const uint32_t rows_j = rows_reaching(h, 1);
-        const int count_j = __popc(rows_j);
-        const int p = nth_set_bit(rows_reaching(h, 0), index / count_j), q = nth_set_bit(rows_j, index % count_j);
-        code = triangle_pair(h, p, q);
-        const Triangle &first = shared.first_triangle[h][0][p], &second = shared.first_triangle[h][1][q];
-        wanted = represented_pairs(first, second);
-        if constexpr (Sweep::may_be_one_body) {
-          if (shared.is_one_body[h]) wanted &= pairs_without_common_vertex(first, second);
-          if (shared.is_one_leaf[h] && q <= p) wanted = 0;
+    for (int k = 1; k <= segments; ++k) {
+      // Which triangles reach into the other leaf's sphere?
+      bool reaches = false;
+      MovingPoints<3, float> moving;
+      if (k <= own_segments && row < triangle_count) {
+        const PairTree<Bodies> tree = pairs_.tree(task.pair);
+        const int32_t own = side == 0 ? task.nodes.first : task.nodes.second;
+        const int32_t other = side == 0 ? task.nodes.second : task.nodes.first;
+        moving = moving_triangles<float>(tree, side, tree.link(side, own).first + row, k);
+        const float reach = tree.local_radius(1 - side, other) + tree.sweep().inflation;
+        reaches = !stays_out(moving, tree.moving_centre(1 - side, other, k), reach);
+      }
+      const uint32_t reaching = __ballot_sync(kAllLanes, reaches);
+      const uint32_t kept = kept_of_half(reaching, 0) | kept_of_half(reaching, 1);
+      // Work is called for in one place, so that it is inlined and reads shared memory as such.
+      for (bool stored = false; !stored;) {
+        stored = filled_ + __popc(kept) <= kSlots;
+        if (stored && kept != 0) {
+          if (kept >> lane_ & 1u) store(task, side, row, moving, remembers, kept);
+          list_triangle_pairs(kept);
+          filled_ += __popc(kept);
+          __syncwarp();  // the triangles and their pairs are written
         }
-        if (remember) wanted &= ~static_cast<uint32_t>(shared.met[code]);
-        if (wanted != 0 && triangles_stay_apart(load_triangle(shared, triangle_slot(h, 0, p)),
-                                                load_triangle(shared, triangle_slot(h, 1, q)), shared.distance[h])) {
+        work(!stored || remembers || count == 0);
+      }
+    }
+  }
+
+ private:
+  __device__ __forceinline__ void store(const Task& task, int side, int row, const MovingPoints<3, float>& moving,
+                                        bool remembers, uint32_t kept) {
+    const PairTree<Bodies> tree = pairs_.tree(task.pair);
+    const int32_t own = side == 0 ? task.nodes.first : task.nodes.second;
+    const int slot = filled_ + __popc(kept & lanes_below(lane_));
+    store_triangle(shared_, slot, moving);
+    const int64_t triangle = tree.sweep().first_face[side] + tree.link(side, own).first + row;
+    shared_.triangle[slot] = pairs_.bodies.meshes.triangles + triangle;
+    shared_.distance[slot] = tree.sweep().inflation;
+    shared_.pair[slot] = task.pair;
+    shared_.lane[slot] = static_cast<uint8_t>(lane_);
+    shared_.remembers[slot] = remembers;
+    if constexpr (Sweep::may_be_one_body) {
+      shared_.is_one_body[slot] = tree.sweep().is_one_body();
+      shared_.is_one_leaf[slot] = tree.sweep().is_one_body() && task.nodes.first == task.nodes.second;
+    }
+  }
+
+  // Tests what fills all lanes; or `all` that waits, and then slots are free.
+  __device__ __forceinline__ void work(bool all) {
+    for (;;) {
+      if (waiting_ >= kWarp || (all && queued_ == 0 && waiting_ > 0)) {
+        test_features(smaller(waiting_, kWarp));
+      } else if (queued_ >= kWarp || (all && queued_ > 0)) {
+        test_triangles(smaller(queued_, kWarp));
+      } else {
+        break;
+      }
+    }
+    if (all) filled_ = 0;
+  }
+
+  __device__ static uint32_t rows_of(uint32_t reaching, int half, int side) {
+    return (reaching >> (kHalf * half + kMaxLeafTriangles * side)) & 0xffu;
+  }
+  // The lanes of a leaf pair, if triangles of both sides reach the other leaf.
+  __device__ static uint32_t kept_of_half(uint32_t reaching, int half) {
+    const bool both = rows_of(reaching, half, 0) != 0 && rows_of(reaching, half, 1) != 0;
+    return both ? reaching & (0xffffu << (kHalf * half)) : 0;
+  }
+
+  // Slots of one side of a leaf pair follow one another.
+  __device__ void list_triangle_pairs(uint32_t kept) {
+    const int i0 = __popc(rows_of(kept, 0, 0)), j0 = __popc(rows_of(kept, 0, 1));
+    const int i1 = __popc(rows_of(kept, 1, 0)), j1 = __popc(rows_of(kept, 1, 1));
+    const int of_first = i0 * j0, count = of_first + i1 * j1;
+    for (int k = lane_; k < count; k += kWarp) {
+      const bool is_first = k < of_first;
+      const unsigned index = is_first ? k : k - of_first, columns = is_first ? j0 : j1;
+      const unsigned p = index / columns, q = index - p * columns;
+      const int first = filled_ + (is_first ? 0 : i0 + j0), second = first + (is_first ? i0 : i1);
+      shared_.triangle_pairs[queued_ + k] = static_cast<uint16_t>((first + p) * kSlots + second + q);
+    }
+    queued_ += count;
+  }
+
+  // One waiting triangle pair a lane: lists the feature pairs it represents, unless the triangles stay apart.
+  __device__ __forceinline__ void test_triangles(int count) {
+    queued_ -= count;
+    uint32_t wanted = 0;
+    int code = 0;
+    if (lane_ < count) {
+      code = shared_.triangle_pairs[queued_ + lane_];
+      const int i = code / kSlots, j = code % kSlots;
+      const Triangle &first = *shared_.triangle[i], &second = *shared_.triangle[j];
+      wanted = represented_pairs(first, second);
+      if constexpr (Sweep::may_be_one_body) {
+        if (shared_.is_one_body[i]) wanted &= pairs_without_common_vertex(first, second);
+        if (shared_.is_one_leaf[i] && shared_.lane[j] % kMaxLeafTriangles <= shared_.lane[i] % kMaxLeafTriangles) {
           wanted = 0;
         }
       }
-      int added = 0;
-      int at = waiting + sum_before(__popc(wanted), lane, added);
-      for (; wanted != 0; wanted &= wanted - 1) {
-        shared.features[at++] = static_cast<uint16_t>(code * 16 + __ffs(static_cast<int>(wanted)) - 1);
+      if (shared_.remembers[i]) wanted &= ~static_cast<uint32_t>(shared_.met[met_place(shared_, i, j)]);
+      if (wanted != 0 &&
+          triangles_stay_apart(load_triangle(shared_, i), load_triangle(shared_, j), shared_.distance[i])) {
+        wanted = 0;
       }
-      waiting += added;
-      __syncwarp();
-      const bool is_last = base + kWarp >= combinations;
-      while (waiting >= kWarp || (is_last && waiting > 0)) {
-        // From the end of the list; the first of the rest stay where they are.
-        const int tested = waiting < kWarp ? waiting : kWarp;
-        const uint16_t mine = lane < tested ? shared.features[waiting - tested + lane] : uint16_t{0};
-        waiting -= tested;
-        test_features<Sweep>(shared, mine, lane < tested, remember, writer, lane);
-      }
-      __syncwarp();  // `met` and the list are settled
     }
-    __syncwarp();  // the next segment may overwrite the triangles
+    int added = 0;
+    int at = waiting_ + sum_before(__popc(wanted), lane_, added);
+    for (; wanted != 0; wanted &= wanted - 1) {
+      shared_.features[at++] = static_cast<uint16_t>(code * 16 + __ffs(static_cast<int>(wanted)) - 1);
+    }
+    waiting_ += added;
+    __syncwarp();  // the list is written
   }
-}
+
+  // One waiting feature pair a lane: emits those that may meet.
+  __device__ __forceinline__ void test_features(int count) {
+    waiting_ -= count;
+    const bool is_given = lane_ < count;
+    const int listed = is_given ? shared_.features[waiting_ + lane_] : 0;
+    const int bit = listed % 16, i = listed / 16 / kSlots, j = listed / 16 % kSlots;
+    const auto corner_of = [&](int side, int index, int end) { return corner(shared_, side == 0 ? i : j, index, end); };
+    const bool meets = is_given && pair_meets(corner_of, bit, shared_.distance[i]);
+    Candidate candidate{};
+    if (meets) {
+      const bool is_one_body = Sweep::may_be_one_body && shared_.is_one_body[i];
+      emit_pair(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body,
+                [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
+                  candidate = {shared_.pair[i], static_cast<int32_t>(kind), feature_i, feature_j};
+                });
+      if (shared_.remembers[i]) {  // other lanes may mark feature pairs of the same word
+        const int place = met_place(shared_, i, j);
+        atomicOr(reinterpret_cast<unsigned int*>(shared_.met) + place / 2, (1u << bit) << (16 * (place % 2)));
+      }
+    }
+    writer_.add(meets, candidate, lane_);
+    __syncwarp();  // the list has been read, and `met` is written
+  }
+
+  const Pairs<Bodies>& pairs_;
+  LeafShared& shared_;
+  CandidateWriter& writer_;
+  const int lane_;
+  int filled_ = 0;   // slots
+  int queued_ = 0;   // triangle pairs waiting
+  int waiting_ = 0;  // feature pairs waiting
+};
 
 // Leaf pairs from `begin` on.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     visit_leaves(Pairs<Bodies> pairs, TaskList leaves, uint32_t begin, CandidateSink out) {
-  __shared__ LeafShared all_shared[kWarpsPerBlock];
+  __shared__ LeafShared shared[kWarpsPerBlock];
   __shared__ CandidateBuffers buffers[kWarpsPerBlock];
-  LeafShared& shared = all_shared[threadIdx.x / kWarp];
   CandidateWriter writer(buffers[threadIdx.x / kWarp], out);
-  const uint32_t count = leaves.size();
-  const uint32_t warps = gridDim.x * kWarpsPerBlock;
-  for (uint32_t item = begin + 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp); item < count; item += 2 * warps) {
-    const int taken = count - item < 2 ? 1 : 2;
-    visit_two_leaf_pairs(pairs, leaves.items + item, taken, shared, writer);
-    __syncwarp();  // the next two may overwrite what was shared
+  LeafVisitor<Bodies> visitor(pairs, shared[threadIdx.x / kWarp], writer);
+  const uint32_t count = leaves.size(), warps = gridDim.x * kWarpsPerBlock;
+  uint32_t item = begin + 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp);
+  for (bool is_last = false; !is_last; item += 2 * warps) {
+    is_last = item >= count;
+    visitor.visit(leaves.items + item, is_last ? 0 : static_cast<int>(smaller(count - item, 2u)));
   }
   writer.flush(threadIdx.x % kWarp);
 }
