@@ -10,6 +10,7 @@
 #include "kernels/bounds/faults_cuda.h"
 #include "kernels/broad/broad_cuda.h"
 #include "kernels/narrow/narrow_cuda.h"
+#include "kernels/pipeline/pipeline_cuda.h"
 #include "kernels/row_checks_cuda.h"
 #include "kernels/traverse/traverse_cuda.h"
 
@@ -59,23 +60,13 @@ class CudaBackend {
     require_owners_cuda(session_.context(), owners, given, most, limit);
   }
   template <class Bodies>
-  void contacts_padded(const Bodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
-                       const TraverseCapacity& capacity, NarrowInput narrow, bool,
-                       const ContactCapacity& contact_capacity, const ContactOutput& make_output,
-                       int64_t* traverse_counts, int64_t* contact_counts) const {
-    STD_TORCH_CHECK(contact_capacity.contacts != kExactly,
+  void find_contacts(const Bodies& bodies, const ContactSearch& search, const ContactOutput& make_output) const {
+    STD_TORCH_CHECK(search.contact_capacity.contacts != kExactly,
                     "capacity: an exact number of contacts needs the CPU; on a GPU give a capacity");
-    const DeviceContext& context = session_.context();
-    narrow.candidates = traverse_padded(context, bodies, traversal, pair_count, capacity, traverse_counts);
-    narrow_phase_padded(context, bodies, narrow, contact_capacity, make_output(contact_capacity.contacts),
-                        contact_counts);
+    find_contacts_cuda(session_.context(), bodies, search, make_output);
   }
-  void lower_first_toi(const RigidBodies& bodies, const TraverseInput& traversal, const int64_t* pair_count,
-                       const TraverseCapacity& capacity, NarrowInput narrow, int64_t most_open, const FirstToi& known,
-                       int64_t* traverse_counts, int64_t* contact_counts) const {
-    const DeviceContext& context = session_.context();
-    narrow.candidates = traverse_padded(context, bodies, traversal, pair_count, capacity, traverse_counts);
-    pgccd::lower_first_toi(context, bodies, narrow, most_open, known, contact_counts);
+  void lower_first_toi(const RigidBodies& bodies, const ContactSearch& search, const FirstToi& known) const {
+    lower_first_toi_cuda(session_.context(), bodies, search, known);
   }
   template <bool kEdgeEdge, class T>
   void elementary(const T* x0, const T* x1, int64_t count, const NarrowSettings& settings,
@@ -92,7 +83,7 @@ class CudaBackend {
 STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
   PGCCD_REGISTER_BOUNDS_OPS(library, CudaBackend);
   PGCCD_REGISTER_DETECT_OPS(library, CudaBackend);
-  PGCCD_REGISTER_WITHIN_OPS(library, CudaBackend);
+  PGCCD_REGISTER_PADDED_OPS(library, CudaBackend);
   PGCCD_REGISTER_ELEMENTARY_OPS(library, CudaBackend);
 }
 

@@ -8,7 +8,7 @@
 #include "bind/contact_tensors.h"
 #include "kernels/begin_counts.h"
 #include "kernels/padded_pairs.h"
-#include "kernels/traverse/traverse.h"
+#include "kernels/pipeline/contact_search.h"
 
 namespace pgccd::bind {
 
@@ -55,50 +55,47 @@ struct PaddedOps {
                                       const Tensor& pair_counts, double min_separation, double tolerance,
                                       bool nonzero_toi, const std::vector<int64_t>& capacity) {
     check_capacity(capacity, 6);
-    const Task task(pairs, pair_counts, {min_separation, tolerance, nonzero_toi}, Report::kFirst);
+    ContactSearch search = search_of(pairs, pair_counts, {min_separation, tolerance, nonzero_toi}, Report::kFirst);
+    search.traverse_capacity = traverse_capacity(capacity);
+    search.contact_capacity = {capacity[5], 0};
     rows<double>(first, "first", {kAnySize});
     const FirstToi known{rows<int64_t>(owners, "owners", {pairs.size(0), 2}), data<double>(first)};
-    CountColumn counts(pairs, 0);
     const Backend backend(pairs);
-    backend.require_owners(known.owners, task.of_pairs + kPairsWritten, pairs.size(0), first.size(0));
-    counts.begin(backend, task.of_pairs, {nullptr, 0, counts.end()});
-    backend.lower_first_toi(rigid_view(mesh_set, bodies, linear_path), task.traversal, task.of_pairs + kPairsWritten,
-                            traverse_capacity(capacity), task.narrow, capacity[5], known, counts.of_traverse(),
-                            counts.of_contacts());
-    return counts.column;
+    backend.require_owners(known.owners, search.pair_count, pairs.size(0), first.size(0));
+    Tensor counts = begin_counts(backend, search, pairs, pair_counts, nullptr, 0);
+    backend.lower_first_toi(rigid_view(mesh_set, bodies, linear_path), search, known);
+    return counts;
   }
 
  private:
-  // Query of the pairs.
-  struct Task {
-    Task(const Tensor& pairs, const Tensor& pair_counts, const NarrowSettings& settings, Report report)
-        : of_pairs(rows<int64_t>(pair_counts, "pair_counts", {kPairCounts})) {
-      const KeptDistance kept(settings.separation, settings.tolerance);
-      traversal.pairs = narrow.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
-      traversal.pair_count = narrow.pair_count = pairs.size(0);
-      STD_TORCH_CHECK(traversal.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
-      traversal.settings = {kept.separation, kept.tolerance};
-      narrow.settings = settings;
-      narrow.report = report;
-    }
-    const int64_t* of_pairs;  // counts
-    TraverseInput traversal{};
-    NarrowInput narrow;
-  };
+  // Of the pairs, without capacities and counts.
+  static ContactSearch search_of(const Tensor& pairs, const Tensor& pair_counts, const NarrowSettings& settings,
+                                 Report report) {
+    const KeptDistance kept(settings.separation, settings.tolerance);
+    ContactSearch search;
+    search.pair_count = rows<int64_t>(pair_counts, "pair_counts", {kPairCounts}) + kPairsWritten;
+    search.traversal.pairs = search.narrow.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
+    search.traversal.pair_count = search.narrow.pair_count = pairs.size(0);
+    STD_TORCH_CHECK(search.traversal.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
+    search.traversal.settings = {kept.separation, kept.tolerance};
+    search.narrow.settings = settings;
+    search.narrow.report = report;
+    return search;
+  }
 
-  // All counts of a step, and what is handed on after them.
-  struct CountColumn {
-    CountColumn(const Tensor& like, int64_t more)
-        : column(new_tensor<int64_t>(like, {kPairCounts + int64_t{kTraverseCounts} + int64_t{kContactCounts} + more})) {
-    }
-    int64_t* of_traverse() { return data<int64_t>(column) + kPairCounts; }
-    int64_t* of_contacts() { return of_traverse() + kTraverseCounts; }
-    int64_t* end() { return of_contacts() + kContactCounts; }
-    void begin(const Backend& backend, const int64_t* of_pairs, const CountSpan& more) {
-      backend.begin_counts({of_pairs, kPairCounts, data<int64_t>(column)}, more, of_traverse() + kTraverseBegan);
-    }
-    Tensor column;
-  };
+  // All counts of a step, those of its pairs first, and `more` numbers handed on after them.
+  static Tensor begin_counts(const Backend& backend, ContactSearch& search, const Tensor& pairs,
+                             const Tensor& pair_counts, const int64_t* more, int64_t more_count) {
+    constexpr int64_t kCounts = kPairCounts + int64_t{kTraverseCounts} + int64_t{kContactCounts};
+    Tensor counts = new_tensor<int64_t>(pairs, {kCounts + more_count});
+    int64_t* const begin = data<int64_t>(counts);
+    search.traverse_counts = begin + kPairCounts;
+    search.contact_counts = search.traverse_counts + kTraverseCounts;
+    const int64_t* of_pairs = rows<int64_t>(pair_counts, "pair_counts", {kPairCounts});
+    backend.begin_counts({of_pairs, kPairCounts, begin}, {more, more_count, begin + kCounts},
+                         search.traverse_counts + kTraverseBegan);
+    return counts;
+  }
 
   static TraverseCapacity traverse_capacity(const std::vector<int64_t>& capacity) {
     return {capacity[0], capacity[1], capacity[2], capacity[3], capacity[4]};
@@ -120,8 +117,12 @@ struct PaddedOps {
                         const NarrowSettings& settings, int64_t report, const std::vector<int64_t>& capacity) {
     check_capacity(capacity, 7);
     constexpr int64_t kOnlyEarliest = 3;  // the first contacts, of which only the earliest of all is wanted
-    const Task task(pairs, pair_counts, settings,
-                    report_of(report == kOnlyEarliest ? static_cast<int64_t>(Report::kFirst) : report));
+    ContactSearch search =
+        search_of(pairs, pair_counts, settings,
+                  report_of(report == kOnlyEarliest ? static_cast<int64_t>(Report::kFirst) : report));
+    search.only_earliest = report == kOnlyEarliest;
+    search.traverse_capacity = traverse_capacity(capacity);
+    search.contact_capacity = {capacity[5], capacity[6]};
     ContactTensors found{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};
     const auto make_output = [&](int64_t row_count) {
       found = new_contact_tensors(pairs, row_count);
@@ -133,18 +134,15 @@ struct PaddedOps {
       return columns;
     };
     const int64_t* handed_on = rows<int64_t>(faults, "faults", {kAnySize});
-    CountColumn counts(pairs, faults.size(0));
     const Backend backend(pairs);
-    counts.begin(backend, task.of_pairs, {handed_on, faults.size(0), counts.end()});
-    backend.contacts_padded(bodies, task.traversal, task.of_pairs + kPairsWritten, traverse_capacity(capacity),
-                            task.narrow, report == kOnlyEarliest, {capacity[5], capacity[6]}, make_output,
-                            counts.of_traverse(), counts.of_contacts());
-    return std::tuple_cat(found, std::make_tuple(counts.column));
+    Tensor counts = begin_counts(backend, search, pairs, pair_counts, handed_on, faults.size(0));
+    backend.find_contacts(bodies, search, make_output);
+    return std::tuple_cat(found, std::make_tuple(counts));
   }
 };
 
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_WITHIN_OPS(library, Backend)                                                                  \
+#define PGCCD_REGISTER_PADDED_OPS(library, Backend)                                                                  \
   library.impl("pairs_padded", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::pairs>::call));                           \
   library.impl("contacts_padded_rigid", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::contacts_rigid>::call));         \
   library.impl("contacts_padded_deforming", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::contacts_deforming>::call)); \

@@ -77,6 +77,9 @@ struct ContactColumns {
 // Called once with the number of rows.
 using ContactOutput = std::function<ContactColumns(int64_t count)>;
 
+// The first `count` rows, but for bodies.
+void copy_rows(const ContactRows& rows, int64_t count, const ContactColumns& out);
+
 // A padding row, beyond the number of contacts.
 PGCCD_HD void pad_row(const ContactColumns& out, int64_t row) {
   if (out.pair != nullptr) out.pair[row] = -1;

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <limits>
@@ -126,6 +127,20 @@ ContactRows narrow_phase_cpu(const Executor& executor, const Bodies& bodies, con
   std::vector<FoundContact> found = find_contacts(executor, bodies, input);
   select(found, input);
   return to_rows(executor, bodies, input, found);
+}
+
+void copy_rows(const ContactRows& rows, int64_t count, const ContactColumns& out) {
+  const auto copy = [&](const auto& values, int64_t width, auto* target) {
+    std::copy_n(values.data(), width * count, target);
+  };
+  if (out.pair != nullptr) copy(rows.pair, 1, out.pair);
+  copy(rows.kind, 1, out.kind);
+  copy(rows.features, 2, out.features);
+  copy(rows.status, 1, out.status);
+  copy(rows.toi, 1, out.toi);
+  copy(rows.coordinates, 2, out.coordinates);
+  copy(rows.point, 3, out.point);
+  copy(rows.normal, 3, out.normal);
 }
 
 template ContactRows narrow_phase_cpu(const Executor&, const RigidBodies&, const NarrowInput&);

@@ -1,0 +1,28 @@
+// The order of stages on the CPU, where lists grow as needed: only rows of results can be too many.
+#pragma once
+
+#include "kernels/begin_counts.h"
+#include "kernels/broad/broad.h"
+#include "kernels/executor.h"
+#include "kernels/padded_pairs.h"
+#include "kernels/pipeline/contact_search.h"
+
+namespace pgccd {
+
+// Copies both and notes the time.
+void begin_counts_cpu(const CountSpan& first, const CountSpan& second, int64_t* time);
+
+// The PCS in a buffer of fixed capacity; none if the bodies are invalid.
+void find_pairs_padded_cpu(const Executor& executor, const BroadBodies& bodies, const BroadPhaseChoice& choice,
+                           const PaddedPairs& out);
+
+// Contacts of body pairs in as many rows as the capacity says, padding after them.
+template <class Bodies>
+void find_contacts_cpu(const Executor& executor, const Bodies& bodies, const ContactSearch& search,
+                       const ContactOutput& make_output);
+
+// Of each pair only the first toi, to which that of its owners is lowered.
+void lower_first_toi_cpu(const Executor& executor, const RigidBodies& bodies, const ContactSearch& search,
+                         const FirstToi& known);
+
+}  // namespace pgccd

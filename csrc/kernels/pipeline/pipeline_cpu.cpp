@@ -1,0 +1,125 @@
+#include <algorithm>
+#include <chrono>
+
+#include "kernels/pipeline/pipeline.h"
+
+namespace pgccd {
+namespace {
+
+int64_t nanoseconds() {
+  const auto now = std::chrono::steady_clock::now().time_since_epoch();
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
+}
+
+// Traversal and narrow phase of some of the pairs. Adds to the counts, and the time of the narrow phase.
+template <class Bodies>
+ContactRows search_once(const Executor& executor, const Bodies& bodies, const TraverseInput& traversal,
+                        NarrowInput narrow, int64_t* traverse_counts, int64_t& narrow_time) {
+  const CandidateList list = traverse_cpu(executor, bodies, traversal);
+  std::vector<Candidate> candidates;
+  candidates.reserve(list.size());
+  for (const auto& part : list.parts) candidates.insert(candidates.end(), part.begin(), part.end());
+  traverse_counts[kCandidatesNeeded] += list.size();
+  traverse_counts[kNodeTests] += list.node_tests;
+  const int64_t start = nanoseconds();
+  narrow.candidates = {candidates.data(), list.size()};
+  ContactRows found = narrow_phase_cpu(executor, bodies, narrow);
+  narrow_time += nanoseconds() - start;
+  return found;
+}
+
+// Contacts of the pairs there are. Sets all counts but those of rows written.
+template <class Bodies>
+ContactRows search_all(const Executor& executor, const Bodies& bodies, const ContactSearch& search) {
+  TraverseInput traversal = search.traversal;
+  NarrowInput narrow = search.narrow;
+  int64_t* const counts = search.traverse_counts;
+  const int64_t began = counts[kTraverseBegan];
+  std::fill_n(counts, int64_t{kTraverseCounts}, int64_t{0});
+  std::fill_n(search.contact_counts, int64_t{kContactCounts}, int64_t{0});
+  counts[kTraverseBegan] = began;
+  traversal.pair_count = narrow.pair_count = std::clamp<int64_t>(*search.pair_count, 0, traversal.pair_count);
+  int64_t narrow_time = 0;
+  std::vector<double> horizon;
+  if (narrow.report == Report::kFirst) {
+    // A good guess at each pair's first contact bounds the times at which an earlier one must be searched for. A GPU
+    // has searched all of it sooner than it has found the guess.
+    traversal.leading = true;
+    const ContactRows guess = search_once(executor, bodies, traversal, narrow, counts, narrow_time);
+    traversal.leading = false;
+    horizon.assign(traversal.pair_count, 1.0);
+    for (size_t row = 0; row < guess.pair.size(); ++row) horizon[guess.pair[row]] = guess.toi[row];
+    if (search.only_earliest && !horizon.empty()) {
+      std::fill(horizon.begin(), horizon.end(), *std::min_element(horizon.begin(), horizon.end()));
+    }
+    traversal.horizon = horizon.data();
+  }
+  ContactRows found = search_once(executor, bodies, traversal, narrow, counts, narrow_time);
+  search.contact_counts[kContactsNeeded] = static_cast<int64_t>(found.pair.size());
+  search.contact_counts[kNarrowEnded] = nanoseconds();
+  counts[kTraverseEnded] = search.contact_counts[kNarrowEnded] - narrow_time;
+  return found;
+}
+
+}  // namespace
+
+void begin_counts_cpu(const CountSpan& first, const CountSpan& second, int64_t* time) {
+  *time = nanoseconds();
+  for (const CountSpan& span : {first, second}) std::copy_n(span.from, span.count, span.to);
+}
+
+void find_pairs_padded_cpu(const Executor& executor, const BroadBodies& bodies, const BroadPhaseChoice& choice,
+                           const PaddedPairs& out) {
+  out.counts[kBroadBegan] = nanoseconds();
+  const int64_t capacity = out.capacity.pairs;
+  std::vector<int64_t> too_many;
+  int64_t count = 0;
+  const auto make_output = [&](int64_t found) {
+    count = found;
+    if (found <= capacity) return out.rows;
+    too_many.resize(2 * found);
+    return too_many.data();
+  };
+  if (!bodies.invalid()) find_pairs_cpu(executor, bodies, choice, make_output);
+  const int64_t written = std::min(count, capacity);
+  if (!too_many.empty()) std::copy_n(too_many.data(), 2 * written, out.rows);
+  std::fill(out.rows + 2 * written, out.rows + 2 * capacity, int64_t{-1});
+  out.counts[kPairsNeeded] = count;
+  out.counts[kOverlapsNeeded] = out.counts[kLongRowsNeeded] = 0;
+  out.counts[kPairsWritten] = written;
+  out.counts[kPairsOverflow] = count > capacity;
+  out.counts[kBroadEnded] = nanoseconds();
+}
+
+template <class Bodies>
+void find_contacts_cpu(const Executor& executor, const Bodies& bodies, const ContactSearch& search,
+                       const ContactOutput& make_output) {
+  const ContactRows found = search_all(executor, bodies, search);
+  const int64_t rows = static_cast<int64_t>(found.pair.size()), given = search.contact_capacity.contacts;
+  const int64_t most = given == kExactly ? rows : given, written = std::min(rows, most);
+  const ContactColumns out = make_output(most);
+  copy_rows(found, written, out);
+  for (int64_t row = 0; row < written; ++row) {
+    std::copy_n(search.narrow.pairs + 2 * int64_t{found.pair[row]}, 2, out.bodies + 2 * row);
+  }
+  for (int64_t row = written; row < most; ++row) pad_row(out, row);
+  search.contact_counts[kContactsOverflow] = rows > most;
+  search.contact_counts[kUnresolvedWritten] =
+      std::count(found.status.begin(), found.status.begin() + written, static_cast<int8_t>(Status::kUnresolved));
+}
+
+void lower_first_toi_cpu(const Executor& executor, const RigidBodies& bodies, const ContactSearch& search,
+                         const FirstToi& known) {
+  const ContactRows found = search_all(executor, bodies, search);
+  for (size_t row = 0; row < found.pair.size(); ++row) {
+    for (int side = 0; side < 2; ++side) {
+      double& first = known.first[known.owners[2 * int64_t{found.pair[row]} + side]];
+      first = smaller(first, found.toi[row]);
+    }
+  }
+}
+
+template void find_contacts_cpu(const Executor&, const RigidBodies&, const ContactSearch&, const ContactOutput&);
+template void find_contacts_cpu(const Executor&, const DeformingBodies&, const ContactSearch&, const ContactOutput&);
+
+}  // namespace pgccd
