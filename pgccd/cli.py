@@ -174,9 +174,9 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
                 return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
     except (ValueError, OSError) as error:
         raise ArgumentError("--resume", error) from error
-    wishes = {"robots": options.robots, "pattern": options.world, "seed": options.seed}
+    given = {"robots": options.robots, "pattern": options.world, "seed": options.seed}
     try:
-        config = sim.ModelConfig(**{name: value for name, value in wishes.items() if value is not None})
+        config = sim.ModelConfig(**{name: value for name, value in given.items() if value is not None})
     except ValueError as error:
         field, _, problem = str(error).partition(": ")
         raise ArgumentError("--" + field.replace("pattern", "world"), problem) from error

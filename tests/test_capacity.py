@@ -43,7 +43,7 @@ def capacity_for(scene: pgccd.Scene, motion: Any, *arguments: Any, **options: An
 
 
 @pytest.mark.parametrize("report", REPORTS)
-def test_same_contacts_in_a_fixed_room(device: torch.device, report: Any) -> None:
+def test_same_contacts_in_a_fixed_capacity(device: torch.device, report: Any) -> None:
     scene, motion = crowd(device)
     for broad_phase in ("sweep", "grid", "lbvh"):
         expected, capacity = capacity_for(scene, motion, report, 0.01, broad_phase=broad_phase)
@@ -85,7 +85,7 @@ def test_deforming_bodies_and_given_pairs(device: torch.device) -> None:
 
 
 @pytest.mark.parametrize("part", [f.name for f in fields(Capacity) if f.name not in ("launches", "long_rows")])
-def test_too_little_room_is_told(device: torch.device, part: str) -> None:
+def test_too_little_capacity_is_reported(device: torch.device, part: str) -> None:
     if device.type == "cpu" and part not in ("pairs", "contacts"):
         pytest.skip("a CPU takes the memory it needs")
     scene, motion = crowd(device)
@@ -110,7 +110,7 @@ def test_too_little_room_is_told(device: torch.device, part: str) -> None:
     assert_same(hits.trim(), expected)
 
 
-def test_no_room_at_all(device: torch.device) -> None:
+def test_no_capacity_at_all(device: torch.device) -> None:
     scene, motion = crowd(device)
     hits = pgccd.detect(scene, motion, capacity=Capacity(0, 0))
     assert bool(hits.overflow) and len(hits.pairs) == 0
@@ -133,7 +133,7 @@ def test_a_body_with_many_partners(device: torch.device) -> None:
         assert bool(pgccd.detect(scene, motion, capacity=replace(capacity, long_rows=False)).overflow)
 
 
-def test_invalid_poses_are_told_later(device: torch.device) -> None:
+def test_invalid_poses_are_reported_later(device: torch.device) -> None:
     scene, motion = crowd(device)
     capacity = Capacity.guess(scene.body_count)
     for broad_phase in ("sweep", "grid", "lbvh"):
@@ -223,7 +223,7 @@ def test_one_wait_a_step() -> None:
 
 
 @pytest.mark.parametrize("report", REPORTS)
-def test_room_grows_until_a_step_fits(device: torch.device, report: Any) -> None:
+def test_capacity_grows_until_a_step_fits(device: torch.device, report: Any) -> None:
     scene, motion = crowd(device)
     expected = pgccd.detect(scene, motion, report, broad_phase="grid")
     query = Query(report, 0.0, None, False)
@@ -282,7 +282,7 @@ def test_first_toi_alone(device: torch.device) -> None:
             assert seen.overflow, name
 
 
-def test_rooms_for_like_needs_are_mostly_of_one_size() -> None:
+def test_capacities_for_like_needs_are_mostly_of_one_size() -> None:
     capacities = set()
     for pairs in range(100_000, 103_000, 100):
         capacity = Capacity(pairs=pairs, contacts=pairs // 20).times(1.25)

@@ -145,7 +145,7 @@ def test_merging_many(device: torch.device, remove: str, where: str) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 5])
-def test_rows_of_nobody_are_zeros(device: torch.device, count: int) -> None:
+def test_rows_of_padding_are_zeros(device: torch.device, count: int) -> None:
     rows = torch.tensor([-1, *range(count), -1], device=device)
     columns = to(device, columns_of(KINDS, count, torch.Generator().manual_seed(4)))
     expected = [torch.cat([torch.zeros_like(column.new_empty((1, *column.shape[1:]))), column]) for column in columns]

@@ -25,7 +25,7 @@ def crumpled_capacity(device: torch.device) -> tuple[pgccd.Scene, list[Ends], pg
 
 
 @pytest.mark.parametrize("report", list(narrow.REPORTS))
-def test_in_a_fixed_room(device: torch.device, report: narrow.Report) -> None:
+def test_in_a_fixed_capacity(device: torch.device, report: narrow.Report) -> None:
     shapes, ends = crumpled(4)
     scene = pgccd.Scene(shapes, device=device, self_collision=[False, True, True, True])
     motion = motion_of(*ends, device=device)
@@ -103,7 +103,7 @@ def test_capture_in_a_graph() -> None:
         assert_same(hits.trim(), expected)
 
 
-def test_room_expected_of_a_first_step(device: torch.device) -> None:
+def test_capacity_expected_of_a_first_step(device: torch.device) -> None:
     """More for bodies that collide with themselves, and more launches even after a step without."""
     shapes, _ = crumpled(2)
     meshes = pgccd.MeshSet(shapes, device)

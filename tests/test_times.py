@@ -116,7 +116,7 @@ def test_first_times(worlds: bool, far: bool, device: torch.device) -> None:
     assert float(pgccd.detect(scene, motion, "earliest").first_toi("scene")) == min(body)
 
 
-def test_what_first_times_cannot_be_told(device: torch.device) -> None:
+def test_first_times_that_are_not_known(device: torch.device) -> None:
     scene, motion = heap(device)
     with pytest.raises(ValueError, match='^report: "any"'):
         pgccd.detect(scene, motion, "any").first_toi()
@@ -124,7 +124,7 @@ def test_what_first_times_cannot_be_told(device: torch.device) -> None:
         pgccd.detect(scene, motion).first_toi("rank")  # type: ignore[arg-type]
 
 
-def test_first_times_of_nobody(device: torch.device) -> None:
+def test_first_times_of_no_bodies(device: torch.device) -> None:
     mesh = height_field(np.random.default_rng(0), 1, 1)
     scene = pgccd.Scene([mesh], torch.zeros(0, dtype=torch.int32), device)
     empty = [torch.zeros((0, width), dtype=torch.float64, device=device) for width in (3, 4, 3, 4)]

@@ -87,9 +87,9 @@ struct SubdomainOps {
                                int64_t capacity) {
     const int64_t ranks = static_cast<int64_t>(capacities.size());
     const CapacityInput input{rows<int64_t>(counts, "counts", {ranks}), rows<int64_t>(found, "found", {1}), capacity};
-    Tensor told = new_tensor<int64_t>(counts, {ranks, 2});
-    Backend(counts).counts_to_send(input, capacities, data<int64_t>(told));
-    return told;
+    Tensor messages = new_tensor<int64_t>(counts, {ranks, 2});
+    Backend(counts).counts_to_send(input, capacities, data<int64_t>(messages));
+    return messages;
   }
 
   static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const std::optional<Tensor>& held,

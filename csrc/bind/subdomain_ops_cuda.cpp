@@ -22,8 +22,8 @@ class SubdomainOnCuda {
   void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank) const {
     rows_by_rank_cuda(session_.context(), held, capacities, by_rank);
   }
-  void counts_to_send(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* told) const {
-    counts_to_send_cuda(session_.context(), input, capacities, told);
+  void counts_to_send(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* messages) const {
+    counts_to_send_cuda(session_.context(), input, capacities, messages);
   }
   void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
     owned_pairs_cuda(session_.context(), input, owned, found);

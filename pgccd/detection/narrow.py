@@ -47,7 +47,7 @@ class ElementaryResult:
     #: (n, 2) of the face point f0 + u (f1 - f0) + v (f2 - f0), or along the edges ea0 + u (ea1 - ea0) and
     #: eb0 + v (eb1 - eb0)
     coordinates: Tensor
-    #: (n,) int8: the arithmetic that settled it: 24 (float32), 53 (float64) or 106 (pairs of float64)
+    #: (n,) int8: the arithmetic that decided it: 24 (float32), 53 (float64) or 106 (pairs of float64)
     significant_bits: Tensor
 
 

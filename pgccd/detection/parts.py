@@ -137,10 +137,10 @@ class Part:
         """Rows of `bodies` (K, 2), perhaps -1, as rows of the step's."""
         if self.rows is None:
             return pairs
-        return self._rows_or_nobody[pairs]
+        return self._rows_or_padding[pairs]
 
     @functools.cached_property
-    def _rows_or_nobody(self) -> Tensor:
+    def _rows_or_padding(self) -> Tensor:
         """`rows`, and -1 for padding."""
         assert self.rows is not None
         return torch.cat([self.rows, self.rows.new_full((1,), -1)])

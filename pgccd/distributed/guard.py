@@ -100,7 +100,7 @@ class Guard:
             raise RankFailureError(f"{blame} (rank {self._rank} was in {self.activity}, {what})") from error
 
     def report(self, error: BaseException) -> None:
-        """Tells all ranks that this one ends with an error of its own."""
+        """Reports to all ranks that this one ends with an error of its own."""
         if self._store is None or self._size == 1 or isinstance(error, RankFailureError):
             return
         first_line = f"{type(error).__name__}: {error}".splitlines()[0]

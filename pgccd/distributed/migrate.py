@@ -1,4 +1,4 @@
-"""Bodies change hands: whoever's centre has come to a cell of another rank moves there, with everything it has."""
+"""Migration: a body whose position is in a cell of another rank moves there, with all its columns."""
 
 from __future__ import annotations
 

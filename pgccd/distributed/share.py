@@ -170,7 +170,7 @@ class OwnSearch:
     @cached_property
     def _ghosts(self) -> MovingBodies:
         with self._side, self._clock.stage("halo"):
-            return _told(*self._build(self._held.ghosts))
+            return _of_checked(*self._build(self._held.ghosts))
 
     @cached_property
     def _near(self) -> tuple[Tensor, HostCopy]:
@@ -235,7 +235,7 @@ def _taken(bodies: MovingBodies, ghosts: MovingBodies, rows: Tensor) -> Columns:
     return dict(zip(own, ops.take_rows(list(own.values()), [more[name] for name in own], rows), strict=True))
 
 
-def _told(scene: Scene, motion: RigidMotion) -> MovingBodies:
+def _of_checked(scene: Scene, motion: RigidMotion) -> MovingBodies:
     """Of bodies whose owners have checked them."""
     pose = motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
     return MovingBodies(scene, RigidMotion.of_checked(*pose, motion.path))

@@ -12,6 +12,6 @@ def record_event(timed: bool = False) -> torch.cuda.Event:
         timed: whether times between it and others will be asked for.
     """
     event = torch.cuda.Event(enable_timing=timed)
-    # Told the device's number, torch takes a quarter of the time to find its stream. A step records some 40 events.
+    # With the device's number torch takes a quarter of the time to find its stream. A step records some 40 events.
     event.record(torch.cuda.current_stream(torch.cuda.current_device()))
     return event

@@ -12,7 +12,7 @@ _SECONDS_BETWEEN_LINES = 5.0
 
 
 class Progress(Protocol):
-    """Told about every step."""
+    """What is shown of a run while it goes on."""
 
     def advance(self, record: dict[str, Any]) -> None: ...
 

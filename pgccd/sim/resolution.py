@@ -106,7 +106,7 @@ class RoundPlan:
 
 
 class Exchange(Protocol):
-    """What ranks tell one another when robots are spread over them."""
+    """Messages between ranks when robots are spread over them."""
 
     @property
     def rank(self) -> int: ...

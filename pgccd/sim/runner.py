@@ -139,7 +139,7 @@ class HasRecord(Protocol):
 class Machine(Protocol):
     """Makes the steps of a run."""
 
-    def stops(self, wish: bool) -> bool:
+    def stops(self, requested: bool) -> bool:
         """Whether to stop now, given whether this process was asked to."""
         ...
 
@@ -168,9 +168,9 @@ class _OneProcess:
         self._stopping = False
         self.last_step: Step | None = None
 
-    def stops(self, wish: bool) -> bool:
-        self._stopping = wish
-        return wish and not self._steps.is_ahead
+    def stops(self, requested: bool) -> bool:
+        self._stopping = requested
+        return requested and not self._steps.is_ahead
 
     def step(self, index: int, more: int) -> HasRecord:
         made = self._steps.step(index, 0 if self._stopping else more)
@@ -230,21 +230,21 @@ def drive(
         raise ValueError(f"checkpoint_every: expected a number >= 0, got {checkpoint_every}")
     every = checkpoint_every
     with log or nullcontext(), _stop_requests() as stop:
-        with _LateTeller(log, progress or Silent()) as teller:
+        with _DelayedLog(log, progress or Silent()) as lines:
             while steps_made < steps and not machine.stops(stop.is_set()):
                 until = steps if not checkpoint_every else min(steps, -(-(steps_made + 1) // every) * every)
-                teller.add(machine.step(steps_made, more=until - steps_made - 1))
+                lines.add(machine.step(steps_made, more=until - steps_made - 1))
                 steps_made += 1
                 if steps_made == until < steps:
-                    teller.finish()
+                    lines.finish()
                     machine.save(steps_made, steps)
         machine.save(steps_made, steps)
         machine.finish()
     return steps_made
 
 
-class _LateTeller:
-    """Tells of each step when the next one has been made: asking for its line any sooner would wait for a GPU.
+class _DelayedLog:
+    """Writes the line of each step when the next one has been made: any sooner, the host would wait for a GPU.
 
     Args:
         log: None: another process keeps it.
@@ -256,12 +256,12 @@ class _LateTeller:
         self._last: HasRecord | None = None
 
     def add(self, step: HasRecord) -> None:
-        """Tells of the step before this one."""
+        """Writes the line of the step before this one."""
         self.finish()
         self._last = step
 
     def finish(self) -> None:
-        """Tells of the last step."""
+        """Writes the line of the last step."""
         if self._last is None:
             return
         record, self._last = self._last.record, None
@@ -269,7 +269,7 @@ class _LateTeller:
             self._log.append(record)
         self._progress.advance(record)
 
-    def __enter__(self) -> _LateTeller:
+    def __enter__(self) -> _DelayedLog:
         return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:

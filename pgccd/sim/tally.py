@@ -31,7 +31,7 @@ def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int
 
     Args:
         counts: (ranks, parts, 21): `pgccd.detection.capacity.Counts` of each part of the whole step.
-        secondary_contacts: (ranks,) found in rounds of settling.
+        secondary_contacts: (ranks,) found in rounds of collision resolution.
     """
     names = ("pairs_written", "contacts", "candidates", "unresolved")
     pcs, contacts, candidates, unresolved = (counts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in names)

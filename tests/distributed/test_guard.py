@@ -41,7 +41,7 @@ def exits(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return codes
 
 
-def test_nobody_is_blamed_when_all_are_alive(guards: list[Guard], exits: list[int]) -> None:
+def test_no_rank_is_blamed_when_all_are_alive(guards: list[Guard], exits: list[int]) -> None:
     for rank in guards:
         with rank.waiting("first"):
             pass
@@ -123,7 +123,7 @@ def test_a_rank_that_has_finished_is_missed_by_those_who_wait(guards: list[Guard
     assert fail(guards[0]).startswith("rank 1 has ended early")
 
 
-def test_alone_nobody_is_blamed() -> None:
+def test_one_rank_alone_is_not_blamed() -> None:
     alone = Guard()
     assert fail(alone) == "connection closed by peer"
     alone.report(ValueError("mine"))

@@ -77,7 +77,7 @@ def test_same_bits_for_any_capacity(world: World, capacities: str) -> None:
         assert not all(enough) if capacities == "exact" else not any(enough)
 
 
-def test_room_is_for_more_than_there_were() -> None:
+def test_capacity_exceeds_what_was_needed() -> None:
     capacity = HaloCapacity.after([0, 1, 1000], [3, 0, 5_000_000], 12)
     assert capacity.sent[0] == 0 and capacity.received[1] == 0  # no neighbours
     for size, count in zip(
@@ -88,7 +88,7 @@ def test_room_is_for_more_than_there_were() -> None:
         assert 1.25 * count <= size <= 1.25 * count + 320
 
 
-def test_what_filled_the_rooms() -> None:
+def test_what_filled_the_capacities() -> None:
     rows: Tensor = torch.arange(9)
     assert halo_capacity._filled(rows, [3, 0, 4, 2], [1, 0, 4, 0]).tolist() == [0, 3, 4, 5, 6]
     assert halo_capacity._filled(rows, [3, 0, 4, 2], [0, 0, 0, 0]).tolist() == []

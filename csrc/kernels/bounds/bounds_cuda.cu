@@ -156,8 +156,8 @@ __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
   }
 }
 
-// Eight threads a block, one for each slot. Bottom up from the blocks without children: whoever finishes a block's last
-// child goes on with that block (Karras 2012).
+// Eight threads a block, one for each slot. Bottom up from the blocks without children: the thread that finishes a
+// block's last child goes on with that block (Karras 2012).
 __global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
   const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, leader = lane - slot;
   const unsigned members = 0xffu << leader;

@@ -14,7 +14,7 @@ struct PairList {
   int64_t capacity;
   const int64_t* is_invalid = nullptr;  // of the bodies
 
-  // Nobody wants pairs of invalid bodies; there could be very many.
+  // Pairs of invalid bodies are discarded; there could be very many.
   __device__ bool is_wanted() const { return is_invalid == nullptr || *is_invalid == 0; }
 
   // Threads of a warp that append together share one atomic.

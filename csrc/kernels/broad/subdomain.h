@@ -64,8 +64,8 @@ struct CapacityInput {
   }
 };
 
-// told (ranks, 2): the count of each rank, and 1 if rows were dropped anywhere.
-void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* told);
+// messages (ranks, 2): the count of each rank, and 1 if rows were dropped anywhere.
+void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* messages);
 
 // Pairs whose reference point lies in a cell of the subdomain's rank, in the first places of owned (pair_count, 2),
 // then pairs of -1; `found` is how many there are.

@@ -61,12 +61,12 @@ void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& capaciti
   }
 }
 
-void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* told) {
+void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* messages) {
   const int64_t ranks = static_cast<int64_t>(capacities.size());
   const bool is_short = input.is_short(capacities.data(), ranks);
   for (int64_t rank = 0; rank < ranks; ++rank) {
-    *told++ = input.counts[rank];
-    *told++ = is_short ? 1 : 0;
+    *messages++ = input.counts[rank];
+    *messages++ = is_short ? 1 : 0;
   }
 }
 

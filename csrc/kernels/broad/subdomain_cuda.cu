@@ -126,12 +126,12 @@ void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const
 }
 
 void counts_to_send_cuda(const DeviceContext& context, const CapacityInput& input,
-                         const std::vector<int64_t>& capacities, int64_t* told) {
+                         const std::vector<int64_t>& capacities, int64_t* messages) {
   const int64_t ranks = static_cast<int64_t>(capacities.size());
   const int64_t* const capacity = on_device(context, capacities);
   for_each_item(context, ranks, [=] __device__(int64_t rank) {
-    told[2 * rank] = input.counts[rank];
-    told[2 * rank + 1] = input.is_short(capacity, ranks) ? 1 : 0;
+    messages[2 * rank] = input.counts[rank];
+    messages[2 * rank + 1] = input.is_short(capacity, ranks) ? 1 : 0;
   });
 }
 

@@ -15,7 +15,7 @@ void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const
                        int64_t* by_rank);
 
 void counts_to_send_cuda(const DeviceContext& context, const CapacityInput& input,
-                         const std::vector<int64_t>& capacities, int64_t* told);
+                         const std::vector<int64_t>& capacities, int64_t* messages);
 
 void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found);
 

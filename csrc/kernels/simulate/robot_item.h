@@ -94,7 +94,7 @@ PGCCD_HD void plan_skewed(const World& world, int64_t id, int64_t step, Robot& r
     robot.stay_until = step + world.stay_shortest + static_cast<int64_t>(choices * decision.u[1]);
     set_random_course(world, id, step, kStayingSpeed, robot);
   } else if (thrown_back && decision.u[2] < world.course_change) {
-    // Whoever cannot get through gives way; otherwise crowds that meet would block one another for ever.
+    // A robot that cannot get through gives way; otherwise crowds that meet would block one another for ever.
     robot.target = nearest_corner(robot.position);
     set_course_to_target(world, id, step, robot);
   } else if (decision.u[0] < world.resumption) {

@@ -125,7 +125,7 @@ void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int
 
 void slow_all_down_cuda(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes) {
   for_each_item(context, robots.count, [=] __device__(int64_t row) {
-    if (robots.slow_down(row)) *changes = 1;  // whoever does writes the same
+    if (robots.slow_down(row)) *changes = 1;  // all threads that write, write the same
   });
 }
 

@@ -50,7 +50,7 @@ class Comm(ABC):
     transport: str
     rank: int
     size: int
-    #: Tells which rank is to blame when a message does not come.
+    #: Finds the rank at fault when a message does not come.
     guard: Guard
     #: Whether these ranks were started in the place of others of the same job, after some of them were lost.
     restarted = False

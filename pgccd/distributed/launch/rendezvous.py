@@ -68,7 +68,7 @@ def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> t
 
 
 def _welcome(store: dist.Store, size: int, start: str, timeout: float) -> None:
-    """Tells all other ranks the start's name."""
+    """Gives all other ranks the start's name."""
     deadline = time.monotonic() + timeout
     missing, answered = list(range(1, size)), set()
     while missing:

@@ -1,7 +1,7 @@
 """Checkpoints of a run on many ranks, by torch.distributed.checkpoint; any number of ranks reads them.
 
-A column of all robots is one tensor of which every rank writes its rows; whoever reads takes an equal share of the
-rows, whoever wrote them. Writing goes on in the background while the next steps are made. Robots are written to a
+A column of all robots is one tensor of which every rank writes its rows; each reader takes an equal share of them,
+whichever ranks wrote them. Writing goes on in the background while the next steps are made. Robots are written to a
 folder with a temporary name; a pointer file, replaced last and at once, names the whole one.
 """
 
@@ -43,7 +43,7 @@ class Header:
 
 @dataclass
 class _Owners:
-    """Who owned which cell, in plain numbers."""
+    """The owner of each cell, in plain numbers."""
 
     subdomains: Sequence[int]
     cells: Sequence[int]
@@ -157,7 +157,7 @@ def newest_header(folder: Path) -> Header | None:
 
 
 def read_owners(folder: Path, partition: Partition) -> list[int] | None:
-    """Who owned which cell when the newest checkpoint was made, so that loads stay even; None if space was cut in
+    """The owner of each cell when the newest checkpoint was made, so that loads stay even; None if space was cut in
     another way then.
 
     Raises:

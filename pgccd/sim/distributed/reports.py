@@ -20,7 +20,7 @@ class Reports:
     counted: Rows  #: (ranks, 6) by `count_step`
     held: Rows  #: (ranks,): robots
     arrived: Rows  #: (ranks,): of those, how many came from others before the step
-    wish: Rows  #: (ranks,): 0 or 1
+    stop: Rows  #: (ranks,): 0 or 1
     leaving: Rows  #: (ranks,): how many are in cells of others after it
     moves: Rows  #: (ranks, ranks): how many of them are in cells of each; (ranks, 0) if that is sent later
 

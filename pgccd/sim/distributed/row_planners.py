@@ -37,7 +37,7 @@ class SaveRows(dcp.DefaultSavePlanner):
 
 
 class LoadRows(dcp.DefaultLoadPlanner):
-    """Reads rows [begin, ...) of tensors, whoever wrote which."""
+    """Reads rows [begin, ...) of tensors, whichever rank wrote them."""
 
     def __init__(self, begin: int) -> None:
         super().__init__(flatten_state_dict=False, flatten_sharded_tensors=False)

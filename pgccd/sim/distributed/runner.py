@@ -192,15 +192,15 @@ class _SimulationMachine:
         self.simulation, self._digest = simulation, digest
         self._checkpoints = Checkpoints(simulation.comm, folder)
         self.last_step: RankStep | None = None
-        self._wish = False
+        self._stop = False
 
-    def stops(self, wish: bool) -> bool:
+    def stops(self, requested: bool) -> bool:
         # All learn of it at the end of the step to come, with all else.
-        self._wish = wish
-        return self.last_step.wished if self.last_step is not None else self.simulation.comm.any(wish)
+        self._stop = requested
+        return self.last_step.stop_requested if self.last_step is not None else self.simulation.comm.any(requested)
 
     def step(self, index: int, more: int) -> RankStep:
-        self.last_step = self.simulation.step(index, self._wish, more > 0)
+        self.last_step = self.simulation.step(index, self._stop, more > 0)
         return self.last_step
 
     def save(self, steps_made: int, steps_wanted: int) -> None:

@@ -47,7 +47,7 @@ class RankStep:
     index: int  #: from 0
     before: RobotState  #: of the robots owned, as planned
     resolution: Resolution  #: of the robots held
-    wished: bool  #: whether any rank was given a wish
+    stop_requested: bool  #: on any rank
     find: Callable[[], Detection]  #: gives `detection`
     make_record: Callable[[], dict[str, Any]]  #: returns `record`
 
@@ -125,12 +125,12 @@ class DistributedSimulation:
         """
         Census.of_ranks(self.comm, self.state.id).require(self._expected)
 
-    def step(self, index: int, wish: bool = False, more: bool = False) -> RankStep:
+    def step(self, index: int, stop: bool = False, more: bool = False) -> RankStep:
         """Moves the robots by one step.
 
         Args:
             index: the same on all ranks.
-            wish: to stop, for example; combined over all ranks by "or".
+            stop: whether this rank was asked to stop; combined over all ranks by "or".
             more: whether the next step follows at once, on all ranks. Then a GPU is given its first work before the
                 host knows how this one ends. Robots that have left the cells of their rank stay with it for a while,
                 since handing them over would have to be waited for; without more to come each is where it belongs.
@@ -157,7 +157,7 @@ class DistributedSimulation:
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
                 leaving = Leaving(comm, self.partition, after.position)
                 moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
-                return torch.cat([counted, self._told_by_host(share, wish), leaving.counts.sum()[None], *moves])
+                return torch.cat([counted, self._host_numbers(share, stop), leaving.counts.sum()[None], *moves])
 
         def begin_next(discard: Tensor) -> None:
             self._begun = self._begin(index + 1, after, discard)
@@ -192,7 +192,7 @@ class DistributedSimulation:
             share.lend()
             return Detection(share, contacts_of_step(share.parts))
 
-        return RankStep(index, planned, resolved.resolution, bool(reports.wish.any()), find, make_record)
+        return RankStep(index, planned, resolved.resolution, bool(reports.stop.any()), find, make_record)
 
     def _begin(self, index: int, state: RobotState, discard: Tensor | None = None) -> _Begun:
         """Plans a step, and begins to search pairs of own robots."""
@@ -224,8 +224,8 @@ class DistributedSimulation:
         begun.clock.restart()
         return begun
 
-    def _told_by_host(self, share: Share, wish: bool) -> Tensor:
-        return torch.tensor([len(share.held), self._arrived, int(wish)]).to(self.model.device, non_blocking=True)
+    def _host_numbers(self, share: Share, stop: bool) -> Tensor:
+        return torch.tensor([len(share.held), self._arrived, int(stop)]).to(self.model.device, non_blocking=True)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
         pose = (columns["position"], columns["orientation"], columns["velocity"], columns["angular_velocity"])
