@@ -17,7 +17,6 @@ from typing import Any
 
 import torch
 from support import results, timing
-from support.graphed import GraphedDetection
 from support.scenes import MixedWorld
 from torch import Tensor
 
@@ -117,16 +116,10 @@ def launches(world: MixedWorld, motions: list[pgccd.RigidMotion]) -> dict[str, V
     if needed is None:
         raise SystemExit("this world is streamed: a graph cannot hold it")
     capacity = needed.times(1.25)
-    graphed = GraphedDetection(world.scene, motions[0], needed)
-
-    def replay(motion: pgccd.RigidMotion) -> Any:
-        graphed.load(motion)
-        graphed.replay()
-        return graphed.found
-
+    captured = pgccd.CapturedDetection(world.scene, motions[0], capacity=capacity)
     return {
         "launched one by one": lambda motion: pgccd.detect(world.scene, motion, capacity=capacity),
-        "as a graph": replay,
+        "as a graph": captured,
     }
 
 
