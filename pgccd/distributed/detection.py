@@ -70,7 +70,7 @@ def detect_distributed(
     Arguments as for `OwnSearch`.
     """
     search = OwnSearch(comm, partition, own, build, options, clock, estimates or PartEstimates(), capacity=capacity)
-    share = search.with_ghosts()
+    share = search.start().with_ghosts()
     found = contacts_of_step(share.parts)
     clock.add(search_seconds(found.stats))
     if options.report == "earliest":

@@ -72,7 +72,7 @@ class Held:
 
 
 class Halo:
-    """The ghosts of one step, on their way. First bodies that others need are looked for, without waiting.
+    """The ghosts of one step: `find_boundary`, then `send` or `send_padded`, then `wait`.
 
     Args:
         comm: between the ranks.
@@ -99,11 +99,14 @@ class Halo:
         self._boundary = none_of_them
         self._arrival: Arrival | None = None
         self._padded: PaddedHalo | None = None
-        found = bodies.first_faults()
-        if comm.size > 1:
+
+    def find_boundary(self) -> None:
+        """Looks for the bodies that others need. Waits for nothing."""
+        found = self._bodies.first_faults()
+        if self._comm.size > 1:
             self.reach, self._boundary, self._count = ops.boundary_bodies(*self._where)
             found = torch.cat([self._count, found])
-        self._found = HostCopy(found)
+        self._found = HostCopy.start(found)
 
     def check(self) -> None:
         """Waits for what was found out about the bodies.
@@ -120,7 +123,8 @@ class Halo:
 
     def send_padded(self, capacity: HaloCapacity) -> None:
         """Sends them without waiting for anything. If the capacity of a rank is exceeded, `wait` sends them again."""
-        self._padded = PaddedHalo(self._comm, capacity, self._own, self._where, self._boundary, self._count)
+        self._padded = PaddedHalo(self._comm, capacity, self._own)
+        self._padded.send(self._where, self._boundary, self._count)
 
     def send(self) -> None:
         """Sends them, once ranks have exchanged counts. Checks the bodies, if that has not been

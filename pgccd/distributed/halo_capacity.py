@@ -61,28 +61,32 @@ class PaddedHalo:
         comm: between the ranks.
         capacity: padded counts of bodies.
         own: columns of this rank's own bodies.
-        where: centres of these, separation, tolerance, and the subdomain, as for `pgccd.ops.replica_ranks`.
-        boundary: (N,) int64: rows of those that others need, then rows of -1.
-        count: (1,) int64, left on the device: how many these are.
     """
 
-    def __init__(
+    def __init__(self, comm: Comm, capacity: HaloCapacity, own: Columns) -> None:
+        self._comm, self._capacity, self._own = comm, capacity, own
+
+    def send(
         self,
-        comm: Comm,
-        capacity: HaloCapacity,
-        own: Columns,
         where: tuple[tuple[Tensor, Tensor, Tensor], float, float, ops.Subdomain],
         boundary: Tensor,
         count: Tensor,
     ) -> None:
-        self._comm, self._capacity, self._own = comm, capacity, own
+        """Sends own bodies that others need.
+
+        Args:
+            where: centres of own bodies, separation, tolerance, and the subdomain, as for `pgccd.ops.replica_ranks`.
+            boundary: (N,) int64: rows of those that others need, then rows of -1.
+            count: (1,) int64, left on the device: how many these are.
+        """
+        comm, capacity = self._comm, self._capacity
         boundary = boundary[: capacity.boundary]
         self._replica_ranks, self._counts = ops.replica_ranks(*where, boundary, comm.size)
         self._rows = ops.rows_by_rank(self._replica_ranks, boundary, self._counts, capacity.sent)
         # Each rank sends all others whether its capacity was exceeded.
         messages = ops.counts_to_send(self._counts, capacity.sent, count, capacity.boundary)
-        self._messages = HostCopy(torch.stack([messages, comm.exchange_counts(messages)]))
-        self._pending = comm.exchange(pack(own, self._rows), capacity.sent, capacity.received)
+        self._messages = HostCopy.start(torch.stack([messages, comm.exchange_counts(messages)]))
+        self._pending = comm.exchange(pack(self._own, self._rows), capacity.sent, capacity.received)
 
     def wait(self, boundary_count: int) -> Sent | None:
         """What was sent; None, on all ranks, if the capacity of one of them was exceeded."""

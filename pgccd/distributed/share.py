@@ -119,7 +119,8 @@ class OwnSearch:
         ValueError: a pose is invalid.
 
     Example:
-        >>> share = OwnSearch(comm, partition, own, build, Options(), StageClock(), PartEstimates()).with_ghosts()
+        >>> search = OwnSearch(comm, partition, own, build, Options(), StageClock(), PartEstimates())
+        >>> share = search.start().with_ghosts()
     """
 
     def __init__(
@@ -134,31 +135,42 @@ class OwnSearch:
         discard: Tensor | None = None,
         capacity: HaloCapacity | None = None,
     ) -> None:
-        self._comm, self._partition, self._build, self._options = comm, partition, build, options
-        self._clock, self._estimates = clock, estimates
+        self._comm, self._partition, self._own, self._build = comm, partition, own, build
+        self._options, self._clock, self._estimates = options, clock, estimates
+        self._discard, self._capacity = discard, capacity
         self._kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
-        with clock.stage("plan"):
-            self._bodies = bodies = MovingBodies(*build(own), wait=False)
-        with clock.stage("halo"):
-            self._halo = halo = Halo(comm, partition, own, bodies, self._kept)
-        self._where = *self._kept, halo.reach, partition.subdomain(comm.rank)
-        self._side = SideStream(bodies.device, options.overlap and comm.size > 1)
-        if comm.size > 1:
-            with self._side, clock.stage("halo"):
-                if capacity is not None and _sends_ahead(comm, self._side):
-                    halo.send_padded(capacity)
-                elif not self._side.is_apart:  # else when the own search is under way, since it must be waited for
-                    halo.send()
-            if not options.overlap:
-                _ = self._held  # waited for now
 
+    def start(self) -> OwnSearch:
+        """Places the bodies, sends those that others need, and starts to search the pairs of own bodies."""
+        with self._clock.stage("plan"):
+            self._bodies = MovingBodies(*self._build(self._own), wait=False)
+        with self._clock.stage("halo"):
+            self._halo = Halo(self._comm, self._partition, self._own, self._bodies, self._kept)
+            self._halo.find_boundary()
+        self._where = *self._kept, self._halo.reach, self._partition.subdomain(self._comm.rank)
+        self._side = SideStream(self._bodies.device, self._options.overlap and self._comm.size > 1)
+        if self._comm.size > 1:
+            self._send_ghosts()
+        self._find_own_pairs()
+        return self
+
+    def _send_ghosts(self) -> None:
+        with self._side, self._clock.stage("halo"):
+            if self._capacity is not None and _sends_ahead(self._comm, self._side):
+                self._halo.send_padded(self._capacity)
+            elif not self._side.is_apart:  # else when the own search is under way, since it must be waited for
+                self._halo.send()
+        if not self._options.overlap:
+            _ = self._held  # waited for now
+
+    def _find_own_pairs(self) -> None:
         def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
-            return ops.owned_pairs(pairs, None, own["id"], centres_of(bodies), *self._where)
+            return ops.owned_pairs(pairs, None, self._own["id"], centres_of(self._bodies), *self._where)
 
-        with clock.stage("broad"):
-            select = owned if comm.size > 1 else None
-            asked = options.query, options.broad_phase, select
-            self._part = find_part(bodies, *asked, discard, estimate=estimates.own)
+        with self._clock.stage("broad"):
+            select = owned if self._comm.size > 1 else None
+            asked = self._options.query, self._options.broad_phase, select
+            self._part = find_part(self._bodies, *asked, self._discard, estimate=self._estimates.own)
         self._part.begin()
 
     @cached_property
@@ -183,7 +195,7 @@ class OwnSearch:
         own, ghosts = centres_of(self._bodies), centres_of(self._ghosts)
         with self._side, self._clock.stage("halo"):
             near, found = ops.near_ghosts(own, ghosts, *self._kept, subdomain)
-            return near, HostCopy(found)
+            return near, HostCopy.start(found)
 
     def of_held(self, make: Callable[[Held, Centres, tuple[float, float], Partition], T]) -> T:
         """What `make` makes of the bodies held, the centres of ghosts (of all bodies, if there is one rank), the

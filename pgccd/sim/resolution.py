@@ -254,7 +254,7 @@ class Attempt:
             mine = [changes, *counts, conclude(self.fraction)]
             with clock.stage("gather"):
                 gathered = exchange.gather(torch.cat(mine))
-                on_host = HostCopy(gathered)
+                on_host = HostCopy.start(gathered)
             if work_ahead is not None:
                 work_ahead(gathered[:, len(changes) - 1].amax(dim=0, keepdim=True))
             with clock.stage("gather"):

@@ -91,7 +91,7 @@ def make_step(
         motion = model.motion(before)
     with clock.stage("broad"):
         bodies = MovingBodies(scene, motion, wait=scene.device.type == "cpu")
-        faults = HostCopy(bodies.first_faults())
+        faults = HostCopy.start(bodies.first_faults())
         part = find_part(bodies, FIRST_CONTACTS, broad_phase, estimate=plan.pairs)
     after = before
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
+from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo import Centres, Held
 from pgccd.distributed.partition import Partition
 from pgccd.runtime.host_copy import HostCopy
@@ -20,26 +21,43 @@ class HeldExchange:
     the sweep; each two ranks list the bodies both hold by owner, then by id.
 
     Args:
-        held: the bodies.
-        ghosts: centres of those among them that others own.
-        kept: min_separation and tolerance, as the operators take them.
-        partition: that the halo was made with.
+        comm: between the ranks.
     """
 
-    def __init__(self, held: Held, ghosts: Centres, kept: tuple[float, float], partition: Partition) -> None:
-        self._comm = comm = held.route.comm
+    # Of the bodies that other ranks hold too: which ranks, rows, and how many for each rank, also on its way to the host.
+    _replica_ranks: Tensor
+    _rows: Tensor
+    _counts: Tensor
+    _known: HostCopy
+
+    def __init__(self, comm: Comm) -> None:
+        self._comm = comm
+
+    @classmethod
+    def start(cls, held: Held, ghosts: Centres, kept: tuple[float, float], partition: Partition) -> HeldExchange:
+        """Finds out which bodies other ranks hold too. Waits for nothing.
+
+        Args:
+            held: the bodies.
+            ghosts: centres of those among them that others own.
+            kept: min_separation and tolerance, as the operators take them.
+            partition: that the halo was made with.
+        """
+        comm = held.route.comm
+        exchange = cls(comm)
         if comm.size == 1:
-            self._shared = held.own_id[:0], [0]
-            return
+            exchange._shared = held.own_id[:0], [0]
+            return exchange
         received, ghost = held.route.received, torch.arange(held.ghost_count, device=held.own_id.device)
         subdomain, row = partition.subdomain(comm.rank), ghost + held.own_count
         replica_ranks, counts = ops.replica_ranks(ghosts, *kept, subdomain, ghost, comm.size, received)
         before = sum(received[: comm.rank])
-        self._replica_ranks = torch.cat([replica_ranks[:before], held.replica_ranks, replica_ranks[before:]])
-        self._rows = torch.cat([row[:before], held.boundary, row[before:]])
-        self._counts = counts + held.boundary_counts
+        exchange._replica_ranks = torch.cat([replica_ranks[:before], held.replica_ranks, replica_ranks[before:]])
+        exchange._rows = torch.cat([row[:before], held.boundary, row[before:]])
+        exchange._counts = counts + held.boundary_counts
         # On its way while bodies are tested.
-        self._known = HostCopy(self._counts)
+        exchange._known = HostCopy.start(exchange._counts)
+        return exchange
 
     @functools.cached_property
     def _shared(self) -> tuple[Tensor, list[int]]:

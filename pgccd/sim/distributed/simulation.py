@@ -140,7 +140,7 @@ class DistributedSimulation:
         begun = self._take_begun(index)
         planned, clock = begun.planned, begun.clock
         # In this order, so that the host can read how many agree before the search with ghosts is over.
-        exchange, share = begun.search.of_held(HeldExchange), begun.search.with_ghosts()
+        exchange, share = begun.search.of_held(HeldExchange.start), begun.search.with_ghosts()
         self._capacity = share.held.capacity
         with clock.stage("halo"):
             partners = Partners(self.model, planned.moving_columns, share.held.ghosts, share.pairs)
@@ -204,7 +204,7 @@ class DistributedSimulation:
             planned = self.model.plan(state, index)
         where = self.comm, self.partition, planned.moving_columns, self._build, self.options, clock
         search = OwnSearch(*where, self._estimates, discard, self._capacity)
-        return _Begun(index, state, self.partition, planned, search, clock)
+        return _Begun(index, state, self.partition, planned, search.start(), clock)
 
     def _has_begun(self, index: int) -> bool:
         """Whether the step has been begun, of these robots and with these owners."""
