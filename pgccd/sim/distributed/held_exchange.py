@@ -24,7 +24,7 @@ class HeldExchange:
         comm: between the ranks.
     """
 
-    # Of the bodies that other ranks hold too: which ranks, rows, and how many for each rank, also on its way to the host.
+    # Of the bodies that other ranks hold too: which ranks, rows, how many for each rank, and these on their way.
     _replica_ranks: Tensor
     _rows: Tensor
     _counts: Tensor
