@@ -17,12 +17,11 @@ import pgccd
 from pgccd import ops
 
 AXES = (-1, 0, 1, 2)
-SWEEP, GRID, LBVH = (pgccd.broad.BROAD_PHASE_NUMBERS[name] for name in ("sweep", "grid", "lbvh"))
+NUMBERS = pgccd.broad.BROAD_PHASE_NUMBERS
 # Each broad phase, the sweep along each axis.
 WAYS: tuple[tuple[Callable[..., torch.Tensor], tuple[int, ...]], ...] = (
-    *((ops.broad_pairs, (SWEEP, axis)) for axis in AXES),
-    (ops.broad_pairs, (GRID,)),
-    (ops.broad_pairs, (LBVH,)),
+    *((ops.broad_pairs, (NUMBERS["sweep"], axis)) for axis in AXES),
+    *((ops.broad_pairs, (number,)) for name, number in NUMBERS.items() if name != "sweep"),
 )
 ROUNDING = 1e-12
 
