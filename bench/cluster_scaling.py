@@ -92,15 +92,8 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
     ranks = [record["ranks"] for record in records]
     single: list[float] = []
     if comm.size == 1:
-        scene, plan = simulation.model.scene(state.id), sim.StepPlan()
-
-        def advance(index: int) -> sim.Step:
-            nonlocal state
-            made = sim.make_step(simulation.model, scene, state, index, plan=plan)
-            state = made.after
-            return made
-
-        single, alone = follow(comm, begin, arguments.rounds, advance)
+        steps, end = sim.StepMaker(simulation.model, state), begin + 1 + arguments.rounds
+        single, alone = follow(comm, begin, arguments.rounds, lambda index: steps.step(index, more=end - index))
         if [record["state_hash"] for record in alone] != [record["state_hash"] for record in records]:
             raise SystemExit("one rank and one process differ")
     return {

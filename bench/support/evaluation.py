@@ -113,7 +113,7 @@ def prepare(folder: Path, config: sim.ModelConfig, steps: Steps, device: str) ->
     contacts of all steps from there."""
     model = sim.Model(config, device=device)
     state = model.start()
-    scene = model.scene(state.id)
+    scene, plan = model.scene(state.id), sim.StepPlan()
     start, states, hashes = None, [], []
     for index in range(steps.before + steps.settling + steps.timed):
         if index == steps.before:
@@ -121,7 +121,7 @@ def prepare(folder: Path, config: sim.ModelConfig, steps: Steps, device: str) ->
         timed = index - steps.before - steps.settling
         if 0 <= timed < steps.baseline:
             states.append(state.to("cpu").columns)
-        made = sim.make_step(model, scene, state, index)
+        made = sim.make_step(model, scene, state, index, plan=plan)
         state = made.after
         if index >= steps.before:
             hashes.append(made.record["contacts_hash"])

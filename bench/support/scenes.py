@@ -39,10 +39,11 @@ class MixedWorld:
         self.state = state
         self.scene = model.scene(state.id)
         self.steps_made = steps_made
+        self._plan = sim.StepPlan()
 
     def advance(self) -> sim.Step:
         """Makes one step."""
-        step = sim.make_step(self.model, self.scene, self.state, self.steps_made)
+        step = sim.make_step(self.model, self.scene, self.state, self.steps_made, plan=self._plan)
         self.state = step.after
         self.steps_made += 1
         return step
