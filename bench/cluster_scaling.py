@@ -176,7 +176,7 @@ def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -
     path = arguments.out or results.FOLDER / f"cluster_scaling-{arguments.device.partition(':')[0]}.json"
     known = json.loads(Path(path).read_text()) if Path(path).exists() else {}
     rows = known.get("rows", [])
-    key = ("scaling", "ranks", "robots", "pattern", "balance", "cells", "axes", "overlap", "ahead", "transport")
+    key = ("scaling", "ranks", "robots", "pattern", "balance", "cells", "axes", "overlap", "transport")
     row["transport"] = transport
     row["commit"] = results.versions()["commit"]  # others of the file may be of other versions
     rows = [other for other in rows if [other.get(name) for name in key] != [row[name] for name in key]] + [row]
