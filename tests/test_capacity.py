@@ -271,7 +271,7 @@ def test_first_toi_alone(device: torch.device) -> None:
         assert torch.equal(lowered(given), expected)
         assert seen.contacts == len(hits) and not seen.overflow and seen.pairs_written == len(pairs)
         assert seen.broad_began <= seen.traverse_began <= seen.traverse_ended <= seen.narrow_ended
-    # Nobody looks at pairs that are said not to be there.
+    # Pairs beyond the count are not read.
     for given in (padded, padded[:0]):
         first = lowered(capacity, given, torch.zeros_like(count))
         assert first.tolist() == [0.0, *[torch.inf] * (scene.body_count - 1)]

@@ -1,4 +1,4 @@
-"""Bodies of no size, of tiny and huge distances; and what comes within the tolerance, whoever names the pairs."""
+"""Bodies of no size, of tiny and huge distances; and what comes within the tolerance, for pairs found or given."""
 
 from __future__ import annotations
 

@@ -73,6 +73,6 @@ def test_cuda_kernels_are_built_where_there_is_a_compiler() -> None:
     toolkit = cuda_toolkit.find_cuda_toolkit(torch.version.cuda)
     if toolkit is None:
         pytest.skip(f"no nvcc fits CUDA {torch.version.cuda} of torch")
-    # Whoever builds with PGCCD_CUDA=0 tests with it too.
+    # A build with PGCCD_CUDA=0 is tested with that setting too.
     assert built_with_cuda(), f"nvcc {toolkit.version} in {toolkit.home}, but the extension has no CUDA kernels"
     assert describe_installation()["CUDA architectures"] != "none"

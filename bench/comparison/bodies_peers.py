@@ -94,7 +94,7 @@ class Newton:
 
     def find(self) -> None:
         self._pipeline.collide(self._state, self._contacts, dt=1.0)
-        # The count is read by whoever uses the contacts, and ends the measured time on a GPU too.
+        # A program that uses the contacts reads their count, which ends the measured time on a GPU too.
         self._count = int(self._contacts.rigid_contact_count.numpy()[0])
 
     def pairs(self) -> np.ndarray:

@@ -17,7 +17,7 @@ from pgccd.runtime.stages import StageClock
 
 @dataclass(frozen=True)
 class VoxelContents:
-    """The voxels of one rank that have boxes, and these; as `ops.voxel_pairs` wants them."""
+    """The voxels of one rank that have boxes, and these; as `ops.voxel_pairs` takes them."""
 
     boxes: Tensor  #: (B, 32) uint8, packed
     segments: Tensor  #: (S, 3) int64: first box, number of boxes, first body of their sender

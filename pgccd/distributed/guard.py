@@ -192,7 +192,7 @@ class Guard:
                         r: seen[r] if r in seen and seen[r][0] == sign else (sign, now) for r, sign in enumerate(signs)
                     }
                     silent = [rank for rank, (_, since) in seen.items() if now - since > _SILENCE_SECONDS]
-                    # Who has died is silent by then.
+                    # A process that has ended is silent by then.
                     lost = broken_since is not None and now - broken_since > 2.0 * _SILENCE_SECONDS
                     blame = self._judge(signs, silent, hanging=lost or still > self._timeout)
                     if blame is None and lost:

@@ -165,7 +165,7 @@ class Partition:
         return [*self.lower, *(1.0 / size for size in self.cell_size), *map(float, self.grid)]
 
     def subdomain(self, rank: int) -> tuple[list[float], Tensor, int]:
-        """What the operators want to know of a rank's cells."""
+        """A rank's cells as the operators take them."""
         return self.frame, self.owner, rank
 
     def index(self, coordinates: Tensor) -> Tensor:

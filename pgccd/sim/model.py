@@ -18,7 +18,7 @@ from pgccd.sim.robot import robot_mesh
 
 Pattern = Literal["random", "skewed"]
 PATTERNS: tuple[str, ...] = get_args(Pattern)
-# In the order that ops.simulate_affected_motion wants.
+# In the order of ops.simulate_affected_motion.
 _MOVING = ("id", "position", "orientation", "velocity", "angular_velocity")
 
 

@@ -100,7 +100,7 @@ class RoundPlan:
         self._capacities = capacities
 
     def learn(self, rounds: int, needed: Callable[[], Sequence[Capacity]]) -> None:
-        """How many rounds a step took. What each needed is asked in the next one, when the host has time."""
+        """Takes note of a step's rounds. What each needed is worked out in the next step, when the host has time."""
         self._recent.append(rounds)
         self._needed = needed
 
@@ -160,7 +160,7 @@ def resolve_collisions(
     decides how often is known to all ranks.
 
     Args:
-        parts: of the whole step's pairs, first contacts being what is asked; as many on all ranks.
+        parts: of the whole step's pairs, searched for first contacts; as many on all ranks.
         body_count: number of robots N.
         partners: of robots in the PCS.
         plan: how many rounds are enqueued at once, and their capacities.

@@ -1,5 +1,5 @@
-"""The nanorobot world on ranks: the same log and the same state as one process, whoever owns what and however often
-that changes.
+"""The nanorobot world on ranks: the same log and the same state as one process, for any owners of robots and
+cells, however often these change.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ def test_a_silent_rank_has_died(guards: list[Guard], exits: list[int]) -> None:
     guards[0].activity = "step 7"
     message = fail(guards[0])
     assert message.startswith("rank 1 (process ") and "has died (rank 0 was in step 7, halo)" in message
-    # Whoever gets no error is ended by its guard.
+    # A rank that gets no error is ended by its guard.
     assert _failure_told(guards[2], exits).startswith("rank 1 (process ")
     guards[1]._closed.clear()
 
