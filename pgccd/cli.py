@@ -80,7 +80,7 @@ def _build_parser() -> argparse.ArgumentParser:
     add("--out", type=Path, metavar="DIR", help="where the log, checkpoints and pictures go (out/simulate)")
     add("--checkpoint-every", type=int, default=0, metavar="K", help="steps between checkpoints (one at the end)")
     add("--resume", type=Path, metavar="DIR", help="continue the run in this folder")
-    add("--no-pictures", action="store_true", help="leave out model.png and model.html")
+    add("--no-pictures", action="store_true", help="leave out world.png and world.html")
     command.add_arguments(simulate)
     simulate.set_defaults(run=_simulate)
 
