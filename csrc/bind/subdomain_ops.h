@@ -123,14 +123,15 @@ struct SubdomainOps {
     return {near, found};
   }
 
-  static std::tuple<Tensor, Tensor, Tensor> leaving_bodies(const Tensor& position, FrameList frame, const Tensor& owner,
-                                                           int64_t rank, int64_t ranks) {
-    const double* centres = rows<double>(position, "position", {kAnySize, 3});
+  static std::tuple<Tensor, Tensor, Tensor> leaving_bodies(const Tensor& id, const Tensor& position, FrameList frame,
+                                                           const Tensor& owner, int64_t rank, int64_t ranks) {
     const int64_t count = position.size(0);
+    const BodyPositions bodies{rows<double>(position, "position", {kAnySize, 3}), rows<int64_t>(id, "id", {count}),
+                               count};
     STD_TORCH_CHECK(ranks >= 1 && ranks <= kMostCells, "ranks: expected a number in [1, 2^31], got ", ranks);
     Tensor leaving = new_tensor<int64_t>(owner, {count}), by_destination = new_tensor<int64_t>(owner, {count});
     Tensor counts = new_tensor<int64_t>(owner, {ranks});
-    Backend(owner).leaving_bodies(centres, count, subdomain_view(frame, owner, rank), ranks,
+    Backend(owner).leaving_bodies(bodies, subdomain_view(frame, owner, rank), ranks,
                                   {data<int64_t>(leaving), data<int64_t>(by_destination), data<int64_t>(counts)});
     return {leaving, by_destination, counts};
   }

@@ -29,9 +29,9 @@ class SubdomainOnCpu {
                    const FoundRows& near) const {
     near_ghosts_cpu(executor_, bodies, ghosts, subdomain, near);
   }
-  void leaving_bodies(const double* position, int64_t count, const Subdomain& subdomain, int64_t ranks,
+  void leaving_bodies(const BodyPositions& bodies, const Subdomain& subdomain, int64_t ranks,
                       const LeavingRows& leaving) const {
-    leaving_bodies_cpu(executor_, position, count, subdomain, ranks, leaving);
+    leaving_bodies_cpu(executor_, bodies, subdomain, ranks, leaving);
   }
 
  private:

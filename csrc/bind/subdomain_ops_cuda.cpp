@@ -32,9 +32,9 @@ class SubdomainOnCuda {
                    const FoundRows& near) const {
     near_ghosts_cuda(session_.context(), bodies, ghosts, subdomain, near);
   }
-  void leaving_bodies(const double* position, int64_t count, const Subdomain& subdomain, int64_t ranks,
+  void leaving_bodies(const BodyPositions& bodies, const Subdomain& subdomain, int64_t ranks,
                       const LeavingRows& leaving) const {
-    leaving_bodies_cuda(session_.context(), position, count, subdomain, ranks, leaving);
+    leaving_bodies_cuda(session_.context(), bodies, subdomain, ranks, leaving);
   }
 
  private:

@@ -220,6 +220,12 @@ def contacts_of_step(parts: Sequence[Part]) -> Contacts:
     return join_contacts(found, [part.in_step(each.pairs) for part, each in zip(parts, found, strict=True)])
 
 
+def first_contacts_of(parts: Sequence[Part]) -> tuple[Tensor, Tensor]:
+    """Pairs (K, 2) as rows of the step's bodies, and toi (K,), of all parts: see `Part.first_contacts`."""
+    pairs, toi = zip(*(part.first_contacts() for part in parts), strict=True)
+    return (pairs[0], toi[0]) if len(pairs) == 1 else (torch.cat(pairs), torch.cat(toi))
+
+
 def search_seconds(found: Counts | Stats) -> dict[str, float]:
     """Of traversal and narrow phase. The time of the broad phase is measured where pairs are found."""
     return {stage: found.seconds[stage] for stage in ("traverse", "narrow")}

@@ -16,7 +16,7 @@ import torch
 from pgccd.detection.broad import BroadPhase
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
-from pgccd.sim.captured import StepMaker
+from pgccd.sim.replay import StepMaker
 from pgccd.sim.files import (
     WORLD_FILE,
     Checkpoint,

@@ -106,10 +106,23 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
                     assert messages.tolist() == [[len(each), int(short)] for each in by_rank]
         # Rows may be padded.
         padded = torch.where(rows % 3 == 1, -1, rows)
-        replica_ranks, counts = ops.replica_ranks(here, SEPARATION, 0.0, subdomain, padded, ranks)
-        expected = [set() if row < 0 else {owner[cell] for cell in cells[row]} - {rank} for row in padded.tolist()]
-        assert [set(torch.nonzero(row)[:, 0].tolist()) for row in replica_ranks] == expected
-        assert counts.tolist() == [sum(r in each for each in expected) for r in range(ranks)]
+        for came_from in ([], received):
+            replica_ranks, counts = ops.replica_ranks(here, SEPARATION, 0.0, subdomain, padded, ranks, came_from)
+            expected = [set() if row < 0 else {owner[cell] for cell in cells[row]} - {rank} for row in padded.tolist()]
+            if came_from:
+                every = zip(padded.tolist(), expected, sources.tolist(), strict=True)
+                expected = [each if row < 0 else each | {source} for row, each, source in every]
+            assert [set(torch.nonzero(row)[:, 0].tolist()) for row in replica_ranks] == expected
+            assert counts.tolist() == [sum(r in each for each in expected) for r in range(ranks)]
+        # Rows without a body reach no cell, and nothing is near them.
+        gone = torch.arange(len(cells)) % 3 == 0
+        some = [*here[:2], torch.where(gone.to(device), -torch.inf, here[2])]
+        reach, at_edge, found = ops.boundary_bodies(some, SEPARATION, 0.0, subdomain)
+        assert kept(at_edge, found) == [body for body, crosses in enumerate(crossing) if crosses and not gone[body]]
+        assert reach.sum() == found
+        assert kept(*ops.near_ghosts(some, there, SEPARATION, 0.0, subdomain)) == [b for b in near if not gone[b]]
+        none = [*there[:2], torch.full_like(there[2], -torch.inf)]
+        assert kept(*ops.near_ghosts(here, none, SEPARATION, 0.0, subdomain)) == []
         assert kept(*ops.near_ghosts(here, there, SEPARATION, 0.0, subdomain)) == near
         mine = [column[:own_count] for column in here]
         at_edge = [column[boundary.to(device)] for column in here]
@@ -121,8 +134,10 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
             owned, found = ops.owned_pairs(candidates.to(device), rows, id.to(device), *where)
             assert kept(owned, found) == expected.tolist()
             assert bool((owned[int(found) :] == -1).all()) and len(owned) == len(candidates)
-        leaving, by_destination, counts = ops.leaving_bodies(here[0], subdomain, ranks)
-        gone = centre_owner != rank
+        # Rows of padding have no id.
+        numbered = torch.where(torch.arange(len(id)) % 4 == 2, -1, id)
+        leaving, by_destination, counts = ops.leaving_bodies(numbered.to(device), here[0], subdomain, ranks)
+        gone = (centre_owner != rank) & (numbered >= 0)
         assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()
         rows = torch.nonzero(gone)[:, 0]
         assert leaving[: len(rows)].tolist() == rows.tolist()
@@ -135,8 +150,9 @@ def test_many_leave_for_many(device: torch.device) -> None:
     partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 12, cells=3)
     position = torch.rand((30_000, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(4))
     owner, rank = partition.owner_of(position), 7
+    id = torch.arange(len(position), device=device)
     leaving, by_destination, counts = ops.leaving_bodies(
-        position.to(device), (partition.frame, partition.owner.to(device), rank), partition.ranks
+        id, position.to(device), (partition.frame, partition.owner.to(device), rank), partition.ranks
     )
     rows = torch.nonzero(owner != rank)[:, 0]
     assert counts.tolist() == torch.bincount(owner[rows], minlength=partition.ranks).tolist()
@@ -147,7 +163,7 @@ def test_many_leave_for_many(device: torch.device) -> None:
 def test_positions_that_are_no_numbers_have_a_cell() -> None:
     partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     wrong = torch.tensor([[torch.nan] * 3, [torch.inf] * 3, [-torch.inf] * 3], dtype=torch.float64)
-    *_, counts = ops.leaving_bodies(wrong, partition.subdomain(5), 2)
+    *_, counts = ops.leaving_bodies(torch.arange(3), wrong, partition.subdomain(5), 2)
     assert int(counts.sum()) == 3
 
 
@@ -156,4 +172,4 @@ def test_arguments_are_checked(change: dict) -> None:
     partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     arguments = {"frame": partition.frame, "owner": partition.owner} | change
     with pytest.raises(RuntimeError, match=next(iter(change))):
-        ops.leaving_bodies(torch.zeros((2, 3), dtype=torch.float64), (*arguments.values(), 0), 2)
+        ops.leaving_bodies(torch.arange(2), torch.zeros((2, 3), dtype=torch.float64), (*arguments.values(), 0), 2)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.capacity import Capacity
-from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, captured, make_step
+from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, captured, make_step, replay
 from pgccd.sim.captured import CommittedStep, StepGraph
 from pgccd.sim.resolution import RoundPlan
 from pgccd.sim.step import Step
@@ -58,7 +58,7 @@ def graphs(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Iterator[li
             super().__init__(*given)
             made.append(self)
 
-    monkeypatch.setattr(captured, "StepGraph", Watched)
+    monkeypatch.setattr(replay, "StepGraph", Watched)
     yield made
 
 
@@ -121,11 +121,11 @@ def test_a_step_that_fails_changes_nothing(device: torch.device, graphs: list[St
         if made.resolution.rounds > 1:
             break
         index += 1
-    graph = StepGraph(model, before, index, "auto", plan, made.resolution.rounds - 1)
+    graph = replay.capture_step(model, before, index, "auto", plan, made.resolution.rounds - 1)
     for _ in range(2):
         assert graph.replay().read(index) is None
         assert same(graph.state, before)
-    enough = StepGraph(model, before, index, "auto", plan, made.resolution.rounds)
+    enough = replay.capture_step(model, before, index, "auto", plan, made.resolution.rounds)
     committed = enough.replay().read(index)
     assert committed is not None and committed.rounds == made.resolution.rounds and same(enough.state, state)
     assert without_times(committed.record) == without_times(made.record)
@@ -139,13 +139,15 @@ def test_a_step_that_fails_changes_nothing(device: torch.device, graphs: list[St
 
 
 @pytest.mark.parametrize("lacking", ["round", "step"])
-def test_too_little_capacity(device: torch.device, graphs: list[StepGraph], lacking: str) -> None:
+def test_too_little_capacity(
+    device: torch.device, graphs: list[StepGraph], lacking: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if device.type == "cpu":
         pytest.skip("capacities are exact on a CPU")
     model = Model(ModelConfig(**FAST | {"robots": 20_000}), device=device)
     expected, last = launch_by_launch(model, 12)
     maker = StepMaker(model, model.start())
-    make_graph = captured.StepGraph
+    make_graph = replay.capture_step
 
     def make_tight(model: Any, state: Any, index: Any, broad_phase: Any, plan: StepPlan, rounds: int) -> StepGraph:
         if not graphs:
@@ -160,7 +162,7 @@ def test_too_little_capacity(device: torch.device, graphs: list[StepGraph], lack
             plan = tight
         return make_graph(model, state, index, broad_phase, plan, rounds)
 
-    captured.StepGraph = make_tight  # type: ignore[misc, assignment]  # the fixture puts it back
+    monkeypatch.setattr(replay, "capture_step", make_tight)
     kinds = []
     for index in range(12):
         made = maker.step(index, 11 - index)
@@ -186,7 +188,7 @@ def test_an_invalid_state(device: torch.device, graphs: list[StepGraph]) -> None
 def test_rounds_that_no_recent_step_needed(
     device: torch.device, graphs: list[StepGraph], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(captured, "_RECENT_STEPS", 6)
+    monkeypatch.setattr(replay, "_RECENT_STEPS", 6)
     model = Model(ModelConfig(**FAST | {"speed": 0.02, "spin": 0.0}), device=device)
     expected, last = launch_by_launch(model, STEPS)
     maker = StepMaker(model, model.start(), graph=True)

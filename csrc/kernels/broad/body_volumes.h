@@ -23,6 +23,8 @@ struct BroadBodies {
   const int64_t* is_invalid = nullptr;
 
   PGCCD_HD bool invalid() const { return is_invalid != nullptr && *is_invalid != 0; }
+  // Padding: a row without a body has a radius below zero. No broad phase finds it, nor does it reach any cell.
+  PGCCD_HD bool is_absent(int64_t body) const { return centres.radius[body] < 0.0; }
 };
 
 PGCCD_HD bool may_collide(const BroadBodies& bodies, int64_t i, int64_t j) {
@@ -40,7 +42,7 @@ constexpr double kVanishing = 0x1p-500;
 // Do the capsules' moving spheres come within separation + tolerance, what the narrow phase may report, at some time of
 // the step? Never false when they do in exact arithmetic. Order matters to the last bit: i < j.
 PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int64_t j) {
-  if (!may_collide(bodies, i, j)) return false;
+  if (!may_collide(bodies, i, j) || bodies.is_absent(i) || bodies.is_absent(j)) return false;
   const RelativeCentre offset = relative_centre(bodies.centres, i, j);
   const Vec3<double> travel = offset.at_t1 - offset.at_t0;
   const double length_squared = norm_squared(travel);

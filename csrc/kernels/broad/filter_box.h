@@ -2,6 +2,8 @@
 // an origin in the scene.
 #pragma once
 
+#include <limits>
+
 #include "core/lanes.h"
 #include "kernels/broad/body_volumes.h"
 
@@ -15,6 +17,10 @@ struct alignas(32) FilterBox {
 };
 
 PGCCD_HD FilterBox filter_box(const BroadBodies& bodies, Vec3<double> origin, int64_t body) {
+  if (bodies.is_absent(body)) {  // a box that overlaps none
+    constexpr float kNowhere = std::numeric_limits<float>::infinity();
+    return {{kNowhere, kNowhere, kNowhere}, 0.0f, {kNowhere, kNowhere, kNowhere}, static_cast<int32_t>(body)};
+  }
   const Vec3<double> travel =
       load_vec3(bodies.centres.position_t1 + 3 * body) - load_vec3(bodies.centres.position_t0 + 3 * body);
   const SweptBox box = swept_box(bodies, body);

@@ -17,6 +17,7 @@ GridFrame choose_frame(const BroadBodies& bodies) {
   const double weight = sample_weight(bodies.count);
   double mean_middle[3] = {}, mean_extent[3] = {};
   for (int64_t b = 0; b < bodies.count; b += stride) {
+    if (bodies.is_absent(b)) continue;
     const SweptBox box = swept_box(bodies, b);
     for (int k = 0; k < 3; ++k) {
       mean_middle[k] += weight * component(middle_of(box), k);
@@ -25,11 +26,14 @@ GridFrame choose_frame(const BroadBodies& bodies) {
   }
   const GridFrame unit = unit_frame(mean_middle, mean_extent);
   double counts[kSizeClasses] = {};
-  for (int64_t b = 0; b < bodies.count; b += stride) counts[size_class(unit_size(unit, swept_box(bodies, b)))] += 1.0;
+  for (int64_t b = 0; b < bodies.count; b += stride) {
+    if (!bodies.is_absent(b)) counts[size_class(unit_size(unit, swept_box(bodies, b)))] += 1.0;
+  }
   const double end = best_end(counts);
   double cell_size = 0.5 * end;
-  for (int64_t b = 0; b < bodies.count; b += stride)
-    cell_size = larger(folded_size(unit_size(unit, swept_box(bodies, b)), end), cell_size);
+  for (int64_t b = 0; b < bodies.count; b += stride) {
+    if (!bodies.is_absent(b)) cell_size = larger(folded_size(unit_size(unit, swept_box(bodies, b)), end), cell_size);
+  }
   return scaled_frame(unit, cell_size);
 }
 
@@ -39,6 +43,7 @@ struct SortedCells {
   std::unique_ptr<uint32_t[]> start;  // position of each bucket's first body; one more than there are buckets
   std::unique_ptr<FilterBox[]> boxes;
   std::unique_ptr<GridCell[]> cells;
+  int64_t count;  // of bodies
 };
 
 uint32_t world_of(const BroadBodies& bodies, int64_t body) {
@@ -52,6 +57,7 @@ std::unique_ptr<GridCell[]> find_cells(const Executor& executor, const BroadBodi
   std::vector<std::array<uint32_t, kGridLevels>> counts(executor.worker_count());
   parallel_chunks(executor, bodies.count, kGrain, [&](int worker, int64_t begin, int64_t end) {
     for (int64_t b = begin; b < end; ++b) {
+      if (bodies.is_absent(b)) continue;
       const GridSpan span = grid_span(frame, swept_box(bodies, b));
       const uint32_t level = grid_level(span);
       cells[b] = grid_cell(span, level);
@@ -77,17 +83,20 @@ SortedCells sort_cells(const Executor& executor, const BroadBodies& bodies, cons
   const auto places = std::make_unique_for_overwrite<Place[]>(count);
   parallel_chunks(executor, count, kGrain, [&](int, int64_t begin, int64_t end) {
     for (int64_t b = begin; b < end; ++b) {
+      if (bodies.is_absent(b)) continue;
       const uint32_t bucket = sorted.tables.of_level[cells[b].level()].bucket(cells[b], world_of(bodies, b));
       places[b] = {bucket, add_shared(sorted.start[bucket], 1u, alone)};
     }
   });
   std::exclusive_scan(&sorted.start[0], &sorted.start[bucket_count + 1], &sorted.start[0], 0u);
 
+  sorted.count = sorted.start[bucket_count];
   sorted.boxes = std::make_unique_for_overwrite<FilterBox[]>(count + kScanPadding);
   sorted.cells = std::make_unique_for_overwrite<GridCell[]>(count + kScanPadding);
   const Vec3<double> origin{frame.origin[0], frame.origin[1], frame.origin[2]};
   parallel_chunks(executor, count, kGrain, [&](int, int64_t begin, int64_t end) {
     for (int64_t b = begin; b < end; ++b) {
+      if (bodies.is_absent(b)) continue;
       const int64_t position = sorted.start[places[b].bucket] + places[b].rank;
       sorted.boxes[position] = filter_box(bodies, origin, b);
       sorted.cells[position] = cells[b];
@@ -147,7 +156,7 @@ void grid_cpu(const Executor& executor, const BroadBodies& bodies, const PairOut
   const SortedCells sorted = sort_cells(executor, bodies, frame);
   std::vector<PairCollector> collectors(executor.worker_count(), PairCollector(bodies, sorted.boxes.get()));
   constexpr int64_t kSearchGrain = 512;
-  parallel_chunks(executor, bodies.count, kSearchGrain, [&](int worker, int64_t begin, int64_t end) {
+  parallel_chunks(executor, sorted.count, kSearchGrain, [&](int worker, int64_t begin, int64_t end) {
     for (int64_t p = begin; p < end; ++p) {
       const GridCell cell = sorted.cells[p];
       GridSearch search(bodies, sorted, p, collectors[worker]);

@@ -57,6 +57,7 @@ __global__ void __launch_bounds__(kBlockThreads)
   uint32_t level = 0, run = 0;
   const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
   for (int64_t b = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; b < bodies.count; b += stride) {
+    if (bodies.is_absent(b)) continue;
     const GridSpan span = grid_span(own_frame, swept_box(bodies, b));
     const uint32_t found = grid_level(span);
     cells[b] = grid_cell(span, found);
@@ -88,8 +89,11 @@ struct Place {
 struct SortedCells {
   const GridTables* tables;
   const uint32_t* start;  // position of each bucket's first body; one more than there are buckets
+  int64_t bucket_count;
   const FilterBox* boxes;
   const GridCell* cells;
+
+  __device__ int64_t count() const { return start[bucket_count]; }
 };
 
 __global__ void __launch_bounds__(kBlockThreads)
@@ -98,7 +102,7 @@ __global__ void __launch_bounds__(kBlockThreads)
   __shared__ PairBuffer buffer;
   buffer.clear();
   const int64_t p = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
-  if (p < bodies.count) {
+  if (p < sorted.count()) {
     const FilterBox self = sorted.boxes[p];
     const GridCell cell = sorted.cells[p];
     const uint32_t world = world_of(bodies, self.body);
@@ -156,6 +160,7 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
   fill_bytes(context, start, 0, bucket_count + 1);
   Place* places = context.allocate<Place>(count);
   for_each_item(context, count, [=] __device__(int64_t b) {
+    if (bodies.is_absent(b)) return;
     const GridCell cell = unsorted_cells[b];
     const uint32_t bucket = tables->of_level[cell.level()].bucket(cell, world_of(bodies, b));
     places[b] = {bucket, atomicAdd(&start[bucket], 1u)};
@@ -166,6 +171,7 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
   FilterBox* boxes = context.allocate<FilterBox>(count);
   GridCell* cells = context.allocate<GridCell>(count);
   for_each_item(context, count, [=] __device__(int64_t b) {
+    if (bodies.is_absent(b)) return;
     const Place place = places[b];
     const int64_t position = static_cast<int64_t>(start[place.bucket]) + place.rank;
     boxes[position] = filter_box(bodies, {frame->origin[0], frame->origin[1], frame->origin[2]}, b);
@@ -174,7 +180,7 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
 
   collect_pairs(context, bodies, out, [&](const PairList& list) {
     const auto blocks = static_cast<unsigned>((count + kBlockThreads - 1) / kBlockThreads);
-    find_candidates<<<blocks, kBlockThreads, 0, context.stream>>>(bodies, frame, {tables, start, boxes, cells}, list);
+    find_candidates<<<blocks, kBlockThreads, 0, context.stream>>>(bodies, frame, {tables, start, bucket_count, boxes, cells}, list);
   });
 }
 

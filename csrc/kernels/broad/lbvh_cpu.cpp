@@ -16,10 +16,12 @@ LbvhFrame choose_frame(const BroadBodies& bodies) {
   const double weight = sample_weight(bodies.count);
   double mean[3] = {}, deviation[3] = {};
   for (int64_t b = 0; b < bodies.count; b += stride) {
+    if (bodies.is_absent(b)) continue;
     const Vec3<double> middle = middle_of(swept_box(bodies, b));
     for (int k = 0; k < 3; ++k) mean[k] += weight * component(middle, k);
   }
   for (int64_t b = 0; b < bodies.count; b += stride) {
+    if (bodies.is_absent(b)) continue;
     const Vec3<double> middle = middle_of(swept_box(bodies, b));
     for (int k = 0; k < 3; ++k) deviation[k] += weight * std::fabs(component(middle, k) - mean[k]);
   }

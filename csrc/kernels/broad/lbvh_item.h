@@ -39,6 +39,7 @@ PGCCD_HD uint64_t spread_bits(uint64_t x) {  // two zero bits after each of 21
 constexpr int kWorldShift = 32;
 PGCCD_HD uint64_t lbvh_key(const BroadBodies& bodies, const LbvhFrame& frame, int64_t body) {
   constexpr int kDigits = 21, kDigitsBelowWorld = 10;
+  if (bodies.is_absent(body)) return ~uint64_t{0};  // behind all
   const Vec3<double> middle = middle_of(swept_box(bodies, body));
   uint64_t code = 0;
   for (int k = 0; k < 3; ++k) {

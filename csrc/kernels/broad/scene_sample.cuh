@@ -16,7 +16,9 @@ class BlockSample {
   template <class Look>
   __device__ static void for_each(const BroadBodies& bodies, Look&& look) {
     const int64_t stride = sample_stride(bodies.count);
-    for (int64_t b = threadIdx.x * stride; b < bodies.count; b += kSampleThreads * stride) look(swept_box(bodies, b));
+    for (int64_t b = threadIdx.x * stride; b < bodies.count; b += kSampleThreads * stride) {
+      if (!bodies.is_absent(b)) look(swept_box(bodies, b));
+    }
   }
 
   // Over all threads, for all threads; always in one order.

@@ -19,7 +19,8 @@ void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, co
                          uint8_t* reach, const FoundRows& boundary);
 
 // Bodies whose replica ranks are wanted: `rows` (row_count,), -1 for padding. If `received` is not empty, they are
-// ghosts in the order of the ranks they came from, so many from each, which are replica ranks of them too.
+// ghosts in the order of the ranks they came from, so many from each (with padding), which are replica ranks of them
+// too.
 struct ReplicaRanksInput {
   BroadBodies bodies;
   Subdomain subdomain;
@@ -81,8 +82,8 @@ struct LeavingRows {
   int64_t* counts;          // (ranks,) how many to each
 };
 
-// Bodies whose centre (count, 3) lies in a cell of another rank.
-void leaving_bodies_cpu(const Executor& executor, const double* position, int64_t count, const Subdomain& subdomain,
+// Bodies whose centre lies in a cell of another rank.
+void leaving_bodies_cpu(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain,
                         int64_t ranks, const LeavingRows& leaving);
 
 }  // namespace pgccd

@@ -43,7 +43,9 @@ void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input,
   });
   int64_t ghost = 0;
   for (size_t source = 0; source < input.received.size(); ++source) {
-    for (int64_t k = 0; k < input.received[source]; ++k) out.replica_ranks[ghost++ * out.ranks + int64_t(source)] = 1;
+    for (int64_t k = 0; k < input.received[source]; ++k, ++ghost) {
+      if (input.rows[ghost] >= 0) out.replica_ranks[ghost * out.ranks + int64_t(source)] = 1;
+    }
   }
   std::fill_n(out.counts, out.ranks, int64_t{0});
   for (int64_t k = 0; k < input.row_count; ++k) {
@@ -83,6 +85,7 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
   std::vector<int64_t> cell_boxes(static_cast<size_t>(6 * subdomain.frame.cell_count()));
   for (size_t at = 0; at < cell_boxes.size(); ++at) cell_boxes[at] = at % 6 < 3 ? kEmptyLower : kEmptyUpper;
   for (int64_t ghost = 0; ghost < ghosts.count; ++ghost) {
+    if (ghosts.is_absent(ghost)) continue;
     const SweptBox box = swept_box(ghosts, ghost);
     const CellRange range(subdomain.frame, box);
     int64_t corners[6];
@@ -101,13 +104,13 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
             [&](int64_t body) { return is_near(bodies, subdomain.frame, cell_boxes.data(), body); });
 }
 
-void leaving_bodies_cpu(const Executor& executor, const double* position, int64_t count, const Subdomain& subdomain,
+void leaving_bodies_cpu(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain,
                         int64_t ranks, const LeavingRows& leaving) {
   require_owners(executor, subdomain, ranks);
   int64_t found = 0;
-  find_rows(executor, count, leaving.rows, &found,
-            [&](int64_t body) { return owner_of(subdomain, position, body) != subdomain.rank; });
-  const auto destination = [&](int64_t k) { return owner_of(subdomain, position, leaving.rows[k]); };
+  find_rows(executor, bodies.count, leaving.rows, &found,
+            [&](int64_t body) { return is_leaving(subdomain, bodies, body); });
+  const auto destination = [&](int64_t k) { return owner_of(subdomain, bodies, leaving.rows[k]); };
   std::fill_n(leaving.counts, ranks, int64_t{0});
   for (int64_t k = 0; k < found; ++k) ++leaving.counts[destination(k)];
   std::vector<int64_t> next(static_cast<size_t>(ranks));

@@ -152,6 +152,7 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
   for_each_item(context, numbers,
                 [=] __device__(int64_t at) { cell_boxes[at] = at % 6 < 3 ? kEmptyLower : kEmptyUpper; });
   for_each_item(context, kBodyThreads * ghosts.count, [=] __device__(int64_t item) {
+    if (ghosts.is_absent(item / kBodyThreads)) return;
     const SweptBox box = swept_box(ghosts, item / kBodyThreads);
     const CellRange range(subdomain.frame, box);
     int64_t corners[6];
@@ -171,15 +172,14 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
             [=] __device__(int64_t body) { return is_near(bodies, frame, cell_boxes, body); });
 }
 
-void leaving_bodies_cuda(const DeviceContext& context, const double* position, int64_t count,
-                         const Subdomain& subdomain, int64_t ranks, const LeavingRows& leaving) {
-  const int64_t shares = smaller(count, kMostShares), slots = ranks * shares;
+void leaving_bodies_cuda(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
+                         int64_t ranks, const LeavingRows& leaving) {
+  const int64_t shares = smaller(bodies.count, kMostShares), slots = ranks * shares;
   if (slots == 0) return fill_bytes(context, leaving.counts, 0, ranks);
   int64_t* found = context.allocate<int64_t>(1);
-  find_rows(context, count, leaving.rows, found, [=] __device__(int64_t body) {
-    const int64_t owner = owner_of(subdomain, position, body);
-    require_on_device(is_within(owner, ranks), "owner: expected ranks");
-    return owner != subdomain.rank;
+  find_rows(context, bodies.count, leaving.rows, found, [=] __device__(int64_t body) {
+    require_on_device(is_within(owner_of(subdomain, bodies, body), ranks), "owner: expected ranks");
+    return is_leaving(subdomain, bodies, body);
   });
   // A counting sort, since their number is known on the device only. Each block goes through its rows in order, so
   // that those to one rank stay in order. next (ranks, shares): where a share's next row to a rank comes.
@@ -189,7 +189,7 @@ void leaving_bodies_cuda(const DeviceContext& context, const double* position, i
     for (int64_t rank = 0; rank < ranks; ++rank) next[rank * shares + share] = 0;
     const int64_t begin = *found * share / shares, end = *found * (share + 1) / shares;
     for (int64_t k = begin; k < end; ++k) {
-      ++next[owner_of(subdomain, position, rows[k]) * shares + share];
+      ++next[owner_of(subdomain, bodies, rows[k]) * shares + share];
     }
   });
   run_cub(context, [&](void* scratch, size_t& bytes) {
@@ -203,7 +203,7 @@ void leaving_bodies_cuda(const DeviceContext& context, const double* position, i
   for_each_item(context, shares, [=] __device__(int64_t share) {
     const int64_t begin = *found * share / shares, end = *found * (share + 1) / shares;
     for (int64_t k = begin; k < end; ++k) {
-      by_destination[next[owner_of(subdomain, position, rows[k]) * shares + share]++] = rows[k];
+      by_destination[next[owner_of(subdomain, bodies, rows[k]) * shares + share]++] = rows[k];
     }
   });
 }

@@ -22,7 +22,7 @@ void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int
 void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadBodies& ghosts,
                       const Subdomain& subdomain, const FoundRows& near);
 
-void leaving_bodies_cuda(const DeviceContext& context, const double* position, int64_t count,
-                         const Subdomain& subdomain, int64_t ranks, const LeavingRows& leaving);
+void leaving_bodies_cuda(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
+                         int64_t ranks, const LeavingRows& leaving);
 
 }  // namespace pgccd

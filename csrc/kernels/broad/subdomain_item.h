@@ -49,6 +49,7 @@ struct CellRange {
 };
 
 PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Subdomain& subdomain, int64_t body) {
+  if (bodies.is_absent(body)) return false;
   const CellRange range(subdomain.frame, swept_box(bodies, body));
   const int64_t count = range.count();
   for (int64_t k = 0; k < count; ++k) {
@@ -131,6 +132,7 @@ PGCCD_HD void ordered_corners(const SweptBox& box, int64_t (&corners)[6]) {
 }
 
 PGCCD_HD bool is_near(const BroadBodies& bodies, const CellFrame& frame, const int64_t* cell_boxes, int64_t body) {
+  if (bodies.is_absent(body)) return false;
   const SweptBox box = swept_box(bodies, body);
   const CellRange range(frame, box);
   int64_t corners[6];
@@ -147,8 +149,18 @@ PGCCD_HD bool is_near(const BroadBodies& bodies, const CellFrame& frame, const i
   return false;
 }
 
-PGCCD_HD int64_t owner_of(const Subdomain& subdomain, const double* position, int64_t body) {
-  return subdomain.owner[subdomain.frame.index(subdomain.frame.cell(load_vec3(position + 3 * body)))];
+struct BodyPositions {
+  const double* position;  // (count, 3)
+  const int64_t* id;       // (count,) below zero: there is no such body
+  int64_t count;
+};
+
+PGCCD_HD int64_t owner_of(const Subdomain& subdomain, const BodyPositions& bodies, int64_t body) {
+  return subdomain.owner[subdomain.frame.index(subdomain.frame.cell(load_vec3(bodies.position + 3 * body)))];
+}
+
+PGCCD_HD bool is_leaving(const Subdomain& subdomain, const BodyPositions& bodies, int64_t body) {
+  return bodies.id[body] >= 0 && owner_of(subdomain, bodies, body) != subdomain.rank;
 }
 
 }  // namespace pgccd

@@ -25,6 +25,7 @@ int axis_of_largest_variance(const BroadBodies& bodies) {
     double mean = 0.0, squares = 0.0;
     int64_t seen = 0;
     for (int64_t b = 0; b < bodies.count; b += stride) {
+      if (bodies.is_absent(b)) continue;
       const double x = 0.5 * bodies.centres.position_t0[3 * b + axis] + 0.5 * bodies.centres.position_t1[3 * b + axis];
       const double delta = x - mean;
       mean += delta / static_cast<double>(++seen);
@@ -49,6 +50,7 @@ SortedIntervals sort_intervals(const Executor& executor, const BroadBodies& bodi
   const int64_t count = bodies.count;
   Vec3<double> origin{HUGE_VAL, HUGE_VAL, HUGE_VAL};
   for (int64_t b = 0; b < count; ++b) {
+    if (bodies.is_absent(b)) continue;
     const Vec3<double> lower = swept_box(bodies, b).lower;
     origin = {smaller(origin.x, lower.x), smaller(origin.y, lower.y), smaller(origin.z, lower.z)};
   }
@@ -76,7 +78,8 @@ SortedIntervals sort_intervals(const Executor& executor, const BroadBodies& bodi
       const int32_t b = keyed[p].body;
       const SweptBox box = swept_box(bodies, b);
       sorted.body[p] = b;
-      const auto past = std::upper_bound(keyed.begin() + p, keyed.end(), upper_key[b],
+      const auto limit = bodies.is_absent(b) ? keyed.begin() + p + 1 : keyed.end();
+      const auto past = std::upper_bound(keyed.begin() + p, limit, upper_key[b],
                                          [](uint64_t key, const KeyedBody& item) { return key < item.key; });
       sorted.end[p] = past - keyed.begin();
       sorted.bounds[0][p] = float_below(component(box.lower, second) - component(origin, second));

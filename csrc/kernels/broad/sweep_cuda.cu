@@ -31,6 +31,7 @@ __global__ void choose_axis(BroadBodies bodies, int given, Frame* frame) {
   const double* reference = bodies.centres.position_t0;  // about the first body, to keep digits
   double sum[3] = {}, square[3] = {};
   for (int64_t b = threadIdx.x * stride; b < bodies.count; b += blockDim.x * stride) {
+    if (bodies.is_absent(b)) continue;
     for (int k = 0; k < 3; ++k) {
       const double x = bodies.centres.position_t0[3 * b + k] - reference[k];
       sum[k] += x;
@@ -63,6 +64,7 @@ __global__ void __launch_bounds__(kBlockThreads) lower_corner(BroadBodies bodies
   double least[3] = {INFINITY, INFINITY, INFINITY};
   for (int64_t b = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; b < bodies.count;
        b += static_cast<int64_t>(gridDim.x) * blockDim.x) {
+    if (bodies.is_absent(b)) continue;
     const Vec3<double> corner = swept_box(bodies, b).lower;
     for (int k = 0; k < 3; ++k) least[k] = smaller(component(corner, k), least[k]);
   }
@@ -159,7 +161,7 @@ void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axi
     const double origin[3] = {from_ordered_bits(frame->lower[0]), from_ordered_bits(frame->lower[1]),
                               from_ordered_bits(frame->lower[2])};
     const uint64_t upper = sweep_key(bodies, b, float_above(component(box.upper, swept) - origin[swept]));
-    int64_t low = p, high = count;  // first position whose key is past `upper`
+    int64_t low = p, high = bodies.is_absent(b) ? p + 1 : count;  // first position whose key is past `upper`
     while (low < high) {
       const int64_t middle = (low + high) / 2;
       if (sorted_keys[middle] <= upper) {

@@ -13,9 +13,13 @@ PGCCD_HD uint32_t ordered_bits(float x) {
   return (bits & 0x80000000u) ? ~bits : (bits | 0x80000000u);
 }
 
+// Above the key of any number, also where only the lower half is sorted by.
+constexpr uint64_t kBehindAll = ~uint64_t{0};
+
 // The world above the position: intervals of different worlds never overlap, so each world is swept on its own in one
 // sort.
 PGCCD_HD uint64_t sweep_key(const BroadBodies& bodies, int64_t body, float position) {
+  if (bodies.is_absent(body)) return kBehindAll;
   const uint32_t world = bodies.world ? static_cast<uint32_t>(bodies.world[body]) : 0u;
   return (static_cast<uint64_t>(world) << 32) | ordered_bits(position);
 }

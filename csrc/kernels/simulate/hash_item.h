@@ -60,7 +60,9 @@ struct StepOutcome {
     const int64_t i = pairs[2 * contact], j = pairs[2 * contact + 1];
     return i < 0 || (i < id_count && j >= 0 && j < id_count);
   }
+  // Rows of negative ids are padding.
   PGCCD_HD void add_robot(int64_t row, StepTally& tally) const {
+    if (static_cast<int64_t>(state.column[0][row]) < 0) return;
     ++tally.robots;
     tally.state_hash += row_hash(state, row);
     tally.stopped += fraction[row] < 1.0 ? 1 : 0;

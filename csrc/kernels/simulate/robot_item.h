@@ -145,6 +145,7 @@ PGCCD_HD Robot start_robot(const World& world, int64_t id) {
 // Decides the velocities of the step. Step 0 keeps those of the start.
 PGCCD_HD void plan_robot(const World& world, int64_t id, int64_t step, Robot& robot) {
   using namespace robot_detail;
+  if (id < 0) return;  // padding, which stands still
   if (step > 0) {
     if (world.pattern == MovementPattern::kSkewed) {
       plan_skewed(world, id, step, robot);
