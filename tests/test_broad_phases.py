@@ -178,3 +178,23 @@ def test_auto_chooses_by_number_and_sizes(device: torch.device) -> None:
     assert pgccd.detect(crowd.scene, crowd.motion).stats.broad_phase == "sweep"
     pairs = pgccd.broad.find_pairs(crowd)
     assert pgccd.detect(crowd.scene, crowd.motion, pairs=pairs).stats.broad_phase == "given"
+
+
+@pytest.mark.parametrize("worlds", [1, 3])
+@pytest.mark.parametrize("present", [0, 1, 40, 900])
+def test_rows_without_a_body(device: torch.device, worlds: int, present: int) -> None:
+    """Padding: a radius below zero. It is not found, wherever it is, and many rows of it in one place take no time."""
+    rng = np.random.default_rng(21)
+    start, end, radius = scattered(rng, 900, 5.0)
+    world = rng.integers(0, worlds, 900) if worlds > 1 else None
+    rows = np.sort(rng.permutation(900)[:present])
+    filters = {} if world is None else {"world": world[rows]}
+    expected = rows[check(start[rows], end[rows], radius[rows], device=device, **filters)]
+    absent = np.setdiff1d(np.arange(900), rows)
+    radius[absent] = -np.inf
+    for place in (None, 0.0, 3.0):
+        if place is not None:
+            start[absent] = end[absent] = place
+        for tolerance in (0.0, -1e-6):
+            options = {"tolerance": tolerance, "device": device, "world": world}
+            assert np.array_equal(agreed(start, end, radius, **options).numpy(), expected.reshape(-1, 2))

@@ -14,8 +14,8 @@ from pgccd.detection.parts import Part, contacts_of_step, search_seconds
 from pgccd.distributed.balance import CellLoads
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.halo import Held, centres_of
 from pgccd.distributed.halo_capacity import HaloCapacity
+from pgccd.distributed.held import Held, centres_of
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, OwnSearch, PartEstimates, Share
 from pgccd.runtime.stages import StageClock

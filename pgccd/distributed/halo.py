@@ -9,66 +9,19 @@ Most bodies reach no cell of others. One pass finds those that do; all else is i
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.distributed.comm.exchange import Arrival, Columns, Route
+from pgccd.distributed.comm.exchange import Arrival, Route
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo
+from pgccd.distributed.held import Held, centres_of
 from pgccd.distributed.partition import Partition
 from pgccd.runtime.host_copy import HostCopy
-
-#: SBV centres at t0 and t1 (N, 3) of bodies, and how far they reach from the way between these (N,).
-Centres = tuple[Tensor, Tensor, Tensor]
-
-
-def centres_of(bodies: MovingBodies) -> Centres:
-    """Of moving bodies."""
-    return bodies.centre_t0, bodies.centre_t1, bodies.reach
-
-
-@dataclass(frozen=True)
-class Held:
-    """The bodies a rank holds for one step: rows 0 to N - 1 are its own, rows N to N + G - 1 ghosts."""
-
-    own_id: Tensor  #: (N,) int64, ascending
-    ghosts: Columns  #: of G bodies, "id" among them, in the order in which they came: by owner, then by id
-    route: Route  #: that brought them: its rows count own bodies
-    boundary: Tensor  #: (B,) int64, ascending: rows of own bodies that others hold too
-    replica_ranks: Tensor  #: (B, ranks) uint8: 1 for each of these others
-    boundary_counts: Tensor  #: (ranks,) int64: how many of these bodies each of them holds
-
-    def __len__(self) -> int:
-        return self.own_count + self.ghost_count
-
-    @property
-    def own_count(self) -> int:
-        return len(self.own_id)
-
-    @property
-    def ghost_count(self) -> int:
-        return len(self.ghosts["id"])
-
-    @property
-    def capacity(self) -> HaloCapacity:
-        """For the halo of the next step."""
-        return HaloCapacity.after(self.route.sent, self.route.received, len(self.boundary))
-
-    @functools.cached_property
-    def id(self) -> Tensor:
-        """(N + G,) int64."""
-        return torch.cat([self.own_id, self.ghosts["id"]])
-
-    @functools.cached_property
-    def owner(self) -> Tensor:
-        """(N + G,) int64: the rank that owns each."""
-        return torch.cat([torch.full_like(self.own_id, self.route.comm.rank), self.route.source])
 
 
 class Halo:
@@ -124,7 +77,9 @@ class Halo:
     def send_padded(self, capacity: HaloCapacity) -> None:
         """Sends them without waiting for anything. If the capacity of a rank is exceeded, `wait` sends them again."""
         self._padded = PaddedHalo(self._comm, capacity, self._own)
-        self._padded.send(self._where, self._boundary, self._count)
+        self._padded.find_ranks(self._where, self._boundary, self._count)
+        self._padded.announce()
+        self._padded.send()
 
     def send(self) -> None:
         """Sends them, once ranks have exchanged counts. Checks the bodies, if that has not been
@@ -141,9 +96,7 @@ class Halo:
         id = self._own["id"]
         if self._comm.size == 1:
             self.check()
-            ghosts = {name: column[:0] for name, column in self._own.items()}
-            replica_ranks = id.new_empty((0, 1), dtype=torch.uint8)
-            return Held(id, ghosts, Route(self._comm, id[:0], [0], [0]), id[:0], replica_ranks, id.new_zeros(1))
+            return Held.alone(self._comm, self._own)
         if self._padded is not None:
             self.check()
             padded, self._padded = self._padded.wait(len(self._boundary)), None

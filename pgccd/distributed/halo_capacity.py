@@ -14,6 +14,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.distributed.comm.exchange import Columns, Route, pack, unpack
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.held import Held
 from pgccd.runtime.host_copy import HostCopy
 
 # A capacity is the last count times _SLACK plus _SOME (for small counts), rounded up to a multiple, so that buffers
@@ -30,16 +31,22 @@ class HaloCapacity:
     boundary: int  #: own bodies that others need
 
     @classmethod
+    def of(cls, held: Held) -> HaloCapacity:
+        """Of the step after one with these bodies."""
+        return cls.after(held.route.sent, held.route.received, len(held.boundary))
+
+    @classmethod
     def after(cls, sent: list[int], received: list[int], boundary: int) -> HaloCapacity:
         """Of the next step, if so many were sent, received and needed in this one."""
         return cls(
-            [_padded_count(count) for count in sent],
-            [_padded_count(count) for count in received],
-            _padded_count(boundary),
+            [padded_count(count) for count in sent],
+            [padded_count(count) for count in received],
+            padded_count(boundary),
         )
 
 
-def _padded_count(count: int) -> int:
+def padded_count(count: int) -> int:
+    """Somewhat more; none of none."""
     # Ranks that were no neighbours send one another nothing.
     return -(-int(_SLACK * count + _SOME) // _MULTIPLE) * _MULTIPLE if count else 0
 
@@ -55,7 +62,8 @@ class Sent:
 
 
 class PaddedHalo:
-    """Ghosts on their way, and their number with them. Nothing waits, where messages go with the stream.
+    """Ghosts on their way in messages of fixed size: `find_ranks`, then `send`. Nothing waits, where messages go with
+    the stream. `announce` sends their numbers too, by which `wait` removes the padding; `padded` leaves it.
 
     Args:
         comm: between the ranks.
@@ -66,13 +74,13 @@ class PaddedHalo:
     def __init__(self, comm: Comm, capacity: HaloCapacity, own: Columns) -> None:
         self._comm, self._capacity, self._own = comm, capacity, own
 
-    def send(
+    def find_ranks(
         self,
         where: tuple[tuple[Tensor, Tensor, Tensor], float, float, ops.Subdomain],
         boundary: Tensor,
         count: Tensor,
     ) -> None:
-        """Sends own bodies that others need.
+        """Finds out which ranks need which of the own bodies.
 
         Args:
             where: centres of own bodies, separation, tolerance, and the subdomain, as for `pgccd.ops.replica_ranks`.
@@ -80,13 +88,37 @@ class PaddedHalo:
             count: (1,) int64, left on the device: how many these are.
         """
         comm, capacity = self._comm, self._capacity
-        boundary = boundary[: capacity.boundary]
-        self._replica_ranks, self._counts = ops.replica_ranks(*where, boundary, comm.size)
-        self._rows = ops.rows_by_rank(self._replica_ranks, boundary, self._counts, capacity.sent)
-        # Each rank sends all others whether its capacity was exceeded.
-        messages = ops.counts_to_send(self._counts, capacity.sent, count, capacity.boundary)
-        self._messages = HostCopy.start(torch.stack([messages, comm.exchange_counts(messages)]))
-        self._pending = comm.exchange(pack(self._own, self._rows), capacity.sent, capacity.received)
+        self._boundary = boundary[: capacity.boundary]
+        self._replica_ranks, self._counts = ops.replica_ranks(*where, self._boundary, comm.size)
+        self._rows = ops.rows_by_rank(self._replica_ranks, self._boundary, self._counts, capacity.sent)
+        self._numbers = ops.counts_to_send(self._counts, capacity.sent, count, capacity.boundary)
+
+    @property
+    def overflow(self) -> Tensor:
+        """(1,) int64: 1 if a capacity of this rank was exceeded, else 0."""
+        return self._numbers[0, 1:]
+
+    def announce(self) -> None:
+        """Tells each rank how many bodies come, and all of them whether a capacity was exceeded."""
+        self._messages = HostCopy.start(torch.stack([self._numbers, self._comm.exchange_counts(self._numbers)]))
+
+    def send(self) -> None:
+        """Sends the bodies."""
+        # One more, since padding is zeros.
+        columns = self._own | {"id": self._own["id"] + 1}
+        packed = pack(columns, self._rows)
+        self._pending = self._comm.exchange(packed, self._capacity.sent, self._capacity.received)
+
+    def padded(self) -> Held:
+        """The bodies held, among them padding: ghosts whose id is -1."""
+        capacity, id = self._capacity, self._own["id"]
+        route = Route(self._comm, self._rows, capacity.sent, capacity.received)
+        ghosts = self._unpacked(self._pending.wait())
+        return Held(id, ghosts, route, self._boundary, self._replica_ranks, self._counts)
+
+    def _unpacked(self, packed: Tensor) -> Columns:
+        ghosts = unpack(packed, self._own)
+        return ghosts | {"id": ghosts["id"] - 1}
 
     def wait(self, boundary_count: int) -> Sent | None:
         """What was sent; None, on all ranks, if the capacity of one of them was exceeded."""
@@ -96,7 +128,7 @@ class PaddedHalo:
             return None
         sent, received = messages[:, :, 0].tolist()
         route = Route(self._comm, _filled(self._rows, self._capacity.sent, sent), sent, received)
-        ghosts = unpack(_filled(packed, self._capacity.received, received), self._own)
+        ghosts = self._unpacked(_filled(packed, self._capacity.received, received))
         return Sent(route, ghosts, self._replica_ranks[:boundary_count], self._counts)
 
 

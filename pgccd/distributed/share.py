@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeVar, cast
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -19,14 +19,16 @@ from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import check_separation, operator_tolerance
 from pgccd.detection.memory import CapacityEstimate
-from pgccd.detection.parts import Part, find_part, pairs_of_step
+from pgccd.detection.parts import Part, find_part, first_contacts_of, pairs_of_step
 from pgccd.detection.query import Query
+from pgccd.distributed.body_columns import bodies_of, of_checked, take_bodies
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.halo import Centres, Halo, Held, centres_of
+from pgccd.distributed.halo import Halo
 from pgccd.distributed.halo_capacity import HaloCapacity
+from pgccd.distributed.held import Centres, Held, centres_of
 from pgccd.distributed.partition import Partition
-from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.side_stream import SideStream
@@ -73,7 +75,6 @@ class Share:
     held: Held
     parts: list[Part]
     ghosts: MovingBodies | None  #: if there are other ranks
-    side: SideStream  #: on which ghosts came
     kept: tuple[float, float]  #: min_separation and tolerance, as the operators take them
 
     @property
@@ -83,20 +84,7 @@ class Share:
 
     def first_contacts(self) -> tuple[Tensor, Tensor]:
         """Pairs (K, 2) as rows of bodies held, and toi (K,), of all parts: see `Part.first_contacts`."""
-        pairs, toi = zip(*(part.first_contacts() for part in self.parts), strict=True)
-        return (pairs[0], toi[0]) if len(pairs) == 1 else (torch.cat(pairs), torch.cat(toi))
-
-    def lend(self) -> None:
-        """Says that the current stream goes on reading all this while the side stream works for the next step."""
-        if self.ghosts is None:
-            return
-        held, boundary = self.held, self.parts[-1]
-        search = boundary.start()
-        lent = [*held.ghosts.values(), held.boundary, held.replica_ranks, held.boundary_counts, held.route.rows]
-        for bodies in (self.ghosts, boundary.bodies):
-            lent += [*_columns(bodies).values(), *centres_of(bodies)]
-        lent += [boundary.pairs, *search.rows, search.counts]
-        self.side.lend(lent if boundary.rows is None else [*lent, boundary.rows])
+        return first_contacts_of(self.parts)
 
 
 class OwnSearch:
@@ -112,7 +100,6 @@ class OwnSearch:
         options: what to find.
         clock: stages are timed here.
         estimates: of the capacities of parts.
-        discard: see `find_part`.
         capacity: of the halo, if it can be predicted; the same on all ranks. On GPUs ghosts are then sent at once.
 
     Raises:
@@ -132,12 +119,11 @@ class OwnSearch:
         options: Options,
         clock: StageClock,
         estimates: PartEstimates,
-        discard: Tensor | None = None,
         capacity: HaloCapacity | None = None,
     ) -> None:
         self._comm, self._partition, self._own, self._build = comm, partition, own, build
         self._options, self._clock, self._estimates = options, clock, estimates
-        self._discard, self._capacity = discard, capacity
+        self._capacity = capacity
         self._kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
 
     def start(self) -> OwnSearch:
@@ -170,7 +156,7 @@ class OwnSearch:
         with self._clock.stage("broad"):
             select = owned if self._comm.size > 1 else None
             asked = self._options.query, self._options.broad_phase, select
-            self._part = find_part(self._bodies, *asked, self._discard, estimate=self._estimates.own)
+            self._part = find_part(self._bodies, *asked, estimate=self._estimates.own)
         self._part.begin()
 
     @cached_property
@@ -182,7 +168,7 @@ class OwnSearch:
     @cached_property
     def _ghosts(self) -> MovingBodies:
         with self._side, self._clock.stage("halo"):
-            return _of_checked(*self._build(self._held.ghosts))
+            return of_checked(*self._build(self._held.ghosts))
 
     @cached_property
     def _near(self) -> tuple[Tensor, HostCopy]:
@@ -210,12 +196,12 @@ class OwnSearch:
         """The whole share: waits for ghosts, and begins to search the pairs with them."""
         options = self._options
         if self._comm.size == 1:
-            return Share(self._held, [self._part], None, self._side, self._kept)
+            return Share(self._held, [self._part], None, self._kept)
         held, ghosts, (near, near_count) = self._held, self._ghosts, self._near
         with self._side:
             with self._clock.stage("halo"):
                 rows = _with_ghosts(near[: int(near_count.numpy()[0])], held)
-                at_boundary = _bodies(self._bodies, _taken(self._bodies, ghosts, rows))
+                at_boundary = bodies_of(self._bodies, take_bodies(self._bodies, ghosts, rows))
 
                 def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
                     return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *self._where)
@@ -224,11 +210,7 @@ class OwnSearch:
                 with_ghosts = find_part(at_boundary, *find, rows=rows, estimate=self._estimates.with_ghosts)
             with_ghosts.begin()
         self._side.join()
-        return Share(held, [self._part, with_ghosts], ghosts, self._side, self._kept)
-
-    def give_up(self) -> None:
-        """Releases the share unused: later work on the current stream may reuse its memory."""
-        self._side.join()
+        return Share(held, [self._part, with_ghosts], ghosts, self._kept)
 
 
 def _sends_ahead(comm: Comm, side: SideStream) -> bool:
@@ -239,35 +221,3 @@ def _sends_ahead(comm: Comm, side: SideStream) -> bool:
 def _with_ghosts(near: Tensor, held: Held) -> Tensor:
     """(B,) int64: rows of own bodies near ghosts, and of all ghosts."""
     return torch.cat([near, torch.arange(held.own_count, len(held), device=near.device)])
-
-
-def _taken(bodies: MovingBodies, ghosts: MovingBodies, rows: Tensor) -> Columns:
-    """Columns of both: own bodies first."""
-    own, more = _columns(bodies), _columns(ghosts)
-    return dict(zip(own, ops.take_rows(list(own.values()), [more[name] for name in own], rows), strict=True))
-
-
-def _of_checked(scene: Scene, motion: RigidMotion) -> MovingBodies:
-    """Of bodies whose owners have checked them."""
-    pose = motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
-    return MovingBodies(scene, RigidMotion.of_checked(*pose, motion.path))
-
-
-_MOTION = ("position_t0", "orientation_t0", "position_t1", "rotation")
-
-
-def _columns(bodies: MovingBodies) -> Columns:
-    """All that a scene and a motion say of each body."""
-    columns = {name: getattr(bodies.motion, name) for name in _MOTION}
-    columns |= {name: getattr(bodies.scene, name) for name in ("mesh_index", "radius", *OPTIONAL_COLUMNS)}
-    return {name: column for name, column in columns.items() if column is not None}
-
-
-def _bodies(like: MovingBodies, columns: Columns) -> MovingBodies:
-    """The reverse: bodies of the same meshes on paths of the same kind."""
-    optional = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
-    scene = Scene.of_checked(like.scene.meshes, columns["mesh_index"], **optional)
-    scene.radius = columns["radius"]
-    position_t0, orientation, position_t1, rotation = (columns[name] for name in _MOTION)
-    path = cast(RigidMotion, like.motion).path
-    return MovingBodies(scene, RigidMotion.of_checked(position_t0, orientation, position_t1, rotation, path))

@@ -183,7 +183,7 @@ class World:
         where = self.comm, self.partition, own, self._build, self.options, clock
         found = detect_distributed(*where, self._estimates, self._capacity)
         self._found, self._seconds, self._steps = found, clock.work, self._steps + 1
-        self._capacity = found.held.capacity
+        self._capacity = HaloCapacity.of(found.held)
         if self.options.report == "earliest":
             return earliest_for_all(self.comm, found)
         return tell_owners(self.comm, found)

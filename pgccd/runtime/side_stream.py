@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 
 import torch
@@ -13,9 +12,9 @@ class SideStream:
     """A second stream of a GPU, which first does what may hold up others. Elsewhere, and unless wanted, it is none:
     everything is done in order.
 
-    It goes on from what the current stream has been given when it is made. Memory taken on it goes back to it: as every
-    use of that by the current stream comes before the next side stream is made, or is announced by `lend`, nothing is
-    overwritten. What the current stream has taken and this one reads must stay until `join`.
+    It starts after work already enqueued on the current stream when it is made. Memory allocated on it goes back to it:
+    as every use of that by the current stream comes before the next side stream is made, nothing is overwritten. What
+    the current stream has allocated and this one reads must stay until `join`.
 
     Args:
         device: of the tensors worked on.
@@ -51,14 +50,6 @@ class SideStream:
         """Lets the current stream go on after all that this one has been given."""
         if self._stream is not None:
             torch.cuda.current_stream(self._stream.device).wait_stream(self._stream)
-
-    def lend(self, tensors: Iterable[torch.Tensor]) -> None:
-        """Says that what was made on this stream is read by the current one, perhaps when the next side stream has been
-        made: its memory is used again once that is over."""
-        if self._stream is not None:
-            current = torch.cuda.current_stream(self._stream.device)
-            for tensor in tensors:
-                tensor.record_stream(current)
 
 
 @functools.cache

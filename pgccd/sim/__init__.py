@@ -8,10 +8,10 @@ import importlib as _importlib
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
-from pgccd.sim.replay import StepMaker
 from pgccd.sim.files import LOG_FILE, Checkpoint, load_checkpoint, read_log, save_checkpoint
 from pgccd.sim.hashing import contacts_hash, state_hash
 from pgccd.sim.model import PATTERNS, Model, ModelConfig, RobotState
+from pgccd.sim.replay import StepMaker
 from pgccd.sim.resolution import Resolution
 from pgccd.sim.response import first_collisions, respond
 from pgccd.sim.robot import robot_mesh

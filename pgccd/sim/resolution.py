@@ -139,10 +139,6 @@ class OneRank:
 #: May be called again with other fractions, which replace the first.
 Conclude = Callable[[Tensor], Tensor]
 
-#: Work that can be enqueued before the host has read the conclusion. Its argument (1,) int64 stays on the device;
-#: nonzero: speculation failed (more rounds are needed, or a capacity was exceeded), discard.
-WorkAhead = Callable[[Tensor], None]
-
 
 def resolve_collisions(
     parts: Sequence[Part],
@@ -152,7 +148,6 @@ def resolve_collisions(
     conclude: Conclude,
     clock: StageClock,
     exchange: Exchange | None = None,
-    work_ahead: WorkAhead | None = None,
 ) -> ResolvedStep:
     """Decides how much of the step each robot makes.
 
@@ -167,7 +162,6 @@ def resolve_collisions(
         conclude: what follows.
         clock: stages are timed here.
         exchange: how ranks agree; default: there is one.
-        work_ahead: what else is enqueued while the host waits for the outcome, perhaps several times.
     """
     exchange = exchange or OneRank()
     clock.add({"traverse": 0.0, "narrow": 0.0})  # stages are listed in the order of work
@@ -175,7 +169,7 @@ def resolve_collisions(
         part.begin()
     while True:
         attempt = Attempt(parts, body_count, partners, plan, exchange, clock)
-        resolved = attempt.run(conclude, work_ahead)
+        resolved = attempt.run(conclude)
         if resolved is not None:
             return resolved
         # The capacity for pairs may have been exceeded.
@@ -232,7 +226,7 @@ class Attempt:
         smallest = _SMALLEST_PART if round < _STOPPING_ROUND else torch.inf
         ops.simulate_slow_all_down(self._first, self.fraction, self._changed, change, _APPROACH, smallest)
 
-    def run(self, conclude: Conclude, work_ahead: WorkAhead | None) -> ResolvedStep | None:
+    def run(self, conclude: Conclude) -> ResolvedStep | None:
         """All of it; None, on all ranks, if a capacity was exceeded on one of them. It has grown then."""
         exchange, clock = self._exchange, self._clock
         with clock.stage("respond"):
@@ -254,11 +248,7 @@ class Attempt:
             mine = [changes, *counts, conclude(self.fraction)]
             with clock.stage("gather"):
                 gathered = exchange.gather(torch.cat(mine))
-                on_host = HostCopy.start(gathered)
-            if work_ahead is not None:
-                work_ahead(gathered[:, len(changes) - 1].amax(dim=0, keepdim=True))
-            with clock.stage("gather"):
-                numbers = on_host.numpy()
+                numbers = HostCopy.start(gathered).numpy()
             begin, end = len(changes), len(changes) + len(COUNT_ROWS) * len(counts)
             searched = numbers[:, begin:end].reshape(exchange.ranks, len(counts), len(COUNT_ROWS))
             # The counts of parts come first, then those of rounds.

@@ -16,7 +16,6 @@ import torch
 from pgccd.detection.broad import BroadPhase
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
-from pgccd.sim.replay import StepMaker
 from pgccd.sim.files import (
     WORLD_FILE,
     Checkpoint,
@@ -28,6 +27,7 @@ from pgccd.sim.files import (
 )
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress, Silent
+from pgccd.sim.replay import StepMaker
 from pgccd.sim.step import Step
 
 

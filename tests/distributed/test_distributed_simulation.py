@@ -10,12 +10,14 @@ from unittest import mock
 
 import pytest
 import torch
+from support.graphs import graphs_on
 
 from distributed.conftest import World
 from pgccd import sim
 from pgccd.detection.capacity import Capacity
-from pgccd.distributed import BalanceOptions, Comm, Partition, share
-from pgccd.sim.distributed import DistributedSimulation, starting_share
+from pgccd.distributed import BalanceOptions, Comm, Partition, halo_capacity, padded_share
+from pgccd.sim.distributed import DistributedSimulation, RankStep, starting_share
+from pgccd.sim.distributed import simulation as simulation_module
 from pgccd.sim.distributed.runner import gather_state, gather_step
 from pgccd.sim.resolution import RoundPlan
 
@@ -44,12 +46,14 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if name not in TIMES}
 
 
-def make_simulation(comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu") -> DistributedSimulation:
+def make_simulation(
+    comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu", graph: bool | None = None
+) -> DistributedSimulation:
     model = sim.Model(sim.ModelConfig(**WORLDS[name]), device=device)
     upper = model.half_extent
     partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=4, device=device)
     start = starting_share(comm, model, partition)
-    return DistributedSimulation(comm, model, partition, start, BalanceOptions(policy), overlap)
+    return DistributedSimulation(comm, model, partition, start, BalanceOptions(policy), overlap, graph=graph)
 
 
 class Cramped(RoundPlan):
@@ -72,40 +76,43 @@ def follow(
     random_owners: bool,
     overlap: bool,
     device: str = "cpu",
-    ahead: bool = False,
+    graph: bool = False,
 ) -> dict[str, int]:
-    """Compares every step's log and the last step's columns with one process. With `ahead`, steps are begun early too,
-    as they are on a GPU, and now and then a rank exceeds its capacity."""
+    """Compares every step's log and the last step's columns with one process. With `graph`, steps are replayed, and now
+    and then a rank exceeds its capacity."""
     records, last = single_run(name, steps)
-    simulation = make_simulation(comm, name, policy, overlap, device)
-    simulation.begins_early |= ahead
-    if ahead and comm.rank == comm.size - 1:
-        simulation._rounds = Cramped()
+    simulation = make_simulation(comm, name, policy, overlap, device, graph)
+    if graph and comm.rank == comm.size - 1:
+        simulation._plan = Cramped()
     generator = torch.Generator().manual_seed(17)
-    seen = {"moved cells": 0, "arrived": 0, "contacts": 0, "away": 0}
+    seen = dict.fromkeys(("moved cells", "arrived", "contacts", "away", "replayed"), 0)
+    run = 12 if graph else 5  # of so many steps the last one is to be seen whole
     for index in range(steps):
-        if random_owners and index % 5 == 2:
+        if random_owners and index % run == 2 and not simulation.is_ahead:
             # As though balancing had gone mad. Until the next migration, ranks have robots that they should not have.
             owner = torch.randint(comm.size, (simulation.partition.cell_count,), generator=generator)
             simulation.partition = simulation.partition.with_owner(owner)
-        more = index % 4 != 3 and index + 1 < steps
+        more = min(steps, (index // run + 1) * run) - index - 1
         made = simulation.step(index, more=more)
         found = without_times(made.record)
         if device != "cpu":  # a GPU looks at others on the way to the same contacts
             found["candidates"] = records[index]["candidates"]
         assert found == records[index]
-        if index % 3 == 0:  # what has been found can be looked at while the next step goes on
-            assert len(made.detection.contacts) == made.record["ranks"]["contacts"][comm.rank]
         ranks = made.record["ranks"]
         for part, whole in (("bodies", "robots"), ("pcs", "pcs"), ("contacts", "contacts")):
             assert len(ranks[part]) == comm.size and sum(ranks[part]) == made.record[whole]
-        at_home = bool((simulation.partition.owner_of(simulation.state.position) == comm.rank).all())
-        assert at_home or (more and simulation.begins_early)
-        seen["away"] += not at_home
+        if isinstance(made, RankStep):
+            assert len(made.detection.contacts) == ranks["contacts"][comm.rank]
+            assert bool((simulation.partition.owner_of(simulation.state.position) == comm.rank).all())
+        else:
+            assert graph and more > 0
+            seen["replayed"] += 1
+            seen["away"] += int(made.reports.leaving.sum())
         seen["moved cells"] += ranks["moved_cells"]
         seen["arrived"] += sum(ranks["arrived"])
         seen["contacts"] += made.record["contacts"]
     simulation.verify()
+    assert isinstance(made, RankStep)
     state = gather_state(comm, simulation.state)
     step = gather_step(comm, made, state)
     if comm.rank == 0:
@@ -119,10 +126,17 @@ def follow(
     return seen
 
 
-def follow_ahead(comm: Comm, name: str, policy: str, steps: int, random_owners: bool) -> dict[str, int]:
-    """The same as it is done on GPUs: steps begun early, and ghosts sent without waiting for their number."""
-    with mock.patch.object(share, "_sends_ahead", lambda comm, _: comm.size > 1):
-        return follow(comm, name, policy, steps, random_owners, True, "cpu", True)
+def follow_replayed(
+    comm: Comm, name: str, policy: str, steps: int, random_owners: bool, padding: str = "usual"
+) -> dict[str, int]:
+    """The same as it is done on GPUs: as replays of a graph, of messages of fixed size."""
+    with graphs_on("cpu") as stack:
+        # Cells of so few robots would change hands, or robots be away, in almost every step.
+        stack.enter_context(mock.patch.object(simulation_module, "_MOST_AWAY", 0.5))
+        if padding == "none":  # then one body more is too much
+            for module in (halo_capacity, padded_share, simulation_module):
+                stack.enter_context(mock.patch.object(module, "padded_count", lambda count: count))
+        return follow(comm, name, policy, steps, random_owners, True, graph=True)
 
 
 @pytest.mark.parametrize(
@@ -144,14 +158,15 @@ def test_same_bits_as_one_process(world: World, name: str, policy: str, random_o
             assert seen[0]["moved cells"] > 0
 
 
+@pytest.mark.parametrize("padding", ["usual", "none"])
 @pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("random", "cost"), ("skewed", "one-cell")])
-def test_same_bits_with_rounds_made_ahead(world: World, name: str, policy: str) -> None:
-    """Now and then one rank alone exceeds its capacity, and all must make the rounds again."""
-    seen = world(follow_ahead, name, policy, 24, policy == "none")
-    if len(seen) > 1:
+def test_same_bits_as_replays(world: World, name: str, policy: str, padding: str) -> None:
+    """Steps that lack rounds or room on one rank are made again by all."""
+    seen = world(follow_replayed, name, policy, 36, policy == "none", padding)
+    assert seen[0]["replayed"] > 3 or (padding == "none" and len(seen) > 1)
+    if len(seen) > 1 and padding == "usual":
         assert seen[0]["arrived"] > 20
-        if policy == "none":  # by the others, cells are about to change hands in almost every step of so few robots
-            assert sum(rank["away"] for rank in seen) > 0
+        assert sum(rank["away"] for rank in seen) > 0
 
 
 @pytest.mark.cuda
@@ -167,46 +182,9 @@ def test_same_bits_on_a_gpu_that_ranks_share(world: World, name: str, policy: st
 def test_same_bits_for_two_hundred_steps(world: World, name: str, policy: str) -> None:
     """Where no policy shares the cells out, chance does; and all is done as on GPUs."""
     if policy == "none":
-        world(follow_ahead, name, policy, 200, True)
+        world(follow_replayed, name, policy, 200, True)
     else:
         world(follow, name, policy, 200, False, True)
-
-
-def begin_early(comm: Comm) -> None:
-    simulation = make_simulation(comm, "random", "none", True)
-    simulation.begins_early = True
-    begun: list[int] = []
-    begin = simulation._begin
-
-    def watched(index: int, *more: Any) -> Any:
-        begun.append(index)
-        return begin(index, *more)
-
-    records, _ = single_run("random", 8)
-    with mock.patch.object(simulation, "_begin", watched):
-        for index in range(4):
-            made = simulation.step(index, more=index < 3)
-            # Only what is said to come is begun early; again if the outcome was not yet settled.
-            assert begun == sorted(begun) and begun[-1] == min(index + 1, 3)
-            assert without_times(made.record) == records[index]
-        simulation.step(4, more=True)
-        # Another step than was begun, as after going back to a state kept before.
-        before = simulation.state
-        simulation.step(5, more=True)
-        simulation.state = before
-        del begun[:]
-        assert without_times(simulation.step(5, more=True).record) == records[5]
-        assert begun[0] == 5 and set(begun[1:]) == {6}
-        del begun[1:]
-        # Cells that have been given to others meanwhile.
-        simulation.partition = simulation.partition.with_owner(simulation.partition.owner.flip(0))
-        assert without_times(simulation.step(6).record) == records[6]
-        assert begun == [5, 6]
-        assert without_times(simulation.step(7).record) == records[7]
-
-
-def test_a_step_begun_before_it_is_asked_for(world: World) -> None:
-    world(begin_early)
 
 
 def lose_one(comm: Comm) -> None:

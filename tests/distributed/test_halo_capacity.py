@@ -47,7 +47,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
         mock.patch.object(PaddedHalo, "wait", watched),
     ]
     if capacities in functions:
-        patches.append(mock.patch.object(halo_capacity, "_padded_count", functions[capacities]))
+        patches.append(mock.patch.object(halo_capacity, "padded_count", functions[capacities]))
     if capacities == "boundary":
         patches.append(mock.patch.object(HaloCapacity, "after", cramped))
     with ExitStack() as stack:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
+from support.graphs import graphs_on
 
 from pgccd.detection.capacity import Capacity
 from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, captured, make_step, replay
@@ -19,38 +19,9 @@ FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5, "seed": 3}
 STEPS = 40
 
 
-class Recorded:
-    """What stands for a graph where there is no GPU: work that is done again."""
-
-    def __init__(self, work: Callable[[], Tensor]) -> None:
-        self._work, self._found = work, work()
-
-    def replay(self) -> None:
-        self._found.copy_(self._work())
-
-
-class Now:
-    """What stands for an event."""
-
-    def synchronize(self) -> None:
-        pass
-
-    def elapsed_time(self, _: Now) -> float:
-        return 1.0
-
-
-def record(work: Callable[[], Tensor], device: torch.device) -> tuple[Any, Tensor]:
-    work()
-    graph = Recorded(work)
-    return graph, graph._found
-
-
 @pytest.fixture
 def graphs(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[StepGraph]]:
     """The graphs that are captured; on a CPU stood in for."""
-    if device.type == "cpu":
-        monkeypatch.setattr(captured, "capture", record)
-        monkeypatch.setattr(captured, "record_event", lambda timed: Now())
     made: list[StepGraph] = []
 
     class Watched(StepGraph):
@@ -59,7 +30,8 @@ def graphs(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Iterator[li
             made.append(self)
 
     monkeypatch.setattr(replay, "StepGraph", Watched)
-    yield made
+    with graphs_on(device):
+        yield made
 
 
 def without_times(record: dict[str, Any]) -> dict[str, Any]:

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <numeric>
 #include <vector>
 
@@ -45,11 +46,21 @@ struct IsReplicaRank {
   }
 };
 
+struct Numbers {
+  static constexpr int64_t kMost = 256;
+  int64_t values[kMost];
+};
+
+// Numbers of the host on the device. As arguments of kernels, of which a captured graph keeps a copy.
 const int64_t* on_device(const DeviceContext& context, const std::vector<int64_t>& numbers) {
-  int64_t* const there = context.allocate<int64_t>(static_cast<int64_t>(numbers.size()));
-  if (numbers.empty()) return there;
-  const size_t bytes = sizeof(int64_t) * numbers.size();
-  check_cuda(cudaMemcpyAsync(there, numbers.data(), bytes, cudaMemcpyHostToDevice, context.stream), "cudaMemcpyAsync");
+  const auto count = static_cast<int64_t>(numbers.size());
+  int64_t* const there = context.allocate<int64_t>(count);
+  for (int64_t begin = 0; begin < count; begin += Numbers::kMost) {
+    const int64_t part = smaller(count - begin, Numbers::kMost);
+    Numbers given{};
+    std::copy_n(numbers.begin() + begin, part, given.values);
+    for_each_item(context, part, [=] __device__(int64_t k) { there[begin + k] = given.values[k]; });
+  }
   return there;
 }
 

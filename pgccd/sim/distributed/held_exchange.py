@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.halo import Centres, Held
+from pgccd.distributed.held import Centres, Held
 from pgccd.distributed.partition import Partition
 from pgccd.runtime.host_copy import HostCopy
 
@@ -34,7 +34,14 @@ class HeldExchange:
         self._comm = comm
 
     @classmethod
-    def start(cls, held: Held, ghosts: Centres, kept: tuple[float, float], partition: Partition) -> HeldExchange:
+    def start(
+        cls,
+        held: Held,
+        ghosts: Centres,
+        kept: tuple[float, float],
+        partition: Partition,
+        capacities: list[int] | None = None,
+    ) -> HeldExchange:
         """Finds out which bodies other ranks hold too. Waits for nothing.
 
         Args:
@@ -42,33 +49,53 @@ class HeldExchange:
             ghosts: centres of those among them that others own.
             kept: min_separation and tolerance, as the operators take them.
             partition: that the halo was made with.
+            capacities: how many bodies each rank may hold too, with padding; both ranks give one number. Default: as
+                many as there are, for which the host waits.
         """
         comm = held.route.comm
         exchange = cls(comm)
         if comm.size == 1:
             exchange._shared = held.own_id[:0], [0]
+            exchange._counts = held.boundary_counts
             return exchange
         received, ghost = held.route.received, torch.arange(held.ghost_count, device=held.own_id.device)
         subdomain, row = partition.subdomain(comm.rank), ghost + held.own_count
+        if capacities is not None:
+            ghost = torch.where(held.ghosts["id"] < 0, -1, ghost)
         replica_ranks, counts = ops.replica_ranks(ghosts, *kept, subdomain, ghost, comm.size, received)
         before = sum(received[: comm.rank])
         exchange._replica_ranks = torch.cat([replica_ranks[:before], held.replica_ranks, replica_ranks[before:]])
         exchange._rows = torch.cat([row[:before], held.boundary, row[before:]])
         exchange._counts = counts + held.boundary_counts
-        # On its way while bodies are tested.
-        exchange._known = HostCopy.start(exchange._counts)
+        if capacities is None:
+            exchange._known = HostCopy.start(exchange._counts)  # on its way while bodies are tested
+        else:
+            exchange._shared = exchange._rows_by_rank(capacities), capacities
         return exchange
+
+    def overflow(self) -> Tensor:
+        """(1,) int64: nonzero if a capacity was exceeded."""
+        counts, capacities = self._counts, self._shared[1]
+        return ops.counts_to_send(counts, capacities, torch.zeros_like(counts[:1]), 0)[0, 1:]
+
+    def _rows_by_rank(self, capacities: list[int]) -> Tensor:
+        return ops.rows_by_rank(self._replica_ranks, self._rows, self._counts, capacities)
 
     @functools.cached_property
     def _shared(self) -> tuple[Tensor, list[int]]:
         """Rows of bodies that others hold too, by rank; and how many for each rank."""
         counts: list[int] = self._known.numpy().tolist()
-        return ops.rows_by_rank(self._replica_ranks, self._rows, self._counts, counts), counts
+        return self._rows_by_rank(counts), counts
 
     @functools.cached_property
     def _twice(self) -> Tensor:
         """(S, 2): these rows, each as both bodies of a pair."""
         return self._shared[0][:, None].expand(-1, 2).contiguous()
+
+    @property
+    def common(self) -> list[int]:
+        """How many bodies this rank and each other one hold."""
+        return self._shared[1]
 
     @property
     def rank(self) -> int:

@@ -8,7 +8,6 @@ from typing import Any
 import torch
 
 from pgccd.distributed.balance import imbalance
-from pgccd.sim.resolution import ResolvedStep
 from pgccd.sim.tally import COUNTED, WORK, Rows
 
 
@@ -25,10 +24,10 @@ class Reports:
     moves: Rows  #: (ranks, ranks): how many of them are in cells of each; (ranks, 0) if that is sent later
 
     @classmethod
-    def of(cls, resolved: ResolvedStep) -> Reports:
-        """`resolved`: as `DistributedSimulation.step` had it concluded."""
-        counted, rest = resolved.conclusions[:, :COUNTED], resolved.conclusions[:, COUNTED:]
-        return cls(resolved.work, counted, rest[:, 0], rest[:, 1], rest[:, 2], rest[:, 3], rest[:, 4:])
+    def of(cls, work: Rows, conclusions: Rows) -> Reports:
+        """`conclusions`: (ranks, k): what `DistributedSimulation` has each rank conclude, in this order."""
+        counted, rest = conclusions[:, :COUNTED], conclusions[:, COUNTED:]
+        return cls(work, counted, rest[:, 0], rest[:, 1], rest[:, 2], rest[:, 3], rest[:, 4:])
 
     @property
     def robots(self) -> list[int]:

@@ -19,7 +19,7 @@ from pgccd.distributed.partition import Partition, Triple
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
 from pgccd.sim.distributed.checkpoint import Checkpoints, Header, load_share, newest_header, read_owners
-from pgccd.sim.distributed.simulation import DistributedSimulation, RankStep, starting_share
+from pgccd.sim.distributed.simulation import CommittedRankStep, DistributedSimulation, RankStep, starting_share
 from pgccd.sim.files import (
     CHECKPOINT_FILE,
     WORLD_FILE,
@@ -192,16 +192,21 @@ class _SimulationMachine:
         self.simulation, self._digest = simulation, digest
         self._checkpoints = Checkpoints(simulation.comm, folder)
         self.last_step: RankStep | None = None
-        self._stop = False
+        self._asked = False  # this rank
+        self._stopping: bool | None = None  # all ranks; None before the first step
 
     def stops(self, requested: bool) -> bool:
         # All learn of it at the end of the step to come, with all else.
-        self._stop = requested
-        return self.last_step.stop_requested if self.last_step is not None else self.simulation.comm.any(requested)
+        self._asked = requested
+        if self._stopping is None:
+            self._stopping = self.simulation.comm.any(requested)
+        return self._stopping and not self.simulation.is_ahead
 
-    def step(self, index: int, more: int) -> RankStep:
-        self.last_step = self.simulation.step(index, self._stop, more > 0)
-        return self.last_step
+    def step(self, index: int, more: int) -> RankStep | CommittedRankStep:
+        made = self.simulation.step(index, self._asked, 0 if self._stopping else more)
+        self._stopping = self._stopping or made.stop_requested
+        self.last_step = made if isinstance(made, RankStep) else None
+        return made
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
         self.simulation.verify()

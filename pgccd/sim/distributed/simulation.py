@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,17 +16,21 @@ from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, reba
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection import Detection, cell_loads
-from pgccd.distributed.halo_capacity import HaloCapacity
+from pgccd.distributed.halo_capacity import HaloCapacity, padded_count
 from pgccd.distributed.migrate import Census, Leaving, migrate
+from pgccd.distributed.padded_share import ShareCapacity
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Options, OwnSearch, PartEstimates, Share
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
+from pgccd.sim.captured import CommittedStep, StepGraph, StepReplay
 from pgccd.sim.distributed.held_exchange import HeldExchange
+from pgccd.sim.distributed.rank_searches import RankSearches, padded_state
 from pgccd.sim.distributed.reports import Reports
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
+from pgccd.sim.replay import ReplayedSteps
 from pgccd.sim.resolution import Resolution, ResolvedStep, RoundPlan, resolve_collisions
 from pgccd.sim.response import respond
 from pgccd.sim.tally import Tally, count_step
@@ -38,6 +42,25 @@ _BLOCK_ROBOTS = 1 << 20
 _TELLS_MOVES = 64
 # Robots that have left stay with their rank as long as there are so many times more ghosts: each may be one.
 _MOST_AWAY = 4
+
+
+@dataclass(frozen=True)
+class CommittedRankStep:
+    """A step that was committed on all ranks' devices."""
+
+    made: CommittedStep
+    reports: Reports
+    stop_requested: bool  #: on any rank
+
+    @property
+    def index(self) -> int:
+        """From 0."""
+        return self.made.index
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """Of the whole model: the line in steps.jsonl, the same on all ranks but for the times."""
+        return self.made.record | {"ranks": self.reports.record(moved_cells=0)}
 
 
 @dataclass
@@ -62,20 +85,12 @@ class RankStep:
         return self.make_record()
 
 
-@dataclass(frozen=True)
-class _Begun:
-    """A step whose first work a GPU has been given."""
-
-    index: int
-    state: RobotState
-    partition: Partition
-    planned: RobotState
-    search: OwnSearch
-    clock: StageClock
-
-
-class DistributedSimulation:
+class DistributedSimulation(ReplayedSteps[RankStep]):
     """A world's robots, spread over ranks.
+
+    Over NCCL, steps that follow one another are replays of a graph that each rank has, messages included: see
+    `pgccd.sim.replay`. Cells and robots change hands in steps that are made launch by launch, so robots that have left
+    the cells of their rank stay with it for a while.
 
     Args:
         comm: between the ranks.
@@ -84,8 +99,7 @@ class DistributedSimulation:
         state: of any share of the robots; all ranks together have each robot once.
         balance: how cells change hands.
         broad_phase, overlap: see `Options`.
-
-    `state` is that of the robots this rank has.
+        graph: whether steps are replayed, the same on all ranks. Default: where messages go with a GPU's stream.
 
     Example:
         >>> simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition))
@@ -101,21 +115,42 @@ class DistributedSimulation:
         balance: BalanceOptions | None = None,
         overlap: bool = True,
         broad_phase: BroadPhase = "auto",
+        graph: bool | None = None,
     ) -> None:
-        self.comm, self.model, self.partition = comm, model, partition
+        if graph is None:
+            graph = model.device.type != "cpu" and (comm.size == 1 or comm.goes_with_the_stream)
+        super().__init__(graph)
+        self.comm, self.model = comm, model
         self.balance = balance or BalanceOptions()
         # nonzero_toi: robots that part after a contact are free.
         self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
-        self._rounds, self._estimates = RoundPlan(), PartEstimates()
+        self._plan, self._estimates = RoundPlan(), PartEstimates()
         self._expected = Census.of_range(model.config.robots)
-        #: Whether a step that follows at once is begun before the outcome of the one before is known.
-        self.begins_early = model.device.type != "cpu" and overlap
-        self._begun: _Begun | None = None
         self._capacity: HaloCapacity | None = None
-        # In the last step: nothing was about to change hands.
-        self._was_calm = False
+        self._share_capacity: ShareCapacity | None = None
+        self._partition, self._stop = partition, False
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()
+
+    @property
+    def state(self) -> RobotState:
+        """Of the robots this rank has, after the last step. No step may be under way: see `is_ahead`."""
+        if self._graph is not None:
+            self._take(self._graph)
+        return self._state
+
+    @state.setter
+    def state(self, state: RobotState) -> None:
+        self._state, self._graph = state, None
+
+    @property
+    def partition(self) -> Partition:
+        """Which rank owns which cells; the same on all ranks."""
+        return self._partition
+
+    @partition.setter
+    def partition(self, partition: Partition) -> None:
+        self.state, self._partition = self.state, partition
 
     def verify(self) -> None:
         """Checks that every robot is on exactly one rank.
@@ -125,28 +160,35 @@ class DistributedSimulation:
         """
         Census.of_ranks(self.comm, self.state.id).require(self._expected)
 
-    def step(self, index: int, stop: bool = False, more: bool = False) -> RankStep:
+    def step(self, index: int, stop: bool = False, more: int = 0) -> RankStep | CommittedRankStep:
         """Moves the robots by one step.
 
         Args:
-            index: the same on all ranks.
+            index: the same on all ranks, one more than that of the step before.
             stop: whether this rank was asked to stop; combined over all ranks by "or".
-            more: whether the next step follows at once, on all ranks. Then a GPU is given its first work before the
-                host knows how this one ends. Robots that have left the cells of their rank stay with it for a while,
-                since handing them over would have to be waited for; without more to come each is where it belongs.
+            more: how many steps follow before the state is asked for, or the whole outcome of a step; the same on all
+                ranks. The last of them is not replayed, and after it each robot is where it belongs.
         """
-        comm = self.comm
-        comm.guard.activity = f"step {index}"
-        begun = self._take_begun(index)
-        planned, clock = begun.planned, begun.clock
+        self.comm.guard.activity = f"step {index}"
+        self._stop = self._stop or stop
+        if self._stop and self._graph is not None:
+            self._notes[1] = 1
+        made = self._advance(index, more)
+        return made if isinstance(made, RankStep) else self._reports_of(made)
+
+    def _launch(self, index: int) -> RankStep:
+        comm, clock = self.comm, StageClock()
+        with clock.stage("plan"):
+            planned = self.model.plan(self._state, index)
+        where = comm, self._partition, planned.moving_columns, self._build, self.options, clock
+        search = OwnSearch(*where, self._estimates, self._capacity).start()
         # In this order, so that the host can read how many agree before the search with ghosts is over.
-        exchange, share = begun.search.of_held(HeldExchange.start), begun.search.with_ghosts()
-        self._capacity = share.held.capacity
+        exchange, share = search.of_held(HeldExchange.start), search.with_ghosts()
+        self._capacity = HaloCapacity.of(share.held)
         with clock.stage("halo"):
             partners = Partners(self.model, planned.moving_columns, share.held.ghosts, share.pairs)
         after: RobotState = planned
         leaving: Leaving | None = None
-        keeps = more and self.begins_early and self._was_calm
 
         def conclude(fraction: Tensor) -> Tensor:
             nonlocal after, leaving
@@ -155,77 +197,38 @@ class DistributedSimulation:
                 after = respond(planned, fraction)
             with clock.stage("hash"):
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
-                leaving = Leaving(comm, self.partition, after.position)
+                leaving = Leaving(comm, self._partition, after.id, after.position)
                 moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
-                return torch.cat([counted, self._host_numbers(share, stop), leaving.counts.sum()[None], *moves])
+                return torch.cat([counted, self._host_numbers(share), leaving.counts.sum()[None], *moves])
 
-        def begin_next(discard: Tensor) -> None:
-            self._begun = self._begin(index + 1, after, discard)
-
-        work_ahead = begin_next if keeps else None
-        resolved = resolve_collisions(
-            share.parts, len(share.held), partners, self._rounds, conclude, clock, exchange, work_ahead
-        )
-        reports = Reports.of(resolved)
-        is_level, moved_cells = self._balance(index, share, resolved, planned, reports, clock)
+        held = share.parts, len(share.held), partners
+        resolved = resolve_collisions(*held, self._plan, conclude, clock, exchange)
+        reports = Reports.of(resolved.work, resolved.conclusions)
+        moved_cells = self._balance(index, share, resolved, planned, reports, clock)
         with clock.stage("migrate"):
             known = None
             if leaving is not None and moved_cells == 0 and reports.moves.size:
                 known = leaving, reports.moves[comm.rank].tolist(), reports.moves[:, comm.rank].tolist()
-            if keeps and moved_cells == 0:
-                self.state, self._arrived = after, 0
-            else:
-                self._migrate(after, known)
+            self._migrate(after, known)
         clock.stop()
-        self._was_calm = is_level and bool(_MOST_AWAY * reports.leaving.sum() <= reports.ghosts.sum())
-        if more and self.begins_early and not self._has_begun(index + 1):
-            self._begun = self._begin(index + 1, self.state)
         tally = Tally.of(reports.work, reports.counted)
         Census(tally.robots, tally.id_hash).require(self._expected)
         resolved.learn()
+        if self._wants_graph:
+            self._share_capacity = ShareCapacity.after(share, exchange.common)
 
         def make_record() -> dict[str, Any]:
             record = tally.record(index, resolved.resolution.rounds, clock)
             return record | {"ranks": reports.record(moved_cells)}
 
         def find() -> Detection:
-            share.lend()
             return Detection(share, contacts_of_step(share.parts))
 
         return RankStep(index, planned, resolved.resolution, bool(reports.stop.any()), find, make_record)
 
-    def _begin(self, index: int, state: RobotState, discard: Tensor | None = None) -> _Begun:
-        """Plans a step, and begins to search pairs of own robots."""
-        if self._begun is not None:
-            self._begun.search.give_up()
-            self._begun = None
-        clock = StageClock()
-        with clock.stage("plan"):
-            planned = self.model.plan(state, index)
-        where = self.comm, self.partition, planned.moving_columns, self._build, self.options, clock
-        search = OwnSearch(*where, self._estimates, discard, self._capacity)
-        return _Begun(index, state, self.partition, planned, search.start(), clock)
-
-    def _has_begun(self, index: int) -> bool:
-        """Whether the step has been begun, of these robots and with these owners."""
-        begun = self._begun
-        return (
-            begun is not None
-            and begun.index == index
-            and begun.state is self.state
-            and begun.partition is self.partition
-        )
-
-    def _take_begun(self, index: int) -> _Begun:
-        begun = self._begun
-        if begun is None or not self._has_begun(index):
-            return self._begin(index, self.state)
-        self._begun = None
-        begun.clock.restart()
-        return begun
-
-    def _host_numbers(self, share: Share, stop: bool) -> Tensor:
-        return torch.tensor([len(share.held), self._arrived, int(stop)]).to(self.model.device, non_blocking=True)
+    def _host_numbers(self, share: Share) -> Tensor:
+        numbers = torch.tensor([len(share.held), self._arrived, int(self._stop)])
+        return numbers.to(self.model.device, non_blocking=True)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
         pose = (columns["position"], columns["orientation"], columns["velocity"], columns["angular_velocity"])
@@ -239,28 +242,75 @@ class DistributedSimulation:
         planned: RobotState,
         reports: Reports,
         clock: StageClock,
-    ) -> tuple[bool, int]:
-        """Redistributes the cells. Returns whether there was no need to, and how many moved."""
-        if not self.balance.applies(index + 1, self.comm.size):
-            return True, 0
+    ) -> int:
+        """Redistributes the cells. Returns how many moved."""
+        if not self._is_balance_due(index, reports):
+            return 0
         with clock.stage("balance"):
-            seconds = reports.seconds()
-            loads = RankLoads(reports.robots, reports.worked("pcs"), reports.worked("contacts"), seconds)
-            if loads.are_level(self.balance):
-                return True, 0
             resolved.learn()  # so that contacts need not be waited for
-            seen = cell_loads(self.partition, planned.position, Detection(share, contacts_of_step(share.parts)))
+            seen = cell_loads(self._partition, planned.position, Detection(share, contacts_of_step(share.parts)))
             total = CellLoads.unstacked(self.comm.sum(seen.stacked()))
-            shared_out = rebalance(self.partition, total, self.balance, torch.tensor(seconds, dtype=torch.float64))
-            moved = int((shared_out.owner != self.partition.owner).sum())
+            seconds = torch.tensor(reports.seconds(), dtype=torch.float64)
+            shared_out = rebalance(self._partition, total, self.balance, seconds)
+            moved = int((shared_out.owner != self._partition.owner).sum())
             if moved > 0:
-                self.partition, self._capacity = shared_out, None
-            return False, moved
+                self._partition, self._capacity = shared_out, None
+            return moved
+
+    def _is_balance_due(self, index: int, reports: Reports) -> bool:
+        if not self.balance.applies(index + 1, self.comm.size):
+            return False
+        loads = RankLoads(reports.robots, reports.worked("pcs"), reports.worked("contacts"), reports.seconds())
+        return not loads.are_level(self.balance)
+
+    # Of replays.
+
+    def _capture(self, index: int, rounds: int) -> StepGraph:
+        assert self._share_capacity is not None
+        self._notes = torch.zeros(2, dtype=torch.int64, device=self.model.device)
+        # The graph reads this table, whoever owns the cells.
+        self._graph_partition = replace(self._partition, owner=self._partition.owner.clone())
+        where = self.comm, self._graph_partition, self._share_capacity, self._notes
+        searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
+        state = padded_state(self._state, padded_count(len(self._state)))
+        graph = StepGraph(self.model, state, index, searches.search, self._plan, rounds, searches.conclude)
+        self._load(graph, index)
+        return graph
+
+    def _is_captured(self, captured: bool) -> bool:
+        return not self.comm.any(not captured)
+
+    def _load(self, graph: StepGraph, index: int) -> bool:
+        if self.comm.any(len(self._state) > len(graph.state)):
+            return False
+        self._graph_partition.owner.copy_(self._partition.owner)
+        self._notes[0], self._notes[1] = self._arrived, int(self._stop)
+        graph.load(self._state, index)
+        return True
+
+    def _take(self, graph: StepGraph) -> None:
+        columns = {name: column[: len(self._state)].clone() for name, column in graph.state.columns.items()}
+        self._state = RobotState(**columns)
+
+    def _read(self, replay: StepReplay, index: int) -> CommittedStep | None:
+        with self.comm.guard.waiting("step"):
+            return replay.read(index)
+
+    def _needs_launch(self, step: CommittedStep) -> bool:
+        reports = Reports.of(step.work, step.conclusions)
+        away = bool(_MOST_AWAY * reports.leaving.sum() > reports.ghosts.sum())
+        return away or self._is_balance_due(step.index, reports)
+
+    def _reports_of(self, step: CommittedStep) -> CommittedRankStep:
+        reports = Reports.of(step.work, step.conclusions)
+        tally = Tally.of(reports.work, reports.counted)
+        Census(tally.robots, tally.id_hash).require(self._expected)
+        return CommittedRankStep(step, reports, bool(reports.stop.any()))
 
     def _migrate(self, state: RobotState, known: tuple[Leaving, list[int], list[int]] | None = None) -> None:
         """Hands robots over; the state's ids ascend."""
-        columns, self._arrived = migrate(self.comm, self.partition, state.columns, state.position, known)
-        self.state = RobotState(**columns)
+        columns, self._arrived = migrate(self.comm, self._partition, state.columns, state.position, known)
+        self._state = RobotState(**columns)
 
 
 def starting_share(comm: Comm, model: Model, partition: Partition) -> RobotState:

@@ -1,0 +1,116 @@
+"""What one rank tests in one step, as in `share`, in fixed capacities: the host waits for nothing, so that the step can
+be part of a CUDA graph. Rows that are not needed have no body: their id is -1, their radius below zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pgccd import ops
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.checks import check_separation, operator_tolerance
+from pgccd.detection.parts import Part, find_part
+from pgccd.distributed.body_columns import bodies_of, of_checked, take_bodies
+from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo, padded_count
+from pgccd.distributed.held import Centres, Held, centres_of
+from pgccd.distributed.partition import Partition
+from pgccd.distributed.share import Build, Options, PartEstimates, Share
+from pgccd.runtime.side_stream import SideStream
+
+
+@dataclass(frozen=True)
+class ShareCapacity:
+    """Padded counts of bodies; what two ranks share, both derive from the last step alike."""
+
+    halo: HaloCapacity
+    near: int  #: own bodies near ghosts
+    common: list[int]  #: bodies that this rank and each other one hold
+
+    @classmethod
+    def after(cls, share: Share, common: Sequence[int]) -> ShareCapacity:
+        """Of a step like one that had this share, and so many bodies in common with each rank."""
+        rows = share.parts[-1].rows
+        near = 0 if rows is None else len(rows) - share.held.ghost_count
+        return cls(HaloCapacity.of(share.held), padded_count(near), [padded_count(count) for count in common])
+
+
+@dataclass(frozen=True)
+class PaddedShare:
+    """The searches of one rank's step, enqueued."""
+
+    held: Held
+    parts: list[Part]
+    ghost_centres: Centres  #: of all bodies, if there is one rank
+    kept: tuple[float, float]  #: min_separation and tolerance, as the operators take them
+    failed: Tensor  #: (1,) int64, nonzero: a capacity was exceeded, or a pose is invalid
+
+
+def search_padded_share(
+    comm: Comm,
+    partition: Partition,
+    own: Columns,
+    build: Build,
+    options: Options,
+    estimates: PartEstimates,
+    capacity: ShareCapacity,
+    discard: Tensor,
+) -> PaddedShare:
+    """Sends ghosts and enqueues both searches. Waits for nothing, where messages go with the stream.
+
+    Args:
+        comm, partition, build, options, estimates: as for `OwnSearch`. `build` gives bodies with
+            negative ids a radius below zero.
+        own: columns of the bodies this rank owns, "id" ascending, then padding.
+        capacity: of everything that has to do with ghosts.
+        discard: see `find_part`.
+    """
+    kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
+    subdomain, device = partition.subdomain(comm.rank), own["id"].device
+    bodies = MovingBodies(*build(own), wait=False)
+    centres, asked = centres_of(bodies), (options.query, options.broad_phase)
+    if comm.size == 1:
+        part = find_part(bodies, *asked, None, discard, estimate=estimates.own)
+        return PaddedShare(Held.alone(comm, own), [part], centres, kept, bodies.first_faults()[-1:])
+    reach, boundary, count = ops.boundary_bodies(centres, *kept, subdomain)
+    where = *kept, reach, subdomain
+
+    def owned_by_own(pairs: Tensor) -> tuple[Tensor, Tensor]:
+        return ops.owned_pairs(pairs, None, own["id"], centres, *where)
+
+    side = SideStream(device, options.overlap)
+    with side:
+        halo = PaddedHalo(comm, capacity.halo, own)
+        halo.find_ranks((centres, *kept, subdomain), boundary, count)
+        halo.send()
+    own_part = find_part(bodies, *asked, owned_by_own, discard, estimate=estimates.own)
+    own_part.begin()
+    with side:
+        held = halo.padded()
+        ghosts = of_checked(*build(held.ghosts))
+        near, near_count = ops.near_ghosts(centres, centres_of(ghosts), *kept, subdomain)
+        near = _first_rows(near[: capacity.near], near_count)
+        rows = torch.cat([near, torch.arange(held.own_count, len(held), device=device)])
+        columns = take_bodies(bodies, ghosts, rows)
+        columns["radius"] = torch.where(rows < 0, -torch.inf, columns["radius"])
+        at_boundary = bodies_of(bodies, columns)
+
+        def owned_at_boundary(pairs: Tensor) -> tuple[Tensor, Tensor]:
+            return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *where)
+
+        found = find_part(at_boundary, *asked, owned_at_boundary, discard, rows, estimates.with_ghosts)
+        found.begin()
+    side.join()
+    is_short = (near_count > capacity.near).to(torch.int64)
+    failed = halo.overflow + is_short + bodies.first_faults()[-1:]
+    return PaddedShare(held, [own_part, found], centres_of(ghosts), kept, failed)
+
+
+def _first_rows(rows: Tensor, count: Tensor) -> Tensor:
+    """The first `count` (1,) of rows (K,), then -1."""
+    return torch.where(torch.arange(len(rows), device=rows.device) < count, rows, -1)

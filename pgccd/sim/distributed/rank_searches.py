@@ -1,0 +1,79 @@
+"""The searches of one rank's part of a step, enqueued for a graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pgccd.detection.parts import pairs_of_step
+from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.migrate import Leaving
+from pgccd.distributed.padded_share import ShareCapacity, search_padded_share
+from pgccd.distributed.partition import Partition
+from pgccd.distributed.share import Build, Options, PartEstimates
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion
+from pgccd.sim.captured import Searches, clear_rows
+from pgccd.sim.distributed.held_exchange import HeldExchange
+from pgccd.sim.model import Model, RobotState
+from pgccd.sim.partners import Partners
+
+
+@dataclass(frozen=True)
+class RankSearches:
+    """What a `StepGraph` of one of many ranks searches and concludes.
+
+    Args:
+        comm: between the ranks.
+        partition: with a table of owners that is the graph's own.
+        capacity: of everything that has to do with ghosts.
+        notes: (2,) int64, written before a replay: how many robots have come since the last one; whether to stop.
+        model, build, options, estimates: of the simulation.
+    """
+
+    comm: Comm
+    partition: Partition
+    capacity: ShareCapacity
+    notes: Tensor
+    model: Model
+    build: Build
+    options: Options
+    estimates: PartEstimates
+
+    def search(self, planned: RobotState, discard: Tensor) -> Searches:
+        """Enqueues the searches of a planned step."""
+        own, capacity = planned.moving_columns, self.capacity
+        asked = self._build_padded, self.options, self.estimates, capacity, discard
+        share = search_padded_share(self.comm, self.partition, own, *asked)
+        agreed = share.held, share.ghost_centres, share.kept, self.partition
+        exchange = HeldExchange.start(*agreed, capacity.common)
+        partners = Partners(self.model, own, share.held.ghosts, pairs_of_step(share.parts))
+        return Searches(share.parts, partners, share.held.id, exchange, share.failed + exchange.overflow())
+
+    def conclude(self, searches: Searches, after: RobotState) -> Tensor:
+        """(4,) int64 as in `Reports`: robots held, arrived, whether to stop, how many are in cells of others."""
+        held = (searches.id >= 0).sum()[None]
+        leaving = Leaving(self.comm, self.partition, after.id, after.position).counts.sum()[None]
+        concluded = torch.cat([held, self.notes, leaving])
+        self.notes[:1].zero_()
+        return concluded
+
+    def _build_padded(self, columns: Columns) -> tuple[Scene, RigidMotion]:
+        padding = columns["id"] < 0
+        columns["orientation"][:, 0].masked_fill_(padding, 1.0)  # ghosts' padding is zeros, which is no pose
+        scene, motion = self.build(columns)
+        scene.radius = torch.where(padding, -torch.inf, scene.radius)
+        return scene, motion
+
+
+def padded_state(state: RobotState, rows: int) -> RobotState:
+    """The same robots in so many rows."""
+    padded = {name: column.new_empty((rows, *column.shape[1:])) for name, column in state.columns.items()}
+    for name, column in state.columns.items():
+        padded[name][: len(state)] = column
+    after = RobotState(**padded)
+    clear_rows(after, len(state))
+    return after

@@ -1,0 +1,49 @@
+"""What stands in for CUDA graphs and events where there is no GPU: work that is done again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+from unittest import mock
+
+import torch
+from torch import Tensor
+
+from pgccd.sim import captured
+
+
+class Recorded:
+    """A graph."""
+
+    def __init__(self, work: Callable[[], Tensor]) -> None:
+        self._work, self._found = work, work()
+
+    def replay(self) -> None:
+        self._found.copy_(self._work())
+
+
+class Now:
+    """An event."""
+
+    def synchronize(self) -> None:
+        pass
+
+    def elapsed_time(self, _: Now) -> float:
+        return 1.0
+
+
+def record(work: Callable[[], Tensor], device: torch.device) -> tuple[Any, Tensor]:
+    """As `pgccd.runtime.graph.capture`."""
+    work()
+    graph = Recorded(work)
+    return graph, graph._found
+
+
+def graphs_on(device: torch.device | str) -> ExitStack:
+    """A context in which steps can be captured on this device."""
+    stack = ExitStack()
+    if torch.device(device).type == "cpu":
+        stack.enter_context(mock.patch.object(captured, "capture", record))
+        stack.enter_context(mock.patch.object(captured, "record_event", lambda timed: Now()))
+    return stack
