@@ -67,7 +67,8 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--balance", choices=distributed.POLICIES, default="cost")
     parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
     parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
-    parser.add_argument("--no-overlap", action="store_true", help="wait for ghosts first, begin no step early")
+    parser.add_argument("--no-overlap", action="store_true", help="wait for ghosts first")
+    parser.add_argument("--no-graph", action="store_true", help="launch by launch instead of replays of a CUDA graph")
     parser.add_argument("--steps-before", type=int, default=20, help="steps made before the first is timed")
     parser.add_argument("--rounds", type=int, default=20, help="steps timed")
     parser.add_argument("--seed", type=int, default=0)
@@ -84,7 +85,8 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
     for index in range(arguments.steps_before):
         simulation.step(index)
     state, begin = simulation.state, arguments.steps_before
-    durations, records = follow(comm, begin, arguments.rounds, lambda index: simulation.step(index, more=True))
+    end = begin + 1 + arguments.rounds
+    durations, records = follow(comm, begin, arguments.rounds, lambda index: simulation.step(index, more=end - index))
     of_ranks = comm.gather_objects((durations, [parts_of(*step) for step in zip(records, durations, strict=True)]))
     whole = [max(steps) for steps in zip(*(times for times, _ in of_ranks), strict=True)]
     parts = [steps for _, steps in of_ranks]
@@ -92,7 +94,7 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
     ranks = [record["ranks"] for record in records]
     single: list[float] = []
     if comm.size == 1:
-        steps, end = sim.StepMaker(simulation.model, state), begin + 1 + arguments.rounds
+        steps = sim.StepMaker(simulation.model, state)
         single, alone = follow(comm, begin, arguments.rounds, lambda index: steps.step(index, more=end - index))
         if [record["state_hash"] for record in alone] != [record["state_hash"] for record in records]:
             raise SystemExit("one rank and one process differ")
@@ -105,6 +107,7 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "cells": arguments.cells,
         "axes": arguments.axes,
         "overlap": not arguments.no_overlap,
+        "graph": not arguments.no_graph,
         "ms": timing.summary(whole),
         "single_process_ms": timing.summary(single) if single else None,
         "mean_of_ranks_ms": {name: over_ranks(parts, name, mean) for name in (*PARTS, REST)},
@@ -129,7 +132,9 @@ def start(
     )
     share = sim.distributed.starting_share(comm, model, partition)
     balance = distributed.BalanceOptions(arguments.balance)
-    return sim.distributed.DistributedSimulation(comm, model, partition, share, balance, not arguments.no_overlap)
+    graph = False if arguments.no_graph else None
+    overlap = not arguments.no_overlap
+    return sim.distributed.DistributedSimulation(comm, model, partition, share, balance, overlap, graph=graph)
 
 
 def follow(
@@ -176,7 +181,7 @@ def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -
     path = arguments.out or results.FOLDER / f"cluster_scaling-{arguments.device.partition(':')[0]}.json"
     known = json.loads(Path(path).read_text()) if Path(path).exists() else {}
     rows = known.get("rows", [])
-    key = ("scaling", "ranks", "robots", "pattern", "balance", "cells", "axes", "overlap", "transport")
+    key = ("scaling", "ranks", "robots", "pattern", "balance", "cells", "axes", "overlap", "graph", "transport")
     row["transport"] = transport
     row["commit"] = results.versions()["commit"]  # others of the file may be of other versions
     rows = [other for other in rows if [other.get(name) for name in key] != [row[name] for name in key]] + [row]

@@ -54,8 +54,9 @@ def measure_simulation(comm: distributed.Comm, case: Case, steps: Steps, given: 
     simulation = sim.distributed.DistributedSimulation(comm, model, partition, sim.RobotState(**mine), balance)
     made, ends = [], []
     comm.barrier()
-    for index in range(steps.before, steps.before + steps.settling + steps.timed):
-        made.append(simulation.step(index, more=True))
+    end = steps.before + steps.settling + steps.timed
+    for index in range(steps.before, end):
+        made.append(simulation.step(index, more=end - index))
         ends.append(time.perf_counter())
     records = [step.record for step in made]
     _require_hashes([record["contacts_hash"] for record in records], given["hashes"], case)

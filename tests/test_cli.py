@@ -199,7 +199,7 @@ def test_too_little_memory_is_a_mistake_too(
         raise error
 
     monkeypatch.setattr("pgccd.detect", fail)
-    monkeypatch.setattr("pgccd.sim.captured.make_step", fail)
+    monkeypatch.setattr("pgccd.sim.replay.make_step", fail)
     for arguments, option in (
         (["detect", *meshes, "--motion", poses], "--motion"),
         (["simulate", "--robots", "20", "--steps", "1", "--out", str(tmp_path)], "--robots"),

@@ -49,7 +49,7 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     for held in (None, rows):
         ops.owned_pairs(pairs, held, rows, centres, 0.01, -1e-6, reach, subdomain)
     ops.near_ghosts(centres, [column[:1] for column in centres], 0.01, -1e-6, subdomain)
-    ops.leaving_bodies(rows, moving.position_t0, subdomain, 2)
+    ops.leaving_bodies(moving.position_t0, None, subdomain, 2)
 
 
 def move_rows(device: torch.device) -> None:

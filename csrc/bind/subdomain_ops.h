@@ -123,11 +123,12 @@ struct SubdomainOps {
     return {near, found};
   }
 
-  static std::tuple<Tensor, Tensor, Tensor> leaving_bodies(const Tensor& id, const Tensor& position, FrameList frame,
-                                                           const Tensor& owner, int64_t rank, int64_t ranks) {
+  static std::tuple<Tensor, Tensor, Tensor> leaving_bodies(const Tensor& position, const std::optional<Tensor>& id,
+                                                           FrameList frame, const Tensor& owner, int64_t rank,
+                                                           int64_t ranks) {
     const int64_t count = position.size(0);
-    const BodyPositions bodies{rows<double>(position, "position", {kAnySize, 3}), rows<int64_t>(id, "id", {count}),
-                               count};
+    const BodyPositions bodies{rows<double>(position, "position", {kAnySize, 3}),
+                               optional_column<int64_t>(id, "id", count), count};
     STD_TORCH_CHECK(ranks >= 1 && ranks <= kMostCells, "ranks: expected a number in [1, 2^31], got ", ranks);
     Tensor leaving = new_tensor<int64_t>(owner, {count}), by_destination = new_tensor<int64_t>(owner, {count});
     Tensor counts = new_tensor<int64_t>(owner, {ranks});

@@ -31,6 +31,7 @@ inline void check_cuda(cudaError_t result, const char* what) {
 
 template <class T>
 void copy(const DeviceContext& context, const T* source, int64_t count, T* target) {
+  if (count == 0) return;  // no node of a CUDA graph
   check_cuda(cudaMemcpyAsync(target, source, count * sizeof(T), cudaMemcpyDeviceToDevice, context.stream),
              "cudaMemcpyAsync");
 }
@@ -92,6 +93,7 @@ void fill_bytes(const DeviceContext& context, T* target, int value, int64_t coun
   // In a CUDA graph a small memset takes 7 us, a kernel less than 2.
   constexpr int64_t kFewBytes = 4096;
   const int64_t bytes = count * static_cast<int64_t>(sizeof(T));
+  if (bytes == 0) return;  // no node of a CUDA graph
   if constexpr (sizeof(T) % sizeof(uint32_t) == 0 && alignof(T) % alignof(uint32_t) == 0) {
     if (bytes <= kFewBytes) {
       auto* const words = reinterpret_cast<uint32_t*>(target);

@@ -159,6 +159,7 @@ def find_part(
     discard: Tensor | None = None,
     rows: Tensor | None = None,
     estimate: CapacityEstimate | None = None,
+    slack: float = _SLACK,
 ) -> Part:
     """The PCS of bodies, as a part. On a GPU it is found without waiting for its size, in a capacity, where that can be
     foreseen how much suffices. Then the bodies need not be checked: if they are invalid there are no pairs.
@@ -168,6 +169,7 @@ def find_part(
         select: which of the pairs are searched. Default: all.
         discard: (1,) int64 on the device; nonzero: the result will be discarded, and the search returns at once.
         rows, estimate: as for `Part`.
+        slack: capacity over what the last step needed.
 
     Raises:
         ValueError: the bodies are invalid, and that had to be known.
@@ -182,7 +184,7 @@ def find_part(
         return pairs[: int(count)]
 
     estimate = estimate or CapacityEstimate()
-    capacity = expected_capacity(bodies, None, estimate, slack=_SLACK) if _looks_ahead(bodies) else None
+    capacity = expected_capacity(bodies, None, estimate, slack=slack) if _looks_ahead(bodies) else None
     if capacity is None:
         if not bodies.checked:
             bodies.raise_faults(bodies.first_faults().tolist())

@@ -23,15 +23,15 @@ class Leaving:
     Args:
         comm: between the ranks.
         partition: the same on all of them.
-        id: (N,) int64, negative in rows of padding.
         position: (N, 3) centres.
+        id: (N,) int64, negative in rows of padding; None: there are none.
     """
 
-    def __init__(self, comm: Comm, partition: Partition, id: Tensor, position: Tensor) -> None:
+    def __init__(self, comm: Comm, partition: Partition, position: Tensor, id: Tensor | None = None) -> None:
         self._comm = comm
         #: counts (ranks,) int64: how many to each.
         self._rows, self._by_destination, self.counts = ops.leaving_bodies(
-            id, position, partition.subdomain(comm.rank), comm.size
+            position, id, partition.subdomain(comm.rank), comm.size
         )
 
     def route(self, sent: list[int], received: list[int]) -> tuple[Route, Tensor]:
@@ -71,7 +71,7 @@ def migrate(
     if comm.size == 1:
         return columns, 0
     if known is None:
-        leaving = Leaving(comm, partition, columns["id"], position)
+        leaving = Leaving(comm, partition, position)
         sent, received = torch.stack([leaving.counts, comm.exchange_counts(leaving.counts)]).tolist()
     else:
         leaving, sent, received = known

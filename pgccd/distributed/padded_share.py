@@ -23,6 +23,9 @@ from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, PartEstimates, Share
 from pgccd.runtime.side_stream import SideStream
 
+# Bodies that stay with their rank after they have left its cells reach far into those of others.
+_NEAR_SLACK = 2
+
 
 @dataclass(frozen=True)
 class ShareCapacity:
@@ -37,7 +40,9 @@ class ShareCapacity:
         """Of a step like one that had this share, and so many bodies in common with each rank."""
         rows = share.parts[-1].rows
         near = 0 if rows is None else len(rows) - share.held.ghost_count
-        return cls(HaloCapacity.of(share.held), padded_count(near), [padded_count(count) for count in common])
+        return cls(
+            HaloCapacity.of(share.held), padded_count(_NEAR_SLACK * near), [padded_count(count) for count in common]
+        )
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,7 @@ def search_padded_share(
     estimates: PartEstimates,
     capacity: ShareCapacity,
     discard: Tensor,
+    slack: float,
 ) -> PaddedShare:
     """Sends ghosts and enqueues both searches. Waits for nothing, where messages go with the stream.
 
@@ -68,14 +74,14 @@ def search_padded_share(
             negative ids a radius below zero.
         own: columns of the bodies this rank owns, "id" ascending, then padding.
         capacity: of everything that has to do with ghosts.
-        discard: see `find_part`.
+        discard, slack: see `find_part`.
     """
     kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
     subdomain, device = partition.subdomain(comm.rank), own["id"].device
     bodies = MovingBodies(*build(own), wait=False)
     centres, asked = centres_of(bodies), (options.query, options.broad_phase)
     if comm.size == 1:
-        part = find_part(bodies, *asked, None, discard, estimate=estimates.own)
+        part = find_part(bodies, *asked, None, discard, estimate=estimates.own, slack=slack)
         return PaddedShare(Held.alone(comm, own), [part], centres, kept, bodies.first_faults()[-1:])
     reach, boundary, count = ops.boundary_bodies(centres, *kept, subdomain)
     where = *kept, reach, subdomain
@@ -88,7 +94,7 @@ def search_padded_share(
         halo = PaddedHalo(comm, capacity.halo, own)
         halo.find_ranks((centres, *kept, subdomain), boundary, count)
         halo.send()
-    own_part = find_part(bodies, *asked, owned_by_own, discard, estimate=estimates.own)
+    own_part = find_part(bodies, *asked, owned_by_own, discard, estimate=estimates.own, slack=slack)
     own_part.begin()
     with side:
         held = halo.padded()
@@ -103,7 +109,7 @@ def search_padded_share(
         def owned_at_boundary(pairs: Tensor) -> tuple[Tensor, Tensor]:
             return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *where)
 
-        found = find_part(at_boundary, *asked, owned_at_boundary, discard, rows, estimates.with_ghosts)
+        found = find_part(at_boundary, *asked, owned_at_boundary, discard, rows, estimates.with_ghosts, slack)
         found.begin()
     side.join()
     is_short = (near_count > capacity.near).to(torch.int64)

@@ -124,8 +124,10 @@ def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, Tensor]:
 
 
 @torch.library.register_fake("pgccd::leaving_bodies")
-def _(id: Tensor, _position: Tensor, _frame: list[float], owner: Tensor, _rank: int, ranks: int) -> tuple[Tensor, ...]:
-    leaving, by_destination = (owner.new_empty((id.shape[0],)) for _ in range(2))
+def _(
+    position: Tensor, _id: Tensor | None, _frame: list[float], owner: Tensor, _rank: int, ranks: int
+) -> tuple[Tensor, ...]:
+    leaving, by_destination = (owner.new_empty((position.shape[0],)) for _ in range(2))
     return leaving, by_destination, owner.new_empty((ranks,))
 
 

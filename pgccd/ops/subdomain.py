@@ -71,7 +71,10 @@ def near_ghosts(
     return library.operators.near_ghosts(list(centres), list(ghosts), min_separation, tolerance, *subdomain)
 
 
-def leaving_bodies(id: Tensor, position: Tensor, subdomain: Subdomain, ranks: int) -> tuple[Tensor, Tensor, Tensor]:
+def leaving_bodies(
+    position: Tensor, id: Tensor | None, subdomain: Subdomain, ranks: int
+) -> tuple[Tensor, Tensor, Tensor]:
     """Rows of bodies whose centre (N, 3) is in a cell of another rank, in the first places of (N,): ascending; and by
-    rank, then ascending; and how many are in the cells of each, (ranks,). id (N,): negative in rows of padding."""
-    return library.operators.leaving_bodies(id, position, *subdomain, ranks)
+    rank, then ascending; and how many are in the cells of each, (ranks,). id (N,): negative in rows of padding; None:
+    there are none."""
+    return library.operators.leaving_bodies(position, id, *subdomain, ranks)

@@ -28,6 +28,9 @@ from pgccd.sim.partners import Partners
 from pgccd.sim.resolution import OVERFLOWS, Attempt, Exchange, RoundPlan
 from pgccd.sim.tally import COUNTED, Rows, Tally, count_step, work_of_counts
 
+#: Capacity of a graph over what the last step needed: a larger graph takes as long to capture as several steps.
+GRAPH_SLACK = 2.0
+
 
 @dataclass(frozen=True)
 class Searches:

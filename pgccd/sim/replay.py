@@ -14,7 +14,7 @@ from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.memory import is_out_of_memory
 from pgccd.detection.parts import find_part
-from pgccd.sim.captured import CommittedStep, Searches, StepGraph, StepReplay
+from pgccd.sim.captured import GRAPH_SLACK, CommittedStep, Searches, StepGraph, StepReplay
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.resolution import OneRank, Resolution
@@ -211,7 +211,7 @@ def capture_step(
 
     def search(planned: RobotState, discard: Tensor) -> Searches:
         bodies = MovingBodies(scene, model.motion(planned), wait=False)
-        part = find_part(bodies, FIRST_CONTACTS, broad_phase, discard=discard, estimate=plan.pairs)
+        part = find_part(bodies, FIRST_CONTACTS, broad_phase, discard=discard, estimate=plan.pairs, slack=GRAPH_SLACK)
         partners = Partners(model, planned.moving_columns, None, part.pairs)
         return Searches([part], partners, planned.id, OneRank(), bodies.first_faults()[-1:])
 

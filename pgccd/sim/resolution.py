@@ -42,7 +42,7 @@ _FIRST_ROUNDS, _MORE_ROUNDS = 4, 2
 # How many steps count as the last.
 _RECENT_STEPS = 8
 # Capacity over what a round needed in the last step.
-_SLACK = 1.5
+_SLACK = 2.0
 
 
 @dataclass

@@ -134,8 +134,10 @@ def follow_replayed(
         # Cells of so few robots would change hands, or robots be away, in almost every step.
         stack.enter_context(mock.patch.object(simulation_module, "_MOST_AWAY", 0.5))
         if padding == "none":  # then one body more is too much
-            for module in (halo_capacity, padded_share, simulation_module):
+            for module in (halo_capacity, padded_share):
                 stack.enter_context(mock.patch.object(module, "padded_count", lambda count: count))
+            stack.enter_context(mock.patch.object(padded_share, "_NEAR_SLACK", 1))
+            stack.enter_context(mock.patch.object(simulation_module, "_OWN_MORE", 0))
         return follow(comm, name, policy, steps, random_owners, True, graph=True)
 
 

@@ -15,7 +15,7 @@ import torch
 import pgccd
 from pgccd import sim
 from pgccd.runtime.stages import StageClock
-from pgccd.sim import captured
+from pgccd.sim import replay
 from pgccd.sim.files import CHECKPOINT_FILE, LOG_FILE, WORLD_FILE
 
 CONFIG = sim.ModelConfig(robots=200, pattern="skewed", seed=11, speed=0.2)
@@ -113,14 +113,14 @@ def test_checkpoints_are_written_on_the_way(finished: tuple[Path, sim.Run], tmp_
 
 @pytest.mark.parametrize("on_gpu", [False, True])
 def test_lines_of_the_steps_before_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, on_gpu: bool) -> None:
-    make_step = captured.make_step
+    make_step = replay.make_step
 
     def fail(*arguments: Any, **more: Any) -> Any:
         if arguments[3] == 7:
             raise RuntimeError("no more")
         return make_step(*arguments, **more)
 
-    monkeypatch.setattr(captured, "make_step", fail)
+    monkeypatch.setattr(replay, "make_step", fail)
     monkeypatch.setattr(torch.cuda, "is_initialized", lambda: on_gpu)
     # The stages' times would be asked of a GPU.
     monkeypatch.setattr(StageClock, "stage", lambda *_: nullcontext())

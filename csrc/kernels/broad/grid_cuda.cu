@@ -180,7 +180,8 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
 
   collect_pairs(context, bodies, out, [&](const PairList& list) {
     const auto blocks = static_cast<unsigned>((count + kBlockThreads - 1) / kBlockThreads);
-    find_candidates<<<blocks, kBlockThreads, 0, context.stream>>>(bodies, frame, {tables, start, bucket_count, boxes, cells}, list);
+    find_candidates<<<blocks, kBlockThreads, 0, context.stream>>>(bodies, frame,
+                                                                  {tables, start, bucket_count, boxes, cells}, list);
   });
 }
 

@@ -151,7 +151,7 @@ PGCCD_HD bool is_near(const BroadBodies& bodies, const CellFrame& frame, const i
 
 struct BodyPositions {
   const double* position;  // (count, 3)
-  const int64_t* id;       // (count,) below zero: there is no such body
+  const int64_t* id;       // (count,) below zero in rows of padding; null: there are none
   int64_t count;
 };
 
@@ -160,7 +160,7 @@ PGCCD_HD int64_t owner_of(const Subdomain& subdomain, const BodyPositions& bodie
 }
 
 PGCCD_HD bool is_leaving(const Subdomain& subdomain, const BodyPositions& bodies, int64_t body) {
-  return bodies.id[body] >= 0 && owner_of(subdomain, bodies, body) != subdomain.rank;
+  return (bodies.id == nullptr || bodies.id[body] >= 0) && owner_of(subdomain, bodies, body) != subdomain.rank;
 }
 
 }  // namespace pgccd

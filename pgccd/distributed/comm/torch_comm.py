@@ -56,7 +56,8 @@ class TorchComm(Comm):
         device, rows = rows.device, self._stage(rows).contiguous()
         arriving = rows.new_empty((sum(received), rows.shape[1]))
         with self.guard.waiting("exchange"):
-            if self.size > self.neighbours_above:
+            # NCCL sends nothing where there are no rows, and of its calls this one can be captured in a graph.
+            if self.size > self.neighbours_above and self.transport != "nccl":
                 works = self._to_neighbours(rows, arriving, sent, received)
             else:
                 # NCCL does it on the current stream; on one of its own it would begin and end later.

@@ -16,7 +16,7 @@ from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, PartEstimates
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
-from pgccd.sim.captured import Searches, clear_rows
+from pgccd.sim.captured import GRAPH_SLACK, Searches, clear_rows
 from pgccd.sim.distributed.held_exchange import HeldExchange
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
@@ -46,7 +46,7 @@ class RankSearches:
     def search(self, planned: RobotState, discard: Tensor) -> Searches:
         """Enqueues the searches of a planned step."""
         own, capacity = planned.moving_columns, self.capacity
-        asked = self._build_padded, self.options, self.estimates, capacity, discard
+        asked = self._build_padded, self.options, self.estimates, capacity, discard, GRAPH_SLACK
         share = search_padded_share(self.comm, self.partition, own, *asked)
         agreed = share.held, share.ghost_centres, share.kept, self.partition
         exchange = HeldExchange.start(*agreed, capacity.common)
@@ -56,7 +56,7 @@ class RankSearches:
     def conclude(self, searches: Searches, after: RobotState) -> Tensor:
         """(4,) int64 as in `Reports`: robots held, arrived, whether to stop, how many are in cells of others."""
         held = (searches.id >= 0).sum()[None]
-        leaving = Leaving(self.comm, self.partition, after.id, after.position).counts.sum()[None]
+        leaving = Leaving(self.comm, self.partition, after.position, after.id).counts.sum()[None]
         concluded = torch.cat([held, self.notes, leaving])
         self.notes[:1].zero_()
         return concluded

@@ -16,7 +16,7 @@ from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, reba
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection import Detection, cell_loads
-from pgccd.distributed.halo_capacity import HaloCapacity, padded_count
+from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.migrate import Census, Leaving, migrate
 from pgccd.distributed.padded_share import ShareCapacity
 from pgccd.distributed.partition import Partition
@@ -40,6 +40,8 @@ _BLOCK_ROBOTS = 1 << 20
 # Up to so many ranks, each sends all others its counts of leaving robots together with its tally; with more, those
 # affected alone.
 _TELLS_MOVES = 64
+# Rows of a graph for robots that come, besides those that there are: a share of these, and some.
+_OWN_SHARE, _OWN_MORE = 16, 256
 # Robots that have left stay with their rank as long as there are so many times more ghosts: each may be one.
 _MOST_AWAY = 4
 
@@ -197,7 +199,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
                 after = respond(planned, fraction)
             with clock.stage("hash"):
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
-                leaving = Leaving(comm, self._partition, after.id, after.position)
+                leaving = Leaving(comm, self._partition, after.position)
                 moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
                 return torch.cat([counted, self._host_numbers(share), leaving.counts.sum()[None], *moves])
 
@@ -211,8 +213,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
                 known = leaving, reports.moves[comm.rank].tolist(), reports.moves[:, comm.rank].tolist()
             self._migrate(after, known)
         clock.stop()
-        tally = Tally.of(reports.work, reports.counted)
-        Census(tally.robots, tally.id_hash).require(self._expected)
+        tally = self._tally(reports)
         resolved.learn()
         if self._wants_graph:
             self._share_capacity = ShareCapacity.after(share, exchange.common)
@@ -225,6 +226,12 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
             return Detection(share, contacts_of_step(share.parts))
 
         return RankStep(index, planned, resolved.resolution, bool(reports.stop.any()), find, make_record)
+
+    def _tally(self, reports: Reports) -> Tally:
+        """Of all ranks. Raises RuntimeError if robots were lost or doubled."""
+        tally = Tally.of(reports.work, reports.counted)
+        Census(tally.robots, tally.id_hash).require(self._expected)
+        return tally
 
     def _host_numbers(self, share: Share) -> Tensor:
         numbers = torch.tensor([len(share.held), self._arrived, int(self._stop)])
@@ -272,7 +279,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         self._graph_partition = replace(self._partition, owner=self._partition.owner.clone())
         where = self.comm, self._graph_partition, self._share_capacity, self._notes
         searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
-        state = padded_state(self._state, padded_count(len(self._state)))
+        state = padded_state(self._state, len(self._state) + len(self._state) // _OWN_SHARE + _OWN_MORE)
         graph = StepGraph(self.model, state, index, searches.search, self._plan, rounds, searches.conclude)
         self._load(graph, index)
         return graph
@@ -303,8 +310,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
 
     def _reports_of(self, step: CommittedStep) -> CommittedRankStep:
         reports = Reports.of(step.work, step.conclusions)
-        tally = Tally.of(reports.work, reports.counted)
-        Census(tally.robots, tally.id_hash).require(self._expected)
+        self._tally(reports)
         return CommittedRankStep(step, reports, bool(reports.stop.any()))
 
     def _migrate(self, state: RobotState, known: tuple[Leaving, list[int], list[int]] | None = None) -> None:
