@@ -11,7 +11,6 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.arguments import real_rows
 from pgccd.motion.columns import MovingColumns
-from pgccd.motion.faults import first_faults
 from pgccd.motion.times import broadcast_times
 
 PathKind = Literal["rigid", "linear"]
@@ -55,11 +54,9 @@ class RigidMotion(MovingColumns):
     ) -> None:
         self._set(position_t0, orientation_t0, position_t1, path)
         orientation_t1 = real_rows(orientation_t1, "orientation_t1", self.body_count, 4, self.device)
-        # Not kept, so it is looked at now; on a GPU without waiting for the verdict.
-        self._given, self._given_faults = ("orientation_t1",), first_faults({"orientation_t1": orientation_t1})
         #: (N, 3) rotation vector of the whole step, radians, world frame.
         self.rotation = ops.rotations_between(self.orientation_t0, orientation_t1)
-        self._check_early()
+        self._check_early(given={"orientation_t1": orientation_t1})
 
     @classmethod
     def from_velocity(
