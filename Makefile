@@ -21,7 +21,7 @@ SANITIZED = tests/test_rows.py tests/test_traverse.py tests/test_capacity.py tes
 .PHONY: demo test sanitize lint bench bench-peers build clean
 
 demo: $(EXTENSION)
-	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 20 --world random --out out/demo
+	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 20 --world random --out out/demo --overwrite
 
 test: $(EXTENSION)
 	$(VENV_PYTHON) -m pytest -q $(PARALLEL)

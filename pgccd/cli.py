@@ -22,11 +22,12 @@ from pgccd.detection.memory import is_out_of_memory
 from pgccd.detection.narrow import REPORTS, Kind, Status
 from pgccd.files import load_motion, load_scene
 from pgccd.geometry.origin import Origin
+from pgccd.sim.checkpoint import require_checkpoint
+from pgccd.sim.checkpoint_files import Header
 from pgccd.sim.distributed import command
 from pgccd.sim.progress import Progress, terminal_progress
+from pgccd.sim.run_folder import WORLD_FILE, FolderError
 from pgccd.sim.summary import summary_lines, totals, write_pictures
-
-_MESH_LIST = "meshes.json"
 
 _DETECT_NOTES = """\
 poses.npz holds, for N bodies: position_t0 (N, 3) and orientation_t0 (N, 4), and either
@@ -79,7 +80,8 @@ def _build_parser() -> argparse.ArgumentParser:
     add("--seed", type=int, help="of all randomness (0)")
     add("--out", type=Path, metavar="DIR", help="where the log, checkpoints and pictures go (out/simulate)")
     add("--checkpoint-every", type=int, default=0, metavar="K", help="steps between checkpoints (one at the end)")
-    add("--resume", type=Path, metavar="DIR", help="continue the run in this folder")
+    add("--resume", metavar="DIR", help="continue the run in this folder; auto: the one in --out, if there is one")
+    add("--overwrite", action="store_true", help="replace a run that is in --out already")
     add("--no-pictures", action="store_true", help="leave out world.png and world.html")
     command.add_arguments(simulate)
     simulate.set_defaults(run=_simulate)
@@ -110,10 +112,12 @@ def _build_parser() -> argparse.ArgumentParser:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    if options.resume is not None:
+    if options.resume not in (None, "auto"):
         for name in ("robots", "world", "seed", "out"):
             if getattr(options, name) is not None:
                 raise ArgumentError(f"--{name}", "not allowed with --resume, which continues the world that is there")
+        if options.overwrite:
+            raise ArgumentError("--overwrite", "not allowed with --resume")
     elif options.robots is not None and options.robots < 1:
         raise ArgumentError("--robots", f"expected at least 1, got {options.robots}")
     if options.steps is not None and options.steps < 0:
@@ -156,54 +160,67 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     out = options.out or Path("out/simulate")
     settings: dict[str, Any] = {"device": device, "broad_phase": options.broad_phase}
     settings["checkpoint_every"] = options.checkpoint_every
+    begin: Callable[..., sim.Run] = sim.run
+    go_on: Callable[..., sim.Run] = sim.resume
+    if comm.size > 1:
+        spread: dict[str, Any] = {"options": command.distributed_options(options)}
+        spread["keep_last_step"] = not options.no_pictures
+        begin = functools.partial(sim.distributed.run, comm, **spread)
+        go_on = functools.partial(sim.distributed.resume, comm, **spread)
+    given = {"robots": options.robots, "pattern": options.world, "seed": options.seed}
+    given = {name: value for name, value in given.items() if value is not None}
     try:
-        folder = command.folder_to_resume(comm, options, out)
-        on_ranks = distributed.on_first(comm, lambda: command.needs_ranks(comm, folder))
-        if on_ranks:
-            spread: dict[str, Any] = {"options": command.distributed_options(options)}
-            spread["keep_last_step"] = not options.no_pictures
-            start: Callable[..., sim.Run] = functools.partial(sim.distributed.run, comm, **spread)
-            go_on: Callable[..., sim.Run] = functools.partial(sim.distributed.resume, comm, **spread)
-        else:
-            start, go_on = sim.run, sim.resume
+        folder = command.folder_to_resume(comm, options.resume, out)
         if folder is not None:
-            header, _ = distributed.on_first(comm, lambda: sim.distributed.find_checkpoint(folder))
-            files = options.mesh or distributed.on_first(comm, lambda: _listed_meshes(folder))
+            header = distributed.on_first(comm, lambda: require_checkpoint(folder)).header
+            _require_same_world(folder, header, given)
+            files = options.mesh or distributed.on_first(comm, lambda: _mesh_files(folder))
             meshes = distributed.together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))
             with _progress(comm, header.steps_made, options.steps or header.steps_wanted) as progress:
                 return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
     except (ValueError, OSError) as error:
         raise ArgumentError("--resume", error) from error
-    given = {"robots": options.robots, "pattern": options.world, "seed": options.seed}
     try:
-        config = sim.ModelConfig(**{name: value for name, value in given.items() if value is not None})
+        config = sim.ModelConfig(**given)
     except ValueError as error:
         field, _, problem = str(error).partition(": ")
-        raise ArgumentError("--" + field.replace("pattern", "world"), problem) from error
+        raise ArgumentError(_option(field), problem) from error
     meshes = distributed.together(comm, lambda: _load_meshes(options.mesh, "--mesh", "centroid"))
     steps = 20 if options.steps is None else options.steps
+    notes = {"mesh_files": [str(Path(name).resolve()) for name in options.mesh or []]}
+    settings |= {"notes": notes, "overwrite": options.overwrite}
+    try:
+        with _progress(comm, 0, steps) as progress:
+            return begin(config, steps, out, meshes=meshes, progress=progress, **settings), out
+    except (FolderError, sim.CheckpointError) as error:
+        raise ArgumentError("--out", str(error).removeprefix("folder: ")) from error
 
-    def list_meshes() -> None:
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-            listed = [str(Path(name).resolve()) for name in options.mesh or []]
-            (out / _MESH_LIST).write_text(json.dumps(listed) + "\n")
-        except OSError as error:
-            raise ArgumentError("--out", f"cannot write to {out}: {error.strerror}") from error
 
-    distributed.on_first(comm, list_meshes)
-    command.begin_run(comm, out)
-    with _progress(comm, 0, steps) as progress:
-        return start(config, steps, out, meshes=meshes, progress=progress, **settings), out
+def _require_same_world(folder: Path, header: Header, given: dict[str, Any]) -> None:
+    """That what `--resume auto` continues is what it would begin."""
+    for name, value in given.items():
+        there = getattr(header.config, name)
+        if there != value:
+            raise ArgumentError(_option(name), f"the run in {folder} has {there}, got {value}")
+
+
+def _option(field: str) -> str:
+    """By which a field of the configuration is given."""
+    return "--" + field.replace("pattern", "world")
 
 
 def _progress(comm: distributed.Comm, steps_made: int, steps: int) -> AbstractContextManager[Progress | None]:
     return terminal_progress(steps_made, steps) if comm.rank == 0 else nullcontext()
 
 
-def _listed_meshes(folder: Path) -> list[str] | None:
-    path = folder / _MESH_LIST
-    return (json.loads(path.read_text()) or None) if path.is_file() else None
+def _mesh_files(folder: Path) -> list[str] | None:
+    """Those that a run was begun with; None: the built-in robot."""
+    path = folder / WORLD_FILE
+    try:
+        files = json.loads(path.read_text()).get("mesh_files") if path.is_file() else None
+    except (AttributeError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    return files or None
 
 
 def _load_meshes(files: Sequence[str] | None, argument: str, origin: Origin = (0, 0, 0)) -> list[pgccd.Mesh] | None:

@@ -160,7 +160,6 @@ def test_few_files_know_what_carries_messages() -> None:
         "mpi_comm.py",
         "connect.py",
         "rendezvous.py",
-        "row_planners.py",
     }
     assert knowing["mpi4py"] == {"mpi_comm.py", "rendezvous.py"}
 

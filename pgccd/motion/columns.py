@@ -47,7 +47,8 @@ class MovingColumns:
         """
         columns = {name: getattr(self, name) for name in self._names}
         if self.is_trusted or all(
-            self._sound.get(name) is column and not column.requires_grad for name, column in columns.items()
+            name in self._sound and self._sound[name] is column and not column.requires_grad
+            for name, column in columns.items()
         ):
             return columns
         given, count, device = dict(columns), None, None

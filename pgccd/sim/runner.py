@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,18 +16,13 @@ import torch
 from pgccd.detection.broad import BroadPhase
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
-from pgccd.sim.files import (
-    WORLD_FILE,
-    Checkpoint,
-    StepLog,
-    forget_checkpoints,
-    load_checkpoint,
-    save_checkpoint,
-    write_json,
-)
+from pgccd.sim.checkpoint import Checkpoint, load_checkpoint, require_checkpoint, save_checkpoint
+from pgccd.sim.checkpoint_files import Header
+from pgccd.sim.log import StepLog
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress, Silent
 from pgccd.sim.replay import StepMaker
+from pgccd.sim.run_folder import begin, hold
 from pgccd.sim.step import Step
 
 
@@ -54,8 +49,10 @@ def run(
     checkpoint_every: int = 0,
     progress: Progress | None = None,
     graph: bool | None = None,
+    overwrite: bool = False,
+    notes: Mapping[str, Any] | None = None,
 ) -> Run:
-    """Simulates a world from its start and writes `model.json`, `steps.jsonl` and `checkpoint.pt` into a folder.
+    """Simulates a world from its start and writes `world.json`, `steps.jsonl` and `checkpoints/` into a folder.
 
     Ctrl-C (or SIGTERM) ends it after the step under way, with a checkpoint; a second one ends it at once, and the last
     checkpoint stays.
@@ -63,29 +60,30 @@ def run(
     Args:
         config: the world.
         steps: how many to make.
-        folder: made if missing; the files of an earlier run in it are replaced.
+        folder: made if missing. No other job may use it meanwhile.
         meshes: kinds of robots; default `robot_mesh()`.
         device: where to compute. The result does not depend on it.
         broad_phase: as for `detect`.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
         progress: called after every step.
         graph: whether steps are replays of one CUDA graph. Default: on a GPU. The result does not depend on it.
+        overwrite: whether a run that is there may be replaced; else it is refused.
+        notes: plain values for `world.json` besides those of the model.
 
     Raises:
-        ValueError: naming the argument.
+        ValueError: naming the argument; also if the folder is in use, or holds a run, or cannot be written to.
 
     Example:
-        >>> finished = pgccd.sim.run(pgccd.sim.ModelConfig(robots=1000), steps=10, folder="out/try")
+        >>> finished = pgccd.sim.run(pgccd.sim.ModelConfig(robots=1000), steps=10, folder="out/ten")
         >>> sum(record["contacts"] for record in finished.records)
     """
     folder = Path(folder)
     if steps < 0:
         raise ValueError(f"steps: expected a number >= 0, got {steps}")
     model = Model(config, meshes, device)
-    folder.mkdir(parents=True, exist_ok=True)
-    forget_checkpoints(folder)  # an earlier run's would not fit the log that starts now
-    write_json(folder / WORLD_FILE, model.describe())
-    return _continue(model, model.start(), 0, steps, folder, broad_phase, checkpoint_every, progress, graph)
+    with hold(folder):
+        begin(folder, model.describe() | dict(notes or {}), overwrite)
+        return _continue(model, model.start(), 0, steps, folder, broad_phase, checkpoint_every, progress, graph)
 
 
 def resume(
@@ -109,22 +107,35 @@ def resume(
 
     Raises:
         FileNotFoundError: there is no checkpoint.
-        ValueError: it cannot be read, or does not fit the meshes, the log or the number of steps.
+        ValueError: it cannot be read, or does not fit the meshes or the number of steps; or the folder is in use.
 
     Example:
         >>> finished = pgccd.sim.resume("out/try", steps=20)
     """
     folder = Path(folder)
-    checkpoint = load_checkpoint(folder)
-    model = Model(checkpoint.config, meshes, device)
-    if meshes_digest(model.meshes.meshes) != checkpoint.meshes:
+    require_checkpoint(folder)  # before anything is made there
+    with hold(folder):
+        checkpoint = load_checkpoint(folder)
+        model, steps = continued(folder, checkpoint, steps, meshes, device)
+        state, made = checkpoint.state.to(model.device), checkpoint.steps_made
+        return _continue(model, state, made, steps, folder, broad_phase, checkpoint_every, progress, graph)
+
+
+def continued(
+    folder: Path, header: Header, steps: int | None, meshes: Sequence[Mesh] | None, device: torch.device | str
+) -> tuple[Model, int]:
+    """The model of a run that goes on, and how many steps it is to make in all.
+
+    Raises:
+        ValueError: naming the argument that does not fit the checkpoint.
+    """
+    model = Model(header.config, meshes, device)
+    if meshes_digest(model.meshes.meshes) != header.meshes:
         raise ValueError(f"meshes: the run in {folder} was made with others")
-    steps = checkpoint.steps_wanted if steps is None else steps
-    if steps < checkpoint.steps_made:
-        raise ValueError(f"steps: the run in {folder} has made {checkpoint.steps_made} already, got {steps}")
-    state = checkpoint.state.to(model.device)
-    made = checkpoint.steps_made
-    return _continue(model, state, made, steps, folder, broad_phase, checkpoint_every, progress, graph)
+    steps = header.steps_wanted if steps is None else steps
+    if steps < header.steps_made:
+        raise ValueError(f"steps: the run in {folder} has made {header.steps_made} already, got {steps}")
+    return model, steps
 
 
 class HasRecord(Protocol):
@@ -236,8 +247,9 @@ def drive(
                 lines.add(machine.step(steps_made, more=until - steps_made - 1))
                 steps_made += 1
                 if steps_made == until < steps:
-                    lines.finish()
+                    lines.sync()
                     machine.save(steps_made, steps)
+            lines.sync()  # a checkpoint is never ahead of its log
         machine.save(steps_made, steps)
         machine.finish()
     return steps_made
@@ -259,6 +271,12 @@ class _DelayedLog:
         """Writes the line of the step before this one."""
         self.finish()
         self._last = step
+
+    def sync(self) -> None:
+        """Writes the line of the last step, and waits until all lines are on the disk."""
+        self.finish()
+        if self._log is not None:
+            self._log.sync()
 
     def finish(self) -> None:
         """Writes the line of the last step."""

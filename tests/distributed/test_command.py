@@ -33,6 +33,8 @@ pytestmark = pytest.mark.ranks
 
 WORLD = ["--robots", "150", "--world", "skewed", "--seed", "4", "--no-pictures"]
 CONFIG = sim.ModelConfig(robots=150, pattern="skewed", seed=4)
+# A run that goes on when its ranks are started again.
+AGAIN = ["--checkpoint-every", "8", "--resume", "auto"]
 SIMULATE = ["-m", "pgccd", "simulate"]
 WHERE = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
 
@@ -120,7 +122,7 @@ def test_everything_over_mpi(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("where", WHERE)
 def test_killed_rank_torchrun_starts_all_again(where: str, tmp_path: Path, expected: list[dict[str, Any]]) -> None:
-    program = [*SIMULATE, *WORLD, "--steps", "60", "--checkpoint-every", "8", "--out", str(tmp_path)]
+    program = [*SIMULATE, *WORLD, "--steps", "60", *AGAIN, "--out", str(tmp_path)]
     if where == "cuda":
         program = over_nccl(2, *program, "--device", "cuda", "--transport", "nccl")
     process = subprocess.Popen(
@@ -156,7 +158,7 @@ def test_of_two_machines_one_loses_its_rank(
     """Its agent counts a restart, the other does not."""
     variables = environment(TORCH_DISABLE_SHARE_RDZV_TCP_STORE="0" if who_keeps_the_store == "agent" else "1")
     meeting = ["--nnodes", "2", "--rdzv-backend", "c10d", "--rdzv-endpoint", f"127.0.0.1:{free_port()}"]
-    program = [*SIMULATE, *WORLD, "--steps", "60", "--checkpoint-every", "8", "--out", str(tmp_path)]
+    program = [*SIMULATE, *WORLD, "--steps", "60", *AGAIN, "--out", str(tmp_path)]
     command = torchrun(1, *meeting, "--rdzv-id", "two", "--max-restarts", "2", *program)
     agents = [
         subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)

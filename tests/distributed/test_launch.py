@@ -21,7 +21,7 @@ from pgccd.distributed.comm import nccl
         ({"RANK": "5", "WORLD_SIZE": "8", "LOCAL_RANK": "1"}, Placement("torchrun", 5, 8, 1)),
         (
             {"RANK": "0", "WORLD_SIZE": "2", "LOCAL_RANK": "0", "TORCHELASTIC_RESTART_COUNT": "2"},
-            Placement("torchrun", 0, 2, 0, 2),
+            Placement("torchrun", 0, 2, 0),
         ),
         ({"PMI_RANK": "3", "PMI_SIZE": "4", "MPI_LOCALRANKID": "3"}, Placement("MPICH", 3, 4, 3)),
         (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ import torch
 from distributed.conftest import World
 from pgccd import sim
 from pgccd.distributed import BalanceOptions, Comm, Partition
+from pgccd.sim.checkpoint import require_checkpoint
 from pgccd.sim.distributed import DistributedOptions, DistributedSimulation, resume, run, runner
-from pgccd.sim.distributed.checkpoint import read_owners
+from pgccd.sim.distributed.checkpoint import load_share
+from pgccd.sim.run_folder import sees_mark
 
 CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
 
@@ -23,12 +26,11 @@ def go_on(comm: Comm, folder: str) -> list[dict[str, Any]]:
     options = DistributedOptions(cells=4, balance=eager)
     run(comm, CONFIG, 6, folder, options=options)
     half = sim.Model(CONFIG).half_extent
-    lower = tuple(-x for x in half)
-    start = Partition.uniform(lower, half, comm.size, cells=4)
-    owners = read_owners(Path(folder), start)
-    assert owners is not None and owners != start.owner.tolist()
-    assert read_owners(Path(folder), Partition.uniform(lower, half, comm.size, cells=5)) is None
-    assert read_owners(Path(folder), Partition.uniform(lower, half, comm.size + 1, cells=4)) is None
+    start = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=4)
+    owners = require_checkpoint(Path(folder)).owners()
+    assert owners is not None and not torch.equal(owners.owner, start.owner)
+    for other in (Partition.uniform(start.lower, half, comm.size + n, cells=5 - n) for n in (0, 1)):
+        assert runner._owned_as_before(owners, other) is other
 
     began = []
 
@@ -39,7 +41,7 @@ def go_on(comm: Comm, folder: str) -> list[dict[str, Any]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "DistributedSimulation", begin)
         finished = resume(comm, folder, 8, options=options)
-    assert torch.equal(began[0].owner, torch.tensor(owners))
+    assert torch.equal(began[0].owner, owners.owner)
     return finished.records
 
 
@@ -49,9 +51,55 @@ def test_owners_of_cells_are_kept(ranks: World, tmp_path: Path) -> None:
     assert [record["state_hash"] for record in records] == [record["state_hash"] for record in alone]
 
 
-def test_a_broken_table_is_named(ranks: World, tmp_path: Path) -> None:
+def share(comm: Comm, folder: str) -> tuple[list[int], str]:
+    """The ids that a rank reads, or what it is told."""
+    try:
+        return load_share(comm, require_checkpoint(Path(folder))).id.tolist(), ""
+    except ValueError as error:
+        return [], str(error)
+
+
+def test_any_number_of_ranks_reads_what_another_wrote(ranks: World, tmp_path: Path) -> None:
     ranks.run(3, go_on, str(tmp_path))
-    (table,) = tmp_path.glob("checkpoints/step-*/owners.json")
-    table.write_text("{}")
-    with pytest.raises(ValueError, match="does not contain the owners of cells"):
-        read_owners(tmp_path, Partition.uniform((0.0,) * 3, (1.0,) * 3, 3))
+    whole = sim.load_checkpoint(tmp_path)
+    assert whole.state.id.tolist() == list(range(240)) and whole.steps_made == 8
+    for size in (1, 2, 4):
+        shares = [ids for ids, _ in ranks.run(size, share, str(tmp_path))]
+        assert sorted(sum(shares, [])) == list(range(240))
+        assert {len(ids) for ids in shares} == {240 // size}
+    # What is damaged is refused by all, whichever of them has looked at it.
+    (damaged,) = tmp_path.glob("checkpoints/step-*/rank-00001.safetensors")
+    content = bytearray(damaged.read_bytes())
+    content[-5] ^= 1
+    damaged.write_bytes(content)
+    for ids, said in ranks.run(4, share, str(tmp_path)):
+        assert ids == [] and "rank-00001.safetensors is damaged: its hash" in said
+
+
+def test_owners_are_verified(ranks: World, tmp_path: Path) -> None:
+    ranks.run(2, go_on, str(tmp_path))
+    (table,) = tmp_path.glob("checkpoints/step-*/owners.safetensors")
+    table.write_bytes(table.read_bytes()[:-8])
+    with pytest.raises(ValueError, match=r"owners.safetensors is damaged: it has \d+ bytes"):
+        require_checkpoint(tmp_path).owners()
+
+
+def see(comm: Comm, folder: str) -> str:
+    """What a rank is told whose folder is its own."""
+    try:
+        run(comm, CONFIG, 1, Path(folder) / str(comm.rank))
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def test_a_folder_that_ranks_do_not_share(ranks: World, tmp_path: Path) -> None:
+    for said in ranks.run(2, see_at_once, str(tmp_path)):
+        assert re.search(r"folder: .*/1 on .* is not that of rank 0", said)
+
+
+def see_at_once(comm: Comm, folder: str) -> str:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "sees_mark", lambda folder, name: sees_mark(folder, name, within=0.2))
+        patch.setattr(runner, "_compare", lambda *_: None)
+        return see(comm, folder)

@@ -16,7 +16,8 @@ import pgccd
 from pgccd import sim
 from pgccd.runtime.stages import StageClock
 from pgccd.sim import replay
-from pgccd.sim.files import CHECKPOINT_FILE, LOG_FILE, WORLD_FILE
+from pgccd.sim.log import LOG_FILE
+from pgccd.sim.run_folder import WORLD_FILE
 
 CONFIG = sim.ModelConfig(robots=200, pattern="skewed", seed=11, speed=0.2)
 FIELDS = {"step", "robots", "pcs", "contacts", "contacts_hash", "state_hash", "seconds", "stage_seconds", "candidates"}
@@ -129,34 +130,58 @@ def test_lines_of_the_steps_before_a_failure(tmp_path: Path, monkeypatch: pytest
     assert len(log(tmp_path)) == (6 if on_gpu else 7)
 
 
-def test_a_new_run_forgets_the_checkpoint_of_an_earlier_one(tmp_path: Path) -> None:
+def test_a_new_run_replaces_an_earlier_one_only_if_it_may(tmp_path: Path) -> None:
     sim.run(CONFIG, 2, tmp_path)
+    with pytest.raises(ValueError, match="^folder: .* holds a run that made 2 of 2 steps; resume it, overwrite it"):
+        sim.run(CONFIG, 2, tmp_path)
+    assert sim.load_checkpoint(tmp_path).steps_made == 2
 
     class CrashAtOnce:
         def advance(self, record: dict[str, Any]) -> None:
             raise CrashError
 
     with pytest.raises(CrashError):
-        sim.run(CONFIG, 2, tmp_path, progress=CrashAtOnce())
+        sim.run(CONFIG, 2, tmp_path, progress=CrashAtOnce(), overwrite=True)
     with pytest.raises(FileNotFoundError, match="no checkpoint"):
         sim.resume(tmp_path)
+    sim.run(CONFIG, 1, tmp_path)  # nothing is lost
+
+
+def test_one_job_a_folder(tmp_path: Path) -> None:
+    class Second:
+        def advance(self, record: dict[str, Any]) -> None:
+            if record["step"] == 0:  # there is no checkpoint yet
+                return
+            for again in (lambda: sim.run(CONFIG, 2, tmp_path, overwrite=True), lambda: sim.resume(tmp_path)):
+                with pytest.raises(ValueError, match=f"in use by another job: process {os.getpid()} on .*, since"):
+                    again()
+
+    sim.run(CONFIG, 4, tmp_path, checkpoint_every=1, progress=Second())
+    assert sim.resume(tmp_path, 5).steps_made == 5
 
 
 def test_what_cannot_be_resumed_says_why(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no checkpoint"):
-        sim.resume(tmp_path)
+        sim.resume(tmp_path / "nowhere")
+    assert not (tmp_path / "nowhere").exists()
     sim.run(CONFIG, 3, tmp_path)
     with pytest.raises(ValueError, match="^steps: .* has made 3 already"):
         sim.resume(tmp_path, 2)
     robot = sim.robot_mesh()
     with pytest.raises(ValueError, match="^meshes: "):
         sim.resume(tmp_path, 4, meshes=[pgccd.Mesh(robot.vertices * 1.5, robot.faces, "centroid")])
-    (tmp_path / LOG_FILE).write_text("")
-    with pytest.raises(ValueError, match="holds 0 steps"):
-        sim.resume(tmp_path, 4)
-    (tmp_path / CHECKPOINT_FILE).write_bytes(b"not a checkpoint")
-    with pytest.raises(ValueError, match="not a checkpoint"):
-        sim.resume(tmp_path, 4)
+
+
+def test_a_log_that_lacks_lines_does_not_make_a_checkpoint_useless(
+    finished: tuple[Path, sim.Run], tmp_path: Path
+) -> None:
+    sim.run(CONFIG, 9, tmp_path)
+    lines = (tmp_path / LOG_FILE).read_text().splitlines(keepends=True)
+    (tmp_path / LOG_FILE).write_text("".join(lines[:7]))
+    with pytest.warns(UserWarning, match="lacks 2 of 9 steps"):
+        sim.resume(tmp_path, 12)
+    expected = without_times(log(finished[0]))
+    assert without_times(log(tmp_path)) == expected[:7] + expected[9:12]
 
 
 def test_a_run_of_no_steps_is_a_run(tmp_path: Path) -> None:

@@ -39,6 +39,20 @@ class Pending:
             return self._wait()
 
 
+class Background:
+    """Small picklable values between ranks, from a thread of its own while others exchange messages. Here of one rank;
+    every method must be called by all ranks, in the same order.
+    """
+
+    def gather(self, value: Any) -> list[Any]:
+        """That of every rank, on rank 0; nothing on others."""
+        return [value]
+
+    def broadcast(self, value: Any) -> Any:
+        """Rank 0's."""
+        return value
+
+
 class Comm(ABC):
     """Ranks 0 to size - 1, this one among them. Every method must be called by all of them, in the same order.
 
@@ -52,8 +66,6 @@ class Comm(ABC):
     size: int
     #: Finds the rank at fault when a message does not come.
     guard: Guard
-    #: Whether these ranks were started in the place of others of the same job, after some of them were lost.
-    restarted = False
     #: With more ranks than this, `exchange` sends to neighbours one by one.
     neighbours_above = _NEIGHBOURS_ABOVE
 
@@ -96,8 +108,8 @@ class Comm(ABC):
 
     @property
     @abstractmethod
-    def checkpoint_group(self) -> Any:
-        """A torch.distributed group for checkpoints written in the background; asked for by all ranks at once."""
+    def background(self) -> Background:
+        """Asked for by all ranks at once."""
 
     @abstractmethod
     def close(self) -> None:
@@ -148,8 +160,8 @@ class Alone(Comm):
         return [value]
 
     @property
-    def checkpoint_group(self) -> Any:
-        return None
+    def background(self) -> Background:
+        return Background()
 
     def close(self) -> None:
         self.guard.close()

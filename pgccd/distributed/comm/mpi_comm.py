@@ -12,7 +12,8 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from pgccd.distributed.comm.interface import Comm, Pending, split_rows
+from pgccd.distributed.comm.interface import Background, Comm, Pending, split_rows
+from pgccd.distributed.comm.torch_comm import GlooBackground
 from pgccd.distributed.guard import Guard
 
 # Environment variables that make MPI libraries read GPU memory.
@@ -137,15 +138,15 @@ class MpiComm(Comm):
             return self._world.allgather(value)
 
     @functools.cached_property
-    def checkpoint_group(self) -> dist.ProcessGroup:
+    def background(self) -> Background:
         if self.control is None:
             raise RuntimeError("control: checkpoints need a torch.distributed group beside MPI")
-        return dist.new_group(backend="gloo")
+        return GlooBackground(dist.new_group(backend="gloo"))
 
     def close(self) -> None:
         self.guard.close()
         # As in torch_comm.
         vars(self).pop("control", None)
-        vars(self).pop("checkpoint_group", None)
+        vars(self).pop("background", None)
         if self._on_close is not None:
             self._on_close()

@@ -10,8 +10,26 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from pgccd.distributed.comm.interface import Comm, Pending, split_rows
+from pgccd.distributed.comm.interface import Background, Comm, Pending, split_rows
 from pgccd.distributed.guard import Guard
+
+
+class GlooBackground(Background):
+    """Over a group of its own."""
+
+    def __init__(self, group: dist.ProcessGroup) -> None:
+        self._group = group
+
+    def gather(self, value: Any) -> list[Any]:
+        size, is_first = dist.get_world_size(self._group), dist.get_rank(self._group) == 0
+        gathered: list[Any] = [None] * size
+        dist.gather_object(value, gathered if is_first else None, group_dst=0, group=self._group)
+        return gathered if is_first else []
+
+    def broadcast(self, value: Any) -> Any:
+        told = [value]
+        dist.broadcast_object_list(told, group_src=0, group=self._group)
+        return told[0]
 
 
 class TorchComm(Comm):
@@ -119,15 +137,15 @@ class TorchComm(Comm):
         return values
 
     @functools.cached_property
-    def checkpoint_group(self) -> dist.ProcessGroup:
+    def background(self) -> Background:
         ranks = dist.get_process_group_ranks(self._group)
-        return dist.new_group(ranks, backend="gloo", use_local_synchronization=True)
+        return GlooBackground(dist.new_group(ranks, backend="gloo", use_local_synchronization=True))
 
     def close(self) -> None:
         self.guard.close()
         # Nothing may hold a group once Python ends: Gloo's threads would still let go of its tensors.
         vars(self).pop("_group", None)
         vars(self).pop("control", None)
-        vars(self).pop("checkpoint_group", None)
+        vars(self).pop("background", None)
         if self._on_close is not None:
             self._on_close()

@@ -54,13 +54,11 @@ def connect(
         raise ValueError(f"timeout: expected seconds > 0, got {timeout}")
     placement = find_placement()
     if placement.size == 1:
-        alone = Alone()
-        alone.restarted = placement.restarts > 0
-        return alone
+        return Alone()
     device = choose_device(device, placement)
     if device.type == "cuda" and torch.cuda.is_available():
         torch.cuda.set_device(device)
-    store, restarted = meet(placement, timeout)
+    store = meet(placement, timeout)
     # A process that keeps the store is the last to go.
     keeps = placement.rank == 0 and not agent_keeps_store()
     guard = Guard(_second_connection(store), placement.rank, placement.size, timeout, keeps)
@@ -79,7 +77,6 @@ def connect(
         comm = MpiComm(control, guard, dist.destroy_process_group)
     else:
         comm = TorchComm(dist.group.WORLD, control, guard, dist.destroy_process_group)
-    comm.restarted = any(comm.gather_objects(restarted))
     return comm
 
 

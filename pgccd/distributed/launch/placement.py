@@ -26,7 +26,6 @@ class Placement:
     rank: int
     size: int
     local_rank: int  #: among those of its machine
-    restarts: int = 0  #: of all of them, by torchrun
 
 
 def find_placement(environment: Mapping[str, str] = os.environ) -> Placement:
@@ -42,7 +41,7 @@ def find_placement(environment: Mapping[str, str] = os.environ) -> Placement:
     for launcher, (rank, size, local_rank) in _VARIABLES.items():
         if rank in environment and size in environment:
             numbers = {}
-            for name in (rank, size, local_rank, "TORCHELASTIC_RESTART_COUNT"):
+            for name in (rank, size, local_rank):
                 text = environment.get(name, "0")
                 if not re.fullmatch(r"\d+", text):
                     raise ValueError(f"{name}: expected a number, got {text!r}")

@@ -14,13 +14,10 @@ import torch.distributed as dist
 from pgccd.distributed.launch.placement import Placement
 
 _POLL_SECONDS = 0.01
-# A process may connect more than once.
-_THIS_PROCESS = uuid.uuid4().hex
 
 
-def meet(placement: Placement, timeout: float) -> tuple[dist.Store, bool]:
-    """The store; and whether it seems to this rank that they were started again, in the place of others: agents count
-    restarts of their own ranks only.
+def meet(placement: Placement, timeout: float) -> dist.Store:
+    """The store.
 
     Raises:
         ValueError: naming a variable of the environment.
@@ -37,8 +34,8 @@ def meet(placement: Placement, timeout: float) -> tuple[dist.Store, bool]:
         # The same on all ranks, and another for another job or step.
         number = int(os.environ.get("SLURM_JOB_ID", "0")) * 31 + int(os.environ.get("SLURM_STEP_ID", "0"))
         port = int(os.environ.get("MASTER_PORT", 20000 + number % 20000))
-        return _connect_store(host, port, placement, timeout, keeps=True), False
-    return _meet_by_mpi(placement, timeout), False
+        return _connect_store(host, port, placement, timeout, keeps=True)
+    return _meet_by_mpi(placement, timeout)
 
 
 def agent_keeps_store() -> bool:
@@ -46,25 +43,23 @@ def agent_keeps_store() -> bool:
     return os.environ.get("TORCHELASTIC_USE_AGENT_STORE") == "True"
 
 
-def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> tuple[dist.Store, bool]:
+def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> dist.Store:
     """A part of a store that was perhaps used before, for this start alone: what others left there might be taken for
-    signs of ranks of this one. Counts of restarts do not identify a start: torchrun's agents count their own only.
+    signs of ranks of this one. Counts of restarts do not identify a start: each agent of torchrun counts its own.
 
     Rank 0 answers each rank's request with the name of the start, until every rank has joined.
     """
     name = uuid.uuid4().hex
     if placement.rank == 0:
-        former = store.get("former").decode() if store.check(["former"]) else _THIS_PROCESS
-        store.set("former", _THIS_PROCESS)
         _welcome(store, placement.size, name, timeout)
-        return dist.PrefixStore(name, store), placement.restarts > 0 or former != _THIS_PROCESS
+        return dist.PrefixStore(name, store)
     store.set(f"asks/{placement.rank}", name)
     try:
         start = store.get(f"start for {name}").decode()
     except dist.DistError as error:
         raise RuntimeError(f"rank 0 did not come within {timeout:g} s ({error})") from error
     store.set(f"{start}/here/{placement.rank}", "")
-    return dist.PrefixStore(start, store), placement.restarts > 0
+    return dist.PrefixStore(start, store)
 
 
 def _welcome(store: dist.Store, size: int, start: str, timeout: float) -> None:

@@ -3,14 +3,13 @@
 `run` and `resume` make whole runs; `DistributedSimulation` makes steps.
 """
 
-from pgccd.sim.distributed.runner import DistributedOptions, find_checkpoint, resume, run
+from pgccd.sim.distributed.runner import DistributedOptions, resume, run
 from pgccd.sim.distributed.simulation import DistributedSimulation, RankStep, starting_share
 
 __all__ = [
     "DistributedOptions",
     "DistributedSimulation",
     "RankStep",
-    "find_checkpoint",
     "resume",
     "run",
     "starting_share",

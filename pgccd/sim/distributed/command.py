@@ -15,12 +15,11 @@ import torch
 from pgccd.distributed.balance import POLICIES, BalanceOptions
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.guard import RankFailureError
-from pgccd.distributed.launch.agents import have_agents_here, note_agents
 from pgccd.distributed.launch.agreement import on_first
 from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connect
 from pgccd.distributed.launch.placement import find_placement
-from pgccd.sim.distributed.runner import DistributedOptions, find_checkpoint
-from pgccd.sim.files import forget_checkpoints
+from pgccd.sim.checkpoint import find_checkpoint
+from pgccd.sim.distributed.runner import DistributedOptions
 
 _FAILURE_CODE = 70
 
@@ -61,35 +60,17 @@ def _give_up(error: RankFailureError) -> NoReturn:
     os._exit(_FAILURE_CODE)
 
 
-def folder_to_resume(comm: Comm, options: argparse.Namespace, out: Path) -> Path | None:
-    """The run to continue: the one asked for, or, once torchrun has started all ranks again, since one was lost or a
-    machine has joined, the one under way."""
-    if options.resume is not None:
-        return options.resume
+def folder_to_resume(comm: Comm, resume: str | None, out: Path) -> Path | None:
+    """The run to continue; None: a new one begins.
 
-    def is_under_way() -> bool:
-        try:
-            header, _ = find_checkpoint(out)
-        except FileNotFoundError:
-            return False
-        # One agent may start ranks for one run after another.
-        return comm.restarted or header.steps_made < header.steps_wanted
+    Args:
+        comm: between the ranks.
+        resume: a folder, or "auto": `out`, if it holds a checkpoint.
+        out: where a new run would go.
 
-    took_part = have_agents_here(comm, out)
-    goes_on = comm.restarted if took_part is None else took_part
-    if not (goes_on and on_first(comm, is_under_way)):
-        return None
-    note_agents(comm, out)
-    return out
-
-
-def begin_run(comm: Comm, out: Path) -> None:
-    """From now on restarted ranks continue the run that begins in this folder. What an earlier one left
-    there goes first, lest it be continued should this one fail before its own first checkpoint."""
-    on_first(comm, lambda: forget_checkpoints(out))
-    note_agents(comm, out)
-
-
-def needs_ranks(comm: Comm, folder: Path | None) -> bool:
-    """Whether a run must be made by `pgccd.distributed`: there are ranks, or it continues one of several."""
-    return comm.size > 1 or (folder is not None and not find_checkpoint(folder)[1])
+    Raises:
+        ValueError: a checkpoint that is there cannot be read.
+    """
+    if resume != "auto":
+        return None if resume is None else Path(resume)
+    return out if on_first(comm, lambda: find_checkpoint(out) is not None) else None

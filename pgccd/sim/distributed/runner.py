@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import socket
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,19 +21,15 @@ from pgccd.distributed.launch.agreement import on_first, require_agreement, toge
 from pgccd.distributed.partition import Partition, Triple
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
-from pgccd.sim.distributed.checkpoint import Checkpoints, Header, load_share, newest_header, read_owners
+from pgccd.sim.checkpoint import require_checkpoint
+from pgccd.sim.checkpoint_files import Header, Owners
+from pgccd.sim.distributed.checkpoint import Checkpoints, load_share
 from pgccd.sim.distributed.simulation import CommittedRankStep, DistributedSimulation, RankStep, starting_share
-from pgccd.sim.files import (
-    CHECKPOINT_FILE,
-    WORLD_FILE,
-    StepLog,
-    forget_checkpoints,
-    load_checkpoint,
-    write_json,
-)
+from pgccd.sim.log import StepLog
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
-from pgccd.sim.runner import Run, drive
+from pgccd.sim.run_folder import begin, hold, sees_mark, write_mark
+from pgccd.sim.runner import Run, continued, drive
 from pgccd.sim.step import Step
 
 
@@ -57,6 +56,8 @@ def run(
     checkpoint_every: int = 0,
     progress: Progress | None = None,
     keep_last_step: bool = False,
+    overwrite: bool = False,
+    notes: Mapping[str, Any] | None = None,
 ) -> Run:
     """Simulates a world from its start on all ranks; rank 0 writes `world.json` and `steps.jsonl`.
 
@@ -65,8 +66,8 @@ def run(
 
     Args:
         comm: between the ranks.
-        config, steps, folder, meshes, broad_phase, checkpoint_every, progress: as for `pgccd.sim.run`; alike on all
-            ranks.
+        config, steps, folder, meshes, broad_phase, checkpoint_every, progress, overwrite, notes: as for
+            `pgccd.sim.run`; alike on all ranks.
         device: of this rank.
         options: how the world is spread.
         keep_last_step: gather the robots and the contacts of the last step on rank 0 (for pictures).
@@ -87,17 +88,12 @@ def run(
     model = together(comm, lambda: Model(config, meshes, device))
     _compare(comm, model, steps, folder, checkpoint_every, options)
 
-    def prepare() -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        forget_checkpoints(folder)  # an earlier run's would not fit the log that starts now
-        write_json(folder / WORLD_FILE, model.describe())
-
-    on_first(comm, prepare)
-    partition = _partition(comm, model, options)
-    simulation = DistributedSimulation(
-        comm, model, partition, starting_share(comm, model, partition), options.balance, options.overlap, broad_phase
-    )
-    return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_last_step)
+    with _held(comm, folder):
+        on_first(comm, lambda: begin(folder, model.describe() | dict(notes or {}), overwrite))
+        partition = _partition(comm, model, options)
+        start = starting_share(comm, model, partition)
+        simulation = DistributedSimulation(comm, model, partition, start, options.balance, options.overlap, broad_phase)
+        return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_last_step)
 
 
 def resume(
@@ -128,45 +124,45 @@ def resume(
         >>> pgccd.sim.distributed.resume(comm, "out/million", steps=200)
     """
     folder, options = Path(folder), options or DistributedOptions()
-    header, is_single = on_first(comm, lambda: find_checkpoint(folder))
-    model = together(comm, lambda: Model(header.config, meshes, device))
-    if meshes_digest(model.meshes.meshes) != header.meshes:
-        raise ValueError(f"meshes: the run in {folder} was made with others")
-    steps = header.steps_wanted if steps is None else steps
-    if steps < header.steps_made:
-        raise ValueError(f"steps: the run in {folder} has made {header.steps_made} already, got {steps}")
-    _compare(comm, model, steps, folder, checkpoint_every, options)
-
-    def read() -> RobotState:
-        if not is_single:
-            return load_share(comm, folder)
-        whole = load_checkpoint(folder).state
-        return RobotState(**take_rows(whole.columns, torch.arange(comm.rank, len(whole), comm.size)))
-
-    state = together(comm, read).to(model.device)
-    partition = _partition(comm, model, options)
-    owners = None if is_single else on_first(comm, lambda: read_owners(folder, partition))
-    if owners is not None:
-        partition = partition.with_owner(torch.tensor(owners))
-    simulation = DistributedSimulation(comm, model, partition, state, options.balance, options.overlap, broad_phase)
-    return _continue(simulation, header.steps_made, steps, folder, checkpoint_every, progress, keep_last_step)
+    stored = on_first(comm, lambda: require_checkpoint(folder))  # before anything is made there
+    with _held(comm, folder):
+        stored = on_first(comm, lambda: require_checkpoint(folder))
+        header = stored.header
+        model, steps = together(comm, lambda: continued(folder, header, steps, meshes, device))
+        _compare(comm, model, steps, folder, checkpoint_every, options)
+        state = load_share(comm, stored).to(model.device)
+        partition = _owned_as_before(on_first(comm, stored.owners), _partition(comm, model, options))
+        simulation = DistributedSimulation(comm, model, partition, state, options.balance, options.overlap, broad_phase)
+        made = header.steps_made
+        return _continue(simulation, made, steps, folder, checkpoint_every, progress, keep_last_step)
 
 
-def find_checkpoint(folder: Path) -> tuple[Header, bool]:
-    """The newest checkpoint in a run's folder, and whether it is one of a single process.
+@contextmanager
+def _held(comm: Comm, folder: Path) -> Iterator[None]:
+    """Rank 0 holds the folder against other jobs, and every rank has seen that it is the same one."""
+    with ExitStack() as stack:
+        on_first(comm, lambda: stack.enter_context(hold(folder)))
+        mark = on_first(comm, lambda: write_mark(folder))
 
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it cannot be read.
-    """
-    newest = newest_header(folder)
-    if (folder / CHECKPOINT_FILE).is_file():
-        single = load_checkpoint(folder)
-        if newest is None or single.steps_made > newest.steps_made:
-            return Header(single.config, single.steps_made, single.steps_wanted, single.meshes), True
-    if newest is None:
-        raise FileNotFoundError(f"no checkpoint at {folder}")
-    return newest, False
+        def look() -> None:
+            if not sees_mark(folder, mark):
+                raise ValueError(
+                    f"folder: {folder.absolute()} on {socket.gethostname()} is not that of rank 0, which all must share"
+                )
+
+        try:
+            together(comm, look)
+        finally:
+            if comm.rank == 0:
+                (folder / mark).unlink(missing_ok=True)
+        yield
+
+
+def _owned_as_before(owners: Owners | None, partition: Partition) -> Partition:
+    """The partition with the owners of a checkpoint, so that loads stay even; unless space was cut in another way."""
+    if owners is None or (*owners.subdomains, *owners.cells) != (*partition.subdomains, *partition.cells):
+        return partition
+    return partition.with_owner(owners.owner)
 
 
 def _compare(
