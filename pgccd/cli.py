@@ -29,6 +29,8 @@ from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.run_folder import WORLD_FILE, FolderError
 from pgccd.sim.summary import summary_lines, totals, write_pictures
 
+_COMMANDS = ("simulate", "detect", "info")
+
 _DETECT_NOTES = """\
 poses.npz holds, for N bodies: position_t0 (N, 3) and orientation_t0 (N, 4), and either
   position_t1 (N, 3) and orientation_t1 (N, 4), or
@@ -50,16 +52,25 @@ class ArgumentError(Exception):
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:  # one line, without the usage
-        self.exit(2, f"{self.prog}: error: {message}\n")
+        raise ArgumentError("", message)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit code: 0, 2 for bad arguments, 130 when interrupted."""
-    options = _build_parser().parse_args(arguments)
+    arguments = sys.argv[1:] if arguments is None else arguments
+    name = arguments[0] if arguments and arguments[0] in _COMMANDS else ""
     try:
+        try:
+            options = _build_parser().parse_args(arguments)
+            if options.command == "simulate":
+                _check_simulate(options)
+        except ArgumentError as error:
+            if name == "simulate":  # other ranks must not wait for this one
+                raise ArgumentError("", command.tell_ranks(str(error))) from error
+            raise
         return options.run(options)
     except ArgumentError as error:
-        print(f"pgccd {options.command}: error: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"{f'pgccd {name}'.strip()}: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
@@ -111,7 +122,8 @@ def _build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _simulate(options: argparse.Namespace) -> int:
+def _check_simulate(options: argparse.Namespace) -> None:
+    """Looks at what can be judged before ranks are connected."""
     if options.resume not in (None, "auto"):
         for name in ("robots", "world", "seed", "out"):
             if getattr(options, name) is not None:
@@ -124,7 +136,14 @@ def _simulate(options: argparse.Namespace) -> int:
         raise ArgumentError("--steps", f"expected a number >= 0, got {options.steps}")
     if options.checkpoint_every < 0:
         raise ArgumentError("--checkpoint-every", f"expected a number >= 0, got {options.checkpoint_every}")
-    with command.connected(options) as comm:
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    try:
+        comm = command.connect_ranks(options)
+    except ValueError as error:
+        raise ArgumentError("", error) from error
+    with command.stopping(comm):
         try:
             device = distributed.together(comm, lambda: _device(options.device))
             finished, folder = _run_or_resume(options, device, comm)

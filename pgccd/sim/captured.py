@@ -159,6 +159,10 @@ class StepGraph:
         host.copy_(self._record, non_blocking=True)
         return StepReplay(self.rounds, self._parts, self._rank, host, began, record_event(timed=True))
 
+    def close(self) -> None:
+        """Frees the graph, which cannot be replayed any more."""
+        self._graph.reset()
+
 
 def clear_rows(state: RobotState, begin: int) -> None:
     """Makes the rows from `begin` on padding: no robots, at rest in a valid pose."""

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from distributed.conftest import World
 from pgccd.distributed import Comm, Partition
 from pgccd.distributed.comm.exchange import Columns, make_route, pack, replace_rows, unpack
+from pgccd.distributed.comm.torch_comm import TorchComm
 from pgccd.distributed.migrate import Census, migrate
 
 
@@ -144,3 +145,26 @@ def test_the_census_sees_lost_doubled_and_exchanged_bodies() -> None:
     for wrong in ([0, 2, 4, 6], [0, 2, 4, 6, 8, 8], [0, 2, 4, 6, 6]):
         with pytest.raises(RuntimeError, match="migration: expected 10 bodies"):
             Census.total([Census.of(torch.tensor(wrong)), parts[1]]).require(all_ids)
+
+
+class Graph:
+    closed = False
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_graphs_of_messages_are_closed_before_the_connection(ranks: World) -> None:
+    ranks.run(2, close_graphs)  # type: ignore[attr-defined]
+
+
+def close_graphs(comm: Comm) -> None:
+    assert isinstance(comm, TorchComm)
+    kept, freed = Graph(), Graph()
+    seen: list[bool] = []
+    same = TorchComm(comm._group, on_close=lambda: seen.append(kept.closed))
+    same.close_before(kept)
+    same.close_before(freed)
+    del freed
+    same.close()
+    assert seen == [True]

@@ -22,6 +22,9 @@ class Recorded:
     def replay(self) -> None:
         self._found.copy_(self._work())
 
+    def reset(self) -> None:
+        del self._work
+
 
 class Now:
     """An event."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -17,6 +17,10 @@ from pgccd.distributed.guard import Guard, RankFailureError
 
 # With more ranks than this, rows go to and come from neighbours alone; up to it, one collective call is faster.
 _NEIGHBOURS_ABOVE = 32
+
+
+class Closeable(Protocol):
+    def close(self) -> None: ...
 
 
 class Pending:
@@ -110,6 +114,11 @@ class Comm(ABC):
     @abstractmethod
     def background(self) -> Background:
         """Asked for by all ranks at once."""
+
+    def close_before(self, graph: Closeable) -> None:
+        """Closes a graph that sends messages before the connection, if it still exists then: NCCL does not end while
+        there are graphs with messages of its own."""
+        return  # other transports do not wait for graphs
 
     @abstractmethod
     def close(self) -> None:

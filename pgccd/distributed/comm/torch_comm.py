@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +11,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from pgccd.distributed.comm.interface import Background, Comm, Pending, split_rows
+from pgccd.distributed.comm.interface import Background, Closeable, Comm, Pending, split_rows
 from pgccd.distributed.guard import Guard
 
 
@@ -63,6 +64,7 @@ class TorchComm(Comm):
         self.size = dist.get_world_size(self._group)
         self.guard = guard or Guard()
         self._on_close = on_close
+        self._graphs: weakref.WeakSet[Closeable] = weakref.WeakSet()
 
     def _stage(self, tensor: Tensor) -> Tensor:
         """Where the backend can read it: NCCL takes GPUs' memory alone, Gloo the host's."""
@@ -141,8 +143,13 @@ class TorchComm(Comm):
         ranks = dist.get_process_group_ranks(self._group)
         return GlooBackground(dist.new_group(ranks, backend="gloo", use_local_synchronization=True))
 
+    def close_before(self, graph: Closeable) -> None:
+        self._graphs.add(graph)
+
     def close(self) -> None:
         self.guard.close()
+        for graph in list(self._graphs):
+            graph.close()
         # Nothing may hold a group once Python ends: Gloo's threads would still let go of its tensors.
         vars(self).pop("_group", None)
         vars(self).pop("control", None)

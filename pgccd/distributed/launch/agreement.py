@@ -3,20 +3,89 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import platform
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import torch
+import torch.distributed as dist
 
 import pgccd
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.launch.placement import Placement
 
 T = TypeVar("T")
 
 
+# Keys read from the store at a time, and how often it is asked whether they are there.
+_KEYS_AT_A_TIME, _POLL_SECONDS = 256, 0.02
+#: A fact that is no setting: what is wrong with those of a rank.
+PROBLEM = "problem"
+
+
 class DisagreementError(ValueError):
     """Ranks were started with different settings; the message names the setting and two ranks."""
+
+
+def agree_by_store(store: dist.Store, placement: Placement, facts: Mapping[str, str], timeout: float) -> None:
+    """Compares what all ranks were started with, before there is anything between them but a store: rank 0 reads what
+    each has written, and tells all what it found.
+
+    Args:
+        store: that all ranks share.
+        placement: of this one.
+        facts: settings by name; or `PROBLEM`, for which all ranks end.
+        timeout: seconds within which all must have come.
+
+    Raises:
+        DisagreementError: on all ranks, with the same message.
+        RuntimeError: ranks did not come.
+    """
+    store.set(f"facts/{placement.rank}", json.dumps(dict(facts)))
+    if placement.rank == 0:
+        store.set("facts/verdict", _compare_all(store, placement.size, timeout))
+    try:
+        store.wait(["facts/verdict"])
+    except dist.DistError as error:
+        raise RuntimeError(f"rank 0 did not come within {timeout:g} s ({error})") from error
+    verdict = store.get("facts/verdict").decode()
+    store.add("facts/read", 1)
+    if verdict:
+        if placement.rank == 0:  # which may keep the store
+            _wait_until(lambda: store.add("facts/read", 0) >= placement.size, timeout)
+        raise DisagreementError(verdict)
+
+
+def _compare_all(store: dist.Store, size: int, timeout: float) -> str:
+    """What is wrong; empty if nothing is."""
+    deadline = time.monotonic() + timeout
+    first: dict[str, str] | None = None
+    for begin in range(0, size, _KEYS_AT_A_TIME):
+        ranks = range(begin, min(size, begin + _KEYS_AT_A_TIME))
+        keys = [f"facts/{rank}" for rank in ranks]
+        if not _wait_until(lambda keys=keys: store.check(keys), deadline - time.monotonic()):
+            missing = [rank for rank, key in zip(ranks, keys, strict=True) if not store.check([key])]
+            raise RuntimeError(f"ranks {missing[:8]} of {size} did not come within {timeout:g} s")
+        for rank, text in zip(ranks, store.multi_get(keys), strict=True):
+            facts = json.loads(text)
+            if PROBLEM in facts:
+                return f"rank {rank}: {facts[PROBLEM]}"
+            first = facts if first is None else first
+            difference = _difference([first, facts], [0, rank])
+            if difference is not None:
+                return difference
+    return ""
+
+
+def _wait_until(is_so: Callable[[], bool], seconds: float) -> bool:
+    deadline = time.monotonic() + seconds
+    while not is_so():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(_POLL_SECONDS)
+    return True
 
 
 def together(comm: Comm, action: Callable[[], T]) -> T:
@@ -64,11 +133,19 @@ def require_agreement(comm: Comm, facts: Mapping[str, Any]) -> None:
     mine |= {name: repr(value) for name, value in facts.items()}
     short = {name: text if len(text) <= 80 else _digest(text) for name, text in mine.items()}
     of_all_ranks = comm.gather_objects(short)
-    for name in sorted(set().union(*of_all_ranks)):
-        values = [facts_of_rank.get(name, "nothing") for facts_of_rank in of_all_ranks]
-        for rank, value in enumerate(values):
+    difference = _difference(of_all_ranks, range(len(of_all_ranks)))
+    if difference is not None:
+        raise DisagreementError(difference)
+
+
+def _difference(of_ranks: Sequence[Mapping[str, str]], ranks: Sequence[int]) -> str | None:
+    """The first setting in which a rank differs from the first of them, in words."""
+    for name in sorted(set().union(*of_ranks)):
+        values = [facts.get(name, "nothing") for facts in of_ranks]
+        for rank, value in zip(ranks, values, strict=True):
             if value != values[0]:
-                raise DisagreementError(f"{name}: rank 0 has {values[0]}, rank {rank} has {value}")
+                return f"{name}: rank {ranks[0]} has {values[0]}, rank {rank} has {value}"
+    return None
 
 
 def _digest(text: str) -> str:

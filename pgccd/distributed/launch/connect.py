@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import timedelta
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NoReturn, get_args
 
 import torch
 import torch.distributed as dist
@@ -12,6 +13,7 @@ from pgccd.distributed.comm import nccl
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.comm.torch_comm import TorchComm
 from pgccd.distributed.guard import Guard
+from pgccd.distributed.launch.agreement import PROBLEM, agree_by_store
 from pgccd.distributed.launch.placement import Placement, find_placement
 from pgccd.distributed.launch.rendezvous import agent_keeps_store, meet
 
@@ -30,7 +32,10 @@ def choose_device(device: str | torch.device, placement: Placement | None = None
 
 
 def connect(
-    device: str | torch.device = "cpu", transport: Transport = "auto", timeout: float = DEFAULT_TIMEOUT
+    device: str | torch.device = "cpu",
+    transport: Transport = "auto",
+    timeout: float = DEFAULT_TIMEOUT,
+    settings: Mapping[str, str] | None = None,
 ) -> Comm:
     """Connects all processes that were launched together. Without a launcher there is one.
 
@@ -38,8 +43,10 @@ def connect(
         device: where data will be: "auto" takes NCCL for GPUs and Gloo for CPUs.
         transport: "nccl", "gloo", "torch-mpi" (torch's MPI backend, where it was built with one), or "mpi4py".
         timeout: seconds after which an exchange that does not end is an error, and the job with it.
+        settings: of the program, by name: compared with those of all other ranks first, as are those given here.
 
     Raises:
+        DisagreementError: ranks have different settings; on all of them.
         ValueError: naming the argument, or the variable of the environment.
         ImportError: mpi4py is needed and not installed.
         RuntimeError: the others did not come within the time-out.
@@ -55,10 +62,15 @@ def connect(
     placement = find_placement()
     if placement.size == 1:
         return Alone()
-    device = choose_device(device, placement)
+    try:
+        device = choose_device(device, placement)
+    except RuntimeError as error:
+        tell_problem(f"device: {error}", timeout)
+    store = meet(placement, timeout)
+    own = {"device": device.type, "transport": transport, "timeout": f"{timeout:g}"}
+    agree_by_store(store, placement, {**own, **(settings or {})}, timeout)
     if device.type == "cuda" and torch.cuda.is_available():
         torch.cuda.set_device(device)
-    store = meet(placement, timeout)
     # A process that keeps the store is the last to go.
     keeps = placement.rank == 0 and not agent_keeps_store()
     guard = Guard(_second_connection(store), placement.rank, placement.size, timeout, keeps)
@@ -78,6 +90,21 @@ def connect(
     else:
         comm = TorchComm(dist.group.WORLD, control, guard, dist.destroy_process_group)
     return comm
+
+
+def tell_problem(problem: str, timeout: float = DEFAULT_TIMEOUT) -> NoReturn:
+    """What a rank does instead of `connect` that cannot go on: all ranks that connect, or do this, end with it.
+
+    Args:
+        problem: one line.
+        timeout: seconds within which all must have come.
+
+    Raises:
+        DisagreementError: with the problem of the first rank that has one.
+    """
+    placement = find_placement()
+    agree_by_store(meet(placement, timeout), placement, {PROBLEM: problem}, timeout)
+    raise AssertionError("a problem is told to all ranks")
 
 
 def _delta(seconds: float) -> timedelta:

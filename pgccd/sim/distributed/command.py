@@ -16,7 +16,7 @@ from pgccd.distributed.balance import POLICIES, BalanceOptions
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.guard import RankFailureError
 from pgccd.distributed.launch.agreement import on_first
-from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connect
+from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connect, tell_problem
 from pgccd.distributed.launch.placement import find_placement
 from pgccd.sim.checkpoint import find_checkpoint
 from pgccd.sim.distributed.runner import DistributedOptions
@@ -41,19 +41,44 @@ def distributed_options(options: argparse.Namespace) -> DistributedOptions:
     return DistributedOptions(options.axes, options.cells, BalanceOptions(options.balance))
 
 
-@contextmanager
-def connected(options: argparse.Namespace) -> Iterator[Comm]:
-    """All processes that were started together; a rank that is lost ends this one with a message that names it."""
+def connect_ranks(options: argparse.Namespace) -> Comm:
+    """All processes that were started together.
+
+    Raises:
+        ValueError: ranks were started with different options, or one of them cannot be; on all ranks.
+    """
     if find_placement().size > 1 and "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # ranks share the cores of their machine
+    left_out = ("run", "command", "device", "mesh")  # meshes and kinds of devices are compared by themselves
+    settings = {f"--{name.replace('_', '-')}": str(v) for name, v in vars(options).items() if name not in left_out}
     try:
-        with connect(options.device, options.transport, options.timeout) as comm:
-            yield comm
+        return connect(options.device, options.transport, options.timeout, settings)
+    except (ImportError, RuntimeError) as error:
+        _stop(error)
+
+
+@contextmanager
+def stopping(comm: Comm) -> Iterator[None]:
+    """A rank that is lost ends this one with a message that names it."""
+    try:
+        with comm:
+            yield
     except RankFailureError as error:
-        _give_up(error)
+        _stop(error)
 
 
-def _give_up(error: RankFailureError) -> NoReturn:
+def tell_ranks(problem: str) -> str:
+    """Tells all ranks that were started together why this one cannot connect, so that they end too. Returns what all of
+    them print: the problem of the first rank that has one."""
+    if find_placement().size > 1:
+        try:
+            tell_problem(problem)
+        except (ValueError, ImportError, RuntimeError) as error:
+            return str(error)
+    return problem
+
+
+def _stop(error: Exception) -> NoReturn:
     sys.stderr.write(f"pgccd simulate: rank {find_placement().rank} stops: {error}\n")
     sys.stderr.flush()
     # Ordinary ways out would wait for messages of a rank that is no more.

@@ -281,6 +281,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
         state = padded_state(self._state, len(self._state) + len(self._state) // _OWN_SHARE + _OWN_MORE)
         graph = StepGraph(self.model, state, index, searches.search, self._plan, rounds, searches.conclude)
+        self.comm.close_before(graph)
         self._load(graph, index)
         return graph
 
