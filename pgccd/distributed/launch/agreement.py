@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import platform
@@ -65,7 +66,7 @@ def _compare_all(store: dist.Store, size: int, timeout: float) -> str:
     for begin in range(0, size, _KEYS_AT_A_TIME):
         ranks = range(begin, min(size, begin + _KEYS_AT_A_TIME))
         keys = [f"facts/{rank}" for rank in ranks]
-        if not _wait_until(lambda keys=keys: store.check(keys), deadline - time.monotonic()):
+        if not _wait_until(functools.partial(store.check, keys), deadline - time.monotonic()):
             missing = [rank for rank, key in zip(ranks, keys, strict=True) if not store.check([key])]
             raise RuntimeError(f"ranks {missing[:8]} of {size} did not come within {timeout:g} s")
         for rank, text in zip(ranks, store.multi_get(keys), strict=True):
