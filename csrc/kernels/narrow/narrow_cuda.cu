@@ -55,9 +55,9 @@ int32_t* select_first(const DeviceContext& context, const Search& search) {
   return selected;
 }
 
-// The first `count` of them, or all there are if that is less, sorted by pair, kind and features: two stable sorts, the
-// less significant key first.
-int32_t* sort_all(const DeviceContext& context, const Search& search, int64_t count) {
+// All, sorted by pair, kind and features: two stable sorts, the less significant key first.
+int32_t* sort_all(const DeviceContext& context, const Search& search) {
+  const int64_t count = search.capacity;
   uint64_t* keys = context.allocate<uint64_t>(count);
   uint64_t* sorted_keys = context.allocate<uint64_t>(count);
   int32_t* order = context.allocate<int32_t>(count);
@@ -82,13 +82,20 @@ int32_t* sort_all(const DeviceContext& context, const Search& search, int64_t co
   return order;
 }
 
+struct SelectedContacts {
+  Search search;
+  const int32_t* rows;  // of search.contacts, in canonical order; null: there are none
+};
+
 // To all rows of `out`: contacts, then padding.
 template <class Bodies>
-void write_rows(const DeviceContext& context, const Bodies& bodies, const Search& search, const int32_t* selected,
-                int64_t rows, const ContactColumns& out) {
+void write_rows(const DeviceContext& context, const Bodies& bodies, const SelectedContacts& selected, int64_t rows,
+                const ContactColumns& out) {
+  const Search& search = selected.search;
+  const int32_t* order = selected.rows;
   for_each_item(context, rows, [=] __device__(int64_t row) {
     if (row >= search.counters->rows) return pad_row(out, row);
-    const FoundContact& contact = search.contacts[selected[row]];
+    const FoundContact& contact = search.contacts[order[row]];
     const Candidate c = search.input.candidates.items[contact.candidate];
     const auto pair = pair_of(bodies, search.input, c);
     const ContactPlace at = contact_place(bodies, pair, c, contact.toi, contact.u, contact.v);
@@ -109,11 +116,16 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Search
   });
 }
 
-Search make_search_for_contacts(const DeviceContext& context, const NarrowInput& input, int64_t most_open) {
+// Without waiting: `rows` of the search's counters is then their number, if all open candidates fitted.
+template <class Bodies>
+SelectedContacts select_contacts(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
+                                 int64_t most_open) {
   Search search = make_search(context, input, most_open);
   if (input.report != Report::kAll) allocate_first(context, search, true);
   search.contacts = context.allocate<FoundContact>(search.capacity);
-  return search;
+  run_search(context, bodies, search);
+  if (input.pair_count == 0 || search.capacity == 0) return {search, nullptr};
+  return {search, search.best != nullptr ? select_first(context, search) : sort_all(context, search)};
 }
 
 }  // namespace
@@ -125,36 +137,24 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
     make_output(0);
     return;
   }
-  const bool one_a_pair = input.report != Report::kAll;
   // About one in four is open; all of them may be.
   int64_t capacity = smaller<int64_t>(input.candidates.size, input.candidates.size / 2 + 65536);
   for (;;) {
-    const Search search = make_search_for_contacts(context, input, capacity);
-    run_search(context, bodies, search);
-    const int32_t* selected = one_a_pair ? select_first(context, search) : nullptr;
-    const SearchCounters seen = read(context, search.counters);
-    if (seen.open > search.capacity) {
-      capacity = seen.open;
-      continue;
+    const SelectedContacts selected = select_contacts(context, bodies, input, capacity);
+    const SearchCounters seen = read(context, selected.search.counters);
+    if (seen.open <= selected.search.capacity) {
+      return write_rows(context, bodies, selected, seen.rows, make_output(seen.rows));
     }
-    const int64_t rows = one_a_pair ? seen.rows : seen.contacts;
-    const ContactColumns out = make_output(rows);
-    if (rows == 0) return;
-    if (!one_a_pair) selected = sort_all(context, search, seen.contacts);
-    return write_rows(context, bodies, search, selected, rows, out);
+    capacity = seen.open;
   }
 }
 
 template <class Bodies>
 void narrow_phase_padded(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                          const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts) {
-  const Search search = make_search_for_contacts(context, input, capacity.open);
-  run_search(context, bodies, search);
-  const int32_t* selected = nullptr;
-  if (input.pair_count > 0 && search.capacity > 0) {
-    selected = search.best != nullptr ? select_first(context, search) : sort_all(context, search, search.capacity);
-  }
-  write_rows(context, bodies, search, selected, capacity.contacts, out);
+  const SelectedContacts selected = select_contacts(context, bodies, input, capacity.open);
+  write_rows(context, bodies, selected, capacity.contacts, out);
+  const Search& search = selected.search;
   const SearchCounters* seen = search.counters;
   for_each_item(context, 1, [=] __device__(int64_t) {
     counts[kOpenNeeded] = seen->open;

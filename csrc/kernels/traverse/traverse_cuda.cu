@@ -1,5 +1,5 @@
-// The launches of the traversal. Everything is sized by guesses and counted on the device, so that nothing waits for
-// the host on the way; the counts then show whether everything fitted.
+// The launches of the traversal. All lists have given capacities and are counted on the device, so that nothing waits
+// for the host on the way; the counts then show whether everything fitted.
 #include <cub/cub.cuh>
 
 #include "kernels/traverse/descend.cuh"
@@ -14,9 +14,8 @@ namespace {
 // Of four, the time of a search does not show.
 constexpr int kWaves = 4;
 
-// Launches that continue tasks handed back by warps, before the host reads whether any are left. Their number grows by
-// two orders of magnitude with each, until the device is full.
-constexpr int kLaunchesPerBatch = 4;
+// Enough for the standard scene, see Traversal::enqueue.
+constexpr int64_t kLaunches = 4;
 
 constexpr const char* kUnsoundPairs =
     "pairs: a row names a body that is not there; or the body a mesh, vertices or node blocks that are not there";
@@ -66,30 +65,42 @@ struct Traversal {
     return on_device;
   }
 
-  // Until everything fits: overflow is counted, never dropped.
+  // Without waiting: overflow is counted, never dropped. `launches`: after the first, each of which continues tasks
+  // that warps have handed back. Their number grows by two orders of magnitude with each, until the device is full.
+  CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches) {
+    CandidateSink out;
+    const TaskList leaves = start(capacity, out);
+    if (input_.leading) {
+      lead(leaves);
+    } else {
+      descend_roots(leaves);
+      for (int launch = 1; launch <= launches; ++launch) {
+        descend_rest(launch, launch == launches ? kLastLaunch : launch, leaves);
+      }
+    }
+    visit(leaves, out);
+    return out;
+  }
+
+  // Repeated until everything fits.
   TraverseCounters run(CandidateSink& out) {
     TraverseListSizes capacity = guess_sizes(input_, deforming_vertices(bodies_));
-    for (;;) {
-      const TaskList leaves = start(capacity, out);
-      const TraverseCounters seen = input_.leading ? lead(leaves, out) : descend_all(leaves, out);
+    for (int64_t launches = kLaunches;; launches *= 2) {
+      out = enqueue(capacity, launches);
+      TraverseCounters seen = read(context_, counters_);
       if (seen.unsound != 0) throw std::runtime_error(kUnsoundPairs);
-      if (capacity.holds(seen)) return seen;
+      const Counter left = seen.rest[launches % 3];
+      seen.most_rest = larger(seen.most_rest, left);
+      if (capacity.holds(seen) && left == 0) return seen;
       if (!capacity.can_grow(seen)) throw std::runtime_error(kTooMuchForOneCall);
       capacity.grow(seen);
     }
   }
 
-  // Without waiting.
   CandidateSpan run_padded(const TraverseCapacity& given, int64_t* counts) {
     const TraverseListSizes capacity{rows_of(larger<int64_t>(given.poses, kMaxSegments + 1)), rows_of(given.tasks),
                                      rows_of(given.leaf_pairs), rows_of(given.candidates)};
-    CandidateSink out;
-    const TaskList leaves = start(capacity, out);
-    descend_roots(leaves);
-    for (int launch = 1; launch <= given.launches; ++launch) {
-      descend_rest(launch, launch == given.launches ? kLastLaunch : launch, leaves);
-    }
-    visit(leaves, 0, out);
+    const CandidateSink out = enqueue(capacity, given.launches);
     const TraverseCounters* seen = counters_;
     const int last = static_cast<int>(given.launches % 3);
     for_each_item(context_, 1, [=] __device__(int64_t) {
@@ -137,36 +148,11 @@ struct Traversal {
     });
   }
 
-  TraverseCounters lead(TaskList leaves, CandidateSink out) {
+  void lead(TaskList leaves) {
     const int64_t blocks = (input_.pair_count + kBlockThreads - 1) / kBlockThreads;
     descend_greedily<Bodies>
         <<<static_cast<unsigned>(blocks), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_greedily");
-    visit(leaves, 0, out);
-    return read(context_, counters_);
-  }
-
-  TraverseCounters descend_all(TaskList leaves, CandidateSink out) {
-    descend_roots(leaves);
-    uint32_t visited = 0;
-    for (int launch = 0;;) {
-      for (int k = 0; k < kLaunchesPerBatch; ++k) {
-        ++launch;
-        descend_rest(launch, launch, leaves);
-      }
-      // Leaves are visited at once in the hope that none are to come.
-      visit(leaves, visited, out);
-      const TraverseCounters seen = read(context_, counters_);
-      const Counter left = seen.rest[launch % 3];
-      if (left == 0 || !fits(larger(seen.most_rest, left), task_capacity_)) return with_rest(seen, left);
-      visited = static_cast<uint32_t>(smaller<Counter>(seen.leaves, leaves.capacity));
-    }
-  }
-
-  // Tasks that did not fit when the last launch ended count too.
-  static TraverseCounters with_rest(TraverseCounters seen, Counter left) {
-    seen.most_rest = larger(seen.most_rest, left);
-    return seen;
   }
 
   // What the launch leaves.
@@ -195,9 +181,9 @@ struct Traversal {
     check_cuda(cudaGetLastError(), "descend_further");
   }
 
-  void visit(TaskList leaves, uint32_t begin, CandidateSink out) {
-    visit_leaves<Bodies><<<kWaves * resident_blocks_of(visit_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(
-        pairs_, leaves, begin, out);
+  void visit(TaskList leaves, CandidateSink out) {
+    visit_leaves<Bodies>
+        <<<kWaves * resident_blocks_of(visit_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, out);
     check_cuda(cudaGetLastError(), "visit_leaves");
   }
 

@@ -180,16 +180,14 @@ class LeafVisitor {
   int waiting_ = 0;  // feature pairs waiting
 };
 
-// Leaf pairs from `begin` on.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads)
-    visit_leaves(Pairs<Bodies> pairs, TaskList leaves, uint32_t begin, CandidateSink out) {
+__global__ void __launch_bounds__(kBlockThreads) visit_leaves(Pairs<Bodies> pairs, TaskList leaves, CandidateSink out) {
   __shared__ LeafShared shared[kWarpsPerBlock];
   __shared__ CandidateBuffers buffers[kWarpsPerBlock];
   CandidateWriter writer(buffers[threadIdx.x / kWarp], out);
   LeafVisitor<Bodies> visitor(pairs, shared[threadIdx.x / kWarp], writer);
   const uint32_t count = leaves.size(), warps = gridDim.x * kWarpsPerBlock;
-  uint32_t item = begin + 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp);
+  uint32_t item = 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp);
   for (bool is_last = false; !is_last; item += 2 * warps) {
     is_last = item >= count;
     visitor.visit(leaves.items + item, is_last ? 0 : static_cast<int>(smaller(count - item, 2u)));
