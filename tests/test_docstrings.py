@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # What needs ranks, a scheduler or a GPU's streams; tests of its own run it.
 NOT_ALONE = (
     "pgccd.sim.distributed.checkpoint",
-    "pgccd.distributed.guard",
+    "pgccd.distributed.guard.guard",
     "pgccd.distributed.comm.mpi_comm",
     "pgccd.sim.distributed.runner",
     "pgccd.runtime.side_stream",

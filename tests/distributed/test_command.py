@@ -194,6 +194,7 @@ def test_a_signal_to_one_rank_stops_all_after_the_same_step(tmp_path: Path, expe
     [
         ("dies", 120.0, "rank 1 (process {pid} on {host}) has died"),
         pytest.param("hangs", 25.0, "rank 1 (process {pid} on {host}) hangs in step 2", marks=pytest.mark.slow),
+        pytest.param("stops", 25.0, "rank 1 (process {pid} on {host}) does not answer", marks=pytest.mark.slow),
         pytest.param(
             "memory",
             120.0,
@@ -207,12 +208,21 @@ def test_a_lost_rank_ends_all_and_is_named(fault: str, timeout: float, said: str
     program = [str(SUPPORT / "faulty_rank.py"), fault, where, str(timeout)]
     started = start_ranks(3, program if where == "cpu" else over_nccl(3, *program))
     begin = time.monotonic()
-    outputs = [process.communicate(timeout=180)[0] for process in started]
-    assert fault == "hangs" or time.monotonic() - begin < timeout, outputs
+    outputs = [started[rank].communicate(timeout=180)[0] for rank in (0, 2)]
+    assert fault in ("hangs", "stops") or time.monotonic() - begin < timeout, outputs
+    started[1].kill()  # where it is stopped
+    outputs.append(started[1].communicate()[0])
     assert all(process.returncode != 0 for process in started)
     message = said.format(pid=started[1].pid, host=os.uname().nodename)
-    for rank in (0, 2):
-        assert message in outputs[rank], outputs[rank]
+    for output in outputs[:2]:
+        assert message in output, outputs
+
+
+def test_a_busy_interpreter_is_waited_for() -> None:
+    started = start_ranks(3, [str(SUPPORT / "faulty_rank.py"), "busy", "cpu", "60"])
+    outputs = [process.communicate(timeout=180)[0] for process in started]
+    assert [process.returncode for process in started] == [0, 0, 0], outputs
+    assert outputs == [""] * 3
 
 
 def test_ranks_started_with_different_things_all_fail_at_once(tmp_path: Path) -> None:

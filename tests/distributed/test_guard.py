@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
+import json
+import os
+import secrets
+import socket
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
-import torch.distributed as dist
 
-from pgccd.distributed import RankFailureError, guard
-from pgccd.distributed.guard import Guard
+from pgccd.distributed import RankFailureError
+from pgccd.distributed.guard import Guard, Hub, channel, guard, hub
+from pgccd.distributed.guard.channel import join
+
+TOKEN = b"of this job"
+
+
+class Ranks:
+    """Three ranks in one process."""
+
+    def __init__(self) -> None:
+        self.hub = Hub("127.0.0.1", TOKEN, 3)
+        self.guards = [
+            Guard(self.channel(rank), rank, timeout=1.0, hub=self.hub if rank == 0 else None) for rank in range(3)
+        ]
+
+    def channel(self, rank: int, token: bytes = TOKEN) -> channel.Channel:
+        return join(("127.0.0.1", self.hub.port), token, {"rank": rank, "name": f"process {rank}"}, 5.0)
+
+    def kill(self, rank: int) -> None:
+        """Its connection is closed, as the system does when a process ends."""
+        killed = self.guards[rank]
+        killed._closed.set()
+        killed._channel.socket.shutdown(socket.SHUT_RDWR)
+        killed._thread.join()
 
 
 @pytest.fixture
-def guards(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Guard]]:
-    """Three ranks in one process, whose pulses are fast."""
-    monkeypatch.setattr(guard, "_PULSE_SECONDS", 0.02)
-    monkeypatch.setattr(guard, "_SILENCE_SECONDS", 1.2)  # threads of a busy machine may stand still for a while
-    monkeypatch.setattr(guard, "_SUSPICION_SECONDS", 0.1)
+def ranks(monkeypatch: pytest.MonkeyPatch) -> Iterator[Ranks]:
     monkeypatch.setattr(guard, "_GRACE_SECONDS", 0.5)
-    store = dist.HashStore()
-    ranks = [Guard(store, rank, 3, timeout=2.0) for rank in range(3)]
-    yield ranks
-    for rank in ranks:
-        rank.close()
-        rank._ends_hard = False  # or the tests would end as a rank does that failed
-
-
-def fail(rank: Guard) -> str:
-    with pytest.raises(RuntimeError) as caught, rank.waiting("halo"):
-        raise RuntimeError("connection closed by peer")
-    return str(caught.value)
+    monkeypatch.setattr(hub, "_ANSWER_SECONDS", 1.5)
+    three = Ranks()
+    yield three
+    for one in three.guards[::-1]:
+        one.close()
+        one._ends_hard = False  # or the tests would end as a rank does that failed
 
 
 @pytest.fixture
@@ -41,86 +58,135 @@ def exits(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return codes
 
 
-def test_no_rank_is_blamed_when_all_are_alive(guards: list[Guard], exits: list[int]) -> None:
-    for rank in guards:
-        with rank.waiting("first"):
+def fail(rank: Guard, after: float = 0.0) -> str:
+    with pytest.raises(RuntimeError) as caught, rank.waiting("halo"):
+        time.sleep(after)
+        raise RuntimeError("connection closed by peer")
+    return str(caught.value)
+
+
+def wait_for(is_so: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_no_rank_is_blamed_when_all_are_alive(ranks: Ranks, exits: list[int]) -> None:
+    for one in ranks.guards:
+        with one.waiting("first"):
             pass
     # All compute for longer than the time-out; no rank is behind.
-    time.sleep(3.0)
+    time.sleep(2.0)
     assert exits == []
-    for rank in guards[1:]:
-        with rank.waiting("halo"):
+    for one in ranks.guards[1:]:
+        with one.waiting("halo"):
             pass
-    assert fail(guards[0]) == "connection closed by peer"
+    assert fail(ranks.guards[0]) == "connection closed by peer"
+    # A rank that has not come to an exchange is not late before the time-out.
+    for _ in range(3):
+        with ranks.guards[1].waiting("halo"):
+            pass
+    assert fail(ranks.guards[1]) == "connection closed by peer"
 
 
-def test_a_silent_rank_has_died(guards: list[Guard], exits: list[int]) -> None:
-    guards[1]._closed.set()  # its thread stops, as when the process is killed
-    guards[1]._thread.join()
-    guards[0].activity = "step 7"
-    message = fail(guards[0])
-    assert message.startswith("rank 1 (process ") and "has died (rank 0 was in step 7, halo)" in message
+def test_a_closed_connection_is_a_dead_rank(ranks: Ranks, exits: list[int], capsys: pytest.CaptureFixture[str]) -> None:
+    ranks.kill(1)
+    ranks.guards[0].activity = "step 7"
+    message = fail(ranks.guards[0])
+    assert message.startswith("rank 1 (process 1) has died (rank 0 was in step 7, halo)")
+    # It is said at once, and only there: launchers end all ranks soon.
+    assert capsys.readouterr().err.count("pgccd: rank 1 (process 1) has died\n") == 1
     # A rank that gets no error is ended by its guard.
-    assert _failure_told(guards[2], exits).startswith("rank 1 (process ")
-    guards[1]._closed.clear()
+    wait_for(lambda: exits)
+    assert set(exits) == {70}
+    assert "rank 2 gives up in the start: rank 1 (process 1) has died" in capsys.readouterr().err
 
 
-def test_a_process_whose_gpu_waits_without_end_ends_at_once(guards: list[Guard], exits: list[int]) -> None:
-    guards[0].is_broken = lambda: False
-    guards[2].report(MemoryError("8 GiB"))
-    for rank in guards[:2]:
-        assert "failed in the start" in fail(rank)
-    for rank in guards:
-        rank.close()
+def test_the_death_of_rank_0_is_seen_by_all(ranks: Ranks, exits: list[int]) -> None:
+    ranks.hub._closing.set()
+    ranks.hub._deadline = 0.0
+    ranks.hub._ranks.clear()  # no word of farewell
+    ranks.hub._thread.join()
+    for member in ranks.hub._members.values():
+        member.channel.socket.shutdown(socket.SHUT_RDWR)
+    for one in ranks.guards[1:]:
+        assert f"rank 0 (process {os.getpid()} on " in fail(one)
+        assert "has died" in str(one._verdict)
+
+
+def test_a_process_whose_gpu_waits_without_end_ends_at_once(ranks: Ranks, exits: list[int]) -> None:
+    ranks.guards[0].is_broken = lambda: False
+    ranks.guards[2].report(MemoryError("8 GiB"))
+    for one in ranks.guards[:2]:
+        assert "failed in the start" in fail(one)
+    for one in ranks.guards[::-1]:
+        one.close()
     del exits[:]
-    for rank in guards:
-        rank._leave()
+    for one in ranks.guards:
+        one._leave()
     assert exits == [70]  # of the one with a GPU
 
 
-def test_lost_messages_end_the_process_of_a_rank_that_gets_no_error(guards: list[Guard], exits: list[int]) -> None:
-    guards[1]._closed.set()
-    guards[1]._thread.join()
-    guards[0].is_broken = lambda: True
-    assert _failure_told(guards[0], exits).startswith("rank 1 (process ")
-    guards[1]._closed.clear()
+def test_lost_messages_end_the_process_of_a_rank_that_gets_no_error(ranks: Ranks, exits: list[int]) -> None:
+    ranks.guards[0].is_broken = lambda: True
+    ranks.kill(1)
+    wait_for(lambda: exits)
+    assert ranks.guards[0]._verdict == "rank 1 (process 1) has died"
 
 
-def test_lost_messages_without_a_lost_rank(guards: list[Guard], exits: list[int]) -> None:
-    guards[0].is_broken = lambda: True
-    assert _failure_told(guards[0], exits) == "messages between ranks were lost, though all are alive"
+def test_lost_messages_without_a_lost_rank(ranks: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "_VERDICT_SECONDS", 2.0)
+    ranks.guards[0].is_broken = lambda: True
+    wait_for(lambda: exits)
+    for one in ranks.guards:
+        wait_for(lambda one=one: one._verdict)
+        assert str(one._verdict).endswith("lost messages of other ranks, though all are alive")
 
 
-def _failure_told(rank: Guard, exits: list[int]) -> str:
-    """What all ranks report when one gives up."""
-    deadline = time.monotonic() + 20.0
-    while not exits and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert exits and set(exits) == {70}
-    return rank._store.get("failure").decode()
-
-
-def test_a_rank_that_is_behind_hangs(guards: list[Guard], exits: list[int]) -> None:
-    guards[2].activity = "its user's loop"
-    with guards[1].waiting("halo"):
+def test_a_rank_that_is_behind_hangs(ranks: Ranks, exits: list[int]) -> None:
+    ranks.guards[2].activity = "its user's loop"
+    with ranks.guards[1].waiting("halo"):
         pass
-    message = fail(guards[0])
-    assert message.startswith("rank 2 (process ") and "hangs in its user's loop" in message
+    assert fail(ranks.guards[0], after=0.95).startswith("rank 2 (process 2) hangs in its user's loop (rank 0 was in")
 
 
-def test_a_rank_that_failed_says_so(guards: list[Guard], exits: list[int]) -> None:
-    guards[2].activity = "step 3"
-    guards[2].report(MemoryError("8 GiB\nand a long story"))
-    assert "failed in step 3: MemoryError: 8 GiB (rank 0" in fail(guards[0])
+def test_a_rank_that_waits_too_long_asks_by_itself(ranks: Ranks, exits: list[int]) -> None:
+    with ranks.guards[0].waiting("halo"):  # for longer than the time-out
+        wait_for(lambda: exits)
+    assert "hangs in the start" in str(ranks.guards[0]._verdict)
+
+
+def test_a_rank_that_does_not_answer_is_blamed_last(ranks: Ranks, exits: list[int]) -> None:
+    ranks.guards[2]._read_hub = lambda: time.sleep(0.1)  # type: ignore[method-assign]
+    time.sleep(0.5)
+    message = fail(ranks.guards[0], after=0.95)
+    assert "rank 1 (process 1) hangs in the start" in message
+    assert "rank 2 (process 2) does not answer: stopped, or busy" in message
+
+
+def test_a_rank_that_failed_says_so(ranks: Ranks, exits: list[int]) -> None:
+    ranks.guards[2].activity = "step 3"
+    ranks.guards[2].report(MemoryError("8 GiB\nand a long story"))
+    assert "rank 2 (process 2) failed in step 3: MemoryError: 8 GiB (rank 0" in fail(ranks.guards[0])
     # What follows from that is not reported as a cause of its own; nor is a rank blamed that gave up because of it.
-    guards[0].close()
-    guards[1].report(RankFailureError("rank 2 failed"))
-    assert "rank 2 (process" in fail(guards[0])
+    ranks.guards[1].report(RankFailureError("rank 2 failed"))
+    ranks.guards[2].close()
+    assert "rank 2 (process 2) failed" in fail(ranks.guards[1])
 
 
-def test_a_rank_that_has_finished_is_missed_by_those_who_wait(guards: list[Guard], exits: list[int]) -> None:
-    guards[1].close()
-    assert fail(guards[0]).startswith("rank 1 has ended early")
+def test_a_rank_that_has_finished_is_missed_by_those_who_wait(ranks: Ranks, exits: list[int]) -> None:
+    ranks.guards[1].close()
+    assert fail(ranks.guards[2]).startswith("rank 1 has ended early")
+
+
+def test_rank_0_may_finish_first(ranks: Ranks, exits: list[int]) -> None:
+    begin = time.monotonic()
+    ranks.guards[0].close()
+    assert time.monotonic() - begin < 2.0
+    time.sleep(1.0)
+    assert exits == [] and ranks.guards[1]._verdict is None
+    assert fail(ranks.guards[1]).startswith("rank 0 has ended early")
 
 
 def test_one_rank_alone_is_not_blamed() -> None:
@@ -128,3 +194,49 @@ def test_one_rank_alone_is_not_blamed() -> None:
     assert fail(alone) == "connection closed by peer"
     alone.report(ValueError("mine"))
     alone.close()
+
+
+def test_strangers_are_not_believed(ranks: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    address = ("127.0.0.1", ranks.hub.port)
+    with pytest.raises(RuntimeError, match="^guard: no connection to rank 0 at 127.0.0.1:"):
+        ranks.channel(1, token=b"a guess")
+    lies = json.dumps({"about": "failure", "text": "a lie"}).encode() + b"\n"
+    who = {"rank": 1, "name": "process 1"}
+    unproven = json.dumps({"who": who, "nonce": "0", "proof": secrets.token_hex(32)}).encode() + b"\n"
+    nonsense = [lies, unproven + lies, b"\xff" * 200_000, b"[" * 60_000 + b"\n", b"null\n", b'{"who": 3}\n', b"\n", b""]
+    for bytes_ in nonsense:
+        with socket.create_connection(address) as stranger:
+            stranger.settimeout(10.0)
+            try:
+                stranger.sendall(bytes_)
+                if bytes_:  # it is told the hub's number, and no more
+                    assert sum(len(part) for part in iter(lambda: stranger.recv(4096), b"")) < 100  # noqa: B023
+            except ConnectionError:
+                pass
+    # Nor are those who know the token believed to be a rank that is there already.
+    second = ranks.channel(1)
+    assert second.receive(5.0) is None
+    monkeypatch.setattr(hub, "_GREETING_SECONDS", 0.1)
+    with socket.create_connection(address) as silent:
+        silent.settimeout(10.0)
+        while silent.recv(4096):
+            pass
+    assert fail(ranks.guards[0]) != "" and ranks.guards[1]._verdict is None or "hangs" in str(ranks.guards[1]._verdict)
+    assert "lie" not in str([one._verdict for one in ranks.guards])
+
+
+def test_ranks_do_not_believe_a_hub_without_the_token() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = server.getsockname()
+
+        def answer() -> None:
+            end = channel.Channel(server.accept()[0])
+            end.send(nonce="1")
+            end.receive(5.0)
+            end.send(proof="0", name="process 0")
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        with pytest.raises(RuntimeError, match="does not belong to this job$"):
+            join(address, TOKEN, {"rank": 1}, 5.0)
+        thread.join()

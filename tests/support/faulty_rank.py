@@ -1,10 +1,11 @@
 """A run of which one rank goes wrong in step 3.
 
-Command line: the way it does, the device, and how many seconds a rank may be silent.
+Command line: the way it does, the device, how many seconds a rank may be late; and how long one is busy.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -17,7 +18,8 @@ from pgccd.distributed import Partition, choose_device, connect, guard
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 RANK, STEP = 1, 3
-guard._GRACE_SECONDS = 2.0  # so that the test need not wait long
+BUSY_SECONDS = 12 if len(sys.argv) < 5 else int(sys.argv[4])
+guard.guard._GRACE_SECONDS = 2.0  # so that the test need not wait long
 
 
 def main(fault: str, kind: str, timeout: float) -> None:
@@ -33,6 +35,10 @@ def main(fault: str, kind: str, timeout: float) -> None:
                     os.kill(os.getpid(), signal.SIGKILL)
                 if fault == "hangs":
                     threading.Event().wait()
+                if fault == "stops":
+                    os.kill(os.getpid(), signal.SIGSTOP)
+                if fault == "busy":  # no other thread of the interpreter runs meanwhile
+                    ctypes.PyDLL(None).sleep(BUSY_SECONDS)
                 if fault == "memory":
                     raise torch.OutOfMemoryError("tried to allocate more than there is")
             simulation.step(index)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import socket
 from collections.abc import Mapping
 from datetime import timedelta
-from typing import Any, Literal, NoReturn, get_args
+from typing import Literal, NoReturn, get_args
 
 import torch
 import torch.distributed as dist
@@ -12,10 +14,12 @@ import torch.distributed as dist
 from pgccd.distributed.comm import nccl
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.comm.torch_comm import TorchComm
-from pgccd.distributed.guard import Guard
+from pgccd.distributed.guard import Guard, Hub
+from pgccd.distributed.guard.channel import join, process_name
 from pgccd.distributed.launch.agreement import PROBLEM, agree_by_store
 from pgccd.distributed.launch.placement import Placement, find_placement
-from pgccd.distributed.launch.rendezvous import agent_keeps_store, meet
+from pgccd.distributed.launch.rendezvous import LOOPBACK, Meeting, meet
+from pgccd.distributed.launch.token import share_token
 
 Transport = Literal["auto", "nccl", "gloo", "torch-mpi", "mpi4py"]
 TRANSPORTS: tuple[str, ...] = get_args(Transport)
@@ -66,14 +70,15 @@ def connect(
         device = choose_device(device, placement)
     except RuntimeError as error:
         tell_problem(f"device: {error}", timeout)
-    store = meet(placement, timeout)
+    meeting = meet(placement, timeout)
+    store = meeting.store
     own = {"device": device.type, "transport": transport, "timeout": f"{timeout:g}"}
     agree_by_store(store, placement, {**own, **(settings or {})}, timeout)
     if device.type == "cuda" and torch.cuda.is_available():
         torch.cuda.set_device(device)
-    # A process that keeps the store is the last to go.
-    keeps = placement.rank == 0 and not agent_keeps_store()
-    guard = Guard(_second_connection(store), placement.rank, placement.size, timeout, keeps)
+    if meeting.is_local:
+        _keep_to_this_machine()
+    guard = _start_guard(meeting, placement, timeout)
     backend = _backend(transport, device, placement, store)
     if backend == "nccl":
         guard.is_broken = nccl.make_default_group(store, placement.rank, placement.size, timeout)
@@ -103,8 +108,26 @@ def tell_problem(problem: str, timeout: float = DEFAULT_TIMEOUT) -> NoReturn:
         DisagreementError: with the problem of the first rank that has one.
     """
     placement = find_placement()
-    agree_by_store(meet(placement, timeout), placement, {PROBLEM: problem}, timeout)
+    agree_by_store(meet(placement, timeout).store, placement, {PROBLEM: problem}, timeout)
     raise AssertionError("a problem is told to all ranks")
+
+
+def _start_guard(meeting: Meeting, placement: Placement, timeout: float) -> Guard:
+    token = share_token(meeting.store, placement, timeout)
+    host, hub = LOOPBACK if meeting.is_local else meeting.host, None
+    if placement.rank == 0:
+        hub = Hub(LOOPBACK if meeting.is_local else "", token, placement.size)
+        meeting.store.set("guard/port", str(hub.port))
+    port = int(meeting.store.get("guard/port"))
+    who = {"rank": placement.rank, "name": process_name()}
+    return Guard(join((host, port), token, who, timeout), placement.rank, timeout, hub)
+
+
+def _keep_to_this_machine() -> None:
+    """Lets Gloo and NCCL listen at the loopback interface alone, unless others were chosen."""
+    if any(name == "lo" for _, name in socket.if_nameindex()):
+        os.environ.setdefault("GLOO_SOCKET_IFNAME", "lo")
+        os.environ.setdefault("NCCL_SOCKET_IFNAME", "lo")
 
 
 def _delta(seconds: float) -> timedelta:
@@ -120,17 +143,14 @@ def _backend(transport: Transport, device: torch.device, placement: Placement, s
         return "mpi"
     if transport != "auto":
         return transport
-    # NCCL wants a GPU for every rank; all ranks must come to the same decision.
+    # NCCL wants a GPU for every rank; rank 0 decides for all.
     keys = [f"device/{rank}" for rank in range(placement.size)]
     # Its own number: where each rank is shown one GPU only, all of them call it cuda:0.
     has_gpu = device.type == "cuda" and torch.cuda.is_available()
     store.set(keys[placement.rank], str(torch.cuda.get_device_properties(device).uuid) if has_gpu else "none")
-    store.wait(keys)
-    devices = store.multi_get(keys)
-    usable = b"none" not in devices and len(set(devices)) == len(devices)
-    return "nccl" if usable and dist.is_nccl_available() else "gloo"
-
-
-def _second_connection(store: Any) -> dist.Store:
-    """For the guard: a store answers one question at a time, and one may wait long."""
-    return dist.PrefixStore("guard", store.clone())
+    if placement.rank == 0:
+        store.wait(keys)
+        devices = store.multi_get(keys)
+        usable = b"none" not in devices and len(set(devices)) == len(devices)
+        store.set("device/backend", "nccl" if usable and dist.is_nccl_available() else "gloo")
+    return store.get("device/backend").decode()

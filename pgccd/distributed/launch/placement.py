@@ -16,6 +16,14 @@ _VARIABLES = {
     "MVAPICH": ("MV2_COMM_WORLD_RANK", "MV2_COMM_WORLD_SIZE", "MV2_COMM_WORLD_LOCAL_RANK"),
     "srun": ("SLURM_PROCID", "SLURM_STEP_NUM_TASKS", "SLURM_LOCALID"),
 }
+# How many ranks the machine of this one has; of srun, how many machines there are.
+_LOCAL_SIZE = {
+    "torchrun": "LOCAL_WORLD_SIZE",
+    "Open MPI": "OMPI_COMM_WORLD_LOCAL_SIZE",
+    "MPICH": "MPI_LOCALNRANKS",
+    "MVAPICH": "MV2_COMM_WORLD_LOCAL_SIZE",
+}
+_SRUN_MACHINES = "SLURM_STEP_NUM_NODES"
 
 
 @dataclass(frozen=True)
@@ -26,6 +34,7 @@ class Placement:
     rank: int
     size: int
     local_rank: int  #: among those of its machine
+    is_one_machine: bool = False  #: whether it is known that all are on one
 
 
 def find_placement(environment: Mapping[str, str] = os.environ) -> Placement:
@@ -46,5 +55,9 @@ def find_placement(environment: Mapping[str, str] = os.environ) -> Placement:
                 if not re.fullmatch(r"\d+", text):
                     raise ValueError(f"{name}: expected a number, got {text!r}")
                 numbers[name] = int(text)
-            return Placement(launcher, *numbers.values())
-    return Placement("none", 0, 1, 0)
+            if launcher == "srun":
+                is_one_machine = environment.get(_SRUN_MACHINES) == "1"
+            else:
+                is_one_machine = environment.get(_LOCAL_SIZE[launcher]) == environment[size]
+            return Placement(launcher, numbers[rank], numbers[size], numbers[local_rank], is_one_machine)
+    return Placement("none", 0, 1, 0, True)

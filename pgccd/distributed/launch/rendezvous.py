@@ -7,17 +7,29 @@ import re
 import socket
 import time
 import uuid
+from dataclasses import dataclass
 from datetime import timedelta
+from typing import Any
 
 import torch.distributed as dist
 
 from pgccd.distributed.launch.placement import Placement
 
+LOOPBACK = "127.0.0.1"
 _POLL_SECONDS = 0.01
 
 
-def meet(placement: Placement, timeout: float) -> dist.Store:
-    """The store.
+@dataclass(frozen=True)
+class Meeting:
+    """What all ranks share from the start."""
+
+    store: dist.Store
+    host: str  #: where rank 0 can be reached
+    is_local: bool  #: whether that is this machine alone
+
+
+def meet(placement: Placement, timeout: float) -> Meeting:
+    """Connects to the store.
 
     Raises:
         ValueError: naming a variable of the environment.
@@ -26,16 +38,23 @@ def meet(placement: Placement, timeout: float) -> dist.Store:
     """
     if placement.launcher == "torchrun":
         run = os.environ.get("TORCHELASTIC_RUN_ID", "run")
-        address = _variable("MASTER_ADDR"), int(_variable("MASTER_PORT"))
-        store = _connect_store(*address, placement, timeout, keeps=not agent_keeps_store())
-        return agree_on_start(dist.PrefixStore(f"pgccd/{run}", store), placement, timeout)
+        host, port = _variable("MASTER_ADDR"), int(_variable("MASTER_PORT"))
+        common = _connect_store(host, port, placement, timeout, keeps=not agent_keeps_store())
+        store = agree_on_start(dist.PrefixStore(f"pgccd/{run}", common), placement, timeout)
+        return Meeting(store, host, is_loopback(host) or placement.is_one_machine)
     if placement.launcher == "srun":
-        host = os.environ.get("MASTER_ADDR") or first_host(_variable("SLURM_STEP_NODELIST"))
+        alone = LOOPBACK if placement.is_one_machine else first_host(_variable("SLURM_STEP_NODELIST"))
+        host = os.environ.get("MASTER_ADDR") or alone
         # The same on all ranks, and another for another job or step.
         number = int(os.environ.get("SLURM_JOB_ID", "0")) * 31 + int(os.environ.get("SLURM_STEP_ID", "0"))
         port = int(os.environ.get("MASTER_PORT", 20000 + number % 20000))
-        return _connect_store(host, port, placement, timeout, keeps=True)
+        return Meeting(_connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host))
     return _meet_by_mpi(placement, timeout)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only processes of this machine can connect to it."""
+    return host in ("localhost", "::1") or host.startswith("127.")
 
 
 def agent_keeps_store() -> bool:
@@ -79,7 +98,7 @@ def _welcome(store: dist.Store, size: int, start: str, timeout: float) -> None:
         time.sleep(_POLL_SECONDS)
 
 
-def _meet_by_mpi(placement: Placement, timeout: float) -> dist.Store:
+def _meet_by_mpi(placement: Placement, timeout: float) -> Meeting:
     try:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:  # RuntimeError: no MPI library
@@ -91,23 +110,24 @@ def _meet_by_mpi(placement: Placement, timeout: float) -> dist.Store:
             "they belong to different MPIs"
         )
     hosts = world.allgather(socket.gethostname())
-    host = "127.0.0.1" if len(set(hosts)) == 1 else os.environ.get("MASTER_ADDR", hosts[0])
+    host = LOOPBACK if len(set(hosts)) == 1 else os.environ.get("MASTER_ADDR", hosts[0])
     store = None
     if placement.rank == 0:
         store = _connect_store(host, 0, placement, timeout, keeps=True)
     port = world.bcast(store.port if store is not None else None)
-    return store or _connect_store(host, port, placement, timeout, keeps=True)
+    return Meeting(store or _connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host))
 
 
 def _connect_store(host: str, port: int, placement: Placement, timeout: float, keeps: bool) -> dist.TCPStore:
-    return dist.TCPStore(
-        host,
-        port,
-        placement.size,
-        is_master=keeps and placement.rank == 0,
-        timeout=timedelta(seconds=timeout),
-        wait_for_workers=False,
-    )
+    common: dict[str, Any] = {"timeout": timedelta(seconds=timeout), "wait_for_workers": False}
+    if not (keeps and placement.rank == 0):
+        return dist.TCPStore(host, port, placement.size, is_master=False, **common)
+    if not is_loopback(host):
+        return dist.TCPStore(host, port, placement.size, is_master=True, **common)
+    # Left to itself, torch would listen to other machines too.
+    listener = socket.create_server((host, port), backlog=min(placement.size, 4096))
+    port = listener.getsockname()[1]
+    return dist.TCPStore(host, port, placement.size, is_master=True, master_listen_fd=listener.detach(), **common)
 
 
 def _variable(name: str) -> str:

@@ -1,0 +1,209 @@
+"""Rank 0's part of the guard: which rank is to blame, told to all."""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import selectors
+import socket
+import sys
+import threading
+import time
+from dataclasses import dataclass
+
+from pgccd.distributed.guard.channel import Channel, Greeting, Message
+
+_TICK_SECONDS = 1.0
+# Within so many seconds a process that connects must prove that it belongs to the job.
+_GREETING_SECONDS = 10.0
+# Within so many seconds a rank that is asked answers, unless it is stopped or its interpreter is busy.
+_ANSWER_SECONDS = 5.0
+# Files that a process needs besides the connections.
+_OTHER_FILES = 512
+
+
+@dataclass
+class _Member:
+    """A rank."""
+
+    channel: Channel
+    name: str
+    finished: bool = False  #: says nothing more, and is right to
+
+
+@dataclass
+class _Inquiry:
+    """How far the ranks are, which all have been asked."""
+
+    number: int
+    askers: set[int]
+    is_late: bool  #: whether an exchange took longer than the time-out
+    deadline: float
+    answers: dict[int, Message]
+
+
+class Hub:
+    """Judges which rank is to blame.
+
+    Args:
+        host: the address to listen at; empty: all of this machine's.
+        token: the job's: processes without it are not listened to.
+        size: number of ranks.
+    """
+
+    def __init__(self, host: str, token: bytes, size: int) -> None:
+        self._token, self._size = token, size
+        _allow_files(size + _OTHER_FILES)
+        self._listener = socket.create_server((host, 0), backlog=min(size, 4096))
+        self.port: int = self._listener.getsockname()[1]
+        self._greetings: dict[Channel, tuple[Greeting, float]] = {}
+        self._members: dict[int, _Member] = {}
+        self._ranks: dict[Channel, int] = {}
+        self._verdict: str | None = None
+        self._inquiry: _Inquiry | None = None
+        self._inquiries = 0
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="pgccd-hub", daemon=True)
+        self._thread.start()
+
+    def close(self, seconds: float) -> None:
+        """Ends at once; if a rank was to blame, once all have read that, or after so many seconds."""
+        self._deadline = time.monotonic() + seconds
+        self._closing.set()
+        self._thread.join(seconds + 2.0 * _TICK_SECONDS)
+
+    def _serve(self) -> None:
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._close_all)
+            while not self._closing.is_set() or (
+                self._verdict is not None and self._ranks and time.monotonic() < self._deadline
+            ):
+                for key, _ in self._selector.select(0.1 if self._closing.is_set() else 0.2 * _TICK_SECONDS):
+                    if key.fileobj is self._listener:
+                        self._accept()
+                    else:
+                        self._read(key.fileobj)  # type: ignore[arg-type]
+                self._drop_strangers()
+                if self._inquiry is not None:
+                    self._conclude(self._inquiry)
+
+    def _close_all(self) -> None:
+        for channel in self._ranks:
+            channel.send(about="closing")
+        for channel in [*self._greetings, *self._ranks]:
+            channel.close()
+        self._selector.close()
+        self._listener.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            channel = Channel(self._listener.accept()[0])
+            self._greetings[channel] = Greeting(channel, self._token), time.monotonic() + _GREETING_SECONDS
+            self._selector.register(channel, selectors.EVENT_READ)
+
+    def _drop_strangers(self) -> None:
+        now = time.monotonic()
+        for channel in [channel for channel, (_, deadline) in self._greetings.items() if now > deadline]:
+            self._forget(channel)
+
+    def _forget(self, channel: Channel) -> None:
+        self._greetings.pop(channel, None)
+        self._selector.unregister(channel)
+        channel.close()
+
+    def _read(self, channel: Channel) -> None:
+        try:
+            messages = channel.receive(0.0)
+        except (ValueError, RecursionError):  # not from a rank
+            messages = None
+        if channel in self._greetings:
+            self._greet(channel, messages)
+            return
+        rank = self._ranks[channel]
+        for message in messages or []:
+            self._handle(rank, message)
+        if messages is None:
+            del self._ranks[channel]
+            self._forget(channel)
+            if not self._members[rank].finished:
+                self._blame(f"{self._members[rank].name} has died")
+
+    def _greet(self, channel: Channel, messages: list[Message] | None) -> None:
+        if messages == []:
+            return
+        who = self._greetings[channel][0].check(messages[0]) if messages else None
+        if who is None or who["rank"] in self._members:
+            self._forget(channel)
+            return
+        del self._greetings[channel]
+        self._ranks[channel] = who["rank"]
+        self._members[who["rank"]] = _Member(channel, f"rank {who['rank']} ({who.get('name')})")
+
+    def _handle(self, rank: int, message: Message) -> None:
+        member = self._members[rank]
+        match message.get("about"):
+            case "finished":
+                member.finished = True
+            case "failure":
+                self._blame(f"{member.name} {message.get('text')}")
+            case "error":
+                self._ask_all(rank, bool(message.get("is_late")))
+            case "answer" if self._inquiry is not None and message.get("number") == self._inquiry.number:
+                self._inquiry.answers[rank] = message
+
+    def _blame(self, verdict: str) -> None:
+        """The first verdict holds: others follow from it."""
+        if self._verdict is not None:
+            return
+        self._verdict, self._inquiry = verdict, None
+        # Launchers end all ranks as soon as one has died: this may be the last that can be printed.
+        sys.stderr.write(f"pgccd: {verdict}\n")
+        sys.stderr.flush()
+        for member in self._members.values():
+            member.channel.send(about="verdict", text=verdict)
+
+    def _ask_all(self, asker: int, is_late: bool) -> None:
+        if self._verdict is not None:
+            self._members[asker].channel.send(about="verdict", text=self._verdict)
+        elif self._inquiry is not None:
+            self._inquiry.askers.add(asker)
+            self._inquiry.is_late |= is_late
+        else:
+            self._inquiries += 1
+            self._inquiry = _Inquiry(self._inquiries, {asker}, is_late, time.monotonic() + _ANSWER_SECONDS, {})
+            for member in self._members.values():
+                member.channel.send(about="question", number=self._inquiries)
+
+    def _conclude(self, inquiry: _Inquiry) -> None:
+        """Once all have answered, or could have: blames those that ended early, those that do not answer, and where an
+        exchange took too long those that have not come to it."""
+        expected = {rank for rank, member in self._members.items() if not member.finished}
+        silent = sorted(expected - set(inquiry.answers))
+        if silent and time.monotonic() < inquiry.deadline:
+            return
+        self._inquiry = None
+        reached = max(inquiry.answers.get(asker, {}).get("exchanges", 0) for asker in inquiry.askers)
+        finished = [f"rank {rank} has ended early" for rank, member in self._members.items() if member.finished]
+        behind = [
+            f"{self._members[rank].name} hangs in {answer.get('activity')}"
+            for rank, answer in sorted(inquiry.answers.items())
+            if inquiry.is_late and answer.get("exchanges", 0) < reached
+        ]
+        stopped = [f"{self._members[rank].name} does not answer: stopped, or busy" for rank in silent]
+        for blamed in (finished, behind + stopped):
+            if blamed:
+                more = f" and {len(blamed) - 4} more" if len(blamed) > 4 else ""
+                self._blame(", ".join(blamed[:4]) + more)
+                return
+        for asker in inquiry.askers:
+            self._members[asker].channel.send(about="no verdict")
+
+
+def _allow_files(count: int) -> None:
+    """Raises this process's own limit of open files, where the system's allows it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft < count:
+        with contextlib.suppress(ValueError, OSError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (count if hard < 0 else min(count, hard), hard))

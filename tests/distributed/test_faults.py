@@ -1,0 +1,226 @@
+"""What becomes of a job when something goes wrong: a line that says what, an exit code, and nothing lost.
+
+docs/faults.md has the table.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.launch import ROOT, SUPPORT, children, environment, finish, mpirun, start_ranks, torchrun
+
+from distributed.test_command import AGAIN, SIMULATE, WORLD, hashes, log, wait_for_checkpoint
+from pgccd import sim
+
+pytestmark = [pytest.mark.ranks, pytest.mark.slow]
+LAUNCHERS = ["torchrun", "mpirun"]
+STEPS = 60
+RANK = {"torchrun": "$RANK", "mpirun": "${PMI_RANK:-$OMPI_COMM_WORLD_RANK}"}
+
+
+def command(launcher: str, program: list[str], before: str = "") -> list[str]:
+    """Two ranks of a program; `before`: shell commands of each rank."""
+    if not before:
+        return torchrun(2, *program) if launcher == "torchrun" else mpirun(2, *program)
+    shell = f"rank={RANK[launcher]}; {before}; exec {shlex.join([sys.executable, *program])}"
+    if launcher == "torchrun":
+        return torchrun(2, "--no-python", "bash", "-c", shell)
+    whole = mpirun(2, "-c", shell)
+    whole[whole.index(sys.executable, len(whole) - 3)] = "bash"
+    return whole
+
+
+def start(launcher: str, folder: Path, *more: str) -> subprocess.Popen[str]:
+    """A job that has written a checkpoint."""
+    program = [*SIMULATE, *WORLD, "--steps", "4000", *AGAIN, "--out", str(folder), *more]
+    process = subprocess.Popen(
+        command(launcher, program),
+        env=environment(),
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    wait_for_checkpoint(folder, [process])
+    return process
+
+
+def ranks_of(process: subprocess.Popen[str]) -> list[int]:
+    """The processes of the ranks, by rank as far as they were started in that order."""
+    found, below = [], [process.pid]
+    while below:
+        below = [child for parent in below for child in children(parent)]
+        for one in below:
+            words = Path(f"/proc/{one}/cmdline").read_bytes().decode().split("\0")
+            is_python = Path(words[0]).name.startswith("python")
+            if is_python and "simulate" in words and "torch.distributed.run" not in words:
+                found.append(one)
+    return sorted(found)
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """The hashes of the first steps."""
+    folder = tmp_path_factory.mktemp("alone")
+    sim.run(sim.ModelConfig(robots=150, pattern="skewed", seed=4), STEPS, folder)
+    return hashes(log(folder))
+
+
+def require_intact(folder: Path, expected: list[Any]) -> None:
+    """The run can go on, and what it has is right."""
+    made = sim.load_checkpoint(folder).steps_made
+    assert made >= 8
+    sim.resume(folder, made + 2)
+    found = hashes(log(folder))
+    assert len(found) == made + 2
+    assert found[:STEPS] == expected[: len(found)]
+
+
+def kill_rank(process: subprocess.Popen[str]) -> None:
+    os.kill(ranks_of(process)[-1], signal.SIGKILL)
+
+
+def terminate(process: subprocess.Popen[str]) -> None:
+    process.terminate()
+
+
+def interrupt(process: subprocess.Popen[str]) -> None:
+    """As Ctrl-C does: all processes in the foreground get it."""
+    os.killpg(process.pid, signal.SIGINT)
+
+
+@pytest.mark.parametrize("launcher", LAUNCHERS)
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (kill_rank, r"pgccd: rank \d \(process \d+ on \S+\) has died"),
+        (terminate, r"interrupted; to continue: pgccd simulate --resume|[Ss]ignal|death signal"),
+        (interrupt, r"interrupted; to continue: pgccd simulate --resume|[Ss]ignal|Ctrl-C"),
+    ],
+)
+def test_ends_of_a_job(
+    launcher: str, fault: Callable[[subprocess.Popen[str]], None], said: str, tmp_path: Path, expected: list[Any]
+) -> None:
+    process = start(launcher, tmp_path)
+    fault(process)
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode != 0
+    assert re.search(said, output), output
+    require_intact(tmp_path, expected)
+
+
+def test_without_their_agent_ranks_end(tmp_path: Path, expected: list[Any]) -> None:
+    process = start("torchrun", tmp_path)
+    ranks = ranks_of(process)
+    assert len(ranks) == 2
+    process.kill()
+    output = process.stdout.read()  # type: ignore[union-attr]  # until the ranks have ended too
+    process.wait()
+    assert re.search(r"rank \d .*has lost the process that launched it", output), output
+    assert not any(Path(f"/proc/{rank}").exists() for rank in ranks)
+    require_intact(tmp_path, expected)
+
+
+@pytest.mark.parametrize("launcher", LAUNCHERS)
+def test_a_stopped_rank_is_named(launcher: str, tmp_path: Path, expected: list[Any]) -> None:
+    process = start(launcher, tmp_path, "--timeout", "8")
+    stopped = ranks_of(process)[-1]
+    os.kill(stopped, signal.SIGSTOP)
+    try:
+        for line in process.stdout:  # type: ignore[union-attr]
+            if "does not answer: stopped, or busy" in line:
+                break
+        else:
+            raise AssertionError("nothing was said")
+        assert f"process {stopped} on" in line
+    finally:
+        os.kill(stopped, signal.SIGKILL)
+        process.communicate(timeout=120)
+    require_intact(tmp_path, expected)
+
+
+@pytest.mark.parametrize("launcher", LAUNCHERS)
+def test_two_jobs_in_a_folder(launcher: str, tmp_path: Path, expected: list[Any]) -> None:
+    process = start(launcher, tmp_path)
+    second = finish(command(launcher, [*SIMULATE, "--resume", str(tmp_path), "--steps", "9", "--no-pictures"]))
+    assert second.returncode != 0
+    assert re.search(r"pgccd simulate: error: .*another", second.stdout), second.stdout
+    terminate(process)
+    process.communicate(timeout=120)
+    require_intact(tmp_path, expected)
+
+
+@pytest.mark.parametrize("launcher", LAUNCHERS)
+def test_a_folder_that_is_not_shared(launcher: str, tmp_path: Path) -> None:
+    before = f"mkdir -p {tmp_path}/$rank; cd {tmp_path}/$rank"
+    program = [*SIMULATE, *WORLD, "--steps", "9", "--checkpoint-every", "4", "--out", "run"]
+    done = finish(command(launcher, program, before))
+    assert done.returncode != 0
+    assert re.search(r"pgccd simulate: error: .*rank 1.*", done.stdout), done.stdout
+    assert not list(tmp_path.rglob("checkpoints"))
+
+
+@pytest.mark.parametrize("launcher", LAUNCHERS)
+def test_a_full_disk(launcher: str, tmp_path: Path, expected: list[Any]) -> None:
+    """Files of rank 1 cannot be larger than 4 KiB."""
+    program = [*SIMULATE, *WORLD, "--steps", "40", "--checkpoint-every", "8", "--out", str(tmp_path / "run")]
+    done = finish(command(launcher, program, "[ $rank = 1 ] && ulimit -f 4; trap '' XFSZ"))
+    assert done.returncode != 0
+    assert re.search(r"File too large", done.stdout), done.stdout
+    assert str(ROOT / "pgccd") not in done.stdout, done.stdout  # no traceback of ours
+
+
+@pytest.mark.parametrize("launcher", LAUNCHERS)
+def test_a_folder_that_cannot_be_written(launcher: str, tmp_path: Path) -> None:
+    program = [*SIMULATE, *WORLD, "--steps", "9", "--out", "/proc/run"]
+    done = finish(command(launcher, program))
+    assert done.returncode != 0
+    assert re.search(r"pgccd simulate: error: .*/proc/run", done.stdout), done.stdout
+
+
+@pytest.mark.parametrize("started_by", ["torchrun", "mpirun", "srun"])
+def test_other_machines_cannot_connect(started_by: str) -> None:
+    """Where all ranks are on one: but for what launchers and MPI's libraries open by themselves."""
+    job = str(SUPPORT / "listening_job.py")
+    if started_by == "srun":
+        of_srun = {"SLURM_STEP_NUM_NODES": "1", "SLURM_JOB_ID": str(os.getpid()), "SLURM_STEP_NODELIST": "nowhere"}
+        ranks = [
+            subprocess.Popen(
+                [sys.executable, job],
+                env=environment(**of_srun, SLURM_PROCID=str(rank), SLURM_STEP_NUM_TASKS="2", SLURM_LOCALID=str(rank)),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+            )
+            for rank in range(2)
+        ]
+        output = "".join(process.communicate(timeout=100)[0] for process in ranks)
+    else:
+        output = finish(command(started_by, [job])).stdout
+    loopback = {"torchrun": "['0100007F']", "srun": "['0100007F']"}
+    lines = re.findall(r"listens: (.*)", output)
+    assert len(lines) == 2, output
+    if started_by == "mpirun":
+        return  # its library listens everywhere
+    assert lines == [loopback[started_by]] * 2
+
+
+def test_a_busy_interpreter_of_a_minute() -> None:
+    program = [str(SUPPORT / "faulty_rank.py"), "busy", "cpu", "120", "60"]
+    started = start_ranks(3, program)
+    begin = time.monotonic()
+    outputs = [process.communicate(timeout=180)[0] for process in started]
+    assert time.monotonic() - begin > 60.0
+    assert [process.returncode for process in started] == [0, 0, 0], outputs
+    assert outputs == [""] * 3
