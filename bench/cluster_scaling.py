@@ -130,7 +130,7 @@ def start(
     partition = distributed.Partition.uniform(
         (-x, -y, -z), (x, y, z), comm.size, axes=arguments.axes, cells=arguments.cells, device=device
     )
-    share = sim.distributed.starting_share(comm, model, partition)
+    share = sim.distributed.starting_share(comm, model)
     balance = distributed.BalanceOptions(arguments.balance)
     graph = False if arguments.no_graph else None
     overlap = not arguments.no_overlap

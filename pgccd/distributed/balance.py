@@ -68,6 +68,32 @@ class BalanceOptions:
         return self.policy != "none" and ranks > 1 and steps_made > 0 and steps_made % self.every == 0
 
 
+class BackOff:
+    """When to decide again. A decision that moves nothing is not repeated in the next step, but after twice as many as
+    the last time: loads that no move makes more even would cost a decision, and a sum over all cells, in every step.
+
+    Example:
+        >>> back_off = BackOff()
+        >>> if back_off.is_over(step):
+        ...     back_off.tried(step, moved=0)
+    """
+
+    _MOST_STEPS = 64
+
+    def __init__(self) -> None:
+        self._steps = 0
+        self._next = 0
+
+    def is_over(self, step: int) -> bool:
+        """Whether a decision may be made in this step."""
+        return step >= self._next
+
+    def tried(self, step: int, moved: int) -> None:
+        """Takes notice of a decision, and of how many cells it moved."""
+        self._steps = 0 if moved else min(max(1, 2 * self._steps), self._MOST_STEPS)
+        self._next = step + 1 + self._steps
+
+
 @dataclass(frozen=True)
 class CellLoads:
     """What happened in each cell in the last step; those of ranks add up."""

@@ -81,6 +81,11 @@ def migrate(
     return {name: changed[name] for name in columns}, sum(received)
 
 
+def id_range(comm: Comm, count: int) -> tuple[int, int]:
+    """This rank's equal share of the ids 0 to count - 1: the first, and the one after the last."""
+    return comm.rank * count // comm.size, (comm.rank + 1) * count // comm.size
+
+
 @dataclass(frozen=True)
 class Census:
     """How many bodies there are, and an order-independent hash of their ids: what migration must conserve."""
@@ -94,18 +99,22 @@ class Census:
         return cls(len(id), row_hash([id]))
 
     @classmethod
-    def of_range(cls, count: int) -> Census:
-        """Of the ids 0 to count - 1."""
-        begins = range(0, count, _BLOCK)
-        return cls.total([cls.of(torch.arange(begin, min(count, begin + _BLOCK))) for begin in begins])
+    def of_range(cls, comm: Comm, count: int) -> Census:
+        """Of the ids 0 to count - 1; ranks share the work."""
+        first, end = id_range(comm, count)
+        begins = range(first, end, _BLOCK)
+        return cls.total([cls.of(torch.arange(begin, min(end, begin + _BLOCK))) for begin in begins])._of_all(comm)
 
     @classmethod
     def of_ranks(cls, comm: Comm, id: Tensor) -> Census:
         """Of all ranks' bodies, of which this rank has (N,) int64."""
-        mine = cls.of(id)
-        signed = mine.ids - 2**64 if mine.ids >= 2**63 else mine.ids
-        parts: list[list[int]] = comm.all_gather(torch.tensor([mine.count, signed])).tolist()
-        return cls.total([cls(count, ids % 2**64) for count, ids in parts])
+        return cls.of(id)._of_all(comm)
+
+    def _of_all(self, comm: Comm) -> Census:
+        """The sum over the ranks, each of which has one of its own."""
+        signed = self.ids - 2**64 if self.ids >= 2**63 else self.ids
+        count, ids = comm.sum(torch.tensor([self.count, signed])).tolist()  # modulo 2^64
+        return Census(count, ids % 2**64)
 
     @classmethod
     def total(cls, parts: list[Census]) -> Census:

@@ -12,7 +12,7 @@ from pgccd import arguments
 from pgccd.detection import narrow
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
-from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rank_loads, rebalance
+from pgccd.distributed.balance import BackOff, BalanceOptions, CellLoads, RankLoads, rank_loads, rebalance
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.detection import Detection, cell_loads, detect_distributed
@@ -123,7 +123,7 @@ class World:
         self._found: Detection | None = None
         self._capacity: HaloCapacity | None = None
         self._estimates = PartEstimates()
-        self._seconds, self._steps = 0.0, 0
+        self._seconds, self._steps, self._back_off = 0.0, 0, BackOff()
         self._columns = take_rows(columns, torch.argsort(columns["id"]))
         self._change_hands()
 
@@ -218,6 +218,7 @@ class World:
         Example:
             >>> world.move(x, velocity=v)
         """
+        moved: Columns = {}
         for name, values in {"position": position, **payload}.items():
             key = name if name == "position" else "." + name
             former = self._columns.get(key)
@@ -229,9 +230,10 @@ class World:
             if values.shape != former.shape or values.dtype != former.dtype or values.device != former.device:
                 expected = f"{tuple(former.shape)} {former.dtype} on {former.device}"
                 raise ValueError(f"{name}: expected {expected}, got {tuple(values.shape)} {values.dtype}")
-            self._columns[key] = values.detach()
+            moved[key] = values.detach()
         if not bool(torch.isfinite(position).all()):
             raise ValueError("position: expected finite numbers")
+        self._columns |= moved  # only now: what is refused changes nothing
         self._change_hands()
 
     def loads(self) -> Tensor:
@@ -253,13 +255,15 @@ class World:
         return CellLoads.unstacked(self.comm.sum(own.stacked()))
 
     def _change_hands(self) -> None:
-        if self.balance.applies(self._steps, self.comm.size):
+        if self.balance.applies(self._steps, self.comm.size) and self._back_off.is_over(self._steps):
             assert self._found is not None
             mine = [len(self._found.held.own_id), len(self._found.pairs), len(self._found.contacts)]
             loads = self.comm.all_gather(torch.tensor([*mine, self._seconds], dtype=torch.float64))
             bodies, pairs, contacts = loads[:, :3].long().t().tolist()
             if not RankLoads(bodies, pairs, contacts, loads[:, 3].tolist()).are_level(self.balance):
-                self.partition = rebalance(self.partition, self._cell_loads(), self.balance, loads[:, 3])
+                former = self.partition
+                self.partition = rebalance(former, self._cell_loads(), self.balance, loads[:, 3])
+                self._back_off.tried(self._steps, int((former.owner != self.partition.owner).sum()))
                 self._capacity = None
         self._columns, _ = migrate(self.comm, self.partition, self._columns, self._columns["position"])
         Census.of_ranks(self.comm, self.id).require(self._census)

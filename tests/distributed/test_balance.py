@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pgccd.distributed import BalanceOptions, CellLoads, Partition, imbalance, rebalance
-from pgccd.distributed.balance import RankLoads, one_cell, rank_loads, relative_speeds
+from pgccd.distributed.balance import BackOff, RankLoads, one_cell, rank_loads, relative_speeds
 
 
 @st.composite
@@ -137,3 +139,20 @@ def test_small_differences_and_dear_moves_are_left_alone() -> None:
 def test_mistakes_are_named(field: str, value: object) -> None:
     with pytest.raises(ValueError, match=f"^{field}: "):
         BalanceOptions(**{field: value})
+
+
+def test_decisions_that_move_nothing_become_rare() -> None:
+    back_off, made = BackOff(), []
+    for step in range(400):
+        if back_off.is_over(step):
+            made.append(step)
+            back_off.tried(step, moved=0)
+    waits = [later - step for step, later in itertools.pairwise(made)]
+    assert waits[:8] == [2, 3, 5, 9, 17, 33, 65, 65] and set(waits[8:]) == {65}
+    # One that moves cells is followed by another at once.
+    step = made[-1] + 65
+    assert back_off.is_over(step)
+    back_off.tried(step, moved=3)
+    assert back_off.is_over(step + 1)
+    back_off.tried(step + 1, moved=0)
+    assert not back_off.is_over(step + 2) and back_off.is_over(step + 3)

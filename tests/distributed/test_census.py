@@ -79,7 +79,7 @@ def test_a_simulation_notices() -> None:
     for rows in (torch.arange(39), torch.cat([torch.arange(40), torch.tensor([39])])):
         comm = Alone()
         partition = Partition.uniform(tuple(-x for x in upper), upper, 1, cells=2)
-        simulation = DistributedSimulation(comm, world, partition, starting_share(comm, world, partition))
+        simulation = DistributedSimulation(comm, world, partition, starting_share(comm, world))
         simulation.step(0)
         simulation.state = sim.RobotState(**take_rows(simulation.state.columns, rows))
         with pytest.raises(RuntimeError, match="expected 40 bodies"):

@@ -52,7 +52,7 @@ def make_simulation(
     model = sim.Model(sim.ModelConfig(**WORLDS[name]), device=device)
     upper = model.half_extent
     partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=4, device=device)
-    start = starting_share(comm, model, partition)
+    start = starting_share(comm, model)
     return DistributedSimulation(comm, model, partition, start, BalanceOptions(policy), overlap, graph=graph)
 
 

@@ -75,7 +75,7 @@ def by_ranks(comm: Comm, capacity: str) -> tuple[list[dict[str, Any]], int, int]
         "Part": Watched,
     }
     with mock.patch.multiple(parts_module, **patches):
-        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition))
+        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
         made = [simulation.step(index) for index in range(STEPS)]
     records = [without_times(step.record) for step in made]
     for step in made:

@@ -15,6 +15,7 @@ import torch
 
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.launch.agreement import on_first, together
+from pgccd.distributed.migrate import id_range
 from pgccd.distributed.partition import Partition
 from pgccd.sim.checkpoint import StoredCheckpoint
 from pgccd.sim.checkpoint_files import (
@@ -118,8 +119,7 @@ def load_share(comm: Comm, stored: StoredCheckpoint) -> RobotState:
 
     def read() -> RobotState:
         stored.verify(stored.files[comm.rank :: comm.size])
-        begin, end = (stored.robots * rank // comm.size for rank in (comm.rank, comm.rank + 1))
-        return stored.rows(begin, end)
+        return stored.rows(*id_range(comm, stored.robots))
 
     state = together(comm, read)
     hashes = [value - 2**64 if value >= 2**63 else value for value in (id_hash(state.id), state_hash(state))]

@@ -91,7 +91,7 @@ def run(
     with _held(comm, folder):
         on_first(comm, lambda: begin(folder, model.describe() | dict(notes or {}), overwrite))
         partition = _partition(comm, model, options)
-        start = starting_share(comm, model, partition)
+        start = starting_share(comm, model)
         simulation = DistributedSimulation(comm, model, partition, start, options.balance, options.overlap, broad_phase)
         return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_last_step)
 

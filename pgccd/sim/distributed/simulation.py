@@ -12,12 +12,12 @@ from torch import Tensor
 
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.parts import contacts_of_step
-from pgccd.distributed.balance import BalanceOptions, CellLoads, RankLoads, rebalance
+from pgccd.distributed.balance import BackOff, BalanceOptions, CellLoads, RankLoads, rebalance
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection import Detection, cell_loads
 from pgccd.distributed.halo_capacity import HaloCapacity
-from pgccd.distributed.migrate import Census, Leaving, migrate
+from pgccd.distributed.migrate import Census, Leaving, id_range, migrate
 from pgccd.distributed.padded_share import ShareCapacity
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Options, OwnSearch, PartEstimates, Share
@@ -35,8 +35,6 @@ from pgccd.sim.resolution import Resolution, ResolvedStep, RoundPlan, resolve_co
 from pgccd.sim.response import respond
 from pgccd.sim.tally import Tally, count_step
 
-# Robots made at a time at the start of a world.
-_BLOCK_ROBOTS = 1 << 20
 # Up to so many ranks, each sends all others its counts of leaving robots together with its tally; with more, those
 # affected alone.
 _TELLS_MOVES = 64
@@ -104,7 +102,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         graph: whether steps are replayed, the same on all ranks. Default: where messages go with a GPU's stream.
 
     Example:
-        >>> simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model, partition))
+        >>> simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
         >>> simulation.step(0).record["contacts"]
     """
 
@@ -127,10 +125,10 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         # nonzero_toi: robots that part after a contact are free.
         self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
         self._plan, self._estimates = RoundPlan(), PartEstimates()
-        self._expected = Census.of_range(model.config.robots)
+        self._expected = Census.of_range(comm, model.config.robots)
         self._capacity: HaloCapacity | None = None
         self._share_capacity: ShareCapacity | None = None
-        self._partition, self._stop = partition, False
+        self._partition, self._stop, self._back_off = partition, False, BackOff()
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()
 
@@ -260,12 +258,13 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
             seconds = torch.tensor(reports.seconds(), dtype=torch.float64)
             shared_out = rebalance(self._partition, total, self.balance, seconds)
             moved = int((shared_out.owner != self._partition.owner).sum())
+            self._back_off.tried(index, moved)
             if moved > 0:
                 self._partition, self._capacity = shared_out, None
             return moved
 
     def _is_balance_due(self, index: int, reports: Reports) -> bool:
-        if not self.balance.applies(index + 1, self.comm.size):
+        if not self.balance.applies(index + 1, self.comm.size) or not self._back_off.is_over(index):
             return False
         loads = RankLoads(reports.robots, reports.worked("pcs"), reports.worked("contacts"), reports.seconds())
         return not loads.are_level(self.balance)
@@ -307,7 +306,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
     def _needs_launch(self, step: CommittedStep) -> bool:
         reports = Reports.of(step.work, step.conclusions)
         away = bool(_MOST_AWAY * reports.leaving.sum() > reports.ghosts.sum())
-        return away or self._is_balance_due(step.index, reports)
+        return away or self._is_balance_due(step.index + 1, reports)
 
     def _reports_of(self, step: CommittedStep) -> CommittedRankStep:
         reports = Reports.of(step.work, step.conclusions)
@@ -320,12 +319,8 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         self._state = RobotState(**columns)
 
 
-def starting_share(comm: Comm, model: Model, partition: Partition) -> RobotState:
-    """The robots that start in this rank's cells."""
-    parts = []
-    for begin in range(0, model.config.robots, _BLOCK_ROBOTS):
-        end = min(model.config.robots, begin + _BLOCK_ROBOTS)
-        block = model.start(torch.arange(begin, end, device=model.device))
-        here = torch.nonzero(partition.owner_of(block.position) == comm.rank)[:, 0]
-        parts.append(take_rows(block.columns, here))
-    return RobotState(**{name: torch.cat([part[name] for part in parts]) for name in parts[0]})
+def starting_share(comm: Comm, model: Model) -> RobotState:
+    """An equal share of the robots at the start of a world, for `DistributedSimulation`, which takes each to the owner
+    of its cell."""
+    first, end = id_range(comm, model.config.robots)
+    return model.start(torch.arange(first, end, device=model.device))
