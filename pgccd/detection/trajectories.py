@@ -104,14 +104,10 @@ def repeated(scene: Scene, times: int) -> Scene:
     )
     first = torch.arange(times, dtype=torch.int32, device=scene.device) * max(1, scene.world_count)
     columns["world"] = (first[:, None] + world).reshape(-1)
-    many = Scene.of_checked(scene.meshes, scene.mesh_index.repeat(times), **columns)
+    own = None if scene.self_collision is None else scene.self_collision.repeat(times)
+    many = Scene.of_checked(scene.meshes, scene.mesh_index.repeat(times), own, **columns)
     many.radius = scene.radius.repeat(times)
     many.capacity_estimates = scene.capacity_estimates
-    if scene.self_collision is not None:
-        many.self_collision = scene.self_collision.repeat(times)
-        step = torch.arange(times, device=scene.device)[:, None] * scene.body_count
-        many.self_colliding = (step + scene.self_colliding).reshape(-1)
-        many.self_colliding_vertices = times * scene.self_colliding_vertices
     return many
 
 

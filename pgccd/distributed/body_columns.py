@@ -1,4 +1,4 @@
-"""Moving rigid bodies as columns, to be sent and taken by rows, and the reverse."""
+"""Moving bodies as columns, to be sent and taken by rows, and the reverse."""
 
 from __future__ import annotations
 
@@ -9,31 +9,43 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.vertices import Vertices
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
-from pgccd.motion.paths import RigidMotion
+from pgccd.motion.paths import RigidMotion, VertexMotion
 
 _MOTION = ("position_t0", "orientation_t0", "position_t1", "rotation")
 
 
 def columns_of(bodies: MovingBodies) -> Columns:
-    """All that a scene and a motion say of each body."""
-    columns = {name: getattr(bodies.motion, name) for name in _MOTION}
-    columns |= {name: getattr(bodies.scene, name) for name in ("mesh_index", "radius", *OPTIONAL_COLUMNS)}
+    """All that a scene and a rigid motion say of each body; of bodies that deform, all but their vertices."""
+    columns = {} if bodies.deforming else {name: getattr(bodies.motion, name) for name in _MOTION}
+    names = ("mesh_index", *(() if bodies.deforming else ("radius",)), *OPTIONAL_COLUMNS)
+    columns |= {name: getattr(bodies.scene, name) for name in names}
     return {name: column for name, column in columns.items() if column is not None}
 
 
-def bodies_of(like: MovingBodies, columns: Columns) -> MovingBodies:
-    """The reverse: bodies of the same meshes on paths of the same kind."""
+def bodies_of(like: MovingBodies, columns: Columns, vertices: Vertices | None = None) -> MovingBodies:
+    """The reverse: bodies of the same meshes on paths of the same kind, which their owners have checked.
+
+    Args:
+        like: other bodies.
+        columns: as of `columns_of`.
+        vertices: of bodies that deform.
+    """
     optional = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
     scene = Scene.of_checked(like.scene.meshes, columns["mesh_index"], **optional)
+    if vertices is not None:
+        return MovingBodies(scene, VertexMotion.of_checked(**vertices.columns))
     scene.radius = columns["radius"]
     position_t0, orientation, position_t1, rotation = (columns[name] for name in _MOTION)
     path = cast(RigidMotion, like.motion).path
     return MovingBodies(scene, RigidMotion.of_checked(position_t0, orientation, position_t1, rotation, path))
 
 
-def of_checked(scene: Scene, motion: RigidMotion) -> MovingBodies:
+def of_checked(scene: Scene, motion: RigidMotion | VertexMotion) -> MovingBodies:
     """Of bodies whose owners have checked them."""
+    if isinstance(motion, VertexMotion):
+        return MovingBodies(scene, VertexMotion.of_checked(motion.x_t0, motion.x_t1))
     pose = motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
     return MovingBodies(scene, RigidMotion.of_checked(*pose, motion.path))
 

@@ -18,6 +18,7 @@ from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.held import Held, centres_of
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, OwnSearch, PartEstimates, Share
+from pgccd.distributed.vertices import Vertices
 from pgccd.runtime.stages import StageClock
 
 
@@ -64,12 +65,14 @@ def detect_distributed(
     clock: StageClock,
     estimates: PartEstimates | None = None,
     capacity: HaloCapacity | None = None,
+    vertices: Vertices | None = None,
 ) -> Detection:
     """Finds the contacts of this rank's share of pairs; the shares of all ranks together are all pairs, once each.
 
     Arguments as for `OwnSearch`.
     """
-    search = OwnSearch(comm, partition, own, build, options, clock, estimates or PartEstimates(), capacity=capacity)
+    asked = comm, partition, own, build, options, clock
+    search = OwnSearch(*asked, estimates or PartEstimates(), capacity, vertices)
     share = search.start().with_ghosts()
     found = contacts_of_step(share.parts)
     clock.add(search_seconds(found.stats))

@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.distributed.comm.exchange import Columns, Route, replace_rows
+from pgccd.distributed.comm.exchange import Columns, Route, replace_rows, unpack
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.partition import Partition
+from pgccd.distributed.vertices import Vertices
 from pgccd.runtime.hashing import row_hash
 
 # Ids made at a time.
@@ -51,7 +52,8 @@ def migrate(
     columns: Columns,
     position: Tensor,
     known: tuple[Leaving, list[int], list[int]] | None = None,
-) -> tuple[Columns, int]:
+    vertices: Vertices | None = None,
+) -> Moved:
     """Sends every body to the owner of the cell that holds its centre.
 
     Args:
@@ -61,15 +63,13 @@ def migrate(
             ranks.
         position: (N, 3) centres.
         known: the leaving bodies and the counts to and from each rank, if ranks have exchanged them already.
-
-    Returns:
-        The columns of the bodies this rank owns now, by ascending id; and how many came from others.
+        vertices: that go with the bodies; then "vertex_count" (N,) int64 is among the columns.
 
     Example:
-        >>> columns, arrived = migrate(comm, partition, {"id": id, "position": x, "mood": mood}, x)
+        >>> moved = migrate(comm, partition, {"id": id, "position": x, "mood": mood}, x)
     """
     if comm.size == 1:
-        return columns, 0
+        return Moved(columns, 0, vertices)
     if known is None:
         leaving = Leaving(comm, partition, position)
         sent, received = torch.stack([leaving.counts, comm.exchange_counts(leaving.counts)]).tolist()
@@ -77,8 +77,31 @@ def migrate(
         leaving, sent, received = known
     route, rows = leaving.route(sent, received)
     id_first = {"id": columns["id"], **columns}  # by which rows are merged
-    changed = replace_rows(id_first, rows, route.forward(id_first).wait_packed())
-    return {name: changed[name] for name in columns}, sum(received)
+    packed = route.forward(id_first).wait_packed()
+    changed = replace_rows(id_first, rows, packed)
+    if vertices is not None:
+        arrived = unpack(packed, id_first)
+        vertices = _with_bodies(vertices, columns["id"], rows, route, arrived)
+    return Moved({name: changed[name] for name in columns}, sum(received), vertices)
+
+
+@dataclass(frozen=True)
+class Moved:
+    """The bodies that a rank owns after a migration."""
+
+    columns: Columns  #: by ascending id
+    arrived: int  #: how many came from other ranks
+    vertices: Vertices | None
+
+
+def _with_bodies(vertices: Vertices, id: Tensor, removed: Tensor, route: Route, arrived: Columns) -> Vertices:
+    """The vertices of the bodies that stay and of those that came, by ascending id."""
+    both = Vertices.join(vertices, vertices.send(route, arrived["vertex_count"]))
+    stays = torch.ones(len(id), dtype=torch.bool, device=id.device)
+    stays[removed] = False
+    came = torch.arange(len(arrived["id"]), device=id.device) + len(id)
+    bodies = torch.cat([torch.nonzero(stays)[:, 0], came])
+    return both.take(bodies[torch.argsort(torch.cat([id, arrived["id"]])[bodies])])
 
 
 def id_range(comm: Comm, count: int) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd.detection.contacts import Contacts
+from pgccd.detection.contacts import Contacts, earliest_row
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection import Detection
@@ -30,22 +30,27 @@ def tell_owners(comm: Comm, found: Detection) -> Contacts:
     return Contacts(**_all_fields(take_rows(received, _canonical_order(received["pairs"]))), stats=found.contacts.stats)
 
 
-def earliest_for_all(comm: Comm, found: Detection) -> Contacts:
+def earliest_for_all(comm: Comm, found: Detection, ids: int | None = None) -> Contacts:
     """The first contact of the scene, on every rank: of equal toi that of the smallest pair.
 
     Args:
         comm: between the ranks.
-        found: the earliest contact (or none) among the pairs that each rank tested.
+        found: contacts that each rank found, at least the earliest one of the pairs that it tested.
+        ids: of a trajectory, how many each segment has, see `pgccd.distributed.segments`: the first segment comes
+            first.
     """
     columns = _in_global_ids(found)
-    toi = columns["toi"]
-    mine = torch.full((3,), torch.iinfo(torch.int64).max, device=toi.device)
-    if len(toi):
+    i, j = columns["pairs"].unbind(dim=1)
+    segment = torch.zeros_like(i) if ids is None else torch.div(i, ids, rounding_mode="floor")
+    row = earliest_row(segment, columns["toi"], i, j)
+    columns = {name: column[row] for name, column in columns.items()}
+    mine = torch.full((4,), torch.iinfo(torch.int64).max, device=i.device)
+    if len(row):
         # The bits of floats >= 0 are in the floats' order.
-        mine = torch.stack([toi.view(torch.int64)[0], *columns["pairs"][0]])
+        mine = torch.cat([segment[row], columns["toi"].view(torch.int64), i[row], j[row]])
     of_all_ranks = comm.all_gather(mine).tolist()
     first = min(range(comm.size), key=lambda rank: of_all_ranks[rank])
-    destination = torch.arange(comm.size if comm.rank == first and len(toi) else 0, device=toi.device)
+    destination = torch.arange(comm.size if comm.rank == first and len(row) else 0, device=i.device)
     received = make_route(comm, torch.zeros_like(destination), destination).forward(columns).wait()
     return Contacts(**_all_fields(received), stats=found.contacts.stats)
 

@@ -28,16 +28,18 @@ from pgccd.distributed.halo import Halo
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.held import Centres, Held, centres_of
 from pgccd.distributed.partition import Partition
+from pgccd.distributed.vertices import Vertices, vertex_counts
 from pgccd.geometry.scene import Scene
-from pgccd.motion.paths import RigidMotion
+from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.side_stream import SideStream
 from pgccd.runtime.stages import StageClock
 
 T = TypeVar("T")
 
-#: From columns of bodies to their scene and motion: the same bits on every rank that holds a body.
-Build = Callable[[Columns], tuple[Scene, RigidMotion]]
+#: From columns of bodies to their scene and motion: the same bits on every rank that holds a body. Where bodies deform
+#: the columns of their vertices are among them.
+Build = Callable[[Columns], tuple[Scene, RigidMotion | VertexMotion]]
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,7 @@ class OwnSearch:
         clock: stages are timed here.
         estimates: of the capacities of parts.
         capacity: of the halo, if it can be predicted; the same on all ranks. On GPUs ghosts are then sent at once.
+        vertices: of the own bodies, if they deform.
 
     Raises:
         ValueError: a pose is invalid.
@@ -120,7 +123,9 @@ class OwnSearch:
         clock: StageClock,
         estimates: PartEstimates,
         capacity: HaloCapacity | None = None,
+        vertices: Vertices | None = None,
     ) -> None:
+        self._vertices = vertices
         self._comm, self._partition, self._own, self._build = comm, partition, own, build
         self._options, self._clock, self._estimates = options, clock, estimates
         self._capacity = capacity
@@ -129,7 +134,8 @@ class OwnSearch:
     def start(self) -> OwnSearch:
         """Places the bodies, sends those that others need, and starts to search the pairs of own bodies."""
         with self._clock.stage("plan"):
-            self._bodies = MovingBodies(*self._build(self._own), wait=False)
+            own = self._own if self._vertices is None else {**self._own, **self._vertices.columns}
+            self._bodies = MovingBodies(*self._build(own), wait=False)
         with self._clock.stage("halo"):
             self._halo = Halo(self._comm, self._partition, self._own, self._bodies, self._kept)
             self._halo.find_boundary()
@@ -166,9 +172,18 @@ class OwnSearch:
             return self._halo.wait()
 
     @cached_property
+    def _ghost_vertices(self) -> Vertices | None:
+        """Waits for them too, if the bodies deform."""
+        if self._vertices is None:
+            return None
+        held, meshes = self._held, self._bodies.scene.meshes
+        return self._vertices.send(held.route, vertex_counts(meshes, held.ghosts["mesh_index"]))
+
+    @cached_property
     def _ghosts(self) -> MovingBodies:
         with self._side, self._clock.stage("halo"):
-            return of_checked(*self._build(self._held.ghosts))
+            ghosts, vertices = self._held.ghosts, self._ghost_vertices
+            return of_checked(*self._build(ghosts if vertices is None else {**ghosts, **vertices.columns}))
 
     @cached_property
     def _near(self) -> tuple[Tensor, HostCopy]:
@@ -201,7 +216,8 @@ class OwnSearch:
         with self._side:
             with self._clock.stage("halo"):
                 rows = _with_ghosts(near[: int(near_count.numpy()[0])], held)
-                at_boundary = bodies_of(self._bodies, take_bodies(self._bodies, ghosts, rows))
+                columns = take_bodies(self._bodies, ghosts, rows)
+                at_boundary = bodies_of(self._bodies, columns, self._vertices_of(rows))
 
                 def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
                     return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *self._where)
@@ -211,6 +227,12 @@ class OwnSearch:
             with_ghosts.begin()
         self._side.join()
         return Share(held, [self._part, with_ghosts], ghosts, self._kept)
+
+    def _vertices_of(self, rows: Tensor) -> Vertices | None:
+        """Of the bodies held (B,), if they deform."""
+        if self._vertices is None or self._ghost_vertices is None:
+            return None
+        return Vertices.join(self._vertices, self._ghost_vertices).take(rows)
 
 
 def _sends_ahead(comm: Comm, side: SideStream) -> bool:

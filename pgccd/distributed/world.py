@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import torch
@@ -12,8 +13,9 @@ from pgccd import arguments
 from pgccd.detection import narrow
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
+from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.balance import BackOff, BalanceOptions, CellLoads, RankLoads, rank_loads, rebalance
-from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
+from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.detection import Detection, cell_loads, detect_distributed
 from pgccd.distributed.halo_capacity import HaloCapacity
@@ -21,12 +23,20 @@ from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.migrate import Census, migrate
 from pgccd.distributed.partition import Partition, Point, Triple
 from pgccd.distributed.report import earliest_for_all, tell_owners
+from pgccd.distributed.segments import Segments
 from pgccd.distributed.share import Options, PartEstimates
+from pgccd.distributed.vertices import Vertices, vertex_counts
+from pgccd.distributed.world_columns import ids_given, payload_columns, require_rows, require_unique
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
-from pgccd.motion.paths import RigidMotion
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.trajectory import Trajectory
 from pgccd.runtime.stages import StageClock
+
+# Columns of scenes that may be absent, and all columns that detection reads.
+_OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision")
+_OF_SCENES = ("id", "mesh_index", *_OPTIONAL)
 
 
 class World:
@@ -43,7 +53,10 @@ class World:
         id: (N,) int64 global ids >= 0, no two alike on any ranks. Default: counted through, rank by rank.
         mesh_index: (N,) integers: which mesh each body is. Default: all the first.
         group, mask, world, static, margin: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
+        self_collision: (N,) bool or bool: which bodies are tested against themselves while they deform.
         payload: named tensors (N, ...) that travel with the bodies: orientations, velocities, anything.
+        vertex_payload: named tensors (X, ...) with a row for each vertex of each body (of the first body, in the order
+            of its mesh, then of the second, ...), that travel with the bodies: the vertices of bodies that deform.
         comm: between the ranks. Default: one rank.
         report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
         path: of all motions, as for `pgccd.RigidMotion`.
@@ -73,7 +86,9 @@ class World:
         world: Tensor | None = None,
         static: Tensor | None = None,
         margin: Tensor | None = None,
+        self_collision: Tensor | bool = False,
         payload: dict[str, Tensor] | None = None,
+        vertex_payload: dict[str, Tensor] | None = None,
         comm: Comm | None = None,
         report: narrow.Report = "first",
         min_separation: float = 0.0,
@@ -101,16 +116,24 @@ class World:
                 lower, upper, self.comm.size, axes=axes, cells=cells, device=position.device
             )
             index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
-            scene = Scene(self._meshes, index, **given)  # checks them
+            scene = Scene(self._meshes, index, self_collision=self_collision, **given)  # checks them
             if scene.body_count != len(position):
                 raise ValueError(f"mesh_index: expected {len(position)} values, one a body, got {scene.body_count}")
-            columns = {"id": _ids(id, len(position), position.device), "mesh_index": scene.mesh_index}
+            columns = {"id": ids_given(id, len(position), position.device), "mesh_index": scene.mesh_index}
             columns["position"] = position.to(torch.float64)
             columns |= {name: getattr(scene, name) for name in given}
-            return columns | _payload_columns({} if payload is None else payload, len(position), position.device)
+            if scene.self_collision is not None:
+                columns["self_collision"] = scene.self_collision
+            count, self._vertices = vertex_counts(self._meshes, scene.mesh_index), None
+            if vertex_payload:
+                total = int(count.sum())
+                of_vertices = payload_columns(vertex_payload, "vertex_payload", total, position.device)
+                self._vertices, columns["vertex_count"] = Vertices(of_vertices, count), count
+            return columns | payload_columns(payload or {}, "payload", len(position), position.device)
 
         columns = together(self.comm, prepare)
-        kinds = {name: (str(column.dtype), tuple(column.shape[1:])) for name, column in columns.items()}
+        all_columns = columns | ({} if self._vertices is None else self._vertices.columns)
+        kinds = {name: (str(column.dtype), tuple(column.shape[1:])) for name, column in all_columns.items()}
         facts = {"payload": kinds, "lower, upper": (lower, upper), "options": self.options, "path": path}
         facts |= {"axes": axes, "cells": cells, "balance": self.balance, "id": id is None}
         facts |= {"meshes": meshes_digest(self._meshes.meshes), "position": position.device.type}
@@ -118,13 +141,15 @@ class World:
         if id is None:
             counts = self.comm.all_gather(torch.tensor([len(position)]))[:, 0].tolist()
             columns["id"] = columns["id"] + sum(counts[: self.comm.rank])
-        _require_unique(self.comm, columns["id"])
+        require_unique(self.comm, columns["id"])
         self._census = Census.of_ranks(self.comm, columns["id"])
         self._found: Detection | None = None
         self._capacity: HaloCapacity | None = None
         self._estimates = PartEstimates()
         self._seconds, self._steps, self._back_off = 0.0, 0, BackOff()
-        self._columns = take_rows(columns, torch.argsort(columns["id"]))
+        ascending = torch.argsort(columns["id"])
+        self._columns = take_rows(columns, ascending)
+        self._vertices = None if self._vertices is None else self._vertices.take(ascending)
         self._change_hands()
 
     @property
@@ -145,51 +170,73 @@ class World:
     @property
     def payload(self) -> dict[str, Tensor]:
         """What the user's tensors are now, by name."""
-        own = ("id", "position", "mesh_index", *OPTIONAL_COLUMNS)
-        return {name.removeprefix("."): column for name, column in self._columns.items() if name not in own}
+        return {name[1:]: column for name, column in self._columns.items() if name.startswith(".")}
 
-    def step(self, motion: RigidMotion) -> Contacts:
-        """Finds the collisions of one step.
+    @property
+    def vertex_payload(self) -> dict[str, Tensor]:
+        """What the user's tensors of vertices are now, by name: of the bodies this rank owns, by ascending id."""
+        columns = {} if self._vertices is None else self._vertices.columns
+        return {name[1:]: column for name, column in columns.items()}
+
+    def step(self, motion: RigidMotion | VertexMotion | Trajectory) -> Contacts:
+        """Finds the collisions of one step, or of all steps of a trajectory.
 
         Args:
-            motion: of the bodies this rank owns, in the order of `id`.
+            motion: of the bodies this rank owns, in the order of `id`; of one kind on all ranks.
 
         Returns:
-            All contacts of bodies this rank owns (with whomever), `pairs` in global ids i < j, sorted; a contact of
-            bodies of two ranks is returned on both. With report="earliest", the one of the whole scene, on every rank.
-            `stats` are those of the pairs that this rank tested.
+            All contacts of bodies this rank owns (with whomever), `pairs` in global ids i < j (i, i of a body with
+            itself), sorted; a contact of bodies of two ranks is returned on both. With report="earliest", the one of
+            the whole scene, on every rank. Of a trajectory `TrajectoryContacts`, as of `pgccd.detect`. `stats` are
+            those of the pairs that this rank tested.
 
         Raises:
-            TypeError: the motion is not rigid: deforming bodies are not spread over ranks.
-            ValueError: it has another number of bodies or another path.
+            TypeError: the motion is of no such kind.
+            ValueError: it has another number of bodies, vertices or segments, or another path.
 
         Example:
             >>> hits = world.step(motion)
             >>> toi = world.first_toi(hits)
         """
-        if not isinstance(motion, RigidMotion):
-            raise TypeError(
-                f"motion: expected a RigidMotion, got {type(motion).__name__}: bodies that deform stay whole"
-            )
-        if motion.body_count != len(self.id):
-            raise ValueError(f"motion: has {motion.body_count} bodies, this rank owns {len(self.id)}")
-        if motion.path != self.path:
-            raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
-        motion.check_given()
-        own = {name: self._columns[name] for name in ("id", "mesh_index", *OPTIONAL_COLUMNS) if name in self._columns}
-        own |= motion.columns()
-        self.comm.guard.activity = "step"
-        clock = StageClock()
-        where = self.comm, self.partition, own, self._build, self.options, clock
-        found = detect_distributed(*where, self._estimates, self._capacity)
-        self._found, self._seconds, self._steps = found, clock.work, self._steps + 1
-        self._capacity = HaloCapacity.of(found.held)
+        own = {name: self._columns[name] for name in _OF_SCENES if name in self._columns}
+        if isinstance(motion, Trajectory):
+            require_rows(motion, len(self.id), vertex_counts(self._meshes, self.mesh_index))
+            segments = Segments.agreed(self.comm, motion.segment_count, own)
+            # The earliest is chosen from the first contacts of all segments.
+            report: narrow.Report = "first" if self.options.report == "earliest" else self.options.report
+            found = self._detect(segments.repeat(own), motion.steps(), replace(self.options, report=report))
+            return segments.contacts_for_owners(self.comm, found, self.options.report)
+        found = self._detect(own, motion, self.options)
         if self.options.report == "earliest":
             return earliest_for_all(self.comm, found)
         return tell_owners(self.comm, found)
 
+    def _detect(self, own: Columns, motion: RigidMotion | VertexMotion, options: Options) -> Detection:
+        if not isinstance(motion, (RigidMotion, VertexMotion)):
+            kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
+            raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+        count = vertex_counts(self._meshes, own["mesh_index"])
+        require_rows(motion, len(own["id"]), count)
+        vertices = None
+        if isinstance(motion, VertexMotion):
+            vertices = Vertices(motion.columns(), count)
+        else:
+            if motion.path != self.path:
+                raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
+            motion.check_given()
+            own = own | motion.columns()
+        self.comm.guard.activity = "step"
+        clock = StageClock()
+        where = self.comm, self.partition, own, self._build, options, clock
+        capacity = self._capacity if vertices is None else None
+        found = detect_distributed(*where, self._estimates, capacity, vertices)
+        self._found, self._seconds, self._steps = found, clock.work, self._steps + 1
+        self._capacity = HaloCapacity.of(found.held)
+        return found
+
     def first_toi(self, hits: Contacts) -> Tensor:
-        """(N,) float64: the first toi of each body this rank owns, inf for those that do not collide.
+        """(N,) float64: the first toi of each body this rank owns, or the first `time` of a trajectory; inf for those
+        that do not collide.
 
         Args:
             hits: as `step` returned them.
@@ -199,7 +246,9 @@ class World:
         if hits.toi is None:
             raise ValueError('hits: report="any" gives no toi')
         first = torch.full((len(self.id),), torch.inf, dtype=torch.float64, device=self.id.device)
-        bodies, toi = hits.pairs.reshape(-1), hits.toi.repeat_interleave(2)
+        time = hits.time if isinstance(hits, TrajectoryContacts) else hits.toi
+        assert time is not None
+        bodies, toi = hits.pairs.reshape(-1), time.repeat_interleave(2)
         row = torch.searchsorted(self.id, bodies).clamp_(max=max(0, len(self.id) - 1))
         own = self.id[row] == bodies if len(self.id) else torch.zeros_like(bodies, dtype=torch.bool)
         return first.scatter_reduce(0, row[own], toi[own], "amin")
@@ -209,7 +258,7 @@ class World:
 
         Args:
             position: (N, 3), in the order of `id`.
-            payload: new values of the tensors named; the others stay as they are.
+            payload: new values of the tensors named, of bodies or of vertices; the others stay as they are.
 
         Raises:
             ValueError: naming the argument.
@@ -219,21 +268,27 @@ class World:
             >>> world.move(x, velocity=v)
         """
         moved: Columns = {}
+        of_vertices: Columns = {}
         for name, values in {"position": position, **payload}.items():
             key = name if name == "position" else "." + name
-            former = self._columns.get(key)
+            of_bodies, vertices = self._columns, {} if self._vertices is None else self._vertices.columns
+            former = of_bodies.get(key, vertices.get(key))
             if former is None:
-                raise ValueError(f"{name}: not a payload of this world, which has {sorted(self.payload)}")
+                known = sorted({*self.payload, *self.vertex_payload})
+                raise ValueError(f"{name}: not a payload of this world, which has {known}")
             if not isinstance(values, Tensor) or values.layout != torch.strided:
                 raise TypeError(f"{name}: expected a dense tensor, got {arguments.describe(values)}")
             arguments.refuse_gradient(values, name)
             if values.shape != former.shape or values.dtype != former.dtype or values.device != former.device:
                 expected = f"{tuple(former.shape)} {former.dtype} on {former.device}"
                 raise ValueError(f"{name}: expected {expected}, got {tuple(values.shape)} {values.dtype}")
-            moved[key] = values.detach()
+            (moved if key in of_bodies else of_vertices)[key] = values.detach()
         if not bool(torch.isfinite(position).all()):
             raise ValueError("position: expected finite numbers")
-        self._columns |= moved  # only now: what is refused changes nothing
+        # Only now: what is refused changes nothing.
+        self._columns |= moved
+        if self._vertices is not None:
+            self._vertices = Vertices(self._vertices.columns | of_vertices, self._vertices.count)
         self._change_hands()
 
     def loads(self) -> Tensor:
@@ -241,12 +296,13 @@ class World:
         total = self._cell_loads()
         return rank_loads(total.cost, self.partition.owner, self.comm.size)
 
-    def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
-        optional: dict[str, Any] = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
+    def _build(self, columns: Columns) -> tuple[Scene, RigidMotion | VertexMotion]:
+        optional: dict[str, Any] = {name: columns[name] for name in _OPTIONAL if name in columns}
+        scene = Scene.of_checked(self._meshes, columns["mesh_index"], **optional)
+        if "x_t0" in columns:
+            return scene, VertexMotion(columns["x_t0"], columns["x_t1"])
         pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
-        return Scene.of_checked(self._meshes, columns["mesh_index"], **optional), RigidMotion.from_rotation(
-            *pose, path=self.path
-        )
+        return scene, RigidMotion.from_rotation(*pose, path=self.path)
 
     def _cell_loads(self) -> CellLoads:
         if self._found is None:
@@ -265,42 +321,6 @@ class World:
                 self.partition = rebalance(former, self._cell_loads(), self.balance, loads[:, 3])
                 self._back_off.tried(self._steps, int((former.owner != self.partition.owner).sum()))
                 self._capacity = None
-        self._columns, _ = migrate(self.comm, self.partition, self._columns, self._columns["position"])
+        moved = migrate(self.comm, self.partition, self._columns, self.position, vertices=self._vertices)
+        self._columns, self._vertices = moved.columns, moved.vertices
         Census.of_ranks(self.comm, self.id).require(self._census)
-
-
-def _ids(id: Tensor | None, count: int, device: torch.device) -> Tensor:
-    if id is None:
-        return torch.arange(count, device=device)
-    if not isinstance(id, Tensor) or id.dtype != torch.int64 or id.shape != (count,):
-        raise ValueError(f"id: expected ({count},) int64, got {getattr(id, 'shape', id)} {getattr(id, 'dtype', '')}")
-    if count and int(id.min()) < 0:
-        raise ValueError("id: expected numbers >= 0")
-    return id.to(device)
-
-
-def _payload_columns(payload: dict[str, Tensor], count: int, device: torch.device) -> Columns:
-    if not isinstance(payload, dict) or not all(isinstance(name, str) for name in payload):
-        raise TypeError(f"payload: expected tensors by name, got {arguments.describe(payload)}")
-    columns = {}
-    for name in sorted(payload):  # in one order on all ranks
-        values = payload[name]
-        if isinstance(values, Tensor):
-            arguments.refuse_gradient(values, f"payload[{name!r}]")
-        if not isinstance(values, Tensor) or values.shape[:1] != (count,) or values.device != device:
-            raise ValueError(f"payload[{name!r}]: expected a tensor ({count}, ...) on {device}")
-        columns["." + name] = values.detach()
-    return columns
-
-
-def _require_unique(comm: Comm, id: Tensor) -> None:
-    """Each id goes to one rank that sees all like it."""
-    rows = torch.arange(len(id), device=id.device)
-    seen = make_route(comm, rows, id % comm.size).forward({"id": id}).wait()["id"].sort().values
-    twice = seen[1:][seen[1:] == seen[:-1]]
-
-    def check() -> None:
-        if len(twice):
-            raise ValueError(f"id: {int(twice[0])} is given to more than one body")
-
-    together(comm, check)

@@ -141,9 +141,11 @@ class Scene:
         self._capacity_estimates = estimates
 
     @classmethod
-    def of_checked(cls, meshes: MeshSet, mesh_index: Tensor, **columns: Tensor) -> Scene:
+    def of_checked(
+        cls, meshes: MeshSet, mesh_index: Tensor, self_collision: Tensor | None = None, **columns: Tensor
+    ) -> Scene:
         """Of columns that come from a scene already checked, rows of its `mesh_index`, `group`, `margin` and so on:
-        nothing is looked at. None of the bodies is tested against itself.
+        nothing is looked at.
 
         Example:
             >>> part = pgccd.Scene.of_checked(scene.meshes, scene.mesh_index[rows])
@@ -153,8 +155,9 @@ class Scene:
         scene.mesh_index, scene.body_count = mesh_index, mesh_index.shape[0]
         for name in OPTIONAL_COLUMNS:
             setattr(scene, name, columns.get(name))
-        scene.self_collision, scene.self_colliding_vertices = None, 0
-        scene.self_colliding = rows_of(None, meshes.device)
+        scene.self_collision = self_collision
+        scene.self_colliding = rows_of(self_collision, meshes.device)
+        scene.self_colliding_vertices = vertex_count(meshes, mesh_index[scene.self_colliding])
         return scene
 
     # What follows from `mesh_index`, and from `world`.

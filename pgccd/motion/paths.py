@@ -231,6 +231,17 @@ class VertexMotion(MovingColumns):
         self.x_t1 = real_rows(x_t1, "x_t1", self.x_t0.shape[0], 3, self.device)
         self._check_early()
 
+    @classmethod
+    def of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:
+        """Of columns that come from a motion already checked: nothing is looked at, now or later.
+
+        Example:
+            >>> part = pgccd.VertexMotion.of_checked(motion.x_t0[:8], motion.x_t1[:8])
+        """
+        motion = cls.__new__(cls)
+        motion.x_t0, motion.x_t1, motion.is_trusted = x_t0, x_t1, True
+        return motion
+
     def at(self, t: Tensor | float) -> Tensor:
         """Vertices on the path: (..., X, 3), for times in [0, 1] that broadcast against the vertices (X,): a number,
         one time a vertex (X,), or (T, 1) or (T, X) for several.

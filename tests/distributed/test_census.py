@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -26,12 +27,12 @@ def small_world() -> World:
     return World([tetrahedron(0.1)], (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), position)
 
 
-def losing(rows: Tensor) -> Callable[..., tuple[Columns, int]]:
+def losing(rows: Tensor) -> Callable[..., migrate.Moved]:
     """A migration after which there are only these rows of those there should be."""
 
-    def lossy(comm: Any, partition: Any, columns: Columns, *rest: Any) -> tuple[Columns, int]:
-        arrived, count = migrate.migrate(comm, partition, columns, *rest)
-        return {name: column[rows] for name, column in arrived.items()}, count
+    def lossy(comm: Any, partition: Any, columns: Columns, *rest: Any, **more: Any) -> migrate.Moved:
+        moved = migrate.migrate(comm, partition, columns, *rest, **more)
+        return replace(moved, columns={name: column[rows] for name, column in moved.columns.items()})
 
     return lossy
 
@@ -64,8 +65,9 @@ def test_a_count_is_not_enough_and_neither_is_a_hash() -> None:
 def test_a_body_with_another_id(monkeypatch: pytest.MonkeyPatch) -> None:
     world = small_world()
 
-    def renaming(comm: Any, partition: Any, columns: Columns, *rest: Any) -> tuple[Columns, int]:
-        return {**columns, "id": torch.cat([columns["id"][:-1], columns["id"][-1:] + 1])}, 0
+    def renaming(comm: Any, partition: Any, columns: Columns, *rest: Any, **more: Any) -> migrate.Moved:
+        changed = {**columns, "id": torch.cat([columns["id"][:-1], columns["id"][-1:] + 1])}
+        return migrate.Moved(changed, 0, None)
 
     monkeypatch.setattr(world_module, "migrate", renaming)
     with pytest.raises(RuntimeError, match="bodies with id hash"):

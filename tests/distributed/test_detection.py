@@ -165,8 +165,8 @@ def leave_alone(comm: Comm) -> None:
     position = 2.0 * torch.arange(3.0 * count, dtype=torch.float64).view(count, 3)
     world = SharedWorld([mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
     assert int(comm.sum(torch.tensor([len(world.id)]))) == 5
-    with pytest.raises(TypeError, match="^motion: expected a RigidMotion, got VertexMotion"):
-        world.step(pgccd.VertexMotion(mesh.vertices, mesh.vertices))
+    with pytest.raises(TypeError, match="^motion: expected a pgccd.RigidMotion, VertexMotion or Trajectory, got "):
+        world.step(mesh.vertices)  # type: ignore[arg-type]
     still = torch.zeros((len(world.id) + 1, 3), dtype=torch.float64)
     upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).expand(len(still), 4)
     with pytest.raises(ValueError, match="^motion: has .* bodies"):

@@ -98,7 +98,8 @@ def hand_over(comm: Comm) -> int:
             "x": position[mine],
             "nothing": torch.empty(len(mine), 0),
         }
-        found, arrived = migrate(comm, partition, columns, columns["x"])
+        moved = migrate(comm, partition, columns, columns["x"])
+        found, arrived = moved.columns, moved.arrived
         owner = partition.owner_of(position)
         kept = torch.nonzero(owner == comm.rank)[:, 0]
         assert list(found) == list(columns)

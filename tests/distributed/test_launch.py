@@ -17,7 +17,7 @@ from pgccd.distributed.comm import nccl
 @pytest.mark.parametrize(
     ("environment", "expected"),
     [
-        ({}, Placement("none", 0, 1, 0)),
+        ({}, Placement("none", 0, 1, 0, True)),
         ({"RANK": "5", "WORLD_SIZE": "8", "LOCAL_RANK": "1"}, Placement("torchrun", 5, 8, 1)),
         (
             {"RANK": "0", "WORLD_SIZE": "2", "LOCAL_RANK": "0", "TORCHELASTIC_RESTART_COUNT": "2"},
@@ -32,8 +32,25 @@ from pgccd.distributed.comm import nccl
             {"SLURM_PROCID": "9", "SLURM_STEP_NUM_TASKS": "16", "SLURM_LOCALID": "1", "SLURM_NTASKS": "32"},
             Placement("srun", 9, 16, 1),
         ),
+        # All ranks on one machine, as each launcher says it.
+        (
+            {"RANK": "5", "WORLD_SIZE": "8", "LOCAL_RANK": "5", "LOCAL_WORLD_SIZE": "8"},
+            Placement("torchrun", 5, 8, 5, True),
+        ),
+        (
+            {"RANK": "5", "WORLD_SIZE": "8", "LOCAL_RANK": "1", "LOCAL_WORLD_SIZE": "4"},
+            Placement("torchrun", 5, 8, 1),
+        ),
+        (
+            {"PMI_RANK": "3", "PMI_SIZE": "4", "MPI_LOCALRANKID": "3", "MPI_LOCALNRANKS": "4"},
+            Placement("MPICH", 3, 4, 3, True),
+        ),
+        (
+            {"SLURM_PROCID": "1", "SLURM_STEP_NUM_TASKS": "2", "SLURM_LOCALID": "1", "SLURM_STEP_NUM_NODES": "1"},
+            Placement("srun", 1, 2, 1, True),
+        ),
         # A batch script is one process, however many tasks were asked for.
-        ({"SLURM_PROCID": "0", "SLURM_NTASKS": "32", "SLURM_LOCALID": "0"}, Placement("none", 0, 1, 0)),
+        ({"SLURM_PROCID": "0", "SLURM_NTASKS": "32", "SLURM_LOCALID": "0"}, Placement("none", 0, 1, 0, True)),
     ],
 )
 def test_placement(environment: dict[str, str], expected: Placement) -> None:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import torch
-from distributed import test_detection, test_distributed_simulation, test_exchange, test_pcccd
+from distributed import test_detection, test_distributed_simulation, test_exchange, test_motions, test_pcccd
 
 from pgccd.distributed import MpiComm
 
@@ -16,6 +16,8 @@ for neighbours_above in (32, 0):
     test_exchange.send_about(comm, neighbours_above)
 test_exchange.reduce_values(comm)
 test_detection.find(comm, "on corners of many cells")
+test_motions.deform(comm, "all")
+test_motions.follow(comm, "earliest", True)
 test_pcccd.compare(comm, "on corners of many cells")
 test_distributed_simulation.follow(comm, "random", "cost", 12, True, True)
 comm.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 import torch
-from distributed import test_detection, test_distributed_simulation, test_exchange
+from distributed import test_detection, test_distributed_simulation, test_exchange, test_motions
 
 from pgccd.distributed import choose_device, connect
 from support.crowds import crowds
@@ -18,6 +18,9 @@ with connect("cuda", "nccl") as comm:
     test_exchange.reduce_values(comm)
     for name in crowds():
         test_detection.find(comm, name, device)
+    for report in ("first", "all"):
+        test_motions.deform(comm, report, device)
+        test_motions.follow(comm, report, False, device)
     # With cells distributed at random, and a rank whose capacity is exceeded now and then.
     seen = test_distributed_simulation.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
     assert seen["contacts"] > 100 and seen["arrived"] > 20

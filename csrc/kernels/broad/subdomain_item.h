@@ -85,13 +85,14 @@ PGCCD_HD bool is_sound(const OwnedPairs& input, int64_t k) {
 
 // The reference point of two boxes that overlap is the lower corner of their intersection. It lies in both, so it is in
 // a cell of this rank for certain if one of them reaches no other. With `rows`, pairs of two own bodies are left out:
-// the search among own bodies has them.
+// the search among own bodies has them. A body and itself belong to its owner.
 PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t k) {
   const int64_t i = input.pairs[2 * k], j = input.pairs[2 * k + 1];
   if (i < 0) return false;
   const int64_t held_i = input.held(i), held_j = input.held(j);
   const bool own_i = held_i < input.own_count, own_j = held_j < input.own_count;
   if (input.rows != nullptr && own_i && own_j) return false;
+  if (held_i == held_j) return own_i;  // a body that is tested against itself
   if ((own_i && input.reach[held_i] == 0) || (own_j && input.reach[held_j] == 0)) return true;
   const Vec3<double> a = swept_box(input.bodies, i).lower, b = swept_box(input.bodies, j).lower;
   const Vec3<double> reference{larger(a.x, b.x), larger(a.y, b.y), larger(a.z, b.z)};

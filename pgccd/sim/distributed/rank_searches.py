@@ -15,7 +15,7 @@ from pgccd.distributed.padded_share import ShareCapacity, search_padded_share
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, PartEstimates
 from pgccd.geometry.scene import Scene
-from pgccd.motion.paths import RigidMotion
+from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.sim.captured import GRAPH_SLACK, Searches, clear_rows
 from pgccd.sim.distributed.held_exchange import HeldExchange
 from pgccd.sim.model import Model, RobotState
@@ -61,7 +61,7 @@ class RankSearches:
         self.notes[:1].zero_()
         return concluded
 
-    def _build_padded(self, columns: Columns) -> tuple[Scene, RigidMotion]:
+    def _build_padded(self, columns: Columns) -> tuple[Scene, RigidMotion | VertexMotion]:
         padding = columns["id"] < 0
         columns["orientation"][:, 0].masked_fill_(padding, 1.0)  # ghosts' padding is zeros, which is no pose
         scene, motion = self.build(columns)

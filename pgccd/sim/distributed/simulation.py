@@ -315,8 +315,8 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
 
     def _migrate(self, state: RobotState, known: tuple[Leaving, list[int], list[int]] | None = None) -> None:
         """Hands robots over; the state's ids ascend."""
-        columns, self._arrived = migrate(self.comm, self._partition, state.columns, state.position, known)
-        self._state = RobotState(**columns)
+        moved = migrate(self.comm, self._partition, state.columns, state.position, known)
+        self._state, self._arrived = RobotState(**moved.columns), moved.arrived
 
 
 def starting_share(comm: Comm, model: Model) -> RobotState:

@@ -1,0 +1,94 @@
+"""Trajectories of bodies that are spread over ranks: each segment's bodies are bodies of their own, in worlds of their
+own, of one step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pgccd.detection import narrow
+from pgccd.detection.contacts import Contacts
+from pgccd.detection.trajectories import TrajectoryContacts
+from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.detection import Detection
+from pgccd.distributed.report import earliest_for_all, tell_owners
+
+_MOST_WORLDS, _MOST_IDS = 2**31, 2**62
+
+
+@dataclass(frozen=True)
+class Segments:
+    """How the bodies of all segments are numbered, the same on all ranks."""
+
+    count: int  #: of segments
+    ids: int  #: of each: body `id` of segment k has the id k * ids + id
+    worlds: int  #: of each, likewise
+
+    @classmethod
+    def agreed(cls, comm: Comm, count: int, own: Columns) -> Segments:
+        """For bodies with these ids and worlds, and those of other ranks.
+
+        Raises:
+            ValueError: ranks have different numbers of segments, or there are too many; on all ranks.
+        """
+        world = own.get("world", own["id"][:0])
+        most = [1 + int(column.max()) if len(column) else 1 for column in (own["id"], world)]
+        of_ranks = comm.all_gather(torch.tensor([count, *most]))
+        if bool((of_ranks[:, 0] != of_ranks[0, 0]).any()):
+            raise ValueError(f"motion: ranks have {sorted(set(of_ranks[:, 0].tolist()))} segments")
+        ids, worlds = of_ranks[:, 1:].amax(dim=0).tolist()
+        if count * ids >= _MOST_IDS or count * worlds >= _MOST_WORLDS:
+            limits = f"ids up to {ids - 1} and worlds up to {worlds - 1}"
+            raise ValueError(f"motion: {count} segments are too many for {limits}")
+        return cls(count, ids, worlds)
+
+    def repeat(self, own: Columns) -> Columns:
+        """The columns of the bodies of all segments, one segment after the other."""
+        bodies, device = len(own["id"]), own["id"].device
+        columns = {name: column.repeat(self.count) for name, column in own.items()}
+        segment = torch.arange(self.count, device=device).repeat_interleave(bodies)
+        columns["id"] = columns["id"] + self.ids * segment
+        world = columns.get("world", torch.zeros(len(segment), dtype=torch.int32, device=device))
+        columns["world"] = world + (self.worlds * segment).to(torch.int32)
+        return columns
+
+    def contacts_for_owners(self, comm: Comm, found: Detection, report: narrow.Report) -> TrajectoryContacts:
+        """What `pgccd.detect` returns of the trajectory, of the bodies that this rank owns.
+
+        Args:
+            comm: between the ranks.
+            found: in the bodies of all segments, of `report`; of "earliest" the first contacts.
+            report: what is asked.
+        """
+        if report == "earliest":
+            return self._of(earliest_for_all(comm, found, self.ids))
+        contacts = self._of(tell_owners(comm, found))
+        if report == "all":
+            return contacts
+        # Stable: of each pair the first segment comes first.
+        by_second = torch.argsort(contacts.pairs[:, 1], stable=True)
+        order = by_second[torch.argsort(contacts.pairs[by_second, 0], stable=True)]
+        pairs = contacts.pairs[order]
+        is_first = torch.ones(len(pairs), dtype=torch.bool, device=pairs.device)
+        is_first[1:] = (pairs[1:] != pairs[:-1]).any(dim=1)
+        chosen = order[is_first]
+        return _rows_of(contacts, chosen)
+
+    def _of(self, contacts: Contacts) -> TrajectoryContacts:
+        """Of contacts of bodies of all segments."""
+        names = (field.name for field in fields(Contacts) if field.init)
+        columns: dict[str, Any] = {name: getattr(contacts, name) for name in names}
+        segment = torch.div(contacts.pairs[:, 0], self.ids, rounding_mode="floor")
+        columns["pairs"] = contacts.pairs - self.ids * segment[:, None]
+        if contacts.toi is None:
+            return TrajectoryContacts(**columns)
+        return TrajectoryContacts(**columns, segment=segment, time=(segment + contacts.toi) / self.count)
+
+
+def _rows_of(contacts: TrajectoryContacts, rows: Tensor) -> TrajectoryContacts:
+    columns: dict[str, Any] = {name: value[rows] for name, value in vars(contacts).items() if isinstance(value, Tensor)}
+    return replace(contacts, **columns)

@@ -1,0 +1,256 @@
+"""Bodies that deform, and trajectories, on any number of ranks: the bits of one process, and vertices that stay with
+their bodies."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support.shapes import bumpy
+
+import pgccd
+from distributed.conftest import World
+from pgccd.detection.trajectories import TrajectoryContacts
+from pgccd.distributed import BalanceOptions, Comm
+from pgccd.distributed import World as SharedWorld
+from pgccd.distributed.comm.exchange import take_rows
+from pgccd.distributed.vertices import Vertices, vertex_counts
+
+COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status", "segment", "time")
+REPORTS = ("first", "all", "any", "earliest")
+COUNT, STEPS = 26, 3
+
+
+@functools.cache
+def meshes() -> pgccd.MeshSet:
+    rng = np.random.default_rng(3)
+    # The last one is larger than any rank's subdomain.
+    return pgccd.MeshSet([bumpy(rng, 1), bumpy(rng, 0, size=0.5), bumpy(rng, 2, height=0.05, size=5.0)])
+
+
+@functools.cache
+def bodies() -> dict[str, torch.Tensor]:
+    """Columns of bodies in the box [0, 8]^3; some crumple enough to touch themselves, one is static."""
+    generator = torch.Generator().manual_seed(8)
+    mesh_index = torch.randint(2, (COUNT,), generator=generator, dtype=torch.int32)
+    mesh_index[-1] = 2
+    static = torch.zeros(COUNT, dtype=torch.bool)
+    static[-1] = True
+    position = 8.0 * torch.rand((COUNT, 3), generator=generator, dtype=torch.float64)
+    position[-1] = torch.tensor([4.0, 4.0, -3.5])
+    margin = 0.05 * torch.rand(COUNT, generator=generator, dtype=torch.float64)
+    return {
+        "position": position,
+        "mesh_index": mesh_index,
+        "static": static,
+        "margin": margin,
+        "group": torch.randint(1, 4, (COUNT,), generator=generator),
+        "self_collision": torch.arange(COUNT) % 3 == 0,
+    }
+
+
+@functools.cache
+def frames(static: bool = True) -> torch.Tensor:
+    """(STEPS + 1, X, 3): vertices of all bodies; those of the static one stay."""
+    columns = bodies()
+    generator = torch.Generator().manual_seed(9)
+    counts = vertex_counts(meshes(), columns["mesh_index"])
+    local = torch.cat([meshes().meshes[int(index)].vertices for index in columns["mesh_index"]])
+    velocity = 1.5 * torch.randn((COUNT, 3), generator=generator, dtype=torch.float64)
+    velocity[-1] = 0.0
+    still = torch.arange(COUNT).repeat_interleave(counts) == COUNT - 1
+    made = []
+    for step in range(STEPS + 1):
+        noise = 0.3 * torch.randn(local.shape, generator=generator, dtype=torch.float64)
+        centre = columns["position"] + step * velocity
+        made.append(local + centre.repeat_interleave(counts, dim=0) + torch.where(still[:, None], 0.0, noise))
+    return torch.stack(made)
+
+
+@functools.cache
+def scene() -> pgccd.Scene:
+    columns = {name: column for name, column in bodies().items() if name not in ("position", "mesh_index")}
+    return pgccd.Scene(meshes(), bodies()["mesh_index"], **columns)
+
+
+IDS = 5 * torch.arange(COUNT) + 2
+
+
+@functools.cache
+def alone(report: str, step: int) -> pgccd.Contacts:
+    return pgccd.detect(scene(), pgccd.VertexMotion(frames()[step], frames()[step + 1]), report, 0.01)
+
+
+def spread(comm: Comm, report: str, device: torch.device, owners: int = 0, policy: str = "none") -> SharedWorld:
+    """The bodies on ranks, dealt out at random; with a random table of owners of cells, if `owners` is not 0."""
+    generator = torch.Generator().manual_seed(4)
+    mine = torch.nonzero(torch.randint(comm.size, (COUNT,), generator=generator) == comm.rank)[:, 0].flip(0)
+    all_vertices = Vertices({"x": frames()[0]}, vertex_counts(meshes(), bodies()["mesh_index"]))
+    given = {name: column.to(device) for name, column in take_rows(bodies(), mine).items()}
+    world = SharedWorld(
+        meshes().meshes,
+        (0.0,) * 3,
+        (8.0,) * 3,
+        given.pop("position"),
+        id=IDS[mine].to(device),
+        payload={"tag": 3 * mine.to(device)},
+        vertex_payload={name: column.to(device) for name, column in all_vertices.take(mine).columns.items()},
+        comm=comm,
+        report=report,
+        min_separation=0.01,
+        cells=4,
+        balance=BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0),
+        **given,
+    )
+    if owners:
+        generator.manual_seed(owners)
+        owner = torch.randint(comm.size, (world.partition.cell_count,), generator=generator).to(device)
+        world.partition = world.partition.with_owner(owner)
+        world.move(world.position)
+    return world
+
+
+def rows_of(world: SharedWorld) -> torch.Tensor:
+    """Rows of `bodies` that this rank has now."""
+    return torch.searchsorted(IDS, world.id.cpu())
+
+
+def vertices_of(rows: torch.Tensor, step: int) -> torch.Tensor:
+    """In the frame of a step, of some of the bodies."""
+    whole = Vertices({"x": frames()[step]}, vertex_counts(meshes(), bodies()["mesh_index"]))
+    return whole.take(rows).columns["x"]
+
+
+def require_equal(world: SharedWorld, found: pgccd.Contacts, whole: pgccd.Contacts, report: str) -> None:
+    pairs = IDS[whole.pairs]
+    affected = torch.isin(pairs, world.id.cpu()).any(dim=1)
+    if report == "earliest":
+        affected[:] = True
+    for name in COLUMNS:
+        expected, got = getattr(whole, name, None), getattr(found, name, None)
+        if expected is None:
+            assert got is None, name
+            continue
+        assert got is not None and torch.equal(got.cpu(), (pairs if name == "pairs" else expected)[affected]), name
+
+
+def deform(comm: Comm, report: str, device: torch.device = torch.device("cpu")) -> dict[str, int]:  # noqa: B008
+    """Follows the bodies for some steps, over two tables of owners."""
+    seen = dict.fromkeys(("contacts", "with itself", "ghosts", "arrived"), 0)
+    for owners, policy in ((0, "cost"), (5, "none")):
+        world = spread(comm, report, device, owners, policy)
+        for step in range(STEPS):
+            before = world.vertex_payload["x"]
+            rows = rows_of(world)
+            assert torch.equal(before.cpu(), vertices_of(rows, step))  # they have come with their bodies
+            assert torch.equal(world.payload["tag"].cpu(), 3 * rows)
+            after = vertices_of(rows, step + 1).to(device)
+            found = world.step(pgccd.VertexMotion(before, after))
+            whole = alone(report, step)
+            require_equal(world, found, whole, report)
+            assert world._found is not None
+            assert int(comm.sum(torch.tensor([len(world._found.pairs)]))) == whole.stats.pcs
+            if report == "first":
+                first = torch.full((COUNT,), torch.inf, dtype=torch.float64)
+                assert whole.toi is not None
+                first.scatter_reduce_(0, whole.pairs.reshape(-1), whole.toi.repeat_interleave(2), "amin")
+                assert torch.equal(world.first_toi(found).cpu(), first[rows])
+            seen["contacts"] += len(whole)
+            seen["with itself"] += int((whole.pairs[:, 0] == whole.pairs[:, 1]).sum())
+            seen["ghosts"] += world._found.held.ghost_count
+            had = set(world.id.tolist())
+            begin = world._vertices.count.cumsum(0) - world._vertices.count  # type: ignore[union-attr]
+            world.move(after[begin], x=after)  # they are where their first vertex is
+            seen["arrived"] += len(set(world.id.tolist()) - had)
+    return seen
+
+
+@pytest.mark.parametrize("report", REPORTS)
+def test_deforming_bodies(world: World, report: str) -> None:
+    seen = world(deform, report)
+    assert seen[0]["contacts"] > 0
+    if report in ("first", "all"):
+        assert seen[0]["with itself"] > 0
+    if len(seen) > 1:
+        assert sum(rank["ghosts"] for rank in seen) > 0 and sum(rank["arrived"] for rank in seen) > 0
+
+
+def turning(rows: torch.Tensor) -> pgccd.Trajectory:
+    """Of some of the bodies, as rigid ones."""
+    generator = torch.Generator().manual_seed(2)
+    steps = torch.randn((5, COUNT, 3), generator=generator, dtype=torch.float64).cumsum(0)
+    steps[:, -1] = 0.0
+    orientation = torch.randn((5, COUNT, 4), generator=generator, dtype=torch.float64)
+    orientation[:, -1] = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    orientation /= orientation.norm(dim=2, keepdim=True)
+    return pgccd.Trajectory((bodies()["position"] + steps)[:, rows], orientation[:, rows])
+
+
+@functools.cache
+def followed(report: str, deforms: bool) -> TrajectoryContacts:
+    trajectory = pgccd.Trajectory(frames()) if deforms else turning(torch.arange(COUNT))
+    return pgccd.detect(scene(), trajectory, report, 0.01)
+
+
+def follow(comm: Comm, report: str, deforms: bool, device: torch.device = torch.device("cpu")) -> int:  # noqa: B008
+    whole = followed(report, deforms)
+    for owners in (0, 7):
+        world = spread(comm, report, device, owners)
+        rows = rows_of(world)
+        if deforms:
+            mine = torch.stack([vertices_of(rows, step) for step in range(STEPS + 1)])
+            trajectory = pgccd.Trajectory(mine.to(device))
+        else:
+            waypoints = turning(rows)
+            assert waypoints.orientation is not None
+            trajectory = pgccd.Trajectory(waypoints.position.to(device), waypoints.orientation.to(device))
+        found = world.step(trajectory)
+        assert isinstance(found, TrajectoryContacts)
+        require_equal(world, found, whole, report)
+        if report == "first":
+            first = torch.full((COUNT,), torch.inf, dtype=torch.float64)
+            assert whole.time is not None
+            first.scatter_reduce_(0, whole.pairs.reshape(-1), whole.time.repeat_interleave(2), "amin")
+            assert torch.equal(world.first_toi(found).cpu(), first[rows])
+    return len(whole)
+
+
+@pytest.mark.parametrize("deforms", [False, True], ids=["rigid", "deforming"])
+@pytest.mark.parametrize("report", REPORTS)
+def test_trajectories(world: World, report: str, deforms: bool) -> None:
+    assert world(follow, report, deforms)[0] > 0
+
+
+def mistakes(comm: Comm) -> list[str]:
+    """What is said of motions and payloads that do not fit."""
+    world = spread(comm, "first", torch.device("cpu"))
+    x = world.vertex_payload["x"]
+    said = []
+    wrong: list[Any] = [
+        pgccd.VertexMotion(x[:-1], x[:-1]),
+        pgccd.Trajectory(torch.stack([x[:-1]] * 2)),
+        pgccd.Trajectory(torch.stack([x] * (2 + comm.rank))),
+        x,
+    ]
+    for motion in wrong:
+        with pytest.raises((ValueError, TypeError)) as caught:
+            world.step(motion)
+        said.append(str(caught.value))
+    for payload in ({"x": x[:-1]}, {"y": x}):
+        with pytest.raises(ValueError) as caught:  # noqa: PT011
+            world.move(world.position, **payload)
+        said.append(str(caught.value))
+    assert torch.equal(world.vertex_payload["x"], x)
+    return said
+
+
+def test_mistakes_are_named(ranks: World) -> None:
+    for said in ranks.run(2, mistakes):  # type: ignore[attr-defined]
+        assert "motion: has" in said[0] and "vertices, this rank owns" in said[0]
+        assert "vertices, this rank owns" in said[1]
+        assert said[2] == "motion: ranks have [1, 2] segments"
+        assert said[3].startswith("motion: expected a pgccd.RigidMotion, VertexMotion or Trajectory")
+        assert said[4].startswith("x: expected (") and said[5].startswith("y: not a payload of this world")
