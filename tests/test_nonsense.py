@@ -90,6 +90,8 @@ def calls(folder: Path) -> dict[str, Call]:
         **filters,
         "margin": [0.0, 0.1],
         "payload": {},
+        "vertex_payload": {},
+        "self_collision": [False, True],
         **options,
     }
     all_worlds |= {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}

@@ -74,8 +74,9 @@ class BackOff:
 
     Example:
         >>> back_off = BackOff()
-        >>> if back_off.is_over(step):
-        ...     back_off.tried(step, moved=0)
+        >>> back_off.tried(7, moved=0)
+        >>> back_off.is_over(8), back_off.is_over(9)
+        (False, True)
     """
 
     _MOST_STEPS = 64

@@ -125,11 +125,13 @@ class World:
             if scene.self_collision is not None:
                 columns["self_collision"] = scene.self_collision
             count, self._vertices = vertex_counts(self._meshes, scene.mesh_index), None
-            if vertex_payload:
-                total = int(count.sum())
-                of_vertices = payload_columns(vertex_payload, "vertex_payload", total, position.device)
+            of_vertices = {} if vertex_payload is None else vertex_payload
+            of_vertices = payload_columns(of_vertices, "vertex_payload", int(count.sum()), position.device)
+            if of_vertices:
                 self._vertices, columns["vertex_count"] = Vertices(of_vertices, count), count
-            return columns | payload_columns(payload or {}, "payload", len(position), position.device)
+            return columns | payload_columns(
+                {} if payload is None else payload, "payload", len(position), position.device
+            )
 
         columns = together(self.comm, prepare)
         all_columns = columns | ({} if self._vertices is None else self._vertices.columns)

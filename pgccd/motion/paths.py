@@ -236,7 +236,7 @@ class VertexMotion(MovingColumns):
         """Of columns that come from a motion already checked: nothing is looked at, now or later.
 
         Example:
-            >>> part = pgccd.VertexMotion.of_checked(motion.x_t0[:8], motion.x_t1[:8])
+            >>> part = pgccd.VertexMotion.of_checked(cloth_t0[:8], cloth_t1[:8])
         """
         motion = cls.__new__(cls)
         motion.x_t0, motion.x_t1, motion.is_trusted = x_t0, x_t1, True
