@@ -66,10 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 _check_simulate(options)
         except ArgumentError as error:
             if name == "simulate":  # other ranks must not wait for this one
-                raise ArgumentError("", command.tell_ranks(str(error))) from error
+                problem = command.tell_ranks(error)
+                raise ArgumentError("", problem) from problem
             raise
         return options.run(options)
     except ArgumentError as error:
+        if name == "simulate" and command.is_told_by_rank_0(error):
+            return 2
         print(f"{f'pgccd {name}'.strip()}: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from pgccd.distributed.guard import Guard, RankFailureError
+from pgccd.distributed.guard import Guard, RankFailureError, is_of_all_ranks
 
 # With more ranks than this, rows go to and come from neighbours alone; up to it, one collective call is faster.
 _NEIGHBOURS_ABOVE = 32
@@ -131,7 +131,7 @@ class Comm(ABC):
         if isinstance(error, RankFailureError):
             self.guard.close()  # ending the connection properly would wait for a rank that is no more
             return
-        if error is not None:
+        if error is not None and not is_of_all_ranks(error):
             self.guard.report(error)
         self.close()
 

@@ -27,6 +27,15 @@ class RankFailureError(RuntimeError):
     """Another rank died, hangs or failed; the message names it."""
 
 
+def is_of_all_ranks(error: BaseException | None) -> bool:
+    """Whether all ranks have this error, or what caused it, so that none need tell the others."""
+    while error is not None:
+        if getattr(error, "of_all_ranks", False):
+            return True
+        error = error.__cause__
+    return False
+
+
 class Guard:
     """Watches the exchanges of this rank, and ends them if they cannot end by themselves.
 

@@ -29,6 +29,8 @@ PROBLEM = "problem"
 class DisagreementError(ValueError):
     """Ranks were started with different settings; the message names the setting and two ranks."""
 
+    of_all_ranks = True
+
 
 def agree_by_store(store: dist.Store, placement: Placement, facts: Mapping[str, str], timeout: float) -> None:
     """Compares what all ranks were started with, before there is anything between them but a store: rank 0 reads what
@@ -104,12 +106,13 @@ def together(comm: Comm, action: Callable[[], T]) -> T:
     except Exception as raised:
         error = raised
     errors = comm.gather_objects(None if error is None else str(error))
-    if error is not None:
-        raise error
-    for rank, other in enumerate(errors):
-        if other is not None:
-            raise ValueError(f"rank {rank}: {other}")
-    return result  # type: ignore[return-value]
+    failed = [rank for rank, text in enumerate(errors) if text is not None]
+    if error is None and not failed:
+        return result  # type: ignore[return-value]
+    if error is None:
+        error = ValueError(f"rank {failed[0]}: {errors[failed[0]]}")
+    error.of_all_ranks = True  # type: ignore[attr-defined]
+    raise error
 
 
 def on_first(comm: Comm, action: Callable[[], T]) -> T:

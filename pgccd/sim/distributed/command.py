@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ import torch
 
 from pgccd.distributed.balance import POLICIES, BalanceOptions
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.guard import RankFailureError
+from pgccd.distributed.guard import RankFailureError, is_of_all_ranks
 from pgccd.distributed.launch.agreement import on_first
 from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connect, tell_problem
 from pgccd.distributed.launch.placement import find_placement
@@ -22,6 +23,7 @@ from pgccd.sim.checkpoint import find_checkpoint
 from pgccd.sim.distributed.runner import DistributedOptions
 
 _FAILURE_CODE = 70
+_TELLING_SECONDS = 0.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,15 +69,23 @@ def stopping(comm: Comm) -> Iterator[None]:
         _stop(error)
 
 
-def tell_ranks(problem: str) -> str:
-    """Tells all ranks that were started together why this one cannot connect, so that they end too. Returns what all of
-    them print: the problem of the first rank that has one."""
+def tell_ranks(problem: Exception) -> Exception:
+    """Tells all ranks that were started together why this one cannot connect, so that they end too. Returns what is to
+    be said of it: the problem of the first rank that has one."""
     if find_placement().size > 1:
         try:
-            tell_problem(problem)
+            tell_problem(str(problem))
         except (ValueError, ImportError, RuntimeError) as error:
-            return str(error)
+            return error
     return problem
+
+
+def is_told_by_rank_0(error: Exception) -> bool:
+    """Whether this rank need not say what went wrong, since all ranks have the error."""
+    if find_placement().rank == 0 or not is_of_all_ranks(error):
+        return False
+    time.sleep(_TELLING_SECONDS)  # launchers end all ranks with the first
+    return True
 
 
 def _stop(error: Exception) -> NoReturn:
