@@ -21,7 +21,7 @@ from torch import Tensor
 
 from pgccd import broad, ops, sim
 from pgccd.detection.bodies import MovingBodies
-from pgccd.distributed import Partition
+from pgccd.distributed import Cells
 
 _ROWS = 1 << 18  # of bodies by ranks at a time
 
@@ -53,7 +53,7 @@ def count(
 ) -> dict[str, Any]:
     """One row."""
     x, y, z = model.half_extent
-    partition = Partition.uniform((-x, -y, -z), (x, y, z), ranks, cells=arguments.cells)
+    partition = Cells.uniform((-x, -y, -z), (x, y, z), ranks, cells=arguments.cells)
     centres = [bodies.position_t0, bodies.position_t1, bodies.radius]
     lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
     # Distance that a CBV reaches from the centre that decides the owner of the body.
@@ -74,7 +74,7 @@ def count(
     }
 
 
-def ghosts(partition: Partition, centres: list[Tensor], owner: Tensor, separation: float) -> int:
+def ghosts(partition: Cells, centres: list[Tensor], owner: Tensor, separation: float) -> int:
     """Bodies that reach cells of others with boxes grown by half the separation, once for each of these."""
     total = 0
     for rows in torch.arange(len(owner)).split(max(1, _ROWS // partition.ranks)):
@@ -84,7 +84,7 @@ def ghosts(partition: Partition, centres: list[Tensor], owner: Tensor, separatio
     return total
 
 
-def reach(partition: Partition, centres: list[Tensor], rows: Tensor, separation: float = 0.0) -> Tensor:
+def reach(partition: Cells, centres: list[Tensor], rows: Tensor, separation: float = 0.0) -> Tensor:
     """(B, ranks) uint8: 1 where one of the rows (B,) reaches a cell of the rank."""
     ranks = partition.ranks
     reached, _ = ops.replica_ranks(centres, separation, 0.0, partition.subdomain(0), rows, ranks)
@@ -93,7 +93,7 @@ def reach(partition: Partition, centres: list[Tensor], rows: Tensor, separation:
     return reached
 
 
-def unseen(partition: Partition, centres: list[Tensor], pairs: Tensor, owners: Tensor) -> int:
+def unseen(partition: Cells, centres: list[Tensor], pairs: Tensor, owners: Tensor) -> int:
     """Pairs (P, 2) of different owners (P, 2), neither of which holds the body that is not its own."""
     seen = torch.zeros(len(pairs), dtype=torch.bool)
     for side in range(2):
@@ -102,7 +102,7 @@ def unseen(partition: Partition, centres: list[Tensor], pairs: Tensor, owners: T
     return int((~seen).sum())
 
 
-def sent(partition: Partition, lower: Tensor, owner: Tensor, contacts: Tensor) -> int:
+def sent(partition: Cells, lower: Tensor, owner: Tensor, contacts: Tensor) -> int:
     """Rows of contacts on their way to owners of their bodies that did not find them."""
     tester = partition.owner_of(torch.maximum(lower[contacts[:, 0]], lower[contacts[:, 1]]))
     owners = owner[contacts]

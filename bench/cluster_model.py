@@ -36,7 +36,7 @@ import torch
 from support import results, timing
 
 from pgccd import ops, sim
-from pgccd.distributed import BalanceOptions, CellLoads, Partition, imbalance, rebalance
+from pgccd.distributed import BalanceOptions, CellLoads, Cells, imbalance, rebalance
 from pgccd.distributed.balance import rank_loads
 
 _BLOCK = 1 << 20
@@ -155,7 +155,7 @@ class Counts:
     def __init__(self, model: sim.Model, ranks: int, arguments: argparse.Namespace) -> None:
         x, y, z = model.half_extent
         upper = (x, y, z)
-        self.partition = Partition.uniform((-x, -y, -z), upper, ranks, axes=arguments.axes, cells=arguments.cells)
+        self.partition = Cells.uniform((-x, -y, -z), upper, ranks, axes=arguments.axes, cells=arguments.cells)
         self.bodies = torch.zeros(self.partition.cell_count, dtype=torch.int64)
         #: From rank to rank.
         self.ghosts = torch.zeros(ranks * ranks, dtype=torch.int64)
@@ -208,7 +208,7 @@ def spread(values: torch.Tensor) -> dict[str, float]:
     }
 
 
-def balance_skewed(partition: Partition, steps: int) -> dict[str, Any]:
+def balance_skewed(partition: Cells, steps: int) -> dict[str, Any]:
     """Imbalance step by step of robots that crowd in the eight corners, four times as dense there as on average."""
     centre = [(torch.arange(count) + 0.5) / count for count in partition.grid]
     off = torch.stack(
@@ -234,7 +234,7 @@ def balance_skewed(partition: Partition, steps: int) -> dict[str, Any]:
     }
 
 
-def _grid(partition: Partition) -> tuple[torch.Tensor, ...]:
+def _grid(partition: Cells) -> tuple[torch.Tensor, ...]:
     return torch.unravel_index(torch.arange(partition.cell_count), partition.grid)
 
 

@@ -127,7 +127,7 @@ def start(
     """The world before step 0."""
     model = sim.Model(config, device=device)
     x, y, z = model.half_extent
-    partition = distributed.Partition.uniform(
+    partition = distributed.Cells.uniform(
         (-x, -y, -z), (x, y, z), comm.size, axes=arguments.axes, cells=arguments.cells, device=device
     )
     share = sim.distributed.starting_share(comm, model)

@@ -47,7 +47,7 @@ def measure_simulation(comm: distributed.Comm, case: Case, steps: Steps, given: 
     model = sim.Model(config, device=device)
     x, y, z = model.half_extent
     upper = (2.0 * x * case.stretch - x, y, z)
-    partition = distributed.Partition.uniform((-x, -y, -z), upper, comm.size, axes=case.axes, device=device)
+    partition = distributed.Cells.uniform((-x, -y, -z), upper, comm.size, axes=case.axes, device=device)
     mine = {name: column[comm.rank :: comm.size].to(device) for name, column in given["start"].items()}
     policy = _POLICIES[case.system]
     balance = distributed.BalanceOptions(policy, threshold=case.threshold)

@@ -88,7 +88,7 @@ def of_robots() -> dict[str, Any]:
     moved = model.plan(state, 0)
     hits = pgccd.detect(scene, model.motion(moved), FIRST_CONTACTS.report)
     names = {"model": model, "state": state, "scene": scene, "step": step, "hits": hits, "comm": comm}
-    partition = distributed.Partition.uniform((0, 0, 0), (30, 30, 30), 1)
+    partition = distributed.Cells.uniform((0, 0, 0), (30, 30, 30), 1)
     loads = distributed.CellLoads(*(torch.zeros(len(partition.owner), dtype=torch.int64) for _ in range(3)))
     names |= {"resolved": step.resolution, "partition": partition, "loads": loads}
     return names | {"id": state.id, "mood": state.position, "x": state.position}

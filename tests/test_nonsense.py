@@ -91,6 +91,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "margin": [0.0, 0.1],
         "payload": {},
         "vertex_payload": {},
+        "partition": "cells",
         "self_collision": [False, True],
         **options,
     }

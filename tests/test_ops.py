@@ -15,7 +15,7 @@ import pgccd
 from pgccd import ops
 from pgccd.baselines import PCCCD
 from pgccd.detection.padded import counts_of_given, lower_first_toi
-from pgccd.distributed import Partition
+from pgccd.distributed import Cells
 from pgccd.sim.partners import FIRST_CONTACTS
 
 Call = tuple[str, tuple[Any, ...]]
@@ -37,7 +37,7 @@ class Recorder:
 
 def share_out(moving: pgccd.MovingBodies) -> None:
     """Calls the operators by which ranks share bodies out, as one of two."""
-    partition = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 2, cells=2, device=moving.device)
+    partition = Cells.uniform((-1.0,) * 3, (1.0,) * 3, 2, cells=2, device=moving.device)
     centres = [moving.position_t0, moving.position_t1, moving.radius]
     subdomain = partition.subdomain(1)
     reach, boundary, _ = ops.boundary_bodies(centres, 0.01, -1e-6, subdomain)

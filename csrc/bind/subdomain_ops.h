@@ -10,7 +10,8 @@ namespace pgccd::bind {
 
 constexpr int64_t kMostCells = int64_t{1} << 31;
 
-// frame: lower corner, cells a length unit, number of cells; along x, y, z each.
+// frame: lower corner, cells a length unit, number of cells; along x, y, z each. owner: (cells,) int64, the rank of
+// each; or (planes, 4) float64, see BisectionPlane.
 inline Subdomain subdomain_view(const std::vector<double>& frame, const Tensor& owner, int64_t rank) {
   STD_TORCH_CHECK(frame.size() == 9, "frame: expected 9 numbers, got ", frame.size());
   Subdomain view;
@@ -25,8 +26,16 @@ inline Subdomain subdomain_view(const std::vector<double>& frame, const Tensor& 
   }
   STD_TORCH_CHECK(view.frame.count[0] * view.frame.count[1] <= kMostCells && view.frame.cell_count() <= kMostCells,
                   "frame: expected at most 2^31 cells");
-  view.owner = rows<int64_t>(owner, "owner", {view.frame.cell_count()});
   view.rank = rank;
+  view.owner = nullptr;
+  view.planes = nullptr;
+  view.plane_count = 0;
+  if (owner.scalar_type() == torch::headeronly::ScalarType::Double) {
+    view.planes = reinterpret_cast<const BisectionPlane*>(rows<double>(owner, "owner", {kAnySize, 4}));
+    view.plane_count = owner.size(0);
+  } else {
+    view.owner = rows<int64_t>(owner, "owner", {view.frame.cell_count()});
+  }
   return view;
 }
 

@@ -1,7 +1,8 @@
 // By which ranks share bodies out.
 //
 // centres, ghosts = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
-// frame = lower corner, cells a length unit, number of cells; along x, y, z each; owner (cells,) i64
+// frame = lower corner, cells a length unit, number of cells; along x, y, z each; owner (cells,) i64, or (planes, 4)
+// f64
 #include <torch/csrc/stable/library.h>
 
 STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {

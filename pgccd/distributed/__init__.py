@@ -5,6 +5,7 @@ the nanorobot simulation.) Whatever the number of ranks, the results are the sam
 """
 
 from pgccd.distributed.balance import POLICIES, BalanceOptions, CellLoads, imbalance, rebalance
+from pgccd.distributed.bisection import Bisection
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.comm.mpi_comm import MpiComm
 from pgccd.distributed.comm.torch_comm import TorchComm
@@ -12,14 +13,16 @@ from pgccd.distributed.guard import RankFailureError
 from pgccd.distributed.launch.agreement import DisagreementError, on_first, require_agreement, together
 from pgccd.distributed.launch.connect import choose_device, connect
 from pgccd.distributed.launch.placement import Placement, find_placement
-from pgccd.distributed.partition import Partition, factorise
+from pgccd.distributed.partition import Cells, Partition, factorise
 from pgccd.distributed.world import World
 
 __all__ = [
     "POLICIES",
     "Alone",
     "BalanceOptions",
+    "Bisection",
     "CellLoads",
+    "Cells",
     "Comm",
     "DisagreementError",
     "MpiComm",

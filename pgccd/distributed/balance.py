@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pgccd.distributed.partition import Partition
+from pgccd.distributed.partition import Cells
 
 Policy = Literal["cost", "measured", "one-cell", "none"]
 POLICIES: tuple[str, ...] = get_args(Policy)
@@ -153,9 +153,7 @@ class RankLoads:
         return _are_even(float((torch.tensor(cost).double() / speed).max()), sum(cost) / float(speed.sum()), options)
 
 
-def rebalance(
-    partition: Partition, loads: CellLoads, options: BalanceOptions, seconds: Tensor | None = None
-) -> Partition:
+def rebalance(partition: Cells, loads: CellLoads, options: BalanceOptions, seconds: Tensor | None = None) -> Cells:
     """The partition of the next step.
 
     Args:
@@ -234,7 +232,7 @@ def relative_speeds(cost: Tensor, seconds: Tensor) -> Tensor:
 
 
 def several_cells(
-    partition: Partition, owner: Tensor, cost: Tensor, bodies: Tensor, speed: Tensor, options: BalanceOptions
+    partition: Cells, owner: Tensor, cost: Tensor, bodies: Tensor, speed: Tensor, options: BalanceOptions
 ) -> Tensor:
     """Cells from the most loaded ranks to the least loaded ones, one after the other, until the loads are even enough.
 

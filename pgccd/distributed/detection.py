@@ -11,7 +11,6 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.parts import Part, contacts_of_step, search_seconds
-from pgccd.distributed.balance import CellLoads
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo_capacity import HaloCapacity
@@ -38,13 +37,12 @@ class Detection:
         """(P, 2) int64: the PCS as rows of bodies held, that of the smaller id first."""
         return torch.cat([part.in_step(_pairs_of(part)) for part in self.share.parts])
 
-    def cells(self, partition: Partition) -> tuple[Tensor, Tensor]:
-        """(P,) and (K,) int64: the cells of the lower corners of the intersections of the boxes of pairs, and of those
-        that collide."""
+    def reference_points(self) -> tuple[Tensor, Tensor]:
+        """(P, 3) and (K, 3): the lower corners of the intersections of the boxes of pairs, and of colliding ones."""
         parts = self.share.parts
         lower = [ops.swept_boxes(*centres_of(part.bodies), *self.share.kept)[0] for part in parts]
-        of_pairs = [_cells(partition, corner, _pairs_of(part)) for part, corner in zip(parts, lower, strict=True)]
-        of_contacts = [_cells(partition, at, part.find().pairs) for part, at in zip(parts, lower, strict=True)]
+        of_pairs = [_corners(corner, _pairs_of(part)) for part, corner in zip(parts, lower, strict=True)]
+        of_contacts = [_corners(at, part.find().pairs) for part, at in zip(parts, lower, strict=True)]
         return torch.cat(of_pairs), torch.cat(of_contacts)
 
 
@@ -52,8 +50,8 @@ def _pairs_of(part: Part) -> Tensor:
     return part.pairs[: part.find().stats.pcs]
 
 
-def _cells(partition: Partition, lower: Tensor, pairs: Tensor) -> Tensor:
-    return partition.cell_of(torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]]))
+def _corners(lower: Tensor, pairs: Tensor) -> Tensor:
+    return torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]])
 
 
 def detect_distributed(
@@ -79,9 +77,3 @@ def detect_distributed(
     if options.report == "earliest":
         found = found.earliest(*share.held.id[found.pairs].unbind(dim=1))
     return Detection(share, replace(found, stats=replace(found.stats, bodies=len(share.held))))
-
-
-def cell_loads(partition: Partition, position: Tensor, found: Detection) -> CellLoads:
-    """What one rank saw in each cell."""
-    cells = [partition.cell_of(position), *found.cells(partition)]
-    return CellLoads(*(torch.bincount(cell, minlength=partition.cell_count) for cell in cells))

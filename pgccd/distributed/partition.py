@@ -1,8 +1,10 @@
-"""The two-level uniform decomposition (Du, Liu & Suzumura 2017, 4.1) as pure functions of tensors.
+"""Which rank owns which part of space, as pure functions of tensors.
 
-The world's box is cut into one subdomain a rank, each subdomain into cells. A table, the same on every rank, holds the
-owner of each cell: at first the rank of its subdomain, later the one that load balancing chose. Cells at the boundary
-of the box extend to infinity, so that a body that leaves the box is never lost.
+`Cells` is the two-level uniform decomposition of Du, Liu & Suzumura 2017, 4.1: the world's box is cut into one
+subdomain a rank, each subdomain into cells. A table, the same on every rank, holds the owner of each cell: at first the
+rank of its subdomain, later the one that load balancing chose. `pgccd.distributed.bisection` has another one.
+
+What is at the boundary of the box extends to infinity, so that a body that leaves the box is never lost.
 """
 
 from __future__ import annotations
@@ -10,13 +12,14 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import cast
 
 import torch
 from torch import Tensor
 
-from pgccd import arguments
+from pgccd import arguments, ops
 
 Triple = tuple[int, int, int]
 Point = tuple[float, float, float]
@@ -52,11 +55,55 @@ def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
     return min((counts for counts in choices if axes == 3 or counts[2] == 1), key=badness)
 
 
-@dataclass(frozen=True, eq=False)
-class Partition:
-    """Which rank owns which part of space.
+def box_given(lower: Point, upper: Point) -> tuple[Point, Point]:
+    """The corners of a box as plain numbers.
 
-    Make one with `Partition.uniform`. All functions of points and boxes are monotone along every axis, rounding
+    Raises:
+        TypeError, ValueError: naming the argument.
+    """
+    for name, corner in (("lower", lower), ("upper", upper)):
+        if not hasattr(corner, "__len__") or isinstance(corner, str) or getattr(corner, "shape", (3,)) != (3,):
+            raise TypeError(f"{name}: expected three finite numbers, got {arguments.describe(corner)}")
+        if len(corner) != 3 or not all(math.isfinite(arguments.number(x, name)) for x in corner):
+            raise ValueError(f"{name}: expected three finite numbers, got {corner}")
+    low, high = (cast(Point, tuple(float(x) for x in corner)) for corner in (lower, upper))
+    if not all(0.0 < b - a < math.inf for a, b in zip(low, high, strict=True)):
+        raise ValueError(f"upper: expected a box with volume above {tuple(lower)}, got {tuple(upper)}")
+    return low, high
+
+
+class Partition(ABC):
+    """Which rank owns which part of space; the same on all ranks."""
+
+    lower: Point  #: of the world's box, length units
+    upper: Point
+
+    @property
+    @abstractmethod
+    def ranks(self) -> int: ...
+
+    @abstractmethod
+    def owner_of(self, points: Tensor) -> Tensor:
+        """(K,) int64: the rank that owns the place of each of the points (K, 3)."""
+
+    @abstractmethod
+    def subdomain(self, rank: int) -> ops.Subdomain:
+        """A rank's part as the operators take it."""
+
+    @abstractmethod
+    def copy(self) -> Partition:
+        """In memory of its own, for a CUDA graph that reads it."""
+
+    @abstractmethod
+    def become(self, other: Partition) -> bool:
+        """Takes the values of another one, in the same memory. False: a graph that reads this one cannot take them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cells(Partition):
+    """Space in equal cells, with a table of their owners.
+
+    Make one with `Cells.uniform`. All functions of points and boxes are monotone along every axis, rounding
     included: the cell of a point in a box lies between the cells of its corners.
     """
 
@@ -76,7 +123,7 @@ class Partition:
         axes: int = 3,
         cells: int | Triple = 16,
         device: torch.device | str = "cpu",
-    ) -> Partition:
+    ) -> Cells:
         """Every cell owned by the rank of its subdomain.
 
         Args:
@@ -90,17 +137,11 @@ class Partition:
             ValueError: naming the argument.
 
         Example:
-            >>> partition = pgccd.distributed.Partition.uniform((0, 0, 0), (8, 8, 8), ranks=4)
+            >>> partition = pgccd.distributed.Cells.uniform((0, 0, 0), (8, 8, 8), ranks=4)
             >>> partition.owner_of(torch.tensor([[1.0, 7.0, 3.0]]))
         """
-        for name, corner in (("lower", lower), ("upper", upper)):
-            if not hasattr(corner, "__len__") or isinstance(corner, str) or getattr(corner, "shape", (3,)) != (3,):
-                raise TypeError(f"{name}: expected three finite numbers, got {arguments.describe(corner)}")
-            if len(corner) != 3 or not all(math.isfinite(arguments.number(x, name)) for x in corner):
-                raise ValueError(f"{name}: expected three finite numbers, got {corner}")
-        extent = cast(Point, tuple(float(high) - float(low) for low, high in zip(lower, upper, strict=True)))
-        if not all(0.0 < length < math.inf for length in extent):
-            raise ValueError(f"upper: expected a box with volume above {tuple(lower)}, got {tuple(upper)}")
+        low, high = box_given(lower, upper)
+        extent = cast(Point, tuple(b - a for a, b in zip(low, high, strict=True)))
         if not isinstance(cells, (int, tuple, list)):
             raise TypeError(f"cells: expected integers in [1, 2^20], got {arguments.describe(cells)}")
         arguments.integer(axes, "axes", 1, "1, 2 or 3")
@@ -113,7 +154,6 @@ class Partition:
             raise ValueError(f"cells: {math.prod(shape)} cells in all; expected at most 2^31")
         x, y, z = (torch.arange(size, device=device) // part for size, part in zip(shape, each, strict=True))
         owner = (x[:, None, None] * subdomains[1] + y[:, None]) * subdomains[2] + z
-        low, high = (cast(Point, tuple(float(x) for x in corner)) for corner in (lower, upper))
         return cls(low, high, subdomains, each, owner.flatten())
 
     @property
@@ -133,7 +173,16 @@ class Partition:
     def cell_size(self) -> Point:
         return cast(Point, tuple((b - a) / n for a, b, n in zip(self.lower, self.upper, self.grid, strict=True)))
 
-    def with_owner(self, owner: Tensor) -> Partition:
+    def copy(self) -> Cells:
+        return replace(self, owner=self.owner.clone())
+
+    def become(self, other: Partition) -> bool:
+        if not isinstance(other, Cells) or other.grid != self.grid:
+            return False
+        self.owner.copy_(other.owner)
+        return True
+
+    def with_owner(self, owner: Tensor) -> Cells:
         """The same cells in other hands.
 
         Raises:
@@ -164,8 +213,7 @@ class Partition:
         """The same for the operators: lower corner, cells a length unit, number of cells; along x, y, z each."""
         return [*self.lower, *(1.0 / size for size in self.cell_size), *map(float, self.grid)]
 
-    def subdomain(self, rank: int) -> tuple[list[float], Tensor, int]:
-        """A rank's cells as the operators take them."""
+    def subdomain(self, rank: int) -> ops.Subdomain:
         return self.frame, self.owner, rank
 
     def index(self, coordinates: Tensor) -> Tensor:
@@ -178,5 +226,4 @@ class Partition:
         return self.index(self.coordinates(points))
 
     def owner_of(self, points: Tensor) -> Tensor:
-        """(K,) int64: the rank that owns the cell of each of the points (K, 3)."""
         return self.owner[self.cell_of(points)]

@@ -14,14 +14,15 @@ from pgccd.detection import narrow
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.trajectories import TrajectoryContacts
-from pgccd.distributed.balance import BackOff, BalanceOptions, CellLoads, RankLoads, rank_loads, rebalance
+from pgccd.distributed.balance import PAIR_COST, BackOff, BalanceOptions, RankLoads
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
-from pgccd.distributed.detection import Detection, cell_loads, detect_distributed
+from pgccd.distributed.detection import Detection, detect_distributed
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.migrate import Census, migrate
-from pgccd.distributed.partition import Partition, Point, Triple
+from pgccd.distributed.partition import Point, Triple
+from pgccd.distributed.rebalancing import make_partition, rebalanced, require_policy
 from pgccd.distributed.report import earliest_for_all, tell_owners
 from pgccd.distributed.segments import Segments
 from pgccd.distributed.share import Options, PartEstimates
@@ -60,7 +61,8 @@ class World:
         comm: between the ranks. Default: one rank.
         report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
         path: of all motions, as for `pgccd.RigidMotion`.
-        axes, cells: how space is cut, see `Partition.uniform`.
+        partition: how space is cut: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`).
+        axes, cells: of cells.
         balance: how cells change hands.
         overlap: test own bodies while those of others are under way. The result does not depend on it.
 
@@ -96,6 +98,7 @@ class World:
         nonzero_toi: bool = False,
         broad_phase: BroadPhase = "auto",
         path: Literal["rigid", "linear"] = "rigid",
+        partition: Literal["cells", "bisection"] = "cells",
         axes: int = 3,
         cells: int | Triple = 16,
         balance: BalanceOptions | None = None,
@@ -112,9 +115,9 @@ class World:
             if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
                 raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
             self._meshes = MeshSet(meshes, position.device)
-            self.partition = Partition.uniform(
-                lower, upper, self.comm.size, axes=axes, cells=cells, device=position.device
-            )
+            require_policy(partition, self.balance)
+            cut = lower, upper, self.comm.size, axes, cells, position.device
+            self.partition = make_partition(partition, *cut)
             index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
             scene = Scene(self._meshes, index, self_collision=self_collision, **given)  # checks them
             if scene.body_count != len(position):
@@ -137,7 +140,7 @@ class World:
         all_columns = columns | ({} if self._vertices is None else self._vertices.columns)
         kinds = {name: (str(column.dtype), tuple(column.shape[1:])) for name, column in all_columns.items()}
         facts = {"payload": kinds, "lower, upper": (lower, upper), "options": self.options, "path": path}
-        facts |= {"axes": axes, "cells": cells, "balance": self.balance, "id": id is None}
+        facts |= {"partition": partition, "axes": axes, "cells": cells, "balance": self.balance, "id": id is None}
         facts |= {"meshes": meshes_digest(self._meshes.meshes), "position": position.device.type}
         require_agreement(self.comm, facts)
         if id is None:
@@ -295,8 +298,10 @@ class World:
 
     def loads(self) -> Tensor:
         """(ranks,) int64: the predicted cost of each rank in the last step, the same on all of them."""
-        total = self._cell_loads()
-        return rank_loads(total.cost, self.partition.owner, self.comm.size)
+        if self._found is None:
+            raise RuntimeError("no step has been made yet")
+        cost = len(self._found.held.own_id) + PAIR_COST * len(self._found.pairs)
+        return self.comm.all_gather(torch.tensor([cost]))[:, 0]
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion | VertexMotion]:
         optional: dict[str, Any] = {name: columns[name] for name in _OPTIONAL if name in columns}
@@ -306,12 +311,6 @@ class World:
         pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
         return scene, RigidMotion.from_rotation(*pose, path=self.path)
 
-    def _cell_loads(self) -> CellLoads:
-        if self._found is None:
-            raise RuntimeError("no step has been made yet")
-        own = cell_loads(self.partition, self._found.share.parts[0].bodies.position_t0, self._found)
-        return CellLoads.unstacked(self.comm.sum(own.stacked()))
-
     def _change_hands(self) -> None:
         if self.balance.applies(self._steps, self.comm.size) and self._back_off.is_over(self._steps):
             assert self._found is not None
@@ -319,9 +318,10 @@ class World:
             loads = self.comm.all_gather(torch.tensor([*mine, self._seconds], dtype=torch.float64))
             bodies, pairs, contacts = loads[:, :3].long().t().tolist()
             if not RankLoads(bodies, pairs, contacts, loads[:, 3].tolist()).are_level(self.balance):
-                former = self.partition
-                self.partition = rebalance(former, self._cell_loads(), self.balance, loads[:, 3])
-                self._back_off.tried(self._steps, int((former.owner != self.partition.owner).sum()))
+                where = self.comm, self.partition, self._found.share.parts[0].bodies.position_t0, self._found
+                after = rebalanced(*where, self.balance, loads[:, 3])
+                self._back_off.tried(self._steps, after.moved)
+                self.partition = after.partition
                 self._capacity = None
         moved = migrate(self.comm, self.partition, self._columns, self.position, vertices=self._vertices)
         self._columns, self._vertices = moved.columns, moved.vertices

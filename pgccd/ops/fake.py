@@ -100,7 +100,8 @@ def _(
     received: list[int],
     ranks: int,
 ) -> tuple[Tensor, Tensor]:
-    return owner.new_empty((bodies.shape[0], ranks), dtype=torch.uint8), owner.new_empty((ranks,))
+    counts = owner.new_empty((ranks,), dtype=torch.int64)
+    return owner.new_empty((bodies.shape[0], ranks), dtype=torch.uint8), counts
 
 
 @torch.library.register_fake("pgccd::rows_by_rank")
@@ -127,8 +128,8 @@ def _(centres: list[Tensor], *_rest: object) -> tuple[Tensor, Tensor]:
 def _(
     position: Tensor, _id: Tensor | None, _frame: list[float], owner: Tensor, _rank: int, ranks: int
 ) -> tuple[Tensor, ...]:
-    leaving, by_destination = (owner.new_empty((position.shape[0],)) for _ in range(2))
-    return leaving, by_destination, owner.new_empty((ranks,))
+    leaving, by_destination = (owner.new_empty((position.shape[0],), dtype=torch.int64) for _ in range(2))
+    return leaving, by_destination, owner.new_empty((ranks,), dtype=torch.int64)
 
 
 def _row_bytes(columns: list[Tensor]) -> int | torch.SymInt:

@@ -6,7 +6,8 @@ from torch import Tensor
 
 from pgccd.ops import library
 
-#: Cells as in `Partition.frame`, owner (cells,) int64 of each, and a rank.
+#: A frame of cells (lower corner, cells a length unit, number of cells; along x, y, z each), the owner (cells,) int64
+#: of each, and a rank. Or the frame of a rank's part, planes (P - 1, 4) float64 as of `Bisection`, and the rank.
 Subdomain = tuple[list[float], Tensor, int]
 Centres = Sequence[Tensor]
 

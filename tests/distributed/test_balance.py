@@ -9,14 +9,14 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pgccd.distributed import BalanceOptions, CellLoads, Partition, imbalance, rebalance
+from pgccd.distributed import BalanceOptions, CellLoads, Cells, imbalance, rebalance
 from pgccd.distributed.balance import BackOff, RankLoads, one_cell, rank_loads, relative_speeds
 
 
 @st.composite
-def situations(draw: st.DrawFn) -> tuple[Partition, CellLoads]:
+def situations(draw: st.DrawFn) -> tuple[Cells, CellLoads]:
     """Any owners and loads, even and skewed, empty cells and empty ranks among them."""
-    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, draw(st.integers(1, 9)), cells=draw(st.integers(1, 4)))
+    partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, draw(st.integers(1, 9)), cells=draw(st.integers(1, 4)))
     generator = torch.Generator().manual_seed(draw(st.integers(0, 9999)))
     count = partition.cell_count
     if draw(st.booleans()):
@@ -29,7 +29,7 @@ def situations(draw: st.DrawFn) -> tuple[Partition, CellLoads]:
 
 @given(situations(), st.floats(0.0, 0.5))
 def test_one_cell_moves_one_from_the_most_to_the_least_loaded(
-    situation: tuple[Partition, CellLoads], threshold: float
+    situation: tuple[Cells, CellLoads], threshold: float
 ) -> None:
     partition, loads = situation
     load = loads.contacts
@@ -50,9 +50,7 @@ def test_one_cell_moves_one_from_the_most_to_the_least_loaded(
 
 
 @given(situations(), st.sampled_from(["cost", "measured", "one-cell", "none"]))
-def test_decisions_are_reproducible_and_never_make_it_worse(
-    situation: tuple[Partition, CellLoads], policy: str
-) -> None:
+def test_decisions_are_reproducible_and_never_make_it_worse(situation: tuple[Cells, CellLoads], policy: str) -> None:
     partition, loads = situation
     options = BalanceOptions(policy)
     owner = partition.owner.clone()
@@ -71,7 +69,7 @@ def test_decisions_are_reproducible_and_never_make_it_worse(
 
 @given(situations(), st.sampled_from(["cost", "measured", "one-cell"]), st.floats(0.0, 0.3))
 def test_ranks_loads_tell_when_cells_need_not_be_looked_at(
-    situation: tuple[Partition, CellLoads], policy: str, start: float
+    situation: tuple[Cells, CellLoads], policy: str, start: float
 ) -> None:
     partition, loads = situation
     options = BalanceOptions(policy, start=start, goal=0.0, threshold=start, moving=0.0)
@@ -84,9 +82,9 @@ def test_ranks_loads_tell_when_cells_need_not_be_looked_at(
         assert policy == "measured" or imbalance(load) > 1.0
 
 
-def skewed(ranks: int, cells: int = 16) -> tuple[Partition, CellLoads]:
+def skewed(ranks: int, cells: int = 16) -> tuple[Cells, CellLoads]:
     """Bodies crowd in one corner: the cell there has 20 times the bodies of the one opposite."""
-    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, ranks, cells=cells)
+    partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, ranks, cells=cells)
     at = torch.cartesian_prod(*[torch.arange(count) / count for count in partition.grid])
     bodies = (20.0 + 400.0 * torch.exp(-3.0 * at.norm(dim=1))).long()
     return partition, CellLoads(bodies, bodies, bodies // 20)
@@ -122,7 +120,7 @@ def test_a_slow_rank_gets_less() -> None:
 
 
 def test_small_differences_and_dear_moves_are_left_alone() -> None:
-    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
+    partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     level = CellLoads(*(torch.full((8,), count) for count in (100, 100, 10)))
     uneven = CellLoads(level.bodies + torch.tensor([9] * 4 + [0] * 4), level.pairs, level.contacts)
     assert rebalance(partition, uneven, BalanceOptions("cost")) is partition

@@ -12,7 +12,7 @@ from support.shapes import tetrahedron
 from torch import Tensor
 
 from pgccd import sim
-from pgccd.distributed import Alone, Partition, World, migrate
+from pgccd.distributed import Alone, Cells, World, migrate
 from pgccd.distributed import world as world_module
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.migrate import Census
@@ -80,7 +80,7 @@ def test_a_simulation_notices() -> None:
     upper = world.half_extent
     for rows in (torch.arange(39), torch.cat([torch.arange(40), torch.tensor([39])])):
         comm = Alone()
-        partition = Partition.uniform(tuple(-x for x in upper), upper, 1, cells=2)
+        partition = Cells.uniform(tuple(-x for x in upper), upper, 1, cells=2)
         simulation = DistributedSimulation(comm, world, partition, starting_share(comm, world))
         simulation.step(0)
         simulation.state = sim.RobotState(**take_rows(simulation.state.columns, rows))

@@ -15,7 +15,8 @@ from support.graphs import graphs_on
 from distributed.conftest import World
 from pgccd import sim
 from pgccd.detection.capacity import Capacity
-from pgccd.distributed import BalanceOptions, Comm, Partition, halo_capacity, padded_share
+from pgccd.distributed import BalanceOptions, Comm, halo_capacity, padded_share
+from pgccd.distributed.rebalancing import make_partition
 from pgccd.sim.distributed import DistributedSimulation, RankStep, starting_share
 from pgccd.sim.distributed import simulation as simulation_module
 from pgccd.sim.distributed.runner import gather_state, gather_step
@@ -47,11 +48,17 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def make_simulation(
-    comm: Comm, name: str, policy: str, overlap: bool, device: str = "cpu", graph: bool | None = None
+    comm: Comm,
+    name: str,
+    policy: str,
+    overlap: bool,
+    device: str = "cpu",
+    graph: bool | None = None,
+    kind: str = "cells",
 ) -> DistributedSimulation:
     model = sim.Model(sim.ModelConfig(**WORLDS[name]), device=device)
     upper = model.half_extent
-    partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=4, device=device)
+    partition = make_partition(kind, tuple(-x for x in upper), upper, comm.size, 3, 4, device)
     start = starting_share(comm, model)
     return DistributedSimulation(comm, model, partition, start, BalanceOptions(policy), overlap, graph=graph)
 
@@ -77,11 +84,12 @@ def follow(
     overlap: bool,
     device: str = "cpu",
     graph: bool = False,
+    kind: str = "cells",
 ) -> dict[str, int]:
     """Compares every step's log and the last step's columns with one process. With `graph`, steps are replayed, and now
     and then a rank exceeds its capacity."""
     records, last = single_run(name, steps)
-    simulation = make_simulation(comm, name, policy, overlap, device, graph)
+    simulation = make_simulation(comm, name, policy, overlap, device, graph, kind)
     if graph and comm.rank == comm.size - 1:
         simulation._plan = Cramped()
     generator = torch.Generator().manual_seed(17)
@@ -139,6 +147,15 @@ def follow_replayed(
             stack.enter_context(mock.patch.object(padded_share, "_NEAR_SLACK", 1))
             stack.enter_context(mock.patch.object(simulation_module, "_OWN_MORE", 0))
         return follow(comm, name, policy, steps, random_owners, True, graph=True)
+
+
+def follow_bisected(
+    comm: Comm, name: str, policy: str, steps: int, replayed: bool = False, device: str = "cpu"
+) -> dict[str, int]:
+    """The same with planes, as replays or not."""
+    with graphs_on(device if replayed else "none") as stack:
+        stack.enter_context(mock.patch.object(simulation_module, "_MOST_AWAY", 0.5))
+        return follow(comm, name, policy, steps, False, True, device, replayed, "bisection")
 
 
 @pytest.mark.parametrize(

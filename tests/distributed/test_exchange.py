@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from distributed.conftest import World
-from pgccd.distributed import Comm, Partition
+from pgccd.distributed import Cells, Comm
 from pgccd.distributed.comm.exchange import Columns, make_route, pack, replace_rows, unpack
 from pgccd.distributed.comm.torch_comm import TorchComm
 from pgccd.distributed.migrate import Census, migrate
@@ -85,7 +85,7 @@ def test_rows_arrive(world: World, neighbours_above: int) -> None:
 
 def hand_over(comm: Comm) -> int:
     """Every rank can compute which rows each has."""
-    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, comm.size, cells=3)
+    partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, comm.size, cells=3)
     generator = torch.Generator().manual_seed(8)
     count, total = 300, 0
     position = torch.rand((count, 3), dtype=torch.float64, generator=generator)

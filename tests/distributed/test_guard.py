@@ -98,9 +98,15 @@ def test_a_closed_connection_is_a_dead_rank(ranks: Ranks, exits: list[int], caps
     # It is said at once, and only there: launchers end all ranks soon.
     assert capsys.readouterr().err.count("pgccd: rank 1 (process 1) has died\n") == 1
     # A rank that gets no error is ended by its guard.
-    wait_for(lambda: exits)
+    said = ""
+
+    def is_told() -> bool:
+        nonlocal said
+        said += capsys.readouterr().err
+        return "rank 2 gives up in the start: rank 1 (process 1) has died" in said
+
+    wait_for(is_told)
     assert set(exits) == {70}
-    assert "rank 2 gives up in the start: rank 1 (process 1) has died" in capsys.readouterr().err
 
 
 def test_the_death_of_rank_0_is_seen_by_all(ranks: Ranks, exits: list[int]) -> None:

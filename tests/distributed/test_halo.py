@@ -12,7 +12,7 @@ from support.shapes import directions, tensors
 import pgccd
 from distributed.conftest import World
 from pgccd import ops, sim
-from pgccd.distributed import Alone, Comm, Partition
+from pgccd.distributed import Alone, Cells, Comm
 from pgccd.distributed.detection import detect_distributed
 from pgccd.distributed.share import Options
 from pgccd.runtime.stages import StageClock
@@ -45,7 +45,7 @@ def test_boxes_of_potentially_colliding_pairs_overlap(seed: int, offset: float, 
     i, j = pairs.unbind(dim=1)
     assert bool(((lower[i] <= upper[j]) & (lower[j] <= upper[i])).all())
     # So the cell of the reference point is one that both reach.
-    partition = Partition.uniform((-offset - 1.0,) * 3, (offset + 1.0,) * 3, 64, cells=(8, 8, 8))
+    partition = Cells.uniform((-offset - 1.0,) * 3, (offset + 1.0,) * 3, 64, cells=(8, 8, 8))
     cell = partition.coordinates(torch.maximum(lower[i], lower[j]))
     for body in (i, j):
         assert bool((partition.coordinates(lower[body]) <= cell).all())
@@ -66,7 +66,7 @@ def test_boxes_hold_their_bodies_and_are_tight(device: torch.device) -> None:
 def test_bad_poses_and_separations_are_named() -> None:
     model = sim.Model(sim.ModelConfig(robots=8))
     state = model.start()
-    partition, own = Partition.uniform((-1.0,) * 3, (1.0,) * 3, 1), {"id": state.id}
+    partition, own = Cells.uniform((-1.0,) * 3, (1.0,) * 3, 1), {"id": state.id}
 
     def build(columns: dict[str, torch.Tensor]) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
         return model.scene(columns["id"]), model.motion(state)
@@ -97,7 +97,7 @@ def spoil(comm: Comm) -> None:
     """A pose that is no number, on one rank: named there; no rank takes it for a body somewhere."""
     model = sim.Model(sim.ModelConfig(robots=60))
     half = model.half_extent
-    partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
+    partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
     simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
     if comm.rank == comm.size - 1:
         simulation.state.position[3, 1] = torch.nan

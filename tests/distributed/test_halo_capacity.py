@@ -14,7 +14,7 @@ from torch import Tensor
 from distributed.conftest import World
 from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
 from pgccd import sim
-from pgccd.distributed import Comm, Partition, halo_capacity, share
+from pgccd.distributed import Cells, Comm, halo_capacity, share
 from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo, Sent
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
@@ -25,7 +25,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
     """Records; and of each padded halo, whether its capacity sufficed."""
     model = sim.Model(CONFIG)
     half = model.half_extent
-    partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
+    partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
     enough: list[bool] = []
     wait, after = PaddedHalo.wait, HaloCapacity.after
 

@@ -84,7 +84,9 @@ def alone(report: str, step: int) -> pgccd.Contacts:
     return pgccd.detect(scene(), pgccd.VertexMotion(frames()[step], frames()[step + 1]), report, 0.01)
 
 
-def spread(comm: Comm, report: str, device: torch.device, owners: int = 0, policy: str = "none") -> SharedWorld:
+def spread(
+    comm: Comm, report: str, device: torch.device, owners: int = 0, policy: str = "none", partition: str = "cells"
+) -> SharedWorld:
     """The bodies on ranks, dealt out at random; with a random table of owners of cells, if `owners` is not 0."""
     generator = torch.Generator().manual_seed(4)
     mine = torch.nonzero(torch.randint(comm.size, (COUNT,), generator=generator) == comm.rank)[:, 0].flip(0)
@@ -101,6 +103,7 @@ def spread(comm: Comm, report: str, device: torch.device, owners: int = 0, polic
         comm=comm,
         report=report,
         min_separation=0.01,
+        partition=partition,
         cells=4,
         balance=BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0),
         **given,
@@ -137,11 +140,22 @@ def require_equal(world: SharedWorld, found: pgccd.Contacts, whole: pgccd.Contac
         assert got is not None and torch.equal(got.cpu(), (pairs if name == "pairs" else expected)[affected]), name
 
 
-def deform(comm: Comm, report: str, device: torch.device = torch.device("cpu")) -> dict[str, int]:  # noqa: B008
+def deform_bisected(comm: Comm, report: str) -> dict[str, int]:
+    return deform(comm, report, partition="bisection")
+
+
+def deform(
+    comm: Comm,
+    report: str,
+    device: torch.device = torch.device("cpu"),  # noqa: B008
+    partition: str = "cells",
+) -> dict[str, int]:
     """Follows the bodies for some steps, over two tables of owners."""
     seen = dict.fromkeys(("contacts", "with itself", "ghosts", "arrived"), 0)
     for owners, policy in ((0, "cost"), (5, "none")):
-        world = spread(comm, report, device, owners, policy)
+        if partition == "bisection":
+            owners, policy = 0, "cost"
+        world = spread(comm, report, device, owners, policy, partition)
         for step in range(STEPS):
             before = world.vertex_payload["x"]
             rows = rows_of(world)

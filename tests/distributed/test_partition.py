@@ -10,18 +10,18 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pgccd.distributed import Partition, factorise
+from pgccd.distributed import Cells, factorise
 
 counts = st.integers(1, 24)
 
 
 @st.composite
-def partitions(draw: st.DrawFn) -> Partition:
+def partitions(draw: st.DrawFn) -> Cells:
     """Any shape of box, any number of ranks and cells, any owners."""
     lower = draw(st.tuples(*[st.floats(-1e3, 1e3)] * 3))
     upper = tuple(x + draw(st.floats(0.1, 1e3)) for x in lower)
     cells = draw(st.one_of(st.integers(1, 4), st.tuples(*[st.integers(1, 3)] * 3)))
-    partition = Partition.uniform(lower, upper, draw(counts), axes=draw(st.integers(1, 3)), cells=cells)
+    partition = Cells.uniform(lower, upper, draw(counts), axes=draw(st.integers(1, 3)), cells=cells)
     if draw(st.booleans()):
         generator = torch.Generator().manual_seed(draw(st.integers(0, 99)))
         owner = torch.randint(partition.ranks, (partition.cell_count,), generator=generator)
@@ -30,7 +30,7 @@ def partitions(draw: st.DrawFn) -> Partition:
 
 
 @st.composite
-def boxes(draw: st.DrawFn, partition: Partition) -> tuple[torch.Tensor, torch.Tensor]:
+def boxes(draw: st.DrawFn, partition: Cells) -> tuple[torch.Tensor, torch.Tensor]:
     """Corners (K, 3) in and around the world's box, some of them points, some larger than everything."""
     generator = torch.Generator().manual_seed(draw(st.integers(0, 999)))
     extent = torch.tensor(partition.upper, dtype=torch.float64) - torch.tensor(partition.lower, dtype=torch.float64)
@@ -70,12 +70,12 @@ def test_subdomains_multiply_up_and_have_the_least_surface(ranks: int, extent: t
 
 def test_the_paper_s_decomposition() -> None:
     """n subdomains of m x m cells in X-Y, each at first its rank's; points outside belong to the boundary."""
-    partition = Partition.uniform((0.0, 0.0, 0.0), (8.0, 8.0, 8.0), 8, cells=4)
+    partition = Cells.uniform((0.0, 0.0, 0.0), (8.0, 8.0, 8.0), 8, cells=4)
     assert partition.subdomains == (2, 2, 2) and partition.grid == (8, 8, 2)
     assert torch.bincount(partition.owner).tolist() == [16] * 8
     points = torch.tensor([[1.0, 1.0, 1.0], [1.0, 1.0, 7.0], [7.0, 1.0, 1.0], [-1e9, 9e9, -5.0], [1e150, 4.0, 8.0]])
     assert partition.owner_of(points).tolist() == [0, 1, 4, 2, 7]
-    slabs = Partition.uniform((0.0, 0.0, 0.0), (1.0, 5.0, 1.0), 4, axes=1, cells=1)
+    slabs = Cells.uniform((0.0, 0.0, 0.0), (1.0, 5.0, 1.0), 4, axes=1, cells=1)
     assert slabs.subdomains == (1, 4, 1)
 
 
@@ -94,8 +94,8 @@ def test_the_paper_s_decomposition() -> None:
 def test_mistakes_are_named(change: dict, message: str) -> None:
     good = {"lower": (0.0, 0.0, 0.0), "upper": (1.0, 1.0, 1.0), "ranks": 2, "axes": 3, "cells": 2}
     with pytest.raises(ValueError, match=message):
-        Partition.uniform(**{**good, **change})
-    partition = Partition.uniform(**good)
+        Cells.uniform(**{**good, **change})
+    partition = Cells.uniform(**good)
     with pytest.raises(ValueError, match="^owner: values in"):
         partition.with_owner(torch.full_like(partition.owner, 2))
     with pytest.raises(ValueError, match="^owner: expected"):

@@ -11,7 +11,7 @@ import torch
 
 from distributed.conftest import World
 from pgccd import sim
-from pgccd.distributed import BalanceOptions, Comm, Partition
+from pgccd.distributed import BalanceOptions, Cells, Comm
 from pgccd.sim.checkpoint import require_checkpoint
 from pgccd.sim.distributed import DistributedOptions, DistributedSimulation, resume, run, runner
 from pgccd.sim.distributed.checkpoint import load_share
@@ -26,15 +26,15 @@ def go_on(comm: Comm, folder: str) -> list[dict[str, Any]]:
     options = DistributedOptions(cells=4, balance=eager)
     run(comm, CONFIG, 6, folder, options=options)
     half = sim.Model(CONFIG).half_extent
-    start = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=4)
+    start = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=4)
     owners = require_checkpoint(Path(folder)).owners()
     assert owners is not None and not torch.equal(owners.owner, start.owner)
-    for other in (Partition.uniform(start.lower, half, comm.size + n, cells=5 - n) for n in (0, 1)):
+    for other in (Cells.uniform(start.lower, half, comm.size + n, cells=5 - n) for n in (0, 1)):
         assert runner._owned_as_before(owners, other) is other
 
     began = []
 
-    def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> DistributedSimulation:
+    def begin(comm: Comm, model: sim.Model, partition: Cells, *rest: Any) -> DistributedSimulation:
         began.append(partition)
         return DistributedSimulation(comm, model, partition, *rest)
 

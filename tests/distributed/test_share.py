@@ -13,7 +13,7 @@ from pgccd import sim
 from pgccd.detection import parts as parts_module
 from pgccd.detection.capacity import EXACTLY, Capacity
 from pgccd.detection.parts import Part
-from pgccd.distributed import Comm, Partition
+from pgccd.distributed import Cells, Comm
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 CONFIG = sim.ModelConfig(robots=150, speed=0.3, spin=0.5, seed=3)
@@ -47,7 +47,7 @@ def by_ranks(comm: Comm, capacity: str) -> tuple[list[dict[str, Any]], int, int]
     """Records; how often own pairs were found again; and how many own parts exceeded their capacity."""
     model = sim.Model(CONFIG)
     half = model.half_extent
-    partition = Partition.uniform(tuple(-x for x in half), half, comm.size, cells=2)
+    partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
     renewed = searched = 0
 
     class Watched(Part):

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from distributed.test_partition import partitions
 from pgccd import ops
-from pgccd.distributed import Partition
+from pgccd.distributed import Cells
 
 SEPARATION = 0.25
 DEVICES = ["cpu"] + (["cuda"] if torch.cuda.is_available() else [])
 
 
-def bodies(partition: Partition, count: int, generator: torch.Generator) -> list[torch.Tensor]:
+def bodies(partition: Cells, count: int, generator: torch.Generator) -> list[torch.Tensor]:
     """Centres and radii of moving bodies in and around the world's box, some of them larger than everything."""
     lower, upper = (torch.tensor(x, dtype=torch.float64) for x in (partition.lower, partition.upper))
     extent = upper - lower
@@ -27,7 +27,7 @@ def bodies(partition: Partition, count: int, generator: torch.Generator) -> list
     return [start, start + travel, size * extent.min()]
 
 
-def cells_of_boxes(partition: Partition, centres: list[torch.Tensor]) -> list[set[int]]:
+def cells_of_boxes(partition: Cells, centres: list[torch.Tensor]) -> list[set[int]]:
     """The cells that each body's box reaches, one by one."""
     lower, upper = ops.swept_boxes(*centres, SEPARATION, 0.0)
     found = []
@@ -147,7 +147,7 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
 
 def test_many_leave_for_many(device: torch.device) -> None:
     """More than there are threads to put them in order."""
-    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 12, cells=3)
+    partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 12, cells=3)
     position = torch.rand((30_000, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(4))
     owner, rank = partition.owner_of(position), 7
     leaving, by_destination, counts = ops.leaving_bodies(
@@ -160,7 +160,7 @@ def test_many_leave_for_many(device: torch.device) -> None:
 
 
 def test_positions_that_are_no_numbers_have_a_cell() -> None:
-    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
+    partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     wrong = torch.tensor([[torch.nan] * 3, [torch.inf] * 3, [-torch.inf] * 3], dtype=torch.float64)
     *_, counts = ops.leaving_bodies(wrong, None, partition.subdomain(5), 2)
     assert int(counts.sum()) == 3
@@ -168,7 +168,7 @@ def test_positions_that_are_no_numbers_have_a_cell() -> None:
 
 @pytest.mark.parametrize("change", [{"frame": [0.0] * 8}, {"owner": torch.zeros(3, dtype=torch.int64)}])
 def test_arguments_are_checked(change: dict) -> None:
-    partition = Partition.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
+    partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     arguments = {"frame": partition.frame, "owner": partition.owner} | change
     with pytest.raises(RuntimeError, match=next(iter(change))):
         ops.leaving_bodies(torch.zeros((2, 3), dtype=torch.float64), None, (*arguments.values(), 0), 2)

@@ -14,7 +14,7 @@ import threading
 import torch
 
 from pgccd import sim
-from pgccd.distributed import Partition, choose_device, connect, guard
+from pgccd.distributed import Cells, choose_device, connect, guard
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 RANK, STEP = 1, 3
@@ -27,7 +27,7 @@ def main(fault: str, kind: str, timeout: float) -> None:
         device = choose_device(kind)
         model = sim.Model(sim.ModelConfig(robots=64), device=device)
         upper = model.half_extent
-        partition = Partition.uniform(tuple(-x for x in upper), upper, comm.size, cells=2, device=device)
+        partition = Cells.uniform(tuple(-x for x in upper), upper, comm.size, cells=2, device=device)
         simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
         for index in range(10):
             if comm.rank == RANK and index == STEP:

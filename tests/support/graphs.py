@@ -44,9 +44,9 @@ def record(work: Callable[[], Tensor], device: torch.device) -> tuple[Any, Tenso
 
 
 def graphs_on(device: torch.device | str) -> ExitStack:
-    """A context in which steps can be captured on this device."""
+    """A context in which steps can be captured on this device; "none": as without it."""
     stack = ExitStack()
-    if torch.device(device).type == "cpu":
+    if device != "none" and torch.device(device).type == "cpu":
         stack.enter_context(mock.patch.object(captured, "capture", record))
         stack.enter_context(mock.patch.object(captured, "record_event", lambda timed: Now()))
     return stack

@@ -24,3 +24,5 @@ with connect("cuda", "nccl") as comm:
     # With cells distributed at random, and a rank whose capacity is exceeded now and then.
     seen = test_distributed_simulation.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
     assert seen["contacts"] > 100 and seen["arrived"] > 20
+    seen = test_distributed_simulation.follow_bisected(comm, "skewed", "cost", int(sys.argv[1]), True, str(device))
+    assert seen["contacts"] > 100

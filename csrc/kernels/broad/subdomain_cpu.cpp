@@ -9,6 +9,11 @@ namespace pgccd {
 namespace {
 
 void require_owners(const Executor& executor, const Subdomain& subdomain, int64_t ranks) {
+  if (subdomain.owner == nullptr) {
+    require_rows(executor, subdomain.plane_count, "owner", "are planes above others, or above ranks",
+                 [&](int64_t plane) { return is_sound(subdomain.planes[plane], plane, subdomain.plane_count, ranks); });
+    return;
+  }
   require_rows(executor, subdomain.frame.cell_count(), "owner", "name ranks",
                [&](int64_t cell) { return is_within(subdomain.owner[cell], ranks); });
 }
@@ -33,11 +38,11 @@ void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input,
   parallel_chunks(executor, input.row_count, 256, [&](int, int64_t begin, int64_t end) {
     for (int64_t k = begin; k < end; ++k) {
       if (input.rows[k] < 0) continue;
-      const CellRange range(subdomain.frame, swept_box(input.bodies, input.rows[k]));
       uint8_t* replica_ranks = out.replica_ranks + k * out.ranks;
-      for (int64_t cell = 0; cell < range.count(); ++cell) {
-        replica_ranks[subdomain.owner[subdomain.frame.index(range[cell])]] = 1;
-      }
+      subdomain.any_owner(swept_box(input.bodies, input.rows[k]), [&](int64_t rank) {
+        replica_ranks[rank] = 1;
+        return false;
+      });
       replica_ranks[subdomain.rank] = 0;
     }
   });
@@ -92,7 +97,7 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
     ordered_corners(box, corners);
     for (int64_t k = 0; k < range.count(); ++k) {
       const int64_t cell = subdomain.frame.index(range[k]);
-      if (subdomain.owner[cell] != subdomain.rank) continue;
+      if (!subdomain.has_cell(cell)) continue;
       int64_t* around = cell_boxes.data() + 6 * cell;
       for (int axis = 0; axis < 3; ++axis) {
         around[axis] = std::min(around[axis], corners[axis]);

@@ -96,13 +96,12 @@ void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& i
     const int64_t k = item / kBodyThreads, thread = item % kBodyThreads;
     if (rows[k] < 0) return;
     require_on_device(rows[k] < bodies.count, "bodies: expected -1 or rows of bodies");
-    const CellRange range(subdomain.frame, swept_box(bodies, rows[k]));
-    const int64_t count = range.count();
-    for (int64_t cell = thread; cell < count; cell += kBodyThreads) {
-      const int64_t rank = subdomain.owner[subdomain.frame.index(range[cell])];
+    const auto mark = [&](int64_t rank) {
       require_on_device(is_within(rank, ranks), "owner: expected ranks");
       if (rank != subdomain.rank) replica_ranks[k * ranks + rank] = 1;
-    }
+      return false;
+    };
+    subdomain.any_owner(swept_box(bodies, rows[k]), mark, thread, kBodyThreads);
     if (thread != 0 || sources == 0) return;
     int64_t source = 0;
     while (end[source] <= k) ++source;
@@ -171,7 +170,7 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
     const int64_t count = range.count();
     for (int64_t k = item % kBodyThreads; k < count; k += kBodyThreads) {
       const int64_t cell = subdomain.frame.index(range[k]);
-      if (subdomain.owner[cell] != subdomain.rank) continue;
+      if (!subdomain.has_cell(cell)) continue;
       for (int axis = 0; axis < 3; ++axis) {
         lower_to(cell_boxes + 6 * cell + axis, corners[axis]);
         raise_to(cell_boxes + 6 * cell + 3 + axis, corners[3 + axis]);

@@ -1,61 +1,13 @@
-// One body and the cells it reaches. Every function of a point is monotone along each axis, rounding included, so that
-// the cell of a point in a box lies between those of the box's corners.
+// One body, and the parts of space it reaches.
 #pragma once
 
-#include <cmath>
-
-#include "kernels/broad/body_volumes.h"
+#include "kernels/broad/space_partition.h"
 
 namespace pgccd {
 
-struct Cell {
-  int64_t x, y, z;
-};
-
-// Equal cells; those at the boundary extend to infinity.
-struct CellFrame {
-  double lower[3];
-  double per_length[3];  // cells a length unit
-  int64_t count[3];
-
-  PGCCD_HD int64_t along(int axis, double x) const {
-    const double at = std::floor((x - lower[axis]) * per_length[axis]), last = static_cast<double>(count[axis] - 1);
-    return at > 0.0 ? static_cast<int64_t>(at < last ? at : last) : 0;  // 0 for NaN too
-  }
-  PGCCD_HD Cell cell(Vec3<double> point) const { return {along(0, point.x), along(1, point.y), along(2, point.z)}; }
-  PGCCD_HD int64_t index(const Cell& cell) const { return (cell.x * count[1] + cell.y) * count[2] + cell.z; }
-  PGCCD_HD int64_t cell_count() const { return count[0] * count[1] * count[2]; }
-};
-
-struct Subdomain {
-  CellFrame frame;
-  const int64_t* owner;  // (cells,) rank of each
-  int64_t rank;
-};
-
-// The cells a box reaches, numbered 0 to count() - 1.
-struct CellRange {
-  Cell first, extent;
-
-  PGCCD_HD CellRange(const CellFrame& frame, const SweptBox& box) : first(frame.cell(box.lower)) {
-    const Cell last = frame.cell(box.upper);
-    extent = {last.x - first.x + 1, last.y - first.y + 1, last.z - first.z + 1};
-  }
-  PGCCD_HD int64_t count() const { return extent.x * extent.y * extent.z; }
-  PGCCD_HD Cell operator[](int64_t number) const {
-    const int64_t column = number / extent.z;
-    return {first.x + column / extent.y, first.y + column % extent.y, first.z + number % extent.z};
-  }
-};
-
 PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Subdomain& subdomain, int64_t body) {
   if (bodies.is_absent(body)) return false;
-  const CellRange range(subdomain.frame, swept_box(bodies, body));
-  const int64_t count = range.count();
-  for (int64_t k = 0; k < count; ++k) {
-    if (subdomain.owner[subdomain.frame.index(range[k])] != subdomain.rank) return true;
-  }
-  return false;
+  return subdomain.any_owner(swept_box(bodies, body), [&](int64_t rank) { return rank != subdomain.rank; });
 }
 
 // Pairs of some of the bodies held, of which own ones come first, then ghosts.
@@ -96,8 +48,7 @@ PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t k) {
   if ((own_i && input.reach[held_i] == 0) || (own_j && input.reach[held_j] == 0)) return true;
   const Vec3<double> a = swept_box(input.bodies, i).lower, b = swept_box(input.bodies, j).lower;
   const Vec3<double> reference{larger(a.x, b.x), larger(a.y, b.y), larger(a.z, b.z)};
-  const CellFrame& frame = input.subdomain.frame;
-  return input.subdomain.owner[frame.index(frame.cell(reference))] == input.subdomain.rank;
+  return input.subdomain.owner_of(reference) == input.subdomain.rank;
 }
 
 // The k-th pair that is owned, the smaller id first; `found` (found_count,) of all.
@@ -157,7 +108,7 @@ struct BodyPositions {
 };
 
 PGCCD_HD int64_t owner_of(const Subdomain& subdomain, const BodyPositions& bodies, int64_t body) {
-  return subdomain.owner[subdomain.frame.index(subdomain.frame.cell(load_vec3(bodies.position + 3 * body)))];
+  return subdomain.owner_of(load_vec3(bodies.position + 3 * body));
 }
 
 PGCCD_HD bool is_leaving(const Subdomain& subdomain, const BodyPositions& bodies, int64_t body) {

@@ -16,7 +16,7 @@ import torch
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.launch.agreement import on_first, together
 from pgccd.distributed.migrate import id_range
-from pgccd.distributed.partition import Partition
+from pgccd.distributed.partition import Cells, Partition
 from pgccd.sim.checkpoint import StoredCheckpoint
 from pgccd.sim.checkpoint_files import (
     FOLDER,
@@ -60,7 +60,9 @@ class Checkpoints:
         self.finish()
         name = on_first(self._comm, lambda: self._make_folder(header.steps_made))
         columns = {name: column.detach().to("cpu", copy=True) for name, column in state.columns.items()}
-        owners = Owners(partition.subdomains, partition.cells, partition.owner.to("cpu", copy=True))
+        owners = None
+        if isinstance(partition, Cells):
+            owners = Owners(partition.subdomains, partition.cells, partition.owner.to("cpu", copy=True))
         done: Future[None] = Future()
 
         def work() -> None:
@@ -89,7 +91,7 @@ class Checkpoints:
         make_folder(self._root / name)
         return name
 
-    def _write(self, name: str, header: Header, state: RobotState, owners: Owners) -> None:
+    def _write(self, name: str, header: Header, state: RobotState, owners: Owners | None) -> None:
         own, error = None, None
         try:
             own = write_robots(self._root / name, self._comm.rank, state)

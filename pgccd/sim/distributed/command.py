@@ -19,6 +19,7 @@ from pgccd.distributed.guard import RankFailureError, is_of_all_ranks
 from pgccd.distributed.launch.agreement import on_first
 from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connect, tell_problem
 from pgccd.distributed.launch.placement import find_placement
+from pgccd.distributed.rebalancing import PARTITIONS
 from pgccd.sim.checkpoint import find_checkpoint
 from pgccd.sim.distributed.runner import DistributedOptions
 
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ).add_argument
     add("--transport", choices=TRANSPORTS, default="auto", help="what carries messages (NCCL for GPUs, else Gloo)")
     add("--timeout", type=float, default=DEFAULT_TIMEOUT, metavar="SECONDS", help="longest wait for another rank (300)")
+    add("--partition", choices=PARTITIONS, default="cells", help="how space is cut (cells)")
     add("--axes", type=int, choices=(1, 2, 3), default=3, help="along which space is cut; 1: slabs (3)")
     add("--cells", type=int, default=16, metavar="M", help="each rank starts with M x M cells (16)")
     add("--balance", choices=POLICIES, default="cost", help="how cells change hands (cost)")
@@ -40,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def distributed_options(options: argparse.Namespace) -> DistributedOptions:
     """Of the command line."""
-    return DistributedOptions(options.axes, options.cells, BalanceOptions(options.balance))
+    return DistributedOptions(options.partition, options.axes, options.cells, BalanceOptions(options.balance))
 
 
 def connect_ranks(options: argparse.Namespace) -> Comm:

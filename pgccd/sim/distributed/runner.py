@@ -18,7 +18,8 @@ from pgccd.distributed.balance import BalanceOptions
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
-from pgccd.distributed.partition import Partition, Triple
+from pgccd.distributed.partition import Cells, Partition, Triple
+from pgccd.distributed.rebalancing import make_partition, require_policy
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
 from pgccd.sim.checkpoint import require_checkpoint
@@ -37,6 +38,7 @@ from pgccd.sim.step import Step
 class DistributedOptions:
     """How a world is spread over ranks. No result depends on it."""
 
+    partition: str = "cells"  #: or "bisection"
     axes: int = 3  #: that subdomains are cut along: 1 (slabs), 2 or 3
     cells: int | Triple = 16  #: of each subdomain: m stands for m x m in X-Y
     balance: BalanceOptions = field(default_factory=BalanceOptions)
@@ -160,7 +162,11 @@ def _held(comm: Comm, folder: Path) -> Iterator[None]:
 
 def _owned_as_before(owners: Owners | None, partition: Partition) -> Partition:
     """The partition with the owners of a checkpoint, so that loads stay even; unless space was cut in another way."""
-    if owners is None or (*owners.subdomains, *owners.cells) != (*partition.subdomains, *partition.cells):
+    if (
+        owners is None
+        or not isinstance(partition, Cells)
+        or (*owners.subdomains, *owners.cells) != (*partition.subdomains, *partition.cells)
+    ):
         return partition
     return partition.with_owner(owners.owner)
 
@@ -175,10 +181,10 @@ def _compare(
 
 
 def _partition(comm: Comm, model: Model, options: DistributedOptions) -> Partition:
+    require_policy(options.partition, options.balance)
     x, y, z = model.half_extent
-    return Partition.uniform(
-        (-x, -y, -z), (x, y, z), comm.size, axes=options.axes, cells=options.cells, device=model.device
-    )
+    cut = (-x, -y, -z), (x, y, z), comm.size, options.axes, options.cells, model.device
+    return make_partition(options.partition, *cut)
 
 
 class _SimulationMachine:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -12,14 +12,15 @@ from torch import Tensor
 
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.parts import contacts_of_step
-from pgccd.distributed.balance import BackOff, BalanceOptions, CellLoads, RankLoads, rebalance
+from pgccd.distributed.balance import BackOff, BalanceOptions, RankLoads
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection import Detection, cell_loads
+from pgccd.distributed.detection import Detection
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.migrate import Census, Leaving, id_range, migrate
 from pgccd.distributed.padded_share import ShareCapacity
 from pgccd.distributed.partition import Partition
+from pgccd.distributed.rebalancing import rebalanced
 from pgccd.distributed.share import Options, OwnSearch, PartEstimates, Share
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
@@ -248,20 +249,18 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         reports: Reports,
         clock: StageClock,
     ) -> int:
-        """Redistributes the cells. Returns how many moved."""
+        """Redistributes space. Returns how many cells or planes moved."""
         if not self._is_balance_due(index, reports):
             return 0
         with clock.stage("balance"):
             resolved.learn()  # so that contacts need not be waited for
-            seen = cell_loads(self._partition, planned.position, Detection(share, contacts_of_step(share.parts)))
-            total = CellLoads.unstacked(self.comm.sum(seen.stacked()))
+            found = Detection(share, contacts_of_step(share.parts))
             seconds = torch.tensor(reports.seconds(), dtype=torch.float64)
-            shared_out = rebalance(self._partition, total, self.balance, seconds)
-            moved = int((shared_out.owner != self._partition.owner).sum())
-            self._back_off.tried(index, moved)
-            if moved > 0:
-                self._partition, self._capacity = shared_out, None
-            return moved
+            after = rebalanced(self.comm, self._partition, planned.position, found, self.balance, seconds)
+            self._back_off.tried(index, after.moved)
+            if after.moved > 0:
+                self._partition, self._capacity = after.partition, None
+            return after.moved
 
     def _is_balance_due(self, index: int, reports: Reports) -> bool:
         if not self.balance.applies(index + 1, self.comm.size) or not self._back_off.is_over(index):
@@ -274,8 +273,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
     def _capture(self, index: int, rounds: int) -> StepGraph:
         assert self._share_capacity is not None
         self._notes = torch.zeros(2, dtype=torch.int64, device=self.model.device)
-        # The graph reads this table, whoever owns the cells.
-        self._graph_partition = replace(self._partition, owner=self._partition.owner.clone())
+        self._graph_partition = self._partition.copy()
         where = self.comm, self._graph_partition, self._share_capacity, self._notes
         searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
         state = padded_state(self._state, len(self._state) + len(self._state) // _OWN_SHARE + _OWN_MORE)
@@ -288,9 +286,9 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         return not self.comm.any(not captured)
 
     def _load(self, graph: StepGraph, index: int) -> bool:
-        if self.comm.any(len(self._state) > len(graph.state)):
+        fits = len(self._state) <= len(graph.state) and self._graph_partition.become(self._partition)
+        if self.comm.any(not fits):
             return False
-        self._graph_partition.owner.copy_(self._partition.owner)
         self._notes[0], self._notes[1] = self._arrived, int(self._stop)
         graph.load(self._state, index)
         return True

@@ -1,0 +1,228 @@
+"""Recursive coordinate bisection (Berger & Bokhari 1987): planes divide space, and each part again, until there is one
+part a rank. They are where the loads on both sides are as the numbers of ranks there, so that a hot spot is divided
+however small it is. P - 1 planes are all that is known of P ranks.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from pgccd import ops
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.partition import Partition, Point, box_given
+
+# A plane is searched in so many bins, these being divided again, so many times.
+_BINS, _ZOOMS = 64, 4
+# Cells of a rank's part along each axis, in which ghosts are found near own bodies.
+_CELLS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Bisection(Partition):
+    """Space in one box a rank, bounded by planes. Make one with `Bisection.uniform`.
+
+    All functions of points and boxes are monotone along every axis: a point below a plane has a coordinate smaller than
+    the plane's.
+    """
+
+    lower: Point  #: of the world's box, length units
+    upper: Point
+    #: (P - 1, 4) float64: axis, coordinate, and what is below and above it: a row further down, or rank r as -1 - r.
+    planes: Tensor
+
+    @classmethod
+    def uniform(cls, lower: Point, upper: Point, ranks: int, device: torch.device | str = "cpu") -> Bisection:
+        """Parts of equal volume.
+
+        Args:
+            lower, upper: corners of the world's box, length units.
+            ranks: number of parts.
+            device: where the planes live.
+
+        Raises:
+            ValueError, TypeError: naming the argument.
+
+        Example:
+            >>> partition = pgccd.distributed.Bisection.uniform((0, 0, 0), (8, 8, 8), ranks=5)
+            >>> partition.owner_of(torch.tensor([[1.0, 7.0, 3.0]]))
+        """
+        low, high = box_given(lower, upper)
+        if ranks < 1:
+            raise ValueError(f"ranks: expected at least 1, got {ranks}")
+
+        def in_proportion(level: Sequence[_Split]) -> list[float]:
+            return [split.low + split.fraction * (split.high - split.low) for split in level]
+
+        return cls(low, high, _bisect(low, high, [1.0] * ranks, in_proportion).to(device))
+
+    @property
+    def ranks(self) -> int:
+        return len(self.planes) + 1
+
+    def owner_of(self, points: Tensor) -> Tensor:
+        at = torch.full((len(points),), 0 if len(self.planes) else -1, device=points.device)
+        for _ in range(self._depth):
+            plane = self.planes[at.clamp(min=0)]
+            coordinate = points.gather(1, plane[:, :1].long())[:, 0]
+            side = torch.where(coordinate < plane[:, 1], plane[:, 2], plane[:, 3]).long()
+            at = torch.where(at >= 0, side, at)
+        return -1 - at
+
+    @functools.cached_property
+    def _depth(self) -> int:
+        """Of the tree of planes: parts are halved by number of ranks."""
+        return (self.ranks - 1).bit_length()
+
+    @functools.cached_property
+    def boxes(self) -> list[tuple[list[float], list[float]]]:
+        """The lower and upper corners of each rank's part, within the world's box."""
+        found: list[tuple[list[float], list[float]]] = [([], [])] * self.ranks
+        planes = self.planes.tolist()
+        todo = [(0 if planes else -1, list(self.lower), list(self.upper))]
+        while todo:
+            at, low, high = todo.pop()
+            if at < 0:
+                found[-1 - at] = low, high
+                continue
+            number, coordinate, below, above = planes[at]
+            axis = int(number)
+            todo.append((int(below), low, [*high[:axis], coordinate, *high[axis + 1 :]]))
+            todo.append((int(above), [*low[:axis], coordinate, *low[axis + 1 :]], high))
+        return found
+
+    def subdomain(self, rank: int) -> ops.Subdomain:
+        low, high = self.boxes[rank]
+        per_length = [_CELLS / (b - a) if b > a else 0.0 for a, b in zip(low, high, strict=True)]
+        return [*low, *per_length, *([float(_CELLS)] * 3)], self.planes, rank
+
+    def copy(self) -> Bisection:
+        return replace(self, planes=self.planes.clone())
+
+    def become(self, other: Partition) -> bool:
+        # The frame of a rank's cells is among a graph's numbers.
+        return isinstance(other, Bisection) and torch.equal(self.planes, other.planes)
+
+    def rebalanced(self, comm: Comm, points: Tensor, weights: Tensor, shares: Sequence[float]) -> Bisection:
+        """Planes that divide the load of all ranks in given shares, found by four sums over the ranks for each level.
+
+        Args:
+            comm: between the ranks.
+            points: (K, 3) float64 where this rank knows of load.
+            weights: (K,) int64 of these.
+            shares: of each rank, relative to one another.
+        """
+        search = _PlaneSearch(comm, points, weights)
+        planes = _bisect(self.lower, self.upper, shares, search.find)
+        return replace(self, planes=planes.to(self.planes.device))
+
+
+@dataclass(frozen=True)
+class _Split:
+    """A part that is to be divided."""
+
+    axis: int
+    low: float  #: of the part along it
+    high: float
+    fraction: float  #: of the load below the plane
+    children: tuple[int, int]  #: splits of the next level, below and above; -1: a rank's part
+
+
+@dataclass(frozen=True)
+class _PartOfRanks:
+    first: int
+    end: int
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+def _bisect(
+    lower: Point, upper: Point, shares: Sequence[float], find: Callable[[Sequence[_Split]], list[float]]
+) -> Tensor:
+    """The planes, level by level, of which `find` gives the coordinates."""
+    rows: list[list[float]] = []
+    level = [_PartOfRanks(0, len(shares), lower, upper)] if len(shares) > 1 else []
+    while level:
+        middles = [(part.first + part.end) // 2 for part in level]
+        inner = [(middle - part.first > 1, part.end - middle > 1) for part, middle in zip(level, middles, strict=True)]
+        splits, count = [], 0
+        for part, middle, is_inner in zip(level, middles, inner, strict=True):
+            extent = [b - a for a, b in zip(part.low, part.high, strict=True)]
+            axis = extent.index(max(extent))
+            fraction = sum(shares[part.first : middle]) / sum(shares[part.first : part.end])
+            children = []
+            for side in is_inner:
+                children.append(count if side else -1)
+                count += side
+            splits.append(_Split(axis, part.low[axis], part.high[axis], fraction, (children[0], children[1])))
+        next_row = len(rows) + len(level)
+        following = []
+        for part, middle, split, at in zip(level, middles, splits, find(splits), strict=True):
+            ranks = part.first, part.end - 1
+            sides = [
+                float(next_row + child if child >= 0 else -1 - rank)
+                for child, rank in zip(split.children, ranks, strict=True)
+            ]
+            rows.append([float(split.axis), at, *sides])
+            axis = split.axis
+            halves = (
+                _PartOfRanks(part.first, middle, part.low, (*part.high[:axis], at, *part.high[axis + 1 :])),
+                _PartOfRanks(middle, part.end, (*part.low[:axis], at, *part.low[axis + 1 :]), part.high),
+            )
+            following += [half for half, child in zip(halves, split.children, strict=True) if child >= 0]
+        level = following
+    return torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
+
+
+class _PlaneSearch:
+    """Where the load on both sides of planes is as wanted: bins between the bounds of a part are added up over the
+    ranks, and the one in which the plane must lie is divided again.
+
+    Args:
+        comm: between the ranks.
+        points, weights: as for `Bisection.rebalanced`.
+    """
+
+    def __init__(self, comm: Comm, points: Tensor, weights: Tensor) -> None:
+        self._comm, self._points, self._weights = comm, points, weights
+        # The split of the current level that each point belongs to; -1: none.
+        self._split = torch.zeros(len(points), dtype=torch.int64, device=points.device)
+
+    def find(self, level: Sequence[_Split]) -> list[float]:
+        """The coordinates of the planes of a level; all ranks find the same."""
+        device, count = self._points.device, len(level)
+        inside = self._split >= 0
+        split, points, weights = self._split[inside], self._points[inside], self._weights[inside]
+        axis = torch.tensor([s.axis for s in level], device=device)
+        low = torch.tensor([s.low for s in level], dtype=torch.float64, device=device)
+        high = torch.tensor([s.high for s in level], dtype=torch.float64, device=device)
+        coordinate = points.gather(1, axis[split][:, None])[:, 0]
+        # Bodies that have left the world are at its boundary, for this.
+        place = torch.minimum(torch.maximum(coordinate, low[split]), high[split])
+        share = torch.tensor([s.fraction for s in level], dtype=torch.float64, device=device)
+        below = torch.zeros(count, dtype=torch.int64, device=device)
+        target: Tensor | None = None
+        for _ in range(_ZOOMS):
+            width = (high - low) / _BINS
+            bins = ((place - low[split]) / width[split]).nan_to_num(0.0).floor().clamp(-1, _BINS).long()
+            bins = torch.where((bins == _BINS) & (place <= high[split]), _BINS - 1, bins)
+            counts = bins.new_zeros(count * _BINS)
+            among = (bins >= 0) & (bins < _BINS)
+            counts.index_add_(0, (split * _BINS + bins)[among], weights[among])
+            load = self._comm.sum(counts).view(count, _BINS)
+            if target is None:
+                target = share * load.sum(dim=1)
+            up_to = below[:, None] + load.cumsum(dim=1)
+            chosen = (up_to < target[:, None]).sum(dim=1).clamp(max=_BINS - 1)
+            below = torch.where(chosen > 0, up_to.gather(1, (chosen - 1).clamp(min=0)[:, None])[:, 0], below)
+            low, high = low + chosen * width, low + (chosen + 1) * width
+        is_empty = target == 0.0 if target is not None else below == 0
+        even = torch.tensor([s.low + s.fraction * (s.high - s.low) for s in level], dtype=torch.float64, device=device)
+        at = torch.where(is_empty, even, high)
+        children = torch.tensor([s.children for s in level], device=device)
+        self._split[inside] = children[split, (coordinate >= at[split]).long()]
+        return at.tolist()
