@@ -43,6 +43,7 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     reach, boundary, _ = ops.boundary_bodies(centres, 0.01, -1e-6, subdomain)
     rows = torch.arange(len(boundary), device=moving.device)
     replica_ranks, counts = ops.replica_ranks(centres, 0.01, -1e-6, subdomain, rows, 2, [2, len(boundary) - 2])
+    ops.reached_ranks(centres, 0.01, -1e-6, subdomain, rows, 2)
     ops.rows_by_rank(replica_ranks, rows, counts, [3, 0])
     ops.counts_to_send(counts, [3, 0], counts[:1], 4)
     pairs = torch.combinations(rows)

@@ -38,6 +38,9 @@ INDICES = [
     ("take_rows", (2,), "rows"),
     ("replica_ranks", (4,), "owner"),
     ("replica_ranks", (6,), "bodies"),
+    ("reached_ranks", (4,), "owner"),
+    ("reached_ranks", (6,), "bodies"),
+    ("reached_ranks", (7,), "begin"),
     ("owned_pairs", (0,), "pairs"),
     ("owned_pairs", (1,), "rows"),
     ("leaving_bodies", (3,), "owner"),
@@ -54,7 +57,7 @@ INDICES = [
 ]
 LENGTHS = ("broad_pairs", "pairs_padded", "swept_boxes", "boundary_bodies", "near_ghosts", "owned_pairs")
 LENGTHS += ("replica_ranks", "traverse_rigid", "narrow_rigid", "contacts_padded_rigid", "lower_first_toi_rigid")
-LENGTHS += ("vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
+LENGTHS += ("reached_ranks", "vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
 PROGRAM = "import sys; sys.path.insert(0, {tests!r}); import test_ops_bounds; test_ops_bounds.{function}()"
 
 

@@ -79,6 +79,24 @@ struct SubdomainOps {
     return {replica_ranks, counts};
   }
 
+  static Tensor reached_ranks(const TensorList& centres, double min_separation, double tolerance, FrameList frame,
+                              const Tensor& owner, int64_t rank, const Tensor& bodies,
+                              const std::optional<Tensor>& begin, int64_t places, int64_t ranks) {
+    const int64_t count = bodies.size(0);
+    const ReachedRanks input{centres_view(centres, "centres", {min_separation, tolerance}),
+                             subdomain_view(frame, owner, rank),
+                             rows<int64_t>(bodies, "bodies", {kAnySize}),
+                             count,
+                             optional_column<int64_t>(begin, "begin", count),
+                             places,
+                             ranks};
+    STD_TORCH_CHECK(rank >= 0 && rank < ranks, "rank: expected a number below ", ranks, ", got ", rank);
+    STD_TORCH_CHECK(places >= 0, "places: expected a number >= 0, got ", places);
+    Tensor out = new_tensor<int64_t>(owner, {begin ? places : count});
+    Backend(owner).reached_ranks(input, data<int64_t>(out));
+    return out;
+  }
+
   static Tensor rows_by_rank(const Tensor& replica_ranks, const Tensor& bodies, const Tensor& counts,
                              std::vector<int64_t> capacities) {
     const int64_t* numbers = rows<int64_t>(bodies, "rows", {kAnySize});
@@ -151,6 +169,7 @@ struct SubdomainOps {
 #define PGCCD_REGISTER_SUBDOMAIN_OPS(library, Backend)                                                     \
   library.impl("boundary_bodies", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::boundary_bodies>::call)); \
   library.impl("replica_ranks", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::replica_ranks>::call));     \
+  library.impl("reached_ranks", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::reached_ranks>::call));     \
   library.impl("rows_by_rank", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::rows_by_rank>::call));       \
   library.impl("counts_to_send", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::counts_to_send>::call));   \
   library.impl("owned_pairs", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::owned_pairs>::call));         \

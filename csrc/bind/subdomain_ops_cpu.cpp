@@ -16,6 +16,7 @@ class SubdomainOnCpu {
   void replica_ranks(const ReplicaRanksInput& input, const ReplicaRanks& out) const {
     replica_ranks_cpu(executor_, input, out);
   }
+  void reached_ranks(const ReachedRanks& input, int64_t* out) const { reached_ranks_cpu(executor_, input, out); }
   void rows_by_rank(const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank) const {
     rows_by_rank_cpu(held, capacities, by_rank);
   }

@@ -14,6 +14,9 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "replica_ranks(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank, "
       "Tensor bodies, "
       "int[] received, int ranks) -> (Tensor replica_ranks, Tensor counts)");
+  library.def(
+      "reached_ranks(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank, "
+      "Tensor bodies, Tensor? begin, int places, int ranks) -> Tensor");
   library.def("rows_by_rank(Tensor replica_ranks, Tensor rows, Tensor counts, int[] capacities) -> Tensor");
   library.def("counts_to_send(Tensor counts, int[] capacities, Tensor found, int capacity) -> Tensor");
   library.def(

@@ -11,10 +11,11 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.parts import Part, contacts_of_step, search_seconds
+from pgccd.distributed.centres import centres_of
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo_capacity import HaloCapacity
-from pgccd.distributed.held import Held, centres_of
+from pgccd.distributed.held import Held
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, OwnSearch, PartEstimates, Share
 from pgccd.distributed.vertices import Vertices

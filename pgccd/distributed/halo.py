@@ -16,11 +16,13 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
+from pgccd.distributed.centres import centres_of
 from pgccd.distributed.comm.exchange import Arrival, Route
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo
-from pgccd.distributed.held import Held, centres_of
+from pgccd.distributed.held import Held
 from pgccd.distributed.partition import Partition
+from pgccd.distributed.replicas import find_replicas
 from pgccd.runtime.host_copy import HostCopy
 
 
@@ -44,7 +46,7 @@ class Halo:
         kept: tuple[float, float],
     ) -> None:
         self._comm, self._own, self._bodies = comm, dict(own), bodies
-        self._where = centres_of(bodies), *kept, partition.subdomain(comm.rank)
+        self._where = centres_of(bodies), kept, partition.subdomain(comm.rank)
         none_of_them = own["id"][:0]
         #: (N,) uint8: 1 for own bodies that reach cells of others.
         self.reach = none_of_them.to(torch.uint8)
@@ -57,7 +59,8 @@ class Halo:
         """Looks for the bodies that others need. Waits for nothing."""
         found = self._bodies.first_faults()
         if self._comm.size > 1:
-            self.reach, self._boundary, self._count = ops.boundary_bodies(*self._where)
+            centres, kept, subdomain = self._where
+            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *kept, subdomain)
             found = torch.cat([self._count, found])
         self._found = HostCopy.start(found)
 
@@ -85,9 +88,10 @@ class Halo:
         """Sends them, once ranks have exchanged counts. Checks the bodies, if that has not been
         done."""
         self.check()
-        self._replica_ranks, self._counts = ops.replica_ranks(*self._where, self._boundary, self._comm.size)
-        sent, received = torch.stack([self._counts, self._comm.exchange_counts(self._counts)]).tolist()
-        rows = ops.rows_by_rank(self._replica_ranks, self._boundary, self._counts, sent)
+        self._replicas = find_replicas(*self._where, self._boundary, self._comm.size)
+        counts = self._replicas.counts
+        sent, received = torch.stack([counts, self._comm.exchange_counts(counts)]).tolist()
+        rows = self._replicas.rows_by_rank(self._boundary, sent)
         self._route = Route(self._comm, rows, sent, received)
         self._arrival = self._route.forward(self._own)
 
@@ -101,8 +105,8 @@ class Halo:
             self.check()
             padded, self._padded = self._padded.wait(len(self._boundary)), None
             if padded is not None:
-                return Held(id, padded.ghosts, padded.route, self._boundary, padded.replica_ranks, padded.counts)
+                return Held(id, padded.ghosts, padded.route, self._boundary, padded.replicas)
         if self._arrival is None:
             self.send()
         assert self._arrival is not None
-        return Held(id, self._arrival.wait(), self._route, self._boundary, self._replica_ranks, self._counts)
+        return Held(id, self._arrival.wait(), self._route, self._boundary, self._replicas)

@@ -12,9 +12,11 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
+from pgccd.distributed.centres import Centres
 from pgccd.distributed.comm.exchange import Columns, Route, pack, unpack
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.held import Held
+from pgccd.distributed.replicas import ReplicaTable
 from pgccd.runtime.host_copy import HostCopy
 
 # A capacity is the last count times _SLACK plus _SOME (for small counts), rounded up to a multiple, so that buffers
@@ -57,8 +59,7 @@ class Sent:
 
     route: Route
     ghosts: Columns
-    replica_ranks: Tensor  #: (B, ranks) uint8: which ranks hold each of the own bodies that others need
-    counts: Tensor  #: (ranks,) int64: how many each holds
+    replicas: ReplicaTable  #: of the own bodies that others need
 
 
 class PaddedHalo:
@@ -76,22 +77,24 @@ class PaddedHalo:
 
     def find_ranks(
         self,
-        where: tuple[tuple[Tensor, Tensor, Tensor], float, float, ops.Subdomain],
+        where: tuple[Centres, tuple[float, float], ops.Subdomain],
         boundary: Tensor,
         count: Tensor,
     ) -> None:
         """Finds out which ranks need which of the own bodies.
 
         Args:
-            where: centres of own bodies, separation, tolerance, and the subdomain, as for `pgccd.ops.replica_ranks`.
+            where: centres of own bodies, distances kept, and the subdomain, as for `find_replicas`.
             boundary: (N,) int64: rows of those that others need, then rows of -1.
             count: (1,) int64, left on the device: how many these are.
         """
         comm, capacity = self._comm, self._capacity
         self._boundary = boundary[: capacity.boundary]
-        self._replica_ranks, self._counts = ops.replica_ranks(*where, self._boundary, comm.size)
-        self._rows = ops.rows_by_rank(self._replica_ranks, self._boundary, self._counts, capacity.sent)
-        self._numbers = ops.counts_to_send(self._counts, capacity.sent, count, capacity.boundary)
+        centres, kept, subdomain = where
+        replicas = ReplicaTable(*ops.replica_ranks(centres, *kept, subdomain, self._boundary, comm.size))
+        self._rows = replicas.rows_by_rank(self._boundary, capacity.sent)
+        self._numbers = ops.counts_to_send(replicas.counts, capacity.sent, count, capacity.boundary)
+        self._replicas = replicas
 
     @property
     def overflow(self) -> Tensor:
@@ -114,7 +117,7 @@ class PaddedHalo:
         capacity, id = self._capacity, self._own["id"]
         route = Route(self._comm, self._rows, capacity.sent, capacity.received)
         ghosts = self._unpacked(self._pending.wait())
-        return Held(id, ghosts, route, self._boundary, self._replica_ranks, self._counts)
+        return Held(id, ghosts, route, self._boundary, self._replicas)
 
     def _unpacked(self, packed: Tensor) -> Columns:
         ghosts = unpack(packed, self._own)
@@ -129,7 +132,8 @@ class PaddedHalo:
         sent, received = messages[:, :, 0].tolist()
         route = Route(self._comm, _filled(self._rows, self._capacity.sent, sent), sent, received)
         ghosts = self._unpacked(_filled(packed, self._capacity.received, received))
-        return Sent(route, ghosts, self._replica_ranks[:boundary_count], self._counts)
+        of_boundary = ReplicaTable(self._replicas.table[:boundary_count], self._replicas.counts)
+        return Sent(route, ghosts, of_boundary)
 
 
 def _filled(rows: Tensor, capacities: list[int], counts: list[int]) -> Tensor:

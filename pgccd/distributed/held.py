@@ -8,17 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import Columns, Route
 from pgccd.distributed.comm.interface import Comm
-
-#: SBV centres at t0 and t1 (N, 3) of bodies, and how far they reach from the way between these (N,).
-Centres = tuple[Tensor, Tensor, Tensor]
-
-
-def centres_of(bodies: MovingBodies) -> Centres:
-    """Of moving bodies."""
-    return bodies.centre_t0, bodies.centre_t1, bodies.reach
+from pgccd.distributed.replicas import ReplicaList, ReplicaTable
 
 
 @dataclass(frozen=True)
@@ -29,15 +21,14 @@ class Held:
     ghosts: Columns  #: of G bodies, "id" among them, in the order in which they came: by owner, then by id
     route: Route  #: that brought them: its rows count own bodies
     boundary: Tensor  #: (B,) int64, ascending: rows of own bodies that others hold too
-    replica_ranks: Tensor  #: (B, ranks) uint8: 1 for each of these others
-    boundary_counts: Tensor  #: (ranks,) int64: how many of these bodies each of them holds
+    replicas: ReplicaTable | ReplicaList  #: of the boundary: which others
 
     @classmethod
     def alone(cls, comm: Comm, own: Columns) -> Held:
         """Of the only rank: there are no ghosts."""
         id, ghosts = own["id"], {name: column[:0] for name, column in own.items()}
-        replica_ranks = id.new_empty((0, 1), dtype=torch.uint8)
-        return cls(id, ghosts, Route(comm, id[:0], [0], [0]), id[:0], replica_ranks, id.new_zeros(1))
+        none = ReplicaTable(id.new_empty((0, 1), dtype=torch.uint8), id.new_zeros(1))
+        return cls(id, ghosts, Route(comm, id[:0], [0], [0]), id[:0], none)
 
     def __len__(self) -> int:
         return self.own_count + self.ghost_count

@@ -15,10 +15,11 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import check_separation, operator_tolerance
 from pgccd.detection.parts import Part, find_part
 from pgccd.distributed.body_columns import bodies_of, of_checked, take_bodies
+from pgccd.distributed.centres import Centres, centres_of
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo, padded_count
-from pgccd.distributed.held import Centres, Held, centres_of
+from pgccd.distributed.held import Held
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, PartEstimates, Share
 from pgccd.runtime.side_stream import SideStream
@@ -92,7 +93,7 @@ def search_padded_share(
     side = SideStream(device, options.overlap)
     with side:
         halo = PaddedHalo(comm, capacity.halo, own)
-        halo.find_ranks((centres, *kept, subdomain), boundary, count)
+        halo.find_ranks((centres, kept, subdomain), boundary, count)
         halo.send()
     own_part = find_part(bodies, *asked, owned_by_own, discard, estimate=estimates.own, slack=slack)
     own_part.begin()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from pgccd import arguments
 from pgccd.distributed.balance import (
     PAIR_COST,
     BalanceOptions,
@@ -41,8 +42,7 @@ def make_partition(
     Raises:
         ValueError: naming the argument.
     """
-    if kind not in PARTITIONS:
-        raise ValueError(f"partition: expected one of {list(PARTITIONS)}, got {kind!r}")
+    arguments.choice(kind, "partition", PARTITIONS)
     if kind == "bisection":
         return Bisection.uniform(lower, upper, ranks, device)
     return Cells.uniform(lower, upper, ranks, axes=axes, cells=cells, device=device)

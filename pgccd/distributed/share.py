@@ -22,12 +22,14 @@ from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.parts import Part, find_part, first_contacts_of, pairs_of_step
 from pgccd.detection.query import Query
 from pgccd.distributed.body_columns import bodies_of, of_checked, take_bodies
+from pgccd.distributed.centres import Centres, centres_of
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo import Halo
 from pgccd.distributed.halo_capacity import HaloCapacity
-from pgccd.distributed.held import Centres, Held, centres_of
+from pgccd.distributed.held import Held
 from pgccd.distributed.partition import Partition
+from pgccd.distributed.replicas import MOST_TABLE_RANKS
 from pgccd.distributed.vertices import Vertices, vertex_counts
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -237,7 +239,7 @@ class OwnSearch:
 
 def _sends_ahead(comm: Comm, side: SideStream) -> bool:
     """Whether ghosts can be sent without waiting for their number."""
-    return side.is_apart and comm.goes_with_the_stream
+    return side.is_apart and comm.goes_with_the_stream and comm.size <= MOST_TABLE_RANKS
 
 
 def _with_ghosts(near: Tensor, held: Held) -> Tensor:

@@ -115,9 +115,9 @@ class World:
             if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
                 raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
             self._meshes = MeshSet(meshes, position.device)
-            require_policy(partition, self.balance)
             cut = lower, upper, self.comm.size, axes, cells, position.device
             self.partition = make_partition(partition, *cut)
+            require_policy(partition, self.balance)
             index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
             scene = Scene(self._meshes, index, self_collision=self_collision, **given)  # checks them
             if scene.body_count != len(position):

@@ -45,6 +45,7 @@ from pgccd.ops.subdomain import (
     leaving_bodies,
     near_ghosts,
     owned_pairs,
+    reached_ranks,
     replica_ranks,
     rows_by_rank,
 )
@@ -75,6 +76,7 @@ __all__ = [
     "random_uniforms",
     "refit",
     "rotations_between",
+    "reached_ranks",
     "rows_by_rank",
     "simulate_affected_motion",
     "simulate_commit",

@@ -104,6 +104,22 @@ def _(
     return owner.new_empty((bodies.shape[0], ranks), dtype=torch.uint8), counts
 
 
+@torch.library.register_fake("pgccd::reached_ranks")
+def _(
+    centres: list[Tensor],
+    min_separation: float,
+    tolerance: float,
+    frame: list[float],
+    owner: Tensor,
+    rank: int,
+    bodies: Tensor,
+    begin: Tensor | None,
+    places: int,
+    ranks: int,
+) -> Tensor:
+    return bodies.new_empty((bodies.shape[0] if begin is None else places,))
+
+
 @torch.library.register_fake("pgccd::rows_by_rank")
 def _(replica_ranks: Tensor, rows: Tensor, counts: Tensor, capacities: list[int]) -> Tensor:
     return rows.new_empty((sum(capacities),))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
 from pgccd.ops import library
@@ -34,6 +35,22 @@ def replica_ranks(
     of each, (ranks,) int64."""
     arguments = (list(centres), min_separation, tolerance, *subdomain, bodies, list(received), ranks)
     return library.operators.replica_ranks(*arguments)
+
+
+def reached_ranks(
+    centres: Centres, min_separation: float, tolerance: float, subdomain: Subdomain, bodies: Tensor, ranks: int
+) -> tuple[Tensor, Tensor]:
+    """Of the rows `bodies` (B,), the other ranks whose parts they reach: (E,) int64 numbers from 0 to B - 1, and (E,)
+    int64 ranks; ascending by rank, then by number. Waits for how many there are."""
+    where = list(centres), min_separation, tolerance, *subdomain, bodies
+    count = library.operators.reached_ranks(*where, None, 0, ranks)
+    begin, total = count.cumsum(0) - count, int(count.sum())
+    found = library.operators.reached_ranks(*where, begin, total, ranks)
+    number = torch.arange(len(bodies), device=bodies.device).repeat_interleave(count)
+    every = max(1, len(bodies))
+    # Cells of one rank may have been reached one by one.
+    entries = torch.unique(found * every + number)
+    return entries % every, torch.div(entries, every, rounding_mode="floor")
 
 
 def rows_by_rank(replica_ranks: Tensor, rows: Tensor, counts: Tensor, capacities: Sequence[int]) -> Tensor:

@@ -15,7 +15,7 @@ from support.graphs import graphs_on
 from distributed.conftest import World
 from pgccd import sim
 from pgccd.detection.capacity import Capacity
-from pgccd.distributed import BalanceOptions, Comm, halo_capacity, padded_share
+from pgccd.distributed import BalanceOptions, Comm, halo_capacity, padded_share, replicas
 from pgccd.distributed.rebalancing import make_partition
 from pgccd.sim.distributed import DistributedSimulation, RankStep, starting_share
 from pgccd.sim.distributed import simulation as simulation_module
@@ -149,6 +149,14 @@ def follow_replayed(
         return follow(comm, name, policy, steps, random_owners, True, graph=True)
 
 
+def follow_listed(comm: Comm, name: str, policy: str, steps: int) -> dict[str, int]:
+    """With lists of replicas, as there are where ranks are many."""
+    with mock.patch.object(replicas, "MOST_TABLE_RANKS", 0):
+        seen = follow(comm, name, policy, steps, policy == "none", True)
+        followed = follow(comm, name, policy, steps, False, True, kind="bisection")
+    return {name: count + followed[name] for name, count in seen.items()}
+
+
 def follow_bisected(
     comm: Comm, name: str, policy: str, steps: int, replayed: bool = False, device: str = "cpu"
 ) -> dict[str, int]:
@@ -233,3 +241,8 @@ def test_balance_spreads_what_one_rank_had(ranks: World) -> None:
     imbalances = ranks.run(4, crowd_together)[0]
     assert imbalances[0] == 4.0
     assert imbalances[-1] < 1.6  # 64 cells for 240 robots: no better can be expected of so few
+
+
+@pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("skewed", "cost")])
+def test_same_bits_with_lists_of_replicas(world: World, name: str, policy: str) -> None:
+    assert world(follow_listed, name, policy, 16)[0]["contacts"] > 100

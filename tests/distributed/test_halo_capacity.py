@@ -33,8 +33,8 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
         sent = wait(self, boundary_count)
         enough.append(sent is not None)
         if sent is not None:  # the rows in place, whatever the capacity
-            assert sent.route.sent == sent.counts.tolist() and len(sent.route.rows) == sum(sent.route.sent)
-            assert len(sent.ghosts["id"]) == sum(sent.route.received) and len(sent.replica_ranks) == boundary_count
+            assert sent.route.sent == sent.replicas.counts.tolist() and len(sent.route.rows) == sum(sent.route.sent)
+            assert len(sent.ghosts["id"]) == sum(sent.route.received) and len(sent.replicas.table) == boundary_count
         return sent
 
     def cramped(sent: list[int], received: list[int], boundary: int) -> HaloCapacity:

@@ -36,22 +36,36 @@ def single(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return [*SIMULATE, "--robots", str(ROBOTS), "--world", request.param], steps
 
 
-@pytest.mark.parametrize("policy", ["cost", "one-cell"])
+#: How space is cut, and what redistributes it.
+CUTS = [["--balance", "cost"], ["--balance", "one-cell"], ["--partition", "bisection", "--balance", "cost"]]
+
+
+@pytest.mark.parametrize("cut", CUTS, ids=["cost", "one cell", "bisection"])
 @pytest.mark.parametrize("ranks", [2, 3, 4])
-def test_over_mpi(ranks: int, policy: str, single: tuple[list[str], Log], tmp_path: Path) -> None:
+def test_over_mpi(ranks: int, cut: list[str], single: tuple[list[str], Log], tmp_path: Path) -> None:
     arguments, expected = single
-    done = finish(mpirun(ranks, *arguments, "--transport", "mpi4py", "--balance", policy, "--out", str(tmp_path)))
+    done = finish(mpirun(ranks, *arguments, "--transport", "mpi4py", *cut, "--out", str(tmp_path)))
     assert done.returncode == 0, done.stdout
     assert log(tmp_path) == expected
 
 
 @pytest.mark.cuda
-@pytest.mark.parametrize("policy", ["cost", "one-cell"])
+@pytest.mark.parametrize("cut", CUTS, ids=["cost", "one cell", "bisection"])
+@pytest.mark.parametrize("ranks", [2, 3, 5])
+def test_over_gloo(ranks: int, cut: list[str], single: tuple[list[str], Log], tmp_path: Path) -> None:
+    arguments, expected = single
+    done = finish(torchrun(ranks, *arguments, *cut, "--out", str(tmp_path)))
+    assert done.returncode == 0, done.stdout
+    assert log(tmp_path) == expected
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("cut", CUTS, ids=["cost", "one cell", "bisection"])
 @pytest.mark.parametrize("ranks", [1, 2, 3, 4])
-def test_on_gpus(ranks: int, policy: str, single: tuple[list[str], Log], tmp_path: Path) -> None:
+def test_on_gpus(ranks: int, cut: list[str], single: tuple[list[str], Log], tmp_path: Path) -> None:
     arguments, expected = single
     where = ["--device", "cuda", "--transport", "nccl"]
-    program = over_nccl(ranks, *arguments, *where, "--balance", policy, "--out", str(tmp_path))
+    program = over_nccl(ranks, *arguments, *where, *cut, "--out", str(tmp_path))
     done = finish(torchrun(ranks, *program))
     assert done.returncode == 0, done.stdout
     # Which candidates are looked at before the first contact is known depends on the device.

@@ -38,6 +38,32 @@ struct ReplicaRanks {
 
 void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input, const ReplicaRanks& out);
 
+// Bodies, and the other ranks whose parts they reach: how many there are of each (row_count,), some counted several
+// times; or, where it is known at which place those of each row begin, the ranks.
+struct ReachedRanks {
+  BroadBodies bodies;
+  Subdomain subdomain;
+  const int64_t* rows;
+  int64_t row_count;
+  const int64_t* begin;  // (row_count,); null: they are counted
+  int64_t places;        // for the ranks of all rows
+  int64_t ranks;
+
+  // Sets the k-th count, or its ranks. False: there is no place for them.
+  PGCCD_HD bool store(int64_t k, int64_t* out) const {
+    const int64_t count = store_reached(bodies, subdomain, rows[k], nullptr);
+    if (begin == nullptr) {
+      out[k] = count;
+      return true;
+    }
+    if (begin[k] < 0 || begin[k] > places - count) return false;
+    store_reached(bodies, subdomain, rows[k], out + begin[k]);
+    return true;
+  }
+};
+
+void reached_ranks_cpu(const Executor& executor, const ReachedRanks& input, int64_t* out);
+
 // Rows and their replica ranks as above.
 struct HeldRows {
   const uint8_t* replica_ranks;

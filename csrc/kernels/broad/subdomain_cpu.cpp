@@ -58,6 +58,14 @@ void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input,
   }
 }
 
+void reached_ranks_cpu(const Executor& executor, const ReachedRanks& input, int64_t* out) {
+  require_rows(executor, input.row_count, "bodies", "are those of bodies",
+               [&](int64_t k) { return is_within(input.rows[k], input.bodies.count); });
+  require_owners(executor, input.subdomain, input.ranks);
+  require_rows(executor, input.row_count, "begin", "leave places for all ranks",
+               [&](int64_t k) { return input.store(k, out); });
+}
+
 void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank) {
   for (int64_t rank = 0; rank < held.ranks; ++rank) {
     int64_t *at = by_rank, *end = by_rank + capacities[static_cast<size_t>(rank)];

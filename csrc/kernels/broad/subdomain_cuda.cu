@@ -12,8 +12,8 @@ namespace {
 // Cells of a body are dealt out to so many threads: a large one reaches very many.
 constexpr int kBodyThreads = 32;
 
-// Into which bodies that leave are divided, each for one thread.
-constexpr int64_t kMostShares = 4096;
+// Into which bodies that leave are divided, each for one thread; and of shares and ranks together.
+constexpr int64_t kMostShares = 4096, kMostSlots = int64_t{1} << 20;
 
 __device__ void lower_to(int64_t* target, int64_t value) {
   if (*target > value) atomicMin(reinterpret_cast<long long*>(target), static_cast<long long>(value));
@@ -113,6 +113,13 @@ void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& i
   check_cuda(cudaGetLastError(), "count_columns");
 }
 
+void reached_ranks_cuda(const DeviceContext& context, const ReachedRanks& input, int64_t* out) {
+  for_each_item(context, input.row_count, [=] __device__(int64_t k) {
+    require_on_device(is_within(input.rows[k], input.bodies.count), "bodies: expected rows of bodies");
+    require_on_device(input.store(k, out), "begin: expected places for all ranks");
+  });
+}
+
 void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& capacities,
                        int64_t* by_rank) {
   const int64_t ranks = held.ranks, all = held.row_count * ranks;
@@ -184,7 +191,8 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
 
 void leaving_bodies_cuda(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
                          int64_t ranks, const LeavingRows& leaving) {
-  const int64_t shares = smaller(bodies.count, kMostShares), slots = ranks * shares;
+  const int64_t most_shares = larger<int64_t>(1, smaller(kMostShares, kMostSlots / ranks));
+  const int64_t shares = smaller(bodies.count, most_shares), slots = ranks * shares;
   if (slots == 0) return fill_bytes(context, leaving.counts, 0, ranks);
   int64_t* found = context.allocate<int64_t>(1);
   find_rows(context, bodies.count, leaving.rows, found, [=] __device__(int64_t body) {

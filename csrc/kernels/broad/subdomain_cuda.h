@@ -11,6 +11,7 @@ void boundary_bodies_cuda(const DeviceContext& context, const BroadBodies& bodie
 
 void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& input, const ReplicaRanks& out);
 
+void reached_ranks_cuda(const DeviceContext& context, const ReachedRanks& input, int64_t* out);
 void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& capacities,
                        int64_t* by_rank);
 

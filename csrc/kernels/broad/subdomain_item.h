@@ -10,6 +10,21 @@ PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Subdomain& subdoma
   return subdomain.any_owner(swept_box(bodies, body), [&](int64_t rank) { return rank != subdomain.rank; });
 }
 
+// The other ranks whose parts a body reaches, perhaps several times, to `out` unless that is null. Returns their
+// number.
+PGCCD_HD int64_t store_reached(const BroadBodies& bodies, const Subdomain& subdomain, int64_t body, int64_t* out) {
+  int64_t count = 0, last = subdomain.rank;
+  subdomain.any_owner(swept_box(bodies, body), [&](int64_t rank) {
+    if (rank != subdomain.rank && rank != last) {
+      if (out != nullptr) out[count] = rank;
+      ++count;
+    }
+    last = rank;
+    return false;
+  });
+  return count;
+}
+
 // Pairs of some of the bodies held, of which own ones come first, then ghosts.
 struct OwnedPairs {
   BroadBodies bodies;

@@ -8,9 +8,11 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
+from pgccd.distributed.centres import Centres
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.held import Centres, Held
+from pgccd.distributed.held import Held
 from pgccd.distributed.partition import Partition
+from pgccd.distributed.replicas import ReplicaList, ReplicaTable, find_replicas, join_replicas
 from pgccd.runtime.host_copy import HostCopy
 
 
@@ -24,10 +26,9 @@ class HeldExchange:
         comm: between the ranks.
     """
 
-    # Of the bodies that other ranks hold too: which ranks, rows, how many for each rank, and these on their way.
-    _replica_ranks: Tensor
+    # Of the bodies that other ranks hold too: which ranks, rows, and how many for each rank, on their way.
+    _replicas: ReplicaTable | ReplicaList
     _rows: Tensor
-    _counts: Tensor
     _known: HostCopy
 
     def __init__(self, comm: Comm) -> None:
@@ -56,30 +57,29 @@ class HeldExchange:
         exchange = cls(comm)
         if comm.size == 1:
             exchange._shared = held.own_id[:0], [0]
-            exchange._counts = held.boundary_counts
+            exchange._replicas = held.replicas
             return exchange
         received, ghost = held.route.received, torch.arange(held.ghost_count, device=held.own_id.device)
         subdomain, row = partition.subdomain(comm.rank), ghost + held.own_count
         if capacities is not None:
             ghost = torch.where(held.ghosts["id"] < 0, -1, ghost)
-        replica_ranks, counts = ops.replica_ranks(ghosts, *kept, subdomain, ghost, comm.size, received)
+        of_ghosts = find_replicas(ghosts, kept, subdomain, ghost, comm.size, received)
         before = sum(received[: comm.rank])
-        exchange._replica_ranks = torch.cat([replica_ranks[:before], held.replica_ranks, replica_ranks[before:]])
+        exchange._replicas = join_replicas(of_ghosts, before, held.replicas)
         exchange._rows = torch.cat([row[:before], held.boundary, row[before:]])
-        exchange._counts = counts + held.boundary_counts
         if capacities is None:
-            exchange._known = HostCopy.start(exchange._counts)  # on its way while bodies are tested
+            exchange._known = HostCopy.start(exchange._replicas.counts)  # on its way while bodies are tested
         else:
             exchange._shared = exchange._rows_by_rank(capacities), capacities
         return exchange
 
     def overflow(self) -> Tensor:
         """(1,) int64: nonzero if a capacity was exceeded."""
-        counts, capacities = self._counts, self._shared[1]
+        counts, capacities = self._replicas.counts, self._shared[1]
         return ops.counts_to_send(counts, capacities, torch.zeros_like(counts[:1]), 0)[0, 1:]
 
     def _rows_by_rank(self, capacities: list[int]) -> Tensor:
-        return ops.rows_by_rank(self._replica_ranks, self._rows, self._counts, capacities)
+        return self._replicas.rows_by_rank(self._rows, capacities)
 
     @functools.cached_property
     def _shared(self) -> tuple[Tensor, list[int]]:

@@ -21,6 +21,7 @@ from pgccd.distributed.migrate import Census, Leaving, id_range, migrate
 from pgccd.distributed.padded_share import ShareCapacity
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.rebalancing import rebalanced
+from pgccd.distributed.replicas import MOST_TABLE_RANKS
 from pgccd.distributed.share import Options, OwnSearch, PartEstimates, Share
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
@@ -100,7 +101,8 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         state: of any share of the robots; all ranks together have each robot once.
         balance: how cells change hands.
         broad_phase, overlap: see `Options`.
-        graph: whether steps are replayed, the same on all ranks. Default: where messages go with a GPU's stream.
+        graph: whether steps are replayed, the same on all ranks. Default: where messages go with a GPU's stream, and
+            there are at most `MOST_TABLE_RANKS`.
 
     Example:
         >>> simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
@@ -120,6 +122,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
     ) -> None:
         if graph is None:
             graph = model.device.type != "cpu" and (comm.size == 1 or comm.goes_with_the_stream)
+            graph = graph and comm.size <= MOST_TABLE_RANKS
         super().__init__(graph)
         self.comm, self.model = comm, model
         self.balance = balance or BalanceOptions()

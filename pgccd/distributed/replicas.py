@@ -1,0 +1,113 @@
+"""Which other ranks hold bodies that a rank holds: as a table, or where there are many ranks as a list."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from pgccd import ops
+from pgccd.distributed.centres import Centres
+
+#: With more ranks than this there is no table: it has a byte for each body and rank.
+MOST_TABLE_RANKS = 64
+
+
+class Replicas(Protocol):
+    """Of B bodies."""
+
+    @property
+    def counts(self) -> Tensor:
+        """(ranks,) int64: how many of the bodies each rank holds."""
+
+    def rows_by_rank(self, rows: Tensor, capacities: list[int]) -> Tensor:
+        """Of the rows (B,) of the bodies those that rank 0 holds, then those of rank 1, ..., each padded with -1 to the
+        capacity of the rank."""
+
+
+@dataclass(frozen=True)
+class ReplicaTable:
+    """A byte for each body and rank. Nothing waits for a GPU."""
+
+    table: Tensor  #: (B, ranks) uint8: 1 for each rank that holds the body
+    counts: Tensor  #: (ranks,) int64
+
+    def rows_by_rank(self, rows: Tensor, capacities: list[int]) -> Tensor:
+        return ops.rows_by_rank(self.table, rows, self.counts, capacities)
+
+
+@dataclass(frozen=True)
+class ReplicaList:
+    """Numbers of bodies and ranks that hold them, ascending by rank, then by number."""
+
+    number: Tensor  #: (E,) int64, from 0 to B - 1
+    rank: Tensor  #: (E,) int64
+    bodies: int  #: B
+    counts: Tensor  #: (ranks,) int64
+
+    @classmethod
+    def of(cls, number: Tensor, rank: Tensor, bodies: int, ranks: int) -> ReplicaList:
+        """Of entries in any order."""
+        order = torch.argsort(rank * max(1, bodies) + number)
+        return cls(number[order], rank[order], bodies, torch.bincount(rank, minlength=ranks))
+
+    def rows_by_rank(self, rows: Tensor, capacities: list[int]) -> Tensor:
+        if sum(capacities) == len(self.number):  # which is how ranks exchange lists
+            return rows[self.number]
+        raise ValueError("capacities: a list of replicas has as many rows as there are")
+
+    def after(self, count: int) -> tuple[Tensor, Tensor]:
+        """Numbers and ranks, where so many other bodies come first."""
+        return self.number + count, self.rank
+
+
+def find_replicas(
+    centres: Centres,
+    kept: tuple[float, float],
+    subdomain: ops.Subdomain,
+    rows: Tensor,
+    ranks: int,
+    received: Sequence[int] = (),
+) -> ReplicaTable | ReplicaList:
+    """The other ranks of which bodies reach a part; of ghosts also the ranks that they came from.
+
+    Args:
+        centres: of bodies.
+        kept: min_separation and tolerance, as the operators take them.
+        subdomain: of this rank.
+        rows: (B,) of the bodies in question; a row of -1 has none, if there are few ranks.
+        ranks: number of all.
+        received: how many of the bodies came from each rank, if they are ghosts.
+    """
+    if ranks <= MOST_TABLE_RANKS:
+        return ReplicaTable(*ops.replica_ranks(centres, *kept, subdomain, rows, ranks, received))
+    number, rank = ops.reached_ranks(centres, *kept, subdomain, rows, ranks)
+    if received:
+        counts, every = torch.tensor(received, device=rows.device), torch.arange(len(rows), device=rows.device)
+        source = torch.arange(ranks, device=rows.device).repeat_interleave(counts)
+        entries = torch.unique(torch.cat([rank * len(rows) + number, source * len(rows) + every]))
+        number, rank = entries % max(1, len(rows)), torch.div(entries, max(1, len(rows)), rounding_mode="floor")
+    return ReplicaList(number, rank, len(rows), torch.bincount(rank, minlength=ranks))
+
+
+def join_replicas(
+    ghosts: ReplicaTable | ReplicaList, before: int, own: ReplicaTable | ReplicaList
+) -> ReplicaTable | ReplicaList:
+    """Of some ghosts, then own bodies, then the other ghosts.
+
+    Args:
+        ghosts: of all ghosts.
+        before: how many of them come before the own bodies.
+        own: of these.
+    """
+    if isinstance(ghosts, ReplicaTable) and isinstance(own, ReplicaTable):
+        table = torch.cat([ghosts.table[:before], own.table, ghosts.table[before:]])
+        return ReplicaTable(table, ghosts.counts + own.counts)
+    assert isinstance(ghosts, ReplicaList) and isinstance(own, ReplicaList)
+    later = torch.where(ghosts.number < before, ghosts.number, ghosts.number + own.bodies)
+    number, rank = own.after(before)
+    entries = torch.cat([later, number]), torch.cat([ghosts.rank, rank])
+    return ReplicaList.of(*entries, ghosts.bodies + own.bodies, len(own.counts))
