@@ -26,6 +26,7 @@ from support import results, timing
 
 from pgccd import distributed, sim
 from pgccd.distributed.launch.connect import TRANSPORTS
+from pgccd.distributed.rebalancing import make_partition
 from pgccd.sim.runner import HasRecord
 
 # What the stages of a step are summed up to.
@@ -66,6 +67,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--pattern", choices=sim.PATTERNS, default="random")
     parser.add_argument("--balance", choices=distributed.POLICIES, default="cost")
     parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
+    parser.add_argument("--partition", choices=("cells", "bisection"), default="cells", help="how space is cut")
     parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
     parser.add_argument("--no-overlap", action="store_true", help="wait for ghosts first")
     parser.add_argument("--no-graph", action="store_true", help="launch by launch instead of replays of a CUDA graph")
@@ -104,6 +106,7 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
         "robots": robots,
         "pattern": arguments.pattern,
         "balance": arguments.balance,
+        "partition": arguments.partition,
         "cells": arguments.cells,
         "axes": arguments.axes,
         "overlap": not arguments.no_overlap,
@@ -127,9 +130,8 @@ def start(
     """The world before step 0."""
     model = sim.Model(config, device=device)
     x, y, z = model.half_extent
-    partition = distributed.Cells.uniform(
-        (-x, -y, -z), (x, y, z), comm.size, axes=arguments.axes, cells=arguments.cells, device=device
-    )
+    cut = (-x, -y, -z), (x, y, z), comm.size, arguments.axes, arguments.cells, device
+    partition = make_partition(arguments.partition, *cut)
     share = sim.distributed.starting_share(comm, model)
     balance = distributed.BalanceOptions(arguments.balance)
     graph = False if arguments.no_graph else None
@@ -181,7 +183,19 @@ def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -
     path = arguments.out or results.FOLDER / f"cluster_scaling-{arguments.device.partition(':')[0]}.json"
     known = json.loads(Path(path).read_text()) if Path(path).exists() else {}
     rows = known.get("rows", [])
-    key = ("scaling", "ranks", "robots", "pattern", "balance", "cells", "axes", "overlap", "graph", "transport")
+    key = (
+        "scaling",
+        "ranks",
+        "robots",
+        "pattern",
+        "balance",
+        "partition",
+        "cells",
+        "axes",
+        "overlap",
+        "graph",
+        "transport",
+    )
     row["transport"] = transport
     row["commit"] = results.versions()["commit"]  # others of the file may be of other versions
     rows = [other for other in rows if [other.get(name) for name in key] != [row[name] for name in key]] + [row]

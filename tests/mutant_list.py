@@ -1392,6 +1392,32 @@ _VOXELS = [
     ),
 ]
 
+_SPACE = [
+    Mutant(
+        "bisection-plane-open",
+        BROAD + "space_partition.h",
+        "!(coordinate(box.upper) < at)",
+        "!(coordinate(box.upper) <= at)",
+        ("distributed/test_bisection.py",),
+    ),
+    Mutant(
+        "bisection-one-side",
+        BROAD + "space_partition.h",
+        "if (plane.reaches_above(box)) stack[size++] = above;",
+        "",
+        ("distributed/test_bisection.py",),
+        switched=False,
+    ),
+    Mutant(
+        "self-pair-by-reference-point",
+        BROAD + "subdomain_item.h",
+        "if (held_i == held_j) return own_i;",
+        "",
+        ("distributed/test_motions.py",),
+        switched=False,
+    ),
+]
+
 MUTANTS = [
     *_RIGID,
     *_DEFORMING,
@@ -1405,5 +1431,6 @@ MUTANTS = [
     *_ORIGIN,
     *_MARGIN,
     *_DISTRIBUTED,
+    *_SPACE,
     *_VOXELS,
 ]

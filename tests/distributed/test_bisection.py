@@ -79,6 +79,23 @@ def test_operators_reach_the_ranks_whose_boxes_a_body_touches(seed: int, device:
         assert torch.equal(to.cpu(), torch.bincount(partition.owner_of(start)[away], minlength=ranks))
 
 
+def test_a_box_that_ends_on_a_plane_reaches_what_is_above() -> None:
+    """A point on the plane is above it; so a box reaches above with its upper side, but not below with its lower."""
+    centres = [torch.tensor([[1.0, 1.0, 1.0]], dtype=torch.float64)] * 2 + [torch.ones(1, dtype=torch.float64)]
+    rows = torch.zeros(1, dtype=torch.int64)
+    lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
+    for axis in range(3):
+        for at, reached in ((upper[0, axis], [True, True]), (lower[0, axis], [False, True])):
+            planes = torch.tensor([[float(axis), float(at), -1.0, -2.0]], dtype=torch.float64)
+            partition = Bisection((0.0,) * 3, (8.0,) * 3, planes)
+            on_plane = torch.full((1, 3), float(at), dtype=torch.float64)
+            assert partition.owner_of(on_plane).tolist() == [1]
+            for rank in (0, 1):
+                found, _ = ops.replica_ranks(centres, 0.0, 0.0, partition.subdomain(rank), rows, 2)
+                expected = [other and there for other, there in zip((rank != 0, rank != 1), reached, strict=True)]
+                assert found[0].bool().tolist() == expected
+
+
 def test_planes_that_are_none_are_refused() -> None:
     centres = [torch.zeros((1, 3), dtype=torch.float64)] * 2 + [torch.ones(1, dtype=torch.float64)]
     rows = torch.zeros(1, dtype=torch.int64)

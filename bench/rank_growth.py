@@ -1,0 +1,142 @@
+"""What spreading its bodies over ranks costs one rank, as the number of ranks grows and its own bodies stay as many.
+
+One rank from the middle of 64 to 4,096 is really made: its part of the world, a quarter of a million robots in it
+(10^9 in all on 4,096 ranks), which of them other ranks need, which those are, its near ghosts, and who leaves. Both
+partitions, and the replicas as a table (what up to 64 ranks use) and as a list. The planes of a bisection are searched
+once, as one of so many ranks does it that have the same loads. Messages are not sent.
+
+    python bench/rank_growth.py
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+from unittest import mock
+
+import torch
+from support import results, timing
+from torch import Tensor
+
+from pgccd import ops, sim
+from pgccd.distributed import Alone, Bisection, Cells, replicas
+from pgccd.distributed.partition import Partition
+
+_KEPT = (0.0, 0.0)
+
+
+class SameElsewhere(Alone):
+    """One of many ranks that all have what this one has."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.sums = 0
+        self._ranks = size
+
+    def sum(self, values: Tensor) -> Tensor:
+        self.sums += 1
+        return values * self._ranks
+
+
+def main() -> None:
+    """Runs the benchmark."""
+    arguments = parse_arguments()
+    rows = [row for ranks in arguments.ranks for row in measure(ranks, arguments)]
+    results.table(rows)
+    content = {"robots_a_rank": arguments.robots_a_rank, "rounds": arguments.rounds, "rows": rows}
+    results.write("rank_growth", "cpu", content, arguments.out)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = results.parser(__doc__)
+    parser.add_argument("--robots-a-rank", type=int, default=244_141)
+    parser.add_argument("--ranks", type=int, nargs="+", default=[64, 256, 1024, 4096])
+    parser.add_argument("--rounds", type=int, default=5, help="of which the median is taken")
+    return parser.parse_args()
+
+
+def measure(ranks: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    """A row for each partition."""
+    torch.set_num_threads(1)  # as of a rank that shares a machine
+    world = sim.Model(sim.ModelConfig(robots=arguments.robots_a_rank * ranks))
+    upper = world.half_extent
+    lower = tuple(-x for x in upper)
+    return [
+        measure_partition(kind, make(), world, ranks, arguments)
+        for kind, make in {
+            "cells": lambda: Cells.uniform(lower, upper, ranks),
+            "bisection": lambda: Bisection.uniform(lower, upper, ranks),
+        }.items()
+    ]
+
+
+def measure_partition(
+    kind: str, partition: Partition, world: sim.Model, ranks: int, arguments: argparse.Namespace
+) -> dict[str, Any]:
+    """Times and bytes of one rank."""
+    rank = ranks // 2 + ranks // 16
+    low, high = part_of(partition, rank)
+    generator = torch.Generator().manual_seed(1)
+
+    def place(count: int) -> Tensor:
+        return low + (high - low) * torch.rand((count, 3), generator=generator, dtype=torch.float64)
+
+    start = place(arguments.robots_a_rank)
+    step = world.config.speed * world.radius * torch.randn(start.shape, generator=generator, dtype=torch.float64)
+    centres = start, start + step, torch.full((len(start),), world.radius, dtype=torch.float64)
+    where = centres, _KEPT, partition.subdomain(rank)
+
+    def median_ms(work: Callable[[], Any]) -> float:
+        samples = [timing.seconds(work)[0] for _ in range(arguments.rounds)]
+        return timing.summary(samples)["median"]
+
+    reach, rows, count = ops.boundary_bodies(centres, *_KEPT, where[2])
+    rows = rows[: int(count)]
+    ghosts = [column[rows] for column in centres]
+    listed_at = mock.patch.object(replicas, "MOST_TABLE_RANKS", 0)
+    table_at = mock.patch.object(replicas, "MOST_TABLE_RANKS", ranks)
+    row: dict[str, Any] = {"ranks": ranks, "partition": kind, "boundary bodies": len(rows)}
+    row["boundary ms"] = median_ms(lambda: ops.boundary_bodies(centres, *_KEPT, where[2]))
+    for name, patch in (("list", listed_at), ("table", table_at)):
+        with patch:
+            found = replicas.find_replicas(*where, rows, ranks)
+            counts = found.counts.tolist()
+            row["neighbours"] = sum(count > 0 for count in counts)
+            row[f"{name} ms"] = median_ms(
+                lambda: replicas.find_replicas(*where, rows, ranks).rows_by_rank(rows, counts)  # noqa: B023
+            )
+        columns = [column for column in vars(found).values() if isinstance(column, Tensor)]
+        row[f"{name} kB"] = round(sum(column.nbytes for column in columns) / 1e3)
+    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, ghosts, *_KEPT, where[2]))
+    row["leaving ms"] = median_ms(lambda: ops.leaving_bodies(centres[1], None, where[2], ranks))
+    frame, owner, _ = where[2]
+    cells = int(frame[6] * frame[7] * frame[8])
+    row["partition kB"] = round(owner.nbytes / 1e3)
+    row["boxes of near ghosts kB"] = round(48 * cells / 1e3)
+    if isinstance(partition, Bisection):
+        comm = SameElsewhere(ranks)
+        weights = torch.ones(len(start), dtype=torch.int64)
+        shares = [1.0] * ranks
+        row["planes ms"] = timing.rounded(
+            1e3 * timing.seconds(lambda: partition.rebalanced(comm, start, weights, shares))[0]
+        )
+        row["sums over ranks"] = comm.sums
+    return row
+
+
+def part_of(partition: Partition, rank: int) -> tuple[Tensor, Tensor]:
+    """The corners of a rank's part."""
+    if isinstance(partition, Bisection):
+        low, high = partition.boxes[rank]
+        return torch.tensor(low, dtype=torch.float64), torch.tensor(high, dtype=torch.float64)
+    assert isinstance(partition, Cells)
+    at = torch.stack(torch.unravel_index(torch.tensor(rank), partition.subdomains)).double()
+    world_low, world_high = (torch.tensor(x, dtype=torch.float64) for x in (partition.lower, partition.upper))
+    size = (world_high - world_low) / torch.tensor(partition.subdomains)
+    return world_low + at * size, world_low + (at + 1.0) * size
+
+
+if __name__ == "__main__":
+    main()
