@@ -78,6 +78,10 @@ class ReplayedSteps(ABC, Generic[M]):
         """Whether the step after this one must be made launch by launch."""
         return False
 
+    def _is_settled(self) -> bool:
+        """Whether the next step is likely to need what the last one needed, so that a graph of it will do."""
+        return True
+
     def _is_captured(self, captured: bool) -> bool:
         """Whether all ranks could capture a graph, given whether this one could."""
         return captured
@@ -126,7 +130,7 @@ class ReplayedSteps(ABC, Generic[M]):
         self._must_launch = False
         if self._graph is not None and (renew or not self._load(self._graph, index + 1)):
             self._graph = None
-        if self._graph is None and self._wants_graph and more >= _FEWEST_REPLAYS:
+        if self._graph is None and self._wants_graph and more >= _FEWEST_REPLAYS and self._is_settled():
             self._graph = self._try_to_capture(index + 1)
         return made
 

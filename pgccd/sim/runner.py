@@ -36,6 +36,7 @@ class Run:
     records: list[dict[str, Any]]  #: the lines of steps.jsonl, from step 0
     last_step: Step | None  #: None if no step was made in this process
     interrupted: bool  #: by a signal; the checkpoint is up to date
+    one_in: int = 1  #: `state` has one in so many robots: more than 1 of very large worlds on many ranks
 
 
 def run(

@@ -59,9 +59,10 @@ def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
     from pgccd import viz  # viz imports this package: an import at the top would be circular
 
     kinds = ", ".join(f"{len(mesh.faces):,}" for mesh in run.model.meshes.meshes)
-    caption = [
-        f"{len(run.state):,} robots of {kinds} triangles, {run.model.config.pattern} model, after step {run.steps_made}"
-    ]
+    world = f"{run.model.config.robots:,} robots of {kinds} triangles, {run.model.config.pattern} model"
+    caption = [f"{world}, after step {run.steps_made}"]
+    if run.one_in > 1:
+        caption.append(f"one in {run.one_in} robots is drawn")
     if run.last_step is None:
         snapshot = viz.Snapshot.of_state(run.model, run.state, caption)
     else:

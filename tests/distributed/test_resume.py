@@ -16,6 +16,7 @@ from pgccd.sim.checkpoint import require_checkpoint
 from pgccd.sim.distributed import DistributedOptions, DistributedSimulation, resume, run, runner
 from pgccd.sim.distributed.checkpoint import load_share
 from pgccd.sim.run_folder import sees_mark
+from pgccd.sim.summary import write_pictures
 
 CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
 
@@ -103,3 +104,21 @@ def see_at_once(comm: Comm, folder: str) -> str:
         patch.setattr(runner, "sees_mark", lambda folder, name: sees_mark(folder, name, within=0.2))
         patch.setattr(runner, "_compare", lambda *_: None)
         return see(comm, folder)
+
+
+def draw(comm: Comm, folder: str) -> tuple[int, list[int], bool]:
+    """Pictures of a world too large for one rank."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "_MOST_GATHERED", 100)
+        finished = run(comm, CONFIG, 3, folder, keep_last_step=True)
+    if comm.rank == 0:
+        write_pictures(finished, Path(folder))
+    return finished.one_in, finished.state.id.tolist(), finished.last_step is None
+
+
+def test_large_worlds_are_drawn_from_a_sample(ranks: World, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    of_ranks = ranks.run(2, draw, str(tmp_path))  # type: ignore[attr-defined]
+    assert of_ranks[0] == (3, list(range(0, 240, 3)), True)
+    assert of_ranks[1] == (3, [], True)
+    assert "one in 3 robots is drawn" in (tmp_path / "world.html").read_text()

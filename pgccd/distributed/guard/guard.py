@@ -72,7 +72,9 @@ class Guard:
         self._is_alone = False
         self._late_at = -1
         self._broken_since: float | None = None
-        self._launcher = os.getppid()
+        # torchrun's agent, whose end nothing else tells its ranks. Other launchers end theirs; and a shell that started
+        # ranks in the background may go.
+        self._agent = os.getppid() if "TORCHELASTIC_RUN_ID" in os.environ else None
         if channel is not None:
             self._thread = threading.Thread(target=self._watch, name="pgccd-guard", daemon=True)
             self._thread.start()
@@ -157,7 +159,7 @@ class Guard:
         with self._lock:
             exchanges, still = self._exchanges, time.monotonic() - self._progress
         is_late = still > self._timeout
-        if os.getppid() != self._launcher:
+        if self._agent is not None and os.getppid() != self._agent:
             self._fail("has lost the process that launched it")
         elif is_late and self._is_waiting and self._ended_hub is not None:
             self._decide(self._ended_hub)

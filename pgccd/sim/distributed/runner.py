@@ -33,6 +33,9 @@ from pgccd.sim.run_folder import begin, hold, sees_mark, write_mark
 from pgccd.sim.runner import Run, continued, drive
 from pgccd.sim.step import Step
 
+# Robots that one rank is given, at most: some 2 GB.
+_MOST_GATHERED = 20_000_000
+
 
 @dataclass(frozen=True)
 class DistributedOptions:
@@ -72,7 +75,8 @@ def run(
             `pgccd.sim.run`; alike on all ranks.
         device: of this rank.
         options: how the world is spread.
-        keep_last_step: gather the robots and the contacts of the last step on rank 0 (for pictures).
+        keep_last_step: gather the robots and the contacts of the last step on rank 0 (for pictures); of more than 20
+            million robots an even sample, without contacts.
 
     Returns:
         On rank 0 the run, with its state only if it was to be kept; on other ranks the same without records.
@@ -234,11 +238,15 @@ def _continue(
     made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
     comm.barrier()  # rank 0 has made the last checkpoint whole
     state, last_step = simulation.state, None
-    if keep_last_step:
-        state = gather_state(comm, simulation.state)
+    one_in = -(-model.config.robots // _MOST_GATHERED) if keep_last_step else 1
+    if one_in > 1:
+        sample = torch.nonzero(state.id % one_in == 0)[:, 0]
+        state = gather_state(comm, RobotState(**take_rows(state.columns, sample)))
+    elif keep_last_step:
+        state = gather_state(comm, state)
         last_step = None if machine.last_step is None else gather_step(comm, machine.last_step, state)
     records = [] if log is None else log.records
-    return Run(model, state, made, records, last_step, interrupted=made < steps)
+    return Run(model, state, made, records, last_step, interrupted=made < steps, one_in=one_in)
 
 
 def gather_columns(comm: Comm, columns: Columns) -> Columns:

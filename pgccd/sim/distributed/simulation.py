@@ -132,7 +132,8 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         self._expected = Census.of_range(comm, model.config.robots)
         self._capacity: HaloCapacity | None = None
         self._share_capacity: ShareCapacity | None = None
-        self._partition, self._stop, self._back_off = partition, False, BackOff()
+        self._partition, self._stop = partition, False
+        self._back_off, self._moved = BackOff(), 0  # cells or planes, in the last step
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()
 
@@ -253,6 +254,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         clock: StageClock,
     ) -> int:
         """Redistributes space. Returns how many cells or planes moved."""
+        self._moved = 0
         if not self._is_balance_due(index, reports):
             return 0
         with clock.stage("balance"):
@@ -261,6 +263,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
             seconds = torch.tensor(reports.seconds(), dtype=torch.float64)
             after = rebalanced(self.comm, self._partition, planned.position, found, self.balance, seconds)
             self._back_off.tried(index, after.moved)
+            self._moved = after.moved
             if after.moved > 0:
                 self._partition, self._capacity = after.partition, None
             return after.moved
@@ -284,6 +287,9 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         self.comm.close_before(graph)
         self._load(graph, index)
         return graph
+
+    def _is_settled(self) -> bool:
+        return self._moved == 0
 
     def _is_captured(self, captured: bool) -> bool:
         return not self.comm.any(not captured)
