@@ -10,7 +10,7 @@ that hangs.
 
 from __future__ import annotations
 
-from pgccd.distributed.guard.guard import Guard, RankFailureError, is_of_all_ranks
+from pgccd.distributed.guard.guard import Guard, RankFailureError, is_of_all_ranks, of_all_ranks
 from pgccd.distributed.guard.hub import Hub
 
-__all__ = ["Guard", "Hub", "RankFailureError", "is_of_all_ranks"]
+__all__ = ["Guard", "Hub", "RankFailureError", "is_of_all_ranks", "of_all_ranks"]

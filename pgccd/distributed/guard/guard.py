@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 from pgccd.distributed.guard.channel import Channel
 from pgccd.distributed.guard.hub import Hub
@@ -25,6 +26,15 @@ _LATE = 0.9
 
 class RankFailureError(RuntimeError):
     """Another rank died, hangs or failed; the message names it."""
+
+
+E = TypeVar("E", bound=BaseException)
+
+
+def of_all_ranks(error: E) -> E:
+    """Marks an error that all ranks raise together."""
+    error.of_all_ranks = True  # type: ignore[attr-defined]
+    return error
 
 
 def is_of_all_ranks(error: BaseException | None) -> bool:

@@ -15,6 +15,7 @@ import torch.distributed as dist
 
 import pgccd
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.launch.placement import Placement
 
 T = TypeVar("T")
@@ -111,8 +112,7 @@ def together(comm: Comm, action: Callable[[], T]) -> T:
         return result  # type: ignore[return-value]
     if error is None:
         error = ValueError(f"rank {failed[0]}: {errors[failed[0]]}")
-    error.of_all_ranks = True  # type: ignore[attr-defined]
-    raise error
+    raise of_all_ranks(error)
 
 
 def on_first(comm: Comm, action: Callable[[], T]) -> T:

@@ -14,6 +14,7 @@ from pathlib import Path
 import torch
 
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.launch.agreement import on_first, together
 from pgccd.distributed.migrate import id_range
 from pgccd.distributed.partition import Cells, Partition
@@ -108,7 +109,7 @@ class Checkpoints:
                     error = str(failed)
         error = self._background.broadcast(error)
         if error is not None:
-            raise CheckpointError(error)
+            raise of_all_ranks(CheckpointError(error))
 
 
 def load_share(comm: Comm, stored: StoredCheckpoint) -> RobotState:

@@ -19,7 +19,7 @@ from pgccd.distributed.detection import Detection
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.migrate import Census, Leaving, id_range, migrate
 from pgccd.distributed.padded_share import ShareCapacity
-from pgccd.distributed.partition import Partition
+from pgccd.distributed.partition import Cells, Partition
 from pgccd.distributed.rebalancing import rebalanced
 from pgccd.distributed.replicas import MOST_TABLE_RANKS
 from pgccd.distributed.share import Options, OwnSearch, PartEstimates, Share
@@ -289,7 +289,8 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         return graph
 
     def _is_settled(self) -> bool:
-        return self._moved == 0
+        # A graph reads the table of cells, whoever owns them; of planes some are among its numbers.
+        return self._moved == 0 or isinstance(self._partition, Cells)
 
     def _is_captured(self, captured: bool) -> bool:
         return not self.comm.any(not captured)
