@@ -12,6 +12,9 @@ import torch
 import torch.distributed as dist
 
 _ERROR_HANDLING = "TORCH_NCCL_ASYNC_ERROR_HANDLING"
+# Torch's own monitor, which leaves a sign in the launcher's store when a message is lost: ranks that are started again
+# would find it there, and not end.
+_MONITOR = ("TORCH_NCCL_ENABLE_MONITORING", "TORCH_NCCL_DUMP_ON_TIMEOUT")
 # Seconds that the guard has before torch's watchdog, which does not name the rank at fault.
 _MARGIN = 60.0
 
@@ -41,12 +44,14 @@ def _errors_left_to_the_guard() -> Iterator[None]:
     """Settings of groups made in this context; other groups of the process keep theirs."""
     # Else torch ends the process as soon as a message between machines is lost (torchrun requests that), before the
     # guard has found the rank at fault.
-    before = os.environ.get(_ERROR_HANDLING)
-    os.environ[_ERROR_HANDLING] = "0"
+    names = (_ERROR_HANDLING, *_MONITOR)
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "0"))
     try:
         yield
     finally:
-        if before is None:
-            del os.environ[_ERROR_HANDLING]
-        else:
-            os.environ[_ERROR_HANDLING] = before
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
