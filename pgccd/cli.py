@@ -18,10 +18,10 @@ import pgccd
 from pgccd import distributed, sim
 from pgccd.about import describe_installation
 from pgccd.detection.broad import BROAD_PHASES
-from pgccd.detection.memory import is_out_of_memory
 from pgccd.detection.narrow import REPORTS, Kind, Status
 from pgccd.files import load_motion, load_scene
 from pgccd.geometry.origin import Origin
+from pgccd.runtime.memory import is_out_of_memory
 from pgccd.sim.checkpoint import require_checkpoint
 from pgccd.sim.checkpoint_files import Header
 from pgccd.sim.distributed import command

@@ -101,9 +101,11 @@ def namespace(module: str) -> dict[str, Any]:
         names["trimesh"] = importlib.import_module("trimesh")
     if module.startswith(("pgccd.sim", "pgccd.viz", "pgccd.distributed")):
         names |= of_robots()
-    if module == "pgccd.distributed.world":
+    if module in ("pgccd.distributed.world", "pgccd.distributed.captured_world"):
         names |= two_bodies() | {"comm": distributed.Alone()}
         payload = {"velocity": names["v"]}
+        if module == "pgccd.distributed.captured_world":
+            payload |= {"q": names["q0"], "v": names["v"], "w": names["w"]}
         names["world"] = distributed.World([names["rock"]], (0, 0, 0), (9, 9, 9), names["x"], payload=payload)
     if module == "pgccd.detection.narrow":
         names |= dict.fromkeys(("x0", "x1"), torch.rand(5, 4, 3))

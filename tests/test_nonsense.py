@@ -82,6 +82,13 @@ def calls(folder: Path) -> dict[str, Call]:
     filters: dict[str, Any] = dict.fromkeys(("group", "mask", "world"), [0, 1]) | {"static": [False, True]}
     world = distributed.World([mesh], (0, 0, 0), (9, 9, 9), motion.position_t0, payload={"v": torch.ones(2, 3)})
     hits = pgccd.detect(scene, motion)
+
+    def motion_of(bodies: distributed.Bodies) -> pgccd.RigidMotion:
+        return motion
+
+    def response_of(bodies: distributed.Bodies, *_: Any) -> dict[str, torch.Tensor]:
+        return {"position": bodies.position}
+
     config = {field: getattr(sim.ModelConfig(), field) for field in sim.ModelConfig.__dataclass_fields__}
     all_worlds = {"meshes": [mesh], "lower": (0, 0, 0), "upper": (9, 9, 9), "position": motion.position_t0}
     all_worlds |= {
@@ -172,6 +179,9 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "distributed.World.step": Call(world.step, {"motion": motion}),
         "distributed.World.move": Call(world.move, {"position": motion.position_t0, "v": torch.ones(2, 3)}),
+        "distributed.CapturedWorld": Call(
+            distributed.CapturedWorld, {"world": world, "motion": motion_of, "response": response_of}
+        ),
         "distributed.World.first_toi": Call(world.first_toi, {"hits": hits}),
     }
 
@@ -201,7 +211,7 @@ def test_nonsense_is_refused_by_name(name: str, tmp_path: Path) -> None:
 
 def test_every_argument_is_tried(tmp_path: Path) -> None:
     # Those left out: flags of the host's own, and `comm` and `balance`, which are objects of this package.
-    known = {"wait", "comm", "balance", "poses", "tasks", "leaf_pairs", "candidates", "open"}
+    known = {"wait", "comm", "balance", "poses", "tasks", "leaf_pairs", "candidates", "open", "graph"}
     for name, call in calls(tmp_path).items():
         parameters = inspect.signature(call.function).parameters.values()
         named = {each.name for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD}

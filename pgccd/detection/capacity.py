@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pgccd import arguments
 
 # Bytes of GPU memory for each unit of capacity, over all buffers of the operators.
@@ -222,3 +225,19 @@ class Counts:
 COUNT_ROWS: dict[str, int] = {field.name: row for row, field in enumerate(fields(Counts))}
 #: How many of them are the broad phase's.
 COUNTS_OF_PAIRS = COUNT_ROWS["poses"]
+#: Those that tell that a capacity was exceeded.
+OVERFLOWS = [COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts")]
+
+
+def busy_nanoseconds(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(ranks,): how long any of the parts was traversed or solved: a GPU may work on several at once.
+
+    Args:
+        counts: (ranks, parts, 21): `Counts` of each part of a step.
+    """
+    began, ended = counts[:, :, COUNT_ROWS["traverse_began"]], counts[:, :, COUNT_ROWS["narrow_ended"]]
+    order = np.argsort(began, axis=1)
+    began, ended = np.take_along_axis(began, order, axis=1), np.take_along_axis(ended, order, axis=1)
+    reached = np.maximum.accumulate(ended, axis=1)
+    before = np.concatenate([began[:, :1], reached[:, :-1]], axis=1)
+    return np.maximum(0, ended - np.maximum(began, before)).sum(axis=1)

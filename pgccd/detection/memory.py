@@ -35,11 +35,6 @@ def memory_limit(budget: int | None, wanted: int, device: torch.device) -> int:
     return max(_DEFAULT_BUDGET, free // 4)
 
 
-def is_out_of_memory(error: Exception) -> bool:
-    """Whether a device had too little memory, by the error of torch or of our operators."""
-    return isinstance(error, torch.OutOfMemoryError) or "out of memory: no room for" in str(error)
-
-
 class CapacityEstimate:
     """The capacity of a step, estimated from what the last one of its kind needed. It changes how often a step is
     repeated, never its result.

@@ -6,6 +6,7 @@ the nanorobot simulation.) Whatever the number of ranks, the results are the sam
 
 from pgccd.distributed.balance import POLICIES, BalanceOptions, CellLoads, imbalance, rebalance
 from pgccd.distributed.bisection import Bisection
+from pgccd.distributed.captured_world import Bodies, CapturedWorld, WorldStep
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.comm.mpi_comm import MpiComm
 from pgccd.distributed.comm.torch_comm import TorchComm
@@ -21,6 +22,8 @@ __all__ = [
     "Alone",
     "BalanceOptions",
     "Bisection",
+    "Bodies",
+    "CapturedWorld",
     "CellLoads",
     "Cells",
     "Comm",
@@ -31,6 +34,7 @@ __all__ = [
     "RankFailureError",
     "TorchComm",
     "World",
+    "WorldStep",
     "choose_device",
     "connect",
     "factorise",

@@ -104,8 +104,12 @@ class Bisection(Partition):
         return replace(self, planes=self.planes.clone())
 
     def become(self, other: Partition) -> bool:
-        # The frame of a rank's cells is among a graph's numbers.
-        return isinstance(other, Bisection) and torch.equal(self.planes, other.planes)
+        # The cells in which near ghosts are found stay those of the former part, a number of a captured graph. Any
+        # cells give the same pairs, since those outermost extend to infinity.
+        if not isinstance(other, Bisection) or other.planes.shape != self.planes.shape:
+            return False
+        self.planes.copy_(other.planes)
+        return True
 
     def rebalanced(self, comm: Comm, points: Tensor, weights: Tensor, shares: Sequence[float]) -> Bisection:
         """Planes that divide the load of all ranks in given shares, found by four sums over the ranks for each level.

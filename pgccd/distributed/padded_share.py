@@ -21,11 +21,26 @@ from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo, padded_count
 from pgccd.distributed.held import Held
 from pgccd.distributed.partition import Partition
+from pgccd.distributed.replicas import MOST_TABLE_RANKS
 from pgccd.distributed.share import Build, Options, PartEstimates, Share
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.side_stream import SideStream
 
 # Bodies that stay with their rank after they have left its cells reach far into those of others.
 _NEAR_SLACK = 2
+# Rows for bodies that come, besides those that there are: a share of these, and some.
+_OWN_SHARE, _OWN_MORE = 16, 256
+
+
+def can_replay(comm: Comm, device: torch.device) -> bool:
+    """Whether a step of a rank can be a CUDA graph, messages included."""
+    return device.type == "cuda" and (comm.size == 1 or comm.goes_with_the_stream) and comm.size <= MOST_TABLE_RANKS
+
+
+def rows_with_slack(count: int) -> int:
+    """Rows of a graph for so many bodies that a rank owns."""
+    return count + count // _OWN_SHARE + _OWN_MORE
 
 
 @dataclass(frozen=True)
@@ -71,15 +86,14 @@ def search_padded_share(
     """Sends ghosts and enqueues both searches. Waits for nothing, where messages go with the stream.
 
     Args:
-        comm, partition, build, options, estimates: as for `OwnSearch`. `build` gives bodies with
-            negative ids a radius below zero.
-        own: columns of the bodies this rank owns, "id" ascending, then padding.
+        comm, partition, build, options, estimates: as for `OwnSearch`; the motion is rigid.
+        own: columns of the bodies this rank owns, "id" ascending, then padding: id -1, in a valid pose.
         capacity: of everything that has to do with ghosts.
         discard, slack: see `find_part`.
     """
     kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
     subdomain, device = partition.subdomain(comm.rank), own["id"].device
-    bodies = MovingBodies(*build(own), wait=False)
+    bodies = MovingBodies(*_build_padded(build, own), wait=False)
     centres, asked = centres_of(bodies), (options.query, options.broad_phase)
     if comm.size == 1:
         part = find_part(bodies, *asked, None, discard, estimate=estimates.own, slack=slack)
@@ -99,7 +113,10 @@ def search_padded_share(
     own_part.begin()
     with side:
         held = halo.padded()
-        ghosts = of_checked(*build(held.ghosts))
+        for name, column in held.ghosts.items():
+            if name.startswith("orientation"):
+                column[:, 0].masked_fill_(held.ghosts["id"] < 0, 1.0)  # padding is zeros, which is no pose
+        ghosts = of_checked(*_build_padded(build, held.ghosts))
         near, near_count = ops.near_ghosts(centres, centres_of(ghosts), *kept, subdomain)
         near = _first_rows(near[: capacity.near], near_count)
         rows = torch.cat([near, torch.arange(held.own_count, len(held), device=device)])
@@ -116,6 +133,14 @@ def search_padded_share(
     is_short = (near_count > capacity.near).to(torch.int64)
     failed = halo.overflow + is_short + bodies.first_faults()[-1:]
     return PaddedShare(held, [own_part, found], centres_of(ghosts), kept, failed)
+
+
+def _build_padded(build: Build, columns: Columns) -> tuple[Scene, RigidMotion]:
+    """Rows of padding are bodies with a radius below zero, which meet none."""
+    scene, motion = build(columns)
+    assert isinstance(motion, RigidMotion)
+    scene.radius = torch.where(columns["id"] < 0, -torch.inf, scene.radius)
+    return scene, motion
 
 
 def _first_rows(rows: Tensor, count: Tensor) -> Tensor:

@@ -147,35 +147,37 @@ class World:
             counts = self.comm.all_gather(torch.tensor([len(position)]))[:, 0].tolist()
             columns["id"] = columns["id"] + sum(counts[: self.comm.rank])
         require_unique(self.comm, columns["id"])
-        self._census = Census.of_ranks(self.comm, columns["id"])
-        self._found: Detection | None = None
+        self.census = Census.of_ranks(self.comm, columns["id"])
+        #: Of the last step.
+        self.found: Detection | None = None
         self._capacity: HaloCapacity | None = None
-        self._estimates = PartEstimates()
-        self._seconds, self._steps, self._back_off = 0.0, 0, BackOff()
+        self.estimates = PartEstimates()
+        self.steps_made = 0
+        self._seconds, self._back_off = 0.0, BackOff()
         ascending = torch.argsort(columns["id"])
-        self._columns = take_rows(columns, ascending)
+        self.columns = take_rows(columns, ascending)
         self._vertices = None if self._vertices is None else self._vertices.take(ascending)
         self._change_hands()
 
     @property
     def id(self) -> Tensor:
         """(N,) int64, ascending: the bodies this rank owns."""
-        return self._columns["id"]
+        return self.columns["id"]
 
     @property
     def position(self) -> Tensor:
         """(N, 3) float64: where their origins are, as last given."""
-        return self._columns["position"]
+        return self.columns["position"]
 
     @property
     def mesh_index(self) -> Tensor:
         """(N,) int32."""
-        return self._columns["mesh_index"]
+        return self.columns["mesh_index"]
 
     @property
     def payload(self) -> dict[str, Tensor]:
         """What the user's tensors are now, by name."""
-        return {name[1:]: column for name, column in self._columns.items() if name.startswith(".")}
+        return {name[1:]: column for name, column in self.columns.items() if name.startswith(".")}
 
     @property
     def vertex_payload(self) -> dict[str, Tensor]:
@@ -203,7 +205,7 @@ class World:
             >>> hits = world.step(motion)
             >>> toi = world.first_toi(hits)
         """
-        own = {name: self._columns[name] for name in _OF_SCENES if name in self._columns}
+        own = self.columns_of_scene(self.columns)
         if isinstance(motion, Trajectory):
             require_rows(motion, len(self.id), vertex_counts(self._meshes, self.mesh_index))
             segments = Segments.agreed(self.comm, motion.segment_count, own)
@@ -232,10 +234,10 @@ class World:
             own = own | motion.columns()
         self.comm.guard.activity = "step"
         clock = StageClock()
-        where = self.comm, self.partition, own, self._build, options, clock
+        where = self.comm, self.partition, own, self.build, options, clock
         capacity = self._capacity if vertices is None else None
-        found = detect_distributed(*where, self._estimates, capacity, vertices)
-        self._found, self._seconds, self._steps = found, clock.work, self._steps + 1
+        found = detect_distributed(*where, self.estimates, capacity, vertices)
+        self.found, self._seconds, self.steps_made = found, clock.work, self.steps_made + 1
         self._capacity = HaloCapacity.of(found.held)
         return found
 
@@ -276,7 +278,7 @@ class World:
         of_vertices: Columns = {}
         for name, values in {"position": position, **payload}.items():
             key = name if name == "position" else "." + name
-            of_bodies, vertices = self._columns, {} if self._vertices is None else self._vertices.columns
+            of_bodies, vertices = self.columns, {} if self._vertices is None else self._vertices.columns
             former = of_bodies.get(key, vertices.get(key))
             if former is None:
                 known = sorted({*self.payload, *self.vertex_payload})
@@ -291,19 +293,24 @@ class World:
         if not bool(torch.isfinite(position).all()):
             raise ValueError("position: expected finite numbers")
         # Only now: what is refused changes nothing.
-        self._columns |= moved
+        self.columns |= moved
         if self._vertices is not None:
             self._vertices = Vertices(self._vertices.columns | of_vertices, self._vertices.count)
         self._change_hands()
 
     def loads(self) -> Tensor:
         """(ranks,) int64: the predicted cost of each rank in the last step, the same on all of them."""
-        if self._found is None:
+        if self.found is None:
             raise RuntimeError("no step has been made yet")
-        cost = len(self._found.held.own_id) + PAIR_COST * len(self._found.pairs)
+        cost = len(self.found.held.own_id) + PAIR_COST * len(self.found.pairs)
         return self.comm.all_gather(torch.tensor([cost]))[:, 0]
 
-    def _build(self, columns: Columns) -> tuple[Scene, RigidMotion | VertexMotion]:
+    def columns_of_scene(self, columns: Columns) -> Columns:
+        """Those of them that detection reads."""
+        return {name: columns[name] for name in _OF_SCENES if name in columns}
+
+    def build(self, columns: Columns) -> tuple[Scene, RigidMotion | VertexMotion]:
+        """The scene and motion of bodies with these columns."""
         optional: dict[str, Any] = {name: columns[name] for name in _OPTIONAL if name in columns}
         scene = Scene.of_checked(self._meshes, columns["mesh_index"], **optional)
         if "x_t0" in columns:
@@ -311,18 +318,22 @@ class World:
         pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
         return scene, RigidMotion.from_rotation(*pose, path=self.path)
 
+    def decides_balance(self, steps_made: int) -> bool:
+        """Whether it is decided after so many steps if bodies change hands for balance."""
+        return self.balance.applies(steps_made, self.comm.size) and self._back_off.is_over(steps_made)
+
     def _change_hands(self) -> None:
-        if self.balance.applies(self._steps, self.comm.size) and self._back_off.is_over(self._steps):
-            assert self._found is not None
-            mine = [len(self._found.held.own_id), len(self._found.pairs), len(self._found.contacts)]
+        if self.decides_balance(self.steps_made):
+            assert self.found is not None
+            mine = [len(self.found.held.own_id), len(self.found.pairs), len(self.found.contacts)]
             loads = self.comm.all_gather(torch.tensor([*mine, self._seconds], dtype=torch.float64))
             bodies, pairs, contacts = loads[:, :3].long().t().tolist()
             if not RankLoads(bodies, pairs, contacts, loads[:, 3].tolist()).are_level(self.balance):
-                where = self.comm, self.partition, self._found.share.parts[0].bodies.position_t0, self._found
+                where = self.comm, self.partition, self.found.share.parts[0].bodies.position_t0, self.found
                 after = rebalanced(*where, self.balance, loads[:, 3])
-                self._back_off.tried(self._steps, after.moved)
+                self._back_off.tried(self.steps_made, after.moved)
                 self.partition = after.partition
                 self._capacity = None
-        moved = migrate(self.comm, self.partition, self._columns, self.position, vertices=self._vertices)
-        self._columns, self._vertices = moved.columns, moved.vertices
-        Census.of_ranks(self.comm, self.id).require(self._census)
+        moved = migrate(self.comm, self.partition, self.columns, self.position, vertices=self._vertices)
+        self.columns, self._vertices = moved.columns, moved.vertices
+        Census.of_ranks(self.comm, self.id).require(self.census)

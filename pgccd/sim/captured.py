@@ -1,8 +1,5 @@
-"""One step of the model as a CUDA graph, so that the host is not what a GPU waits for.
-
-A step is a transaction: it reads the state, and commits on the device if on no rank a capacity was exceeded, all
-collisions are resolved and the poses are valid. Otherwise it changes nothing, and neither do the steps enqueued behind
-it, until the host has read its record. `pgccd.sim.replay` then makes the step itself.
+"""One step of the model as a CUDA graph. It is committed if on no rank a capacity was exceeded, all collisions are
+resolved and the poses are valid; otherwise `pgccd.sim.replay` makes it launch by launch.
 """
 
 from __future__ import annotations
@@ -18,18 +15,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.capacity import COUNT_ROWS, Counts
+from pgccd.detection.capacity import COUNT_ROWS, OVERFLOWS, Counts
 from pgccd.detection.parts import Part, first_contacts_of
-from pgccd.runtime.events import record_event
-from pgccd.runtime.graph import capture
 from pgccd.runtime.stages import StageClock
+from pgccd.runtime.transaction import TransactionGraph
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
-from pgccd.sim.resolution import OVERFLOWS, Attempt, Exchange, RoundPlan
+from pgccd.sim.resolution import Attempt, Exchange, RoundPlan
 from pgccd.sim.tally import COUNTED, Rows, Tally, count_step, work_of_counts
-
-#: Capacity of a graph over what the last step needed: a larger graph takes as long to capture as several steps.
-GRAPH_SLACK = 2.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +70,7 @@ class CommittedStep:
         return Tally.of(self.work, self.conclusions[:, :COUNTED]).record(self.index, self.rounds, clock)
 
 
-class StepGraph:
+class StepGraph(TransactionGraph[CommittedStep]):
     """One step as a CUDA graph, from a state in fixed memory to the next one. Where there are many ranks each has a
     graph, and the messages between them are part of it.
 
@@ -101,20 +94,14 @@ class StepGraph:
         rounds: int,
         conclude: Conclude | None = None,
     ) -> None:
+        super().__init__(model.device)
         self._model, self._search, self._plan, self.rounds = model, search, plan, rounds
         self._conclude = conclude
         self.state = RobotState(**{name: column.clone() for name, column in state.columns.items()})
         self._index = torch.full((1,), index, dtype=torch.int64, device=model.device)
-        # 1 once a step has not been committed: those behind it are not either.
-        self._failed = torch.ones(1, dtype=torch.int64, device=model.device)
         self._is_overflow = torch.zeros(len(COUNT_ROWS), dtype=torch.int64, device=model.device)
         self._is_overflow[OVERFLOWS] = 1
         self._parts, self._rank = 1, 0
-        self._graph, self._record = capture(self._step, model.device)
-        self._failed.zero_()
-        pinned = model.device.type == "cuda"
-        self._hosts = [torch.empty(self._record.shape, dtype=torch.int64, pin_memory=pinned) for _ in range(2)]
-        self._replays = 0
 
     def load(self, state: RobotState, index: int) -> None:
         """Goes on from another state, of no more robots than there are rows."""
@@ -150,18 +137,12 @@ class StepGraph:
         self._parts, self._rank = len(searches.parts), exchange.rank
         return torch.cat([searched, exchange.gather(concluded)], dim=1)
 
-    def replay(self) -> StepReplay:
-        """Makes a step, if those before it were committed. Waits for nothing."""
-        host = self._hosts[self._replays % len(self._hosts)]
-        self._replays += 1
-        began = record_event(timed=True)
-        self._graph.replay()
-        host.copy_(self._record, non_blocking=True)
-        return StepReplay(self.rounds, self._parts, self._rank, host, began, record_event(timed=True))
-
-    def close(self) -> None:
-        """Frees the graph, which cannot be replayed any more."""
-        self._graph.reset()
+    def _committed(self, index: int, record: NDArray[np.int64], seconds: float) -> CommittedStep:
+        searches = self._parts + self.rounds
+        changes, rest = record[:, 1 : 2 + self.rounds].max(axis=0), record[:, 2 + self.rounds :]
+        counts = rest[:, : searches * len(COUNT_ROWS)].reshape(len(record), searches, len(COUNT_ROWS))
+        conclusions = rest[:, searches * len(COUNT_ROWS) :]
+        return CommittedStep(index, int(np.argmin(changes)), seconds, self._rank, self._parts, counts, conclusions)
 
 
 def clear_rows(state: RobotState, begin: int) -> None:
@@ -171,28 +152,3 @@ def clear_rows(state: RobotState, begin: int) -> None:
     for column in (state.id, state.target, state.stay_until):
         column[begin:] = -1
     state.orientation[begin:, 0] = 1.0
-
-
-@dataclass(frozen=True)
-class StepReplay:
-    """A step that a GPU was given. It must be read before the second one after it is enqueued."""
-
-    rounds: int  #: made
-    parts: int  #: of the whole step
-    rank: int  #: this one
-    host: Tensor  #: the record, once `ended`
-    began: torch.cuda.Event
-    ended: torch.cuda.Event
-
-    def read(self, index: int) -> CommittedStep | None:
-        """Waits for the step; None: it was not committed."""
-        self.ended.synchronize()
-        numbers = self.host.numpy().copy()
-        if numbers[:, 0].any():
-            return None
-        searches = self.parts + self.rounds
-        changes, rest = numbers[:, 1 : 2 + self.rounds].max(axis=0), numbers[:, 2 + self.rounds :]
-        counts = rest[:, : searches * len(COUNT_ROWS)].reshape(len(numbers), searches, len(COUNT_ROWS))
-        conclusions = rest[:, searches * len(COUNT_ROWS) :]
-        seconds = 1e-3 * self.began.elapsed_time(self.ended)
-        return CommittedStep(index, int(np.argmin(changes)), seconds, self.rank, self.parts, counts, conclusions)

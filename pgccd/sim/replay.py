@@ -1,20 +1,17 @@
-"""Steps of a simulation as replays of a graph, made launch by launch where a graph does not do."""
+"""Steps of a simulation as replays of a graph."""
 
 from __future__ import annotations
 
-import warnings
-from abc import ABC, abstractmethod
 from collections import deque
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
-import torch
 from torch import Tensor
 
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.memory import is_out_of_memory
 from pgccd.detection.parts import find_part
-from pgccd.sim.captured import GRAPH_SLACK, CommittedStep, Searches, StepGraph, StepReplay
+from pgccd.runtime.replayed_steps import GRAPH_SLACK, ReplayedSteps
+from pgccd.sim.captured import CommittedStep, Searches, StepGraph
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.resolution import OneRank, Resolution
@@ -22,8 +19,6 @@ from pgccd.sim.step import Step, StepPlan, make_step
 
 # Of so many steps the one with the most rounds decides how many a graph has.
 _RECENT_STEPS = 64
-# A graph is worth capturing if so many steps follow.
-_FEWEST_REPLAYS = 4
 
 
 class MadeStep(Protocol):
@@ -36,120 +31,25 @@ class MadeStep(Protocol):
 M = TypeVar("M", bound=MadeStep)
 
 
-class ReplayedSteps(ABC, Generic[M]):
-    """Makes steps that follow one another. The first is made launch by launch, and a graph of what it needed captured;
-    the next ones are replays of that, of which two at most are enqueued at a time. A step that the graph could not make
-    is made launch by launch, and a larger graph captured. On many ranks all come to the same decisions, since these
-    follow from what all have been told.
+class SimulationSteps(ReplayedSteps[M, CommittedStep, StepGraph]):
+    """Steps of a simulation: a graph makes as many rounds of collision resolution as any recent step took.
 
     Args:
         wants_graph: whether steps are replayed.
     """
 
     def __init__(self, wants_graph: bool) -> None:
-        self._wants_graph = wants_graph
-        self._graph: StepGraph | None = None
-        self._under_way: deque[StepReplay] = deque()
+        super().__init__(wants_graph)
         self._rounds: deque[int] = deque(maxlen=_RECENT_STEPS)
-        # Whether the next step is one that a graph is not made for.
-        self._must_launch = False
 
-    @abstractmethod
-    def _launch(self, index: int) -> M:
-        """Makes a step launch by launch, and goes on from the state it ends in."""
+    def _note(self, step: M | CommittedStep) -> None:
+        self._rounds.append(step.rounds if isinstance(step, CommittedStep) else step.resolution.rounds)
 
-    @abstractmethod
-    def _capture(self, index: int, rounds: int) -> StepGraph:
-        """A graph of the next step, in the capacities that the last one needed and somewhat more."""
-
-    @abstractmethod
-    def _load(self, graph: StepGraph, index: int) -> bool:
-        """Lets the graph go on from the state. False: it does not fit."""
-
-    @abstractmethod
-    def _take(self, graph: StepGraph) -> None:
-        """Goes on from the graph's state."""
-
-    def _read(self, replay: StepReplay, index: int) -> CommittedStep | None:
-        """Waits for a step; None: it was not committed."""
-        return replay.read(index)
-
-    def _needs_launch(self, step: CommittedStep) -> bool:
-        """Whether the step after this one must be made launch by launch."""
-        return False
-
-    def _is_settled(self) -> bool:
-        """Whether the next step is likely to need what the last one needed, so that a graph of it will do."""
-        return True
-
-    def _is_captured(self, captured: bool) -> bool:
-        """Whether all ranks could capture a graph, given whether this one could."""
-        return captured
-
-    @property
-    def is_ahead(self) -> bool:
-        """Whether a GPU has been given the next step already."""
-        return bool(self._under_way)
-
-    def _advance(self, index: int, more: int) -> M | CommittedStep:
-        """Makes a step.
-
-        Args:
-            index: one more than that of the step before.
-            more: how many follow before the state is asked for, or the whole outcome of a step. The last of them is not
-                replayed.
-        """
-        if not self._under_way:
-            renew = self._graph is None or self._has_idle_rounds
-            if renew or not more or self._must_launch:
-                return self._launch_and_load(index, more, renew and more > 0)
-            assert self._graph is not None
-            self._under_way.append(self._graph.replay())
-        assert self._graph is not None
-        if more > 1 and len(self._under_way) < 2 and not (self._has_idle_rounds or self._must_launch):
-            self._under_way.append(self._graph.replay())
-        committed = self._read(self._under_way.popleft(), index)
-        if committed is None:
-            self._under_way.clear()  # they have changed nothing
-            return self._launch_and_load(index, more, renew=True)
-        self._rounds.append(committed.rounds)
-        self._must_launch = self._needs_launch(committed)
-        return committed
-
-    @property
-    def _has_idle_rounds(self) -> bool:
-        """Whether the graph makes rounds that no recent step needed."""
-        return self._graph is not None and len(self._rounds) == _RECENT_STEPS and max(self._rounds) < self._graph.rounds
-
-    def _launch_and_load(self, index: int, more: int, renew: bool) -> M:
-        """A step launch by launch. After it the graph goes on; or there is a new one, if enough steps follow."""
-        if self._graph is not None:
-            self._take(self._graph)
-        made = self._launch(index)
-        self._rounds.append(made.resolution.rounds)
-        self._must_launch = False
-        if self._graph is not None and (renew or not self._load(self._graph, index + 1)):
-            self._graph = None
-        if self._graph is None and self._wants_graph and more >= _FEWEST_REPLAYS and self._is_settled():
-            self._graph = self._try_to_capture(index + 1)
-        return made
-
-    def _try_to_capture(self, index: int) -> StepGraph | None:
-        if torch.cuda.is_initialized():
-            torch.cuda.empty_cache()  # a graph has memory of its own
-        graph, why = None, "another rank could not capture it"
-        try:
-            graph = self._capture(index, max(self._rounds))
-        except RuntimeError as error:
-            why = "too little memory" if is_out_of_memory(error) else str(error)
-        if self._is_captured(graph is not None):
-            return graph
-        warnings.warn(f"steps are launched kernel by kernel: no CUDA graph of them: {why}", stacklevel=2)
-        self._wants_graph = False
-        return None
+    def _is_oversized(self, graph: StepGraph) -> bool:
+        return len(self._rounds) == _RECENT_STEPS and max(self._rounds) < graph.rounds
 
 
-class StepMaker(ReplayedSteps[Step]):
+class StepMaker(SimulationSteps[Step]):
     """Makes the steps of a simulation in one process, on a GPU as replays of a graph where several follow one another.
 
     Args:
@@ -196,8 +96,8 @@ class StepMaker(ReplayedSteps[Step]):
         self._state = made.after
         return made
 
-    def _capture(self, index: int, rounds: int) -> StepGraph:
-        return capture_step(self._model, self._state, index, self._broad_phase, self._plan, rounds)
+    def _capture(self, index: int) -> StepGraph:
+        return capture_step(self._model, self._state, index, self._broad_phase, self._plan, max(self._rounds))
 
     def _load(self, graph: StepGraph, index: int) -> bool:
         graph.load(self._state, index)
@@ -219,4 +119,4 @@ def capture_step(
         partners = Partners(model, planned.moving_columns, None, part.pairs)
         return Searches([part], partners, planned.id, OneRank(), bodies.first_faults()[-1:])
 
-    return StepGraph(model, state, index, search, plan.rounds, rounds)
+    return StepGraph(model, state, index, search, plan.rounds, rounds).capture()

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
+from pgccd.detection.capacity import COUNT_ROWS, OVERFLOWS, Capacity, Counts
 from pgccd.detection.parts import Part, pairs_of_step, search_seconds
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
@@ -293,6 +293,3 @@ def _needed(made: Sequence[NDArray[np.int64]], capacities: Sequence[Capacity]) -
         Counts.of(numbers.tolist()).needed(capacity)
         for numbers, capacity in zip(made, capacities[: len(made)], strict=True)
     ]
-
-
-OVERFLOWS = [COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts")]

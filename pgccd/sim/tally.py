@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.capacity import COUNT_ROWS
+from pgccd.detection.capacity import COUNT_ROWS, busy_nanoseconds
 from pgccd.detection.contacts import Stats
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.hashing import hashed_columns
@@ -35,19 +35,7 @@ def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int
     """
     names = ("pairs_written", "contacts", "candidates", "unresolved")
     pcs, contacts, candidates, unresolved = (counts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in names)
-    spent = _covered(counts[:, :, COUNT_ROWS["traverse_began"]], counts[:, :, COUNT_ROWS["narrow_ended"]])
-    return np.stack([pcs, contacts, secondary_contacts, candidates, unresolved, spent], axis=1)
-
-
-def _covered(began: Rows, ended: Rows) -> Rows:
-    """(ranks,): how long any of the parts (ranks, parts) went on: a GPU may work on several at once."""
-    if began.shape[1] == 1:
-        return (ended - began)[:, 0]
-    order = np.argsort(began, axis=1)
-    began, ended = np.take_along_axis(began, order, axis=1), np.take_along_axis(ended, order, axis=1)
-    reached = np.maximum.accumulate(ended, axis=1)
-    before = np.concatenate([began[:, :1], reached[:, :-1]], axis=1)
-    return np.maximum(0, ended - np.maximum(began, before)).sum(axis=1)
+    return np.stack([pcs, contacts, secondary_contacts, candidates, unresolved, busy_nanoseconds(counts)], axis=1)
 
 
 def work_of_stats(stats: Stats, secondary_contacts: int) -> list[int]:

@@ -82,8 +82,8 @@ def find(comm: Comm, name: str, device: torch.device = torch.device("cpu")) -> l
                 expected = (expected_pairs if column == "pairs" else expected)[affected]
                 assert torch.equal(found.cpu(), expected), (report, seed, column)
             # What the ranks tested adds up to the whole, no pair twice.
-            assert int(comm.sum(torch.tensor([len(world._found.pairs)]))) == whole.stats.pcs
-            ids_tested = world._found.held.id[world._found.pairs]
+            assert int(comm.sum(torch.tensor([len(world.found.pairs)]))) == whole.stats.pcs
+            ids_tested = world.found.held.id[world.found.pairs]
             everything = torch.cat(
                 [torch.tensor(rows).view(-1, 2) for rows in comm.gather_objects(ids_tested.tolist())]
             )
@@ -92,7 +92,7 @@ def find(comm: Comm, name: str, device: torch.device = torch.device("cpu")) -> l
                 first = pgccd.sim.first_collisions(whole.pairs, whole.toi, len(ids))
                 assert torch.equal(world.first_toi(hits).cpu(), first[torch.searchsorted(ids, world.id.cpu())])
             assert int(world.loads().sum()) == len(ids) + 8 * whole.stats.pcs
-            owners = world._found.held.owner[world._found.pairs]
+            owners = world.found.held.owner[world.found.pairs]
             seen.append((len(whole), int((owners != comm.rank).all(dim=1).sum())))
     return seen
 

@@ -145,7 +145,7 @@ def follow_replayed(
             for module in (halo_capacity, padded_share):
                 stack.enter_context(mock.patch.object(module, "padded_count", lambda count: count))
             stack.enter_context(mock.patch.object(padded_share, "_NEAR_SLACK", 1))
-            stack.enter_context(mock.patch.object(simulation_module, "_OWN_MORE", 0))
+            stack.enter_context(mock.patch.object(padded_share, "_OWN_MORE", 0))
         return follow(comm, name, policy, steps, random_owners, True, graph=True)
 
 

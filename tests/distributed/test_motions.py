@@ -165,8 +165,8 @@ def deform(
             found = world.step(pgccd.VertexMotion(before, after))
             whole = alone(report, step)
             require_equal(world, found, whole, report)
-            assert world._found is not None
-            assert int(comm.sum(torch.tensor([len(world._found.pairs)]))) == whole.stats.pcs
+            assert world.found is not None
+            assert int(comm.sum(torch.tensor([len(world.found.pairs)]))) == whole.stats.pcs
             if report == "first":
                 first = torch.full((COUNT,), torch.inf, dtype=torch.float64)
                 assert whole.toi is not None
@@ -174,7 +174,7 @@ def deform(
                 assert torch.equal(world.first_toi(found).cpu(), first[rows])
             seen["contacts"] += len(whole)
             seen["with itself"] += int((whole.pairs[:, 0] == whole.pairs[:, 1]).sum())
-            seen["ghosts"] += world._found.held.ghost_count
+            seen["ghosts"] += world.found.held.ghost_count
             had = set(world.id.tolist())
             begin = world._vertices.count.cumsum(0) - world._vertices.count  # type: ignore[union-attr]
             world.move(after[begin], x=after)  # they are where their first vertex is

@@ -10,7 +10,8 @@ import torch
 from support.graphs import graphs_on
 
 from pgccd.detection.capacity import Capacity
-from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, captured, make_step, replay
+from pgccd.runtime import transaction
+from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, make_step, replay
 from pgccd.sim.captured import CommittedStep, StepGraph
 from pgccd.sim.resolution import RoundPlan
 from pgccd.sim.step import Step
@@ -25,9 +26,9 @@ def graphs(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Iterator[li
     made: list[StepGraph] = []
 
     class Watched(StepGraph):
-        def __init__(self, *given: Any) -> None:
-            super().__init__(*given)
-            made.append(self)
+        def capture(self) -> Watched:
+            made.append(super().capture())
+            return self
 
     monkeypatch.setattr(replay, "StepGraph", Watched)
     with graphs_on(device):
@@ -182,7 +183,7 @@ def test_without_a_graph(device: torch.device, graphs: list[StepGraph], monkeypa
         raise RuntimeError("operation not permitted")
 
     assert [without_times(plain.step(index, 7 - index).record) for index in range(8)] == expected
-    monkeypatch.setattr(captured, "capture", fail)
+    monkeypatch.setattr(transaction, "capture", fail)
     maker = StepMaker(model, model.start(), graph=True)
     with pytest.warns(UserWarning, match="no CUDA graph of them: operation not permitted") as warned:
         assert [without_times(maker.step(index, 7 - index).record) for index in range(8)] == expected

@@ -10,7 +10,7 @@ from unittest import mock
 import torch
 from torch import Tensor
 
-from pgccd.sim import captured
+from pgccd.runtime import transaction
 
 
 class Recorded:
@@ -47,6 +47,6 @@ def graphs_on(device: torch.device | str) -> ExitStack:
     """A context in which steps can be captured on this device; "none": as without it."""
     stack = ExitStack()
     if device != "none" and torch.device(device).type == "cpu":
-        stack.enter_context(mock.patch.object(captured, "capture", record))
-        stack.enter_context(mock.patch.object(captured, "record_event", lambda timed: Now()))
+        stack.enter_context(mock.patch.object(transaction, "capture", record))
+        stack.enter_context(mock.patch.object(transaction, "record_event", lambda timed: Now()))
     return stack

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 import torch
-from distributed import test_detection, test_distributed_simulation, test_exchange, test_motions
+from distributed import test_captured_world, test_detection, test_distributed_simulation, test_exchange, test_motions
 
 from pgccd.distributed import choose_device, connect
 from support.crowds import crowds
@@ -21,6 +21,8 @@ with connect("cuda", "nccl") as comm:
     for report in ("first", "all"):
         test_motions.deform(comm, report, device)
         test_motions.follow(comm, report, False, device)
+    for partition in ("cells", "bisection"):
+        assert test_captured_world.follow(comm, "cost", partition, True, str(device), False)["replayed"] > 6
     # With cells distributed at random, and a rank whose capacity is exceeded now and then.
     seen = test_distributed_simulation.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
     assert seen["contacts"] > 100 and seen["arrived"] > 20

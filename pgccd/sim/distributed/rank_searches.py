@@ -8,15 +8,13 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.parts import pairs_of_step
-from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.migrate import Leaving
 from pgccd.distributed.padded_share import ShareCapacity, search_padded_share
 from pgccd.distributed.partition import Partition
 from pgccd.distributed.share import Build, Options, PartEstimates
-from pgccd.geometry.scene import Scene
-from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.sim.captured import GRAPH_SLACK, Searches, clear_rows
+from pgccd.runtime.replayed_steps import GRAPH_SLACK
+from pgccd.sim.captured import Searches, clear_rows
 from pgccd.sim.distributed.held_exchange import HeldExchange
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
@@ -46,7 +44,7 @@ class RankSearches:
     def search(self, planned: RobotState, discard: Tensor) -> Searches:
         """Enqueues the searches of a planned step."""
         own, capacity = planned.moving_columns, self.capacity
-        asked = self._build_padded, self.options, self.estimates, capacity, discard, GRAPH_SLACK
+        asked = self.build, self.options, self.estimates, capacity, discard, GRAPH_SLACK
         share = search_padded_share(self.comm, self.partition, own, *asked)
         agreed = share.held, share.ghost_centres, share.kept, self.partition
         exchange = HeldExchange.start(*agreed, capacity.common)
@@ -60,13 +58,6 @@ class RankSearches:
         concluded = torch.cat([held, self.notes, leaving])
         self.notes[:1].zero_()
         return concluded
-
-    def _build_padded(self, columns: Columns) -> tuple[Scene, RigidMotion | VertexMotion]:
-        padding = columns["id"] < 0
-        columns["orientation"][:, 0].masked_fill_(padding, 1.0)  # ghosts' padding is zeros, which is no pose
-        scene, motion = self.build(columns)
-        scene.radius = torch.where(padding, -torch.inf, scene.radius)
-        return scene, motion
 
 
 def padded_state(state: RobotState, rows: int) -> RobotState:

@@ -18,21 +18,21 @@ from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection import Detection
 from pgccd.distributed.halo_capacity import HaloCapacity
 from pgccd.distributed.migrate import Census, Leaving, id_range, migrate
-from pgccd.distributed.padded_share import ShareCapacity
-from pgccd.distributed.partition import Cells, Partition
+from pgccd.distributed.padded_share import ShareCapacity, can_replay, rows_with_slack
+from pgccd.distributed.partition import Partition
 from pgccd.distributed.rebalancing import rebalanced
-from pgccd.distributed.replicas import MOST_TABLE_RANKS
 from pgccd.distributed.share import Options, OwnSearch, PartEstimates, Share
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
-from pgccd.sim.captured import CommittedStep, StepGraph, StepReplay
+from pgccd.runtime.transaction import Replay
+from pgccd.sim.captured import CommittedStep, StepGraph
 from pgccd.sim.distributed.held_exchange import HeldExchange
 from pgccd.sim.distributed.rank_searches import RankSearches, padded_state
 from pgccd.sim.distributed.reports import Reports
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
-from pgccd.sim.replay import ReplayedSteps
+from pgccd.sim.replay import SimulationSteps
 from pgccd.sim.resolution import Resolution, ResolvedStep, RoundPlan, resolve_collisions
 from pgccd.sim.response import respond
 from pgccd.sim.tally import Tally, count_step
@@ -40,8 +40,6 @@ from pgccd.sim.tally import Tally, count_step
 # Up to so many ranks, each sends all others its counts of leaving robots together with its tally; with more, those
 # affected alone.
 _TELLS_MOVES = 64
-# Rows of a graph for robots that come, besides those that there are: a share of these, and some.
-_OWN_SHARE, _OWN_MORE = 16, 256
 # Robots that have left stay with their rank as long as there are so many times more ghosts: each may be one.
 _MOST_AWAY = 4
 
@@ -87,7 +85,7 @@ class RankStep:
         return self.make_record()
 
 
-class DistributedSimulation(ReplayedSteps[RankStep]):
+class DistributedSimulation(SimulationSteps[RankStep]):
     """A world's robots, spread over ranks.
 
     Over NCCL, steps that follow one another are replays of a graph that each rank has, messages included: see
@@ -120,10 +118,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         broad_phase: BroadPhase = "auto",
         graph: bool | None = None,
     ) -> None:
-        if graph is None:
-            graph = model.device.type != "cpu" and (comm.size == 1 or comm.goes_with_the_stream)
-            graph = graph and comm.size <= MOST_TABLE_RANKS
-        super().__init__(graph)
+        super().__init__(can_replay(comm, model.device) if graph is None else graph)
         self.comm, self.model = comm, model
         self.balance = balance or BalanceOptions()
         # nonzero_toi: robots that part after a contact are free.
@@ -133,7 +128,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         self._capacity: HaloCapacity | None = None
         self._share_capacity: ShareCapacity | None = None
         self._partition, self._stop = partition, False
-        self._back_off, self._moved = BackOff(), 0  # cells or planes, in the last step
+        self._back_off = BackOff()
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()
 
@@ -254,7 +249,6 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         clock: StageClock,
     ) -> int:
         """Redistributes space. Returns how many cells or planes moved."""
-        self._moved = 0
         if not self._is_balance_due(index, reports):
             return 0
         with clock.stage("balance"):
@@ -263,7 +257,6 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
             seconds = torch.tensor(reports.seconds(), dtype=torch.float64)
             after = rebalanced(self.comm, self._partition, planned.position, found, self.balance, seconds)
             self._back_off.tried(index, after.moved)
-            self._moved = after.moved
             if after.moved > 0:
                 self._partition, self._capacity = after.partition, None
             return after.moved
@@ -276,21 +269,18 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
 
     # Of replays.
 
-    def _capture(self, index: int, rounds: int) -> StepGraph:
+    def _capture(self, index: int) -> StepGraph:
         assert self._share_capacity is not None
         self._notes = torch.zeros(2, dtype=torch.int64, device=self.model.device)
         self._graph_partition = self._partition.copy()
         where = self.comm, self._graph_partition, self._share_capacity, self._notes
         searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
-        state = padded_state(self._state, len(self._state) + len(self._state) // _OWN_SHARE + _OWN_MORE)
-        graph = StepGraph(self.model, state, index, searches.search, self._plan, rounds, searches.conclude)
+        state = padded_state(self._state, rows_with_slack(len(self._state)))
+        made = self.model, state, index, searches.search, self._plan, max(self._rounds), searches.conclude
+        graph = StepGraph(*made).capture()
         self.comm.close_before(graph)
         self._load(graph, index)
         return graph
-
-    def _is_settled(self) -> bool:
-        # A graph reads the table of cells, whoever owns them; of planes some are among its numbers.
-        return self._moved == 0 or isinstance(self._partition, Cells)
 
     def _is_captured(self, captured: bool) -> bool:
         return not self.comm.any(not captured)
@@ -307,7 +297,7 @@ class DistributedSimulation(ReplayedSteps[RankStep]):
         columns = {name: column[: len(self._state)].clone() for name, column in graph.state.columns.items()}
         self._state = RobotState(**columns)
 
-    def _read(self, replay: StepReplay, index: int) -> CommittedStep | None:
+    def _read(self, replay: Replay[CommittedStep], index: int) -> CommittedStep | None:
         with self.comm.guard.waiting("step"):
             return replay.read(index)
 

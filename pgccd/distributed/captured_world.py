@@ -1,0 +1,300 @@
+"""Steps of a `World` as replays of one CUDA graph a rank, where motion and response are functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.detection.capacity import COUNT_ROWS, OVERFLOWS, busy_nanoseconds
+from pgccd.detection.parts import first_contacts_of
+from pgccd.distributed.balance import RankLoads
+from pgccd.distributed.comm.exchange import Columns, pack, unpack
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.migrate import Leaving
+from pgccd.distributed.padded_share import PaddedShare, ShareCapacity, can_replay, rows_with_slack, search_padded_share
+from pgccd.distributed.world import World
+from pgccd.motion.paths import RigidMotion
+from pgccd.runtime.replayed_steps import GRAPH_SLACK, ReplayedSteps
+from pgccd.runtime.transaction import Replay, TransactionGraph
+
+# Bodies that have left stay with their rank as long as there are so many times more ghosts: each may be one.
+_MOST_AWAY = 4
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """The bodies of one rank, for functions of a user's. In a graph there are more rows than bodies: what stands in
+    rows of negative ids has no effect."""
+
+    id: Tensor  #: (N,) int64
+    position: Tensor  #: (N, 3) float64, length units, world frame: where the origins are
+    mesh_index: Tensor  #: (N,) int32
+    payload: Columns  #: by name: (N, ...)
+    step: Tensor  #: (1,) int64: how many steps the world has made
+
+
+#: The motion of the next step.
+Motion = Callable[[Bodies], RigidMotion]
+#: Of the bodies at t0, their motion, and the first toi of each (N,), inf for those that do not collide: the position at
+#: the end of the step as "position", and other values of the payload by name.
+Response = Callable[[Bodies, RigidMotion, Tensor], Columns]
+
+
+@dataclass(frozen=True)
+class WorldStep:
+    """What one step of all ranks found."""
+
+    pcs: int  #: potentially colliding pairs
+    contacts: int  #: pairs that collide
+    replayed: bool  #: whether a graph made it
+
+
+@dataclass(frozen=True)
+class _Committed:
+    """A step that was committed on all devices."""
+
+    found: WorldStep
+    loads: RankLoads
+    leaving: int  #: bodies that are in parts of other ranks
+    ghosts: int
+
+
+class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
+    """A loop of steps of a `World`: motion, detection, response.
+
+    On GPUs (over NCCL, where there are several) a step is the replay of a CUDA graph that each rank has, messages and
+    both functions included, and the host waits for nothing but the record of the step before. A step that exceeds a
+    capacity changes nothing, and is made launch by launch; so is the last one of `run`, and now and then one in which
+    bodies change hands. Elsewhere all steps are made so. The results are the same, to the bit.
+
+    Args:
+        world: with report="first".
+        motion: called with the rank's `Bodies`. It may only enqueue work, see `torch.cuda.graph`.
+        response: called with the `Bodies`, the motion, and the first toi of each (N,) float64; returns new values
+            by name: "position" (N, 3) and any payload. The same holds for it.
+        graph: whether steps are replayed, the same on all ranks. Default: where that is possible.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+
+    Example:
+        >>> def motion(bodies):
+        ...     return pgccd.RigidMotion.from_velocity(
+        ...         bodies.position, bodies.payload["q"], bodies.payload["v"], bodies.payload["w"], dt=0.1
+        ...     )
+        >>> def response(bodies, motion, first_toi):
+        ...     position, orientation = motion.at(0.99 * first_toi.clamp(max=1.0))
+        ...     return {"position": position, "q": orientation}
+        >>> steps = pgccd.distributed.CapturedWorld(world, motion, response).run(100)
+    """
+
+    def __init__(self, world: World, motion: Motion, response: Response, graph: bool | None = None) -> None:
+        if not isinstance(world, World):
+            raise TypeError(f"world: expected a pgccd.distributed.World, got {arguments.describe(world)}")
+        if world.options.report != "first":
+            raise ValueError(f'world: expected one with report="first", this has {world.options.report!r}')
+        for name, function in (("motion", motion), ("response", response)):
+            if not callable(function):
+                raise TypeError(f"{name}: expected a function, got {arguments.describe(function)}")
+        if world.vertex_payload:
+            raise ValueError("world: expected one without vertex_payload: its motion is rigid")
+        graph = can_replay(world.comm, world.id.device) if graph is None else graph
+        super().__init__(graph and world.census.count > 0)
+        self._world, self._motion, self._response = world, motion, response
+
+    def run(self, steps: int) -> list[WorldStep]:
+        """Makes steps. After them the world is in the state in which they ended, each body with its owner.
+
+        Args:
+            steps: how many, the same on all ranks.
+
+        Raises:
+            TypeError, ValueError: what `World.step` and `World.move` raise of what the functions return.
+        """
+        steps = arguments.integer(steps, "steps", 0, "a number of steps >= 0")
+        world, found = self._world, []
+        if self._graph is not None and not self._load(self._graph, world.steps_made):
+            self._graph = None
+        for more in reversed(range(steps)):
+            made = self._advance(world.steps_made, more)
+            if isinstance(made, _Committed):
+                world.steps_made, made = world.steps_made + 1, made.found
+            found.append(made)
+        return found
+
+    @property
+    def is_graph(self) -> bool:
+        """Whether there is a graph of the next step."""
+        return self._graph is not None
+
+    def _launch(self, index: int) -> WorldStep:
+        world = self._world
+        bodies = _bodies(world.columns, torch.full((1,), index, device=world.id.device))
+        motion = self._motion(bodies)
+        _require_rigid(motion)
+        hits = world.step(motion)
+        assert world.found is not None
+        self._share = world.found.share
+        counts = torch.tensor([len(world.found.pairs), len(world.found.contacts)])
+        pcs, contacts = world.comm.sum(counts).tolist()
+        world.move(**_with_position(self._response(bodies, motion, world.first_toi(hits))))
+        return WorldStep(pcs, contacts, replayed=False)
+
+    def _capture(self, index: int) -> _WorldGraph:
+        world = self._world
+        capacity = ShareCapacity.after(self._share, [])
+        graph = _WorldGraph(world, self._motion, self._response, capacity, index).capture()
+        world.comm.close_before(graph)
+        graph.load(world.columns, index)
+        return graph
+
+    def _is_captured(self, captured: bool) -> bool:
+        return not self._world.comm.any(not captured)
+
+    def _load(self, graph: _WorldGraph, index: int) -> bool:
+        fits = len(self._world.id) <= len(graph.columns["id"]) and graph.partition.become(self._world.partition)
+        if self._world.comm.any(not fits):
+            return False
+        graph.load(self._world.columns, index)
+        return True
+
+    def _take(self, graph: _WorldGraph) -> None:
+        world = self._world
+        world.columns = {name: column[: len(world.id)].clone() for name, column in graph.columns.items()}
+
+    def _read(self, replay: Replay[_Committed], index: int) -> _Committed | None:
+        self._world.comm.guard.activity = "step"
+        with self._world.comm.guard.waiting("step"):
+            return replay.read(index)
+
+    def _needs_launch(self, step: _Committed) -> bool:
+        # Space is redistributed after the step that follows this one.
+        decides = self._world.decides_balance(self._world.steps_made + 2)
+        return _MOST_AWAY * step.leaving > step.ghosts or (decides and not step.loads.are_level(self._world.balance))
+
+
+class _WorldGraph(TransactionGraph[_Committed]):
+    """One rank's part of a step. It is committed if no capacity was exceeded on any rank, and all poses are valid.
+
+    Args:
+        world: whose state the graph is captured for.
+        motion, response: of the user.
+        capacity: of everything that has to do with ghosts.
+        index: of the next step.
+    """
+
+    def __init__(self, world: World, motion: Motion, response: Response, capacity: ShareCapacity, index: int) -> None:
+        device = world.id.device
+        super().__init__(device)
+        self._world, self._motion, self._response, self._capacity = world, motion, response, capacity
+        #: With a table of owners that is the graph's own.
+        self.partition = world.partition.copy()
+        rows = rows_with_slack(len(world.id))
+        # Rows of padding are like a body, so that the user's functions find valid values in them.
+        like = _any_body(world.comm, world.columns)
+        #: Of the bodies owned, then padding.
+        self.columns = {name: column.expand(rows, *column.shape[1:]).clone() for name, column in like.items()}
+        self.columns["id"].fill_(-1)
+        self._index = torch.full((1,), index, dtype=torch.int64, device=device)
+        self._is_overflow = torch.zeros(len(COUNT_ROWS), dtype=torch.int64, device=device)
+        self._is_overflow[OVERFLOWS] = 1
+
+    def load(self, columns: Columns, index: int) -> None:
+        """Goes on from another state, of no more bodies than there are rows."""
+        self.columns["id"].fill_(-1)
+        for name, column in columns.items():
+            self.columns[name][: len(column)].copy_(column)
+        self._index.fill_(index)
+        self._failed.zero_()
+
+    def _step(self) -> Tensor:
+        """(ranks, 4 + 21 * parts) int64: whether it failed, bodies owned, held, and leaving, and counts."""
+        world, columns = self._world, self.columns
+        comm, id = world.comm, columns["id"]
+        bodies = _bodies(columns, self._index)
+        motion = self._motion(bodies)
+        _require_rigid(motion)
+        own = world.columns_of_scene(columns) | motion.columns()
+        asked = world.build, world.options, world.estimates, self._capacity, self._failed, GRAPH_SLACK
+        share = search_padded_share(comm, self.partition, own, *asked)
+        for part in share.parts:
+            part.begin()
+        new = _with_position(self._response(bodies, motion, _first_toi(share)))
+        is_body = id >= 0
+        leaving = Leaving(comm, self.partition, new["position"], id).counts.sum()[None]
+        is_finite = (torch.isfinite(new["position"]).all(dim=1) | ~is_body).all()
+        counts = torch.stack([part.counts() for part in share.parts])
+        failed = self._failed + share.failed + motion.first_faults()[-1:] + (~is_finite).to(torch.int64)
+        failed = failed + (counts * self._is_overflow).sum()
+        owned, held = is_body.sum()[None], (share.held.id >= 0).sum()[None]
+        record = comm.all_gather(torch.cat([failed, owned, held, leaving, counts.reshape(-1)]))
+        self._failed.copy_(record[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
+        self._index += 1 - self._failed
+        commits = is_body & (self._failed == 0)
+        for name, values in new.items():
+            column = columns[name if name == "position" else "." + name]
+            is_new = commits.view(-1, *[1] * (column.dim() - 1))
+            column.copy_(torch.where(is_new, values, column))
+        return record
+
+    def _committed(self, index: int, record: NDArray[np.int64], seconds: float) -> _Committed:
+        owned, held, leaving = record[:, 1:4].T
+        counts = record[:, 4:].reshape(len(record), -1, len(COUNT_ROWS))
+        pcs, contacts = (counts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in ("pairs_written", "contacts"))
+        spent = (1e-9 * busy_nanoseconds(counts)).tolist()
+        loads = RankLoads(owned.tolist(), pcs.tolist(), contacts.tolist(), spent)
+        found = WorldStep(int(pcs.sum()), int(contacts.sum()), replayed=True)
+        return _Committed(found, loads, int(leaving.sum()), int((held - owned).sum()))
+
+
+def _first_toi(share: PaddedShare) -> Tensor:
+    """(N,) float64, of the own bodies: the smallest of all ranks that hold them."""
+    held, own_count = share.held, share.held.own_count
+    pairs, toi = first_contacts_of(share.parts)
+    first = toi.new_full((len(held) + 1,), torch.inf)  # the last one is of padding
+    _lower(first, pairs.reshape(-1), toi.repeat_interleave(2))
+    if held.route.comm.size > 1:
+        answer = held.route.back({"toi": first[own_count:-1]}).wait()["toi"]
+        _lower(first, held.route.rows, answer)
+    return first[:own_count]
+
+
+def _lower(first: Tensor, rows: Tensor, toi: Tensor) -> None:
+    """Sets those of the rows (K,), -1 for padding, to the toi (K,) that are smaller."""
+    first.scatter_reduce_(0, torch.where(rows < 0, len(first) - 1, rows), toi, "amin")
+
+
+def _bodies(columns: Columns, step: Tensor) -> Bodies:
+    payload = {name[1:]: column for name, column in columns.items() if name.startswith(".")}
+    return Bodies(columns["id"], columns["position"], columns["mesh_index"], payload, step)
+
+
+def _require_rigid(motion: RigidMotion) -> None:
+    if not isinstance(motion, RigidMotion):
+        raise TypeError(f"motion: expected a pgccd.RigidMotion to be returned, got {arguments.describe(motion)}")
+
+
+def _with_position(new: Columns) -> Columns:
+    if not isinstance(new, dict) or "position" not in new:
+        raise TypeError(f'response: expected tensors by name, "position" among them, got {arguments.describe(new)}')
+    return new
+
+
+def _any_body(comm: Comm, columns: Columns) -> Columns:
+    """One row of each column: of a body of the first rank that has any. Zeros if there are none."""
+    count = len(columns["id"])
+    if count:
+        row = pack(columns, torch.zeros(1, dtype=torch.int64, device=columns["id"].device))[0]
+    else:
+        empty = {name: column.new_zeros((1, *column.shape[1:])) for name, column in columns.items()}
+        row = pack(empty, torch.zeros(1, dtype=torch.int64, device=columns["id"].device))[0]
+    padded = torch.cat([row, row.new_zeros(-len(row) % 8)]).view(torch.int64)
+    rows = comm.all_gather(torch.cat([padded.new_tensor([count]), padded]))
+    first = int((rows[:, 0] > 0).to(torch.uint8).argmax())
+    return unpack(rows[first, 1:].contiguous().view(torch.uint8)[None, : len(row)].contiguous(), columns)

@@ -1,0 +1,84 @@
+"""A step of a loop as a CUDA graph, so that the host is not what a GPU waits for.
+
+A step is a transaction: it reads a state in fixed memory and commits the next one on the device. If it cannot, it
+changes nothing, and neither do the steps enqueued behind it, until the host has read its record.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Generic, Self, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pgccd.runtime.events import record_event
+from pgccd.runtime.graph import capture
+
+#: A step that was committed, as its record describes it.
+C = TypeVar("C")
+
+
+class TransactionGraph(ABC, Generic[C]):
+    """One step as a CUDA graph, from a state in fixed memory to the next one. `capture` comes first.
+
+    Args:
+        device: a CUDA device.
+    """
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        # 1 once a step has not been committed: those behind it are not either. Nor is the one that is captured.
+        self._failed = torch.ones(1, dtype=torch.int64, device=device)
+
+    @abstractmethod
+    def _step(self) -> Tensor:
+        """Enqueues the step, which is committed if `_failed` stays 0. Returns its record, int64, a row for each rank;
+        the first column is nonzero if it was not committed."""
+
+    @abstractmethod
+    def _committed(self, index: int, record: NDArray[np.int64], seconds: float) -> C:
+        """The step of this number, which took so long on the device."""
+
+    def capture(self) -> Self:
+        """Captures the step."""
+        self._graph, self._record = capture(self._step, self._device)
+        self._failed.zero_()
+        pinned = self._device.type == "cuda"
+        self._hosts = [torch.empty(self._record.shape, dtype=torch.int64, pin_memory=pinned) for _ in range(2)]
+        self._replays = 0
+        return self
+
+    def replay(self) -> Replay[C]:
+        """Makes a step, if those before it were committed. Waits for nothing."""
+        host = self._hosts[self._replays % len(self._hosts)]
+        self._replays += 1
+        began = record_event(timed=True)
+        self._graph.replay()
+        host.copy_(self._record, non_blocking=True)
+        return Replay(self, host, began, record_event(timed=True))
+
+    def close(self) -> None:
+        """Frees the graph, which cannot be replayed any more."""
+        self._graph.reset()
+
+
+@dataclass(frozen=True)
+class Replay(Generic[C]):
+    """A step that a GPU was given. It must be read before the second one after it is enqueued."""
+
+    graph: TransactionGraph[C]
+    host: Tensor  #: the record, once `ended`
+    began: torch.cuda.Event
+    ended: torch.cuda.Event
+
+    def read(self, index: int) -> C | None:
+        """Waits for the step; None: it was not committed."""
+        self.ended.synchronize()
+        record = self.host.numpy().copy()
+        if record[:, 0].any():
+            return None
+        return self.graph._committed(index, record, 1e-3 * self.began.elapsed_time(self.ended))

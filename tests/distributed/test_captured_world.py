@@ -1,0 +1,194 @@
+"""Loops of a `World` as replays of a graph: the bits of a plain loop in one process, on any number of ranks."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+import torch
+from support.graphs import graphs_on
+from support.shapes import bumpy
+from torch import Tensor
+
+import pgccd
+from distributed.conftest import World as Ranks
+from pgccd.distributed import (
+    BalanceOptions,
+    Bodies,
+    CapturedWorld,
+    Comm,
+    World,
+    WorldStep,
+    captured_world,
+    halo_capacity,
+    padded_share,
+)
+from pgccd.distributed.comm.interface import Alone
+
+COUNT, STEPS, BOX = 120, 24, 5.5
+
+
+@functools.cache
+def meshes() -> pgccd.MeshSet:
+    rng = np.random.default_rng(5)
+    # One turns about a point beside it.
+    beside = bumpy(rng, 1, size=0.5)
+    return pgccd.MeshSet([bumpy(rng, 1, size=0.6), pgccd.Mesh(beside.vertices, beside.faces, origin=(0.4, 0.0, 0.1))])
+
+
+@functools.cache
+def start() -> dict[str, Tensor]:
+    generator = torch.Generator().manual_seed(2)
+    orientation = torch.randn((COUNT, 4), generator=generator, dtype=torch.float64)
+    return {
+        "position": BOX * torch.rand((COUNT, 3), generator=generator, dtype=torch.float64),
+        "mesh_index": torch.randint(2, (COUNT,), generator=generator, dtype=torch.int32),
+        "margin": 0.02 * torch.rand(COUNT, generator=generator, dtype=torch.float64),
+        "static": torch.arange(COUNT) % 13 == 0,
+        "q": torch.nn.functional.normalize(orientation),
+        "v": torch.randn((COUNT, 3), generator=generator, dtype=torch.float64),
+        "w": torch.randn((COUNT, 3), generator=generator, dtype=torch.float64),
+        "hits": torch.zeros(COUNT, dtype=torch.int64),
+    }
+
+
+def motion(bodies: Bodies) -> pgccd.RigidMotion:
+    at = bodies.payload
+    # The speed of each body changes from step to step: by arithmetic that is the same on all devices.
+    speed = 0.1 * ((bodies.id + bodies.step) % 3).double()[:, None]
+    return pgccd.RigidMotion.from_velocity(bodies.position, at["q"], speed * at["v"], at["w"], dt=0.2)
+
+
+def response(bodies: Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
+    position, orientation = motion.at(0.9 * first_toi.clamp(max=1.0))
+    collides = first_toi <= 1.0
+    outside = (position < 0.0) | (position > BOX)
+    velocity = torch.where(collides[:, None] | outside, -bodies.payload["v"], bodies.payload["v"])
+    return {"position": position, "q": orientation, "v": velocity, "hits": bodies.payload["hits"] + collides}
+
+
+def spread(comm: Comm, device: torch.device, policy: str, partition: str) -> World:
+    mine = torch.arange(comm.rank, COUNT, comm.size)
+    columns = {name: column[mine].to(device) for name, column in start().items()}
+    payload = {name: columns.pop(name) for name in ("q", "v", "w", "hits")}
+    balance = BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0, every=3)
+    options: dict[str, Any] = {"id": 3 * mine.to(device) + 1, "payload": payload, "partition": partition}
+    options |= {"comm": comm, "cells": 4, "balance": balance, "nonzero_toi": True, "min_separation": 1e-3}
+    return World(meshes().meshes, (0.0,) * 3, (BOX,) * 3, columns.pop("position"), **columns, **options)
+
+
+@functools.cache
+def plain_loop(steps: int) -> tuple[dict[str, Tensor], list[tuple[int, int]]]:
+    """In one process, by `detect` alone: the columns after it, and PCS and contacts of each step."""
+    now = dict(start())
+    scene = pgccd.Scene(meshes(), now["mesh_index"], margin=now["margin"], static=now["static"])
+    counts = []
+    for step in range(steps):
+        payload = {name: now[name] for name in ("q", "v", "w", "hits")}
+        ids = 3 * torch.arange(COUNT) + 1
+        bodies = Bodies(ids, now["position"], now["mesh_index"], payload, torch.tensor([step]))
+        moving = motion(bodies)
+        hits = pgccd.detect(scene, moving, min_separation=1e-3, nonzero_toi=True)
+        counts.append((hits.stats.pcs, len(hits)))
+        now |= response(bodies, moving, hits.first_toi("body"))
+    return now, counts
+
+
+def follow(comm: Comm, policy: str, partition: str, graph: bool, device: str, cramped: bool) -> dict[str, int]:
+    expected, counts = plain_loop(STEPS)
+    with graphs_on(device if graph else "none") as stack:
+        if cramped:  # then one body more is too much
+            for module in (halo_capacity, padded_share):
+                stack.enter_context(mock.patch.object(module, "padded_count", lambda count: count))
+            stack.enter_context(mock.patch.object(padded_share, "_NEAR_SLACK", 1))
+            stack.enter_context(mock.patch.object(padded_share, "_OWN_MORE", 0))
+        stack.enter_context(mock.patch.object(captured_world, "_MOST_AWAY", 0.5))
+        world = spread(comm, torch.device(device), policy, partition)
+        loop = CapturedWorld(world, motion, response, graph)
+        steps: list[WorldStep] = []
+        for part in (STEPS - 11, 1, 10):
+            steps += loop.run(part)
+            assert not steps[-1].replayed and world.steps_made == len(steps)
+            assert bool((world.partition.owner_of(world.position) == comm.rank).all())
+        assert [(step.pcs, step.contacts) for step in steps] == counts
+        rows = torch.div(world.id.cpu() - 1, 3, rounding_mode="floor")
+        for name, column in {"position": world.position, **world.payload}.items():
+            assert torch.equal(column.cpu(), expected[name][rows]), name
+    return {"replayed": sum(step.replayed for step in steps), "owned": len(world.id)}
+
+
+@pytest.mark.parametrize(
+    ("policy", "partition", "cramped"),
+    [("none", "cells", False), ("cost", "bisection", False), ("cost", "cells", True)],
+)
+def test_same_bits_as_a_plain_loop(world: Ranks, policy: str, partition: str, cramped: bool) -> None:
+    seen = world(follow, policy, partition, True, "cpu", cramped)
+    assert sum(rank["owned"] for rank in seen) == COUNT
+    assert cramped or seen[0]["replayed"] > 6
+    assert sum(contacts for _, contacts in plain_loop(STEPS)[1]) > 50
+
+
+def test_without_graphs(world: Ranks) -> None:
+    assert world(follow, "cost", "cells", False, "cpu", False)[0]["replayed"] == 0
+
+
+def test_on_one_device(device: torch.device) -> None:
+    assert follow(Alone(), "none", "cells", True, str(device), False)["replayed"] > 15
+
+
+def start_empty(comm: Comm) -> int:
+    """All bodies begin on the last rank, and stay there."""
+    with graphs_on("cpu"):
+        count = 12 if comm.rank == comm.size - 1 else 0
+        columns = {name: column[:count] for name, column in start().items()}
+        payload = {name: columns.pop(name) for name in ("q", "v", "w", "hits")}
+        position = torch.tensor([BOX, BOX, BOX]) - 0.1 * columns.pop("position")
+        options: dict[str, Any] = {"id": torch.arange(count), "balance": BalanceOptions("none"), "comm": comm}
+        world = World(meshes().meshes, (0.0,) * 3, (BOX,) * 3, position, **columns, payload=payload, **options)
+
+        def rest(bodies: Bodies, _: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
+            return {"position": bodies.position}
+
+        return sum(step.replayed for step in CapturedWorld(world, motion, rest, True).run(12))
+
+
+def test_ranks_without_bodies(world: Ranks) -> None:
+    assert world(start_empty)[0] > 5
+
+
+def test_a_step_of_invalid_poses_is_an_error(device: torch.device) -> None:
+    """Found by the graph, named by the step made launch by launch after it."""
+    with graphs_on(device):
+        world = spread(Alone(), device, "none", "cells")
+
+        def break_later(bodies: Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
+            new = response(bodies, motion, first_toi)
+            new["q"] = torch.where((bodies.id == 7)[:, None] & (bodies.step == 6), 2.0 * new["q"], new["q"])
+            return new
+
+        loop = CapturedWorld(world, motion, break_later, True)
+        with pytest.raises(ValueError, match="orientation(_t0)?: body 2"):
+            loop.run(20)
+        # A CPU finds it when the poses are given: here in the step that is enqueued ahead.
+        assert world.steps_made == (7 if device.type == "cuda" else 6)
+
+
+def test_what_functions_return_is_checked() -> None:
+    world = spread(Alone(), torch.device("cpu"), "none", "cells")
+    where: Any
+    for where, returned, problem in (
+        ("motion", None, "motion: expected a pgccd.RigidMotion to be returned"),
+        ("response", {"q": world.payload["q"]}, '"position" among them'),
+        ("response", {"position": world.position[1:]}, "position: expected"),
+        ("response", {"position": world.position, "speed": world.position}, "speed: not a payload"),
+    ):
+        functions = {"motion": motion, "response": response} | {where: lambda *_, found=returned: found}
+        with pytest.raises((TypeError, ValueError), match=problem):
+            CapturedWorld(world, **functions).run(1)
+    for report in ("any", "all", "earliest"):
+        other = World(meshes().meshes, (0.0,) * 3, (BOX,) * 3, world.position, report=report)
+        with pytest.raises(ValueError, match="world: expected one with report"):
+            CapturedWorld(other, motion, response)
