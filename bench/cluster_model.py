@@ -3,7 +3,7 @@ without detection), and a model of a step's time on top of it.
 
 Counted for every number of ranks: bodies, ghosts and neighbours of each rank, bytes in the halo, the size of the table
 of cells. Then a skewed density (a peak in each corner of the box) is balanced for some steps by the policy of
-`pgccd.distributed.balance` itself. The model adds up, for the most loaded rank:
+`pgccd.distributed.partition.balance` itself. The model adds up, for the most loaded rank:
 
     alone       a step of one process: linear in its robots, through what was measured for the smallest and the largest
                 number (bench/results/cluster_scaling-cuda.json)
@@ -37,7 +37,7 @@ from support import results, timing
 
 from pgccd import ops, sim
 from pgccd.distributed import BalanceOptions, CellLoads, Cells, imbalance, rebalance
-from pgccd.distributed.balance import rank_loads
+from pgccd.distributed.partition.balance import rank_loads
 
 _BLOCK = 1 << 20
 _STATE_BYTES = 112  # of a robot in the halo

@@ -26,7 +26,7 @@ from support import results, timing
 
 from pgccd import distributed, sim
 from pgccd.distributed.launch.connect import TRANSPORTS
-from pgccd.distributed.rebalancing import make_partition
+from pgccd.distributed.partition.rebalancing import make_partition
 from pgccd.sim.runner import HasRecord
 
 # What the stages of a step are summed up to.

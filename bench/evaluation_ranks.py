@@ -14,8 +14,9 @@ from support.evaluation import Case, Steps, world_file
 
 from pgccd import distributed, sim
 from pgccd.baselines import PCCCD
+from pgccd.distributed.partition.balance import Policy
 
-_POLICIES: dict[str, distributed.balance.Policy] = {"PGCCD": "none", "PGCCD+LB": "one-cell", "PGCCD, by cost": "cost"}
+_POLICIES: dict[str, Policy] = {"PGCCD": "none", "PGCCD+LB": "one-cell", "PGCCD, by cost": "cost"}
 
 
 def main() -> None:

@@ -20,8 +20,9 @@ from support import results, timing
 from torch import Tensor
 
 from pgccd import ops, sim
-from pgccd.distributed import Alone, Bisection, Cells, replicas
-from pgccd.distributed.partition import Partition
+from pgccd.distributed import Alone, Bisection, Cells
+from pgccd.distributed.halo import replicas
+from pgccd.distributed.partition.interface import Partition
 
 _KEPT = (0.0, 0.0)
 

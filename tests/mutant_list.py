@@ -1176,15 +1176,15 @@ _BOUNDS = [
 _DISTRIBUTED = [
     Mutant(
         "world-without-census",
-        "pgccd/distributed/world.py",
-        "Census.of_ranks(self.comm, self.id).require(self._census)",
+        "pgccd/distributed/world/world.py",
+        "Census.of_ranks(self.comm, self.id).require(self.census)",
         "pass",
         ("distributed/test_census.py",),
         switched=False,
     ),
     Mutant(
         "census-counts-only",
-        "pgccd/distributed/migrate.py",
+        "pgccd/distributed/halo/migrate.py",
         "if self != expected:",
         "if self.count != expected.count:",
         ("distributed/test_census.py",),
@@ -1192,7 +1192,7 @@ _DISTRIBUTED = [
     ),
     Mutant(
         "census-hashes-only",
-        "pgccd/distributed/migrate.py",
+        "pgccd/distributed/halo/migrate.py",
         "if self != expected:",
         "if self.ids != expected.ids:",
         ("distributed/test_census.py",),

@@ -34,7 +34,7 @@ NOT_ALONE = (
     "pgccd.sim.distributed.runner",
     "pgccd.runtime.side_stream",
     "pgccd.distributed.comm.torch_comm",
-    "pgccd.distributed.share",
+    "pgccd.distributed.detection.share",
     "pgccd.runtime.host_copy",
 )
 
@@ -101,10 +101,10 @@ def namespace(module: str) -> dict[str, Any]:
         names["trimesh"] = importlib.import_module("trimesh")
     if module.startswith(("pgccd.sim", "pgccd.viz", "pgccd.distributed")):
         names |= of_robots()
-    if module in ("pgccd.distributed.world", "pgccd.distributed.captured_world"):
+    if module in ("pgccd.distributed.world.world", "pgccd.distributed.world.captured"):
         names |= two_bodies() | {"comm": distributed.Alone()}
         payload = {"velocity": names["v"]}
-        if module == "pgccd.distributed.captured_world":
+        if module == "pgccd.distributed.world.captured":
             payload |= {"q": names["q0"], "v": names["v"], "w": names["w"]}
         names["world"] = distributed.World([names["rock"]], (0, 0, 0), (9, 9, 9), names["x"], payload=payload)
     if module == "pgccd.detection.narrow":

@@ -110,9 +110,6 @@ def test_single_device_modules_do_not_know_the_cluster() -> None:
         if name.startswith(upper)
     ]
     assert wrong == []
-    for name in ("partition", "balance"):
-        for path in (PACKAGE / "distributed").glob(f"{name}*.py"):
-            assert not any("distributed.comm" in n or n.startswith("torch.distributed") for n in imports(path)), path
 
 
 def test_packages_import_only_those_below() -> None:
@@ -128,6 +125,18 @@ def test_packages_import_only_those_below() -> None:
         for path in python_files(PACKAGE / name):
             used = {".".join(module.split(".")[:2]) for module in imports(path)} & rooms
             assert used <= known, path
+
+
+def test_folders_of_ranks_import_only_those_below() -> None:
+    folders = ("guard", "comm", "launch", "partition", "halo", "detection", "world")
+    root = PACKAGE / "distributed"
+    assert {path.parent.name for path in root.glob("*/__init__.py")} == set(folders)
+    assert [path.name for path in root.glob("*.py")] == ["__init__.py"]
+    for level, folder in enumerate(folders):
+        below = {f"pgccd.distributed.{name}" for name in folders[: level + 1]}
+        for path in python_files(root / folder):
+            used = {".".join(n.split(".")[:3]) for n in imports(path) if n.startswith("pgccd.distributed")}
+            assert used <= below, path
 
 
 def test_stages_do_not_import_one_another() -> None:

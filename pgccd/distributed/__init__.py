@@ -4,9 +4,6 @@
 the nanorobot simulation.) Whatever the number of ranks, the results are the same to the last bit.
 """
 
-from pgccd.distributed.balance import POLICIES, BalanceOptions, CellLoads, imbalance, rebalance
-from pgccd.distributed.bisection import Bisection
-from pgccd.distributed.captured_world import Bodies, CapturedWorld, WorldStep
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.comm.mpi_comm import MpiComm
 from pgccd.distributed.comm.torch_comm import TorchComm
@@ -14,8 +11,12 @@ from pgccd.distributed.guard import RankFailureError
 from pgccd.distributed.launch.agreement import DisagreementError, on_first, require_agreement, together
 from pgccd.distributed.launch.connect import choose_device, connect
 from pgccd.distributed.launch.placement import Placement, find_placement
-from pgccd.distributed.partition import Cells, Partition, factorise
-from pgccd.distributed.world import World
+from pgccd.distributed.partition.balance import POLICIES, BalanceOptions, CellLoads, imbalance, rebalance
+from pgccd.distributed.partition.bisection import Bisection
+from pgccd.distributed.partition.cells import Cells, factorise
+from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.world.captured import Bodies, CapturedWorld, WorldStep
+from pgccd.distributed.world.world import World
 
 __all__ = [
     "POLICIES",

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pgccd.distributed import BalanceOptions, CellLoads, Cells, imbalance, rebalance
-from pgccd.distributed.balance import BackOff, RankLoads, one_cell, rank_loads, relative_speeds
+from pgccd.distributed.partition.balance import BackOff, RankLoads, one_cell, rank_loads, relative_speeds
 
 
 @st.composite

@@ -22,11 +22,11 @@ from pgccd.distributed import (
     Comm,
     World,
     WorldStep,
-    captured_world,
-    halo_capacity,
-    padded_share,
 )
 from pgccd.distributed.comm.interface import Alone
+from pgccd.distributed.detection import padded_share
+from pgccd.distributed.halo import capacity as halo_capacity
+from pgccd.distributed.world import captured as captured_world
 
 COUNT, STEPS, BOX = 120, 24, 5.5
 

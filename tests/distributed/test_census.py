@@ -12,10 +12,11 @@ from support.shapes import tetrahedron
 from torch import Tensor
 
 from pgccd import sim
-from pgccd.distributed import Alone, Cells, World, migrate
-from pgccd.distributed import world as world_module
+from pgccd.distributed import Alone, Cells, World
 from pgccd.distributed.comm.exchange import Columns, take_rows
-from pgccd.distributed.migrate import Census
+from pgccd.distributed.halo import migrate
+from pgccd.distributed.halo.migrate import Census
+from pgccd.distributed.world import world as world_module
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 COUNT = 12

@@ -15,8 +15,11 @@ from support.graphs import graphs_on
 from distributed.conftest import World
 from pgccd import sim
 from pgccd.detection.capacity import Capacity
-from pgccd.distributed import BalanceOptions, Comm, halo_capacity, padded_share, replicas
-from pgccd.distributed.rebalancing import make_partition
+from pgccd.distributed import BalanceOptions, Comm
+from pgccd.distributed.detection import padded_share
+from pgccd.distributed.halo import capacity as halo_capacity
+from pgccd.distributed.halo import replicas
+from pgccd.distributed.partition.rebalancing import make_partition
 from pgccd.sim.distributed import DistributedSimulation, RankStep, starting_share
 from pgccd.sim.distributed import simulation as simulation_module
 from pgccd.sim.distributed.runner import gather_state, gather_step

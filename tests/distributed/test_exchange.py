@@ -13,7 +13,7 @@ from distributed.conftest import World
 from pgccd.distributed import Cells, Comm
 from pgccd.distributed.comm.exchange import Columns, make_route, pack, replace_rows, unpack
 from pgccd.distributed.comm.torch_comm import TorchComm
-from pgccd.distributed.migrate import Census, migrate
+from pgccd.distributed.halo.migrate import Census, migrate
 
 
 def columns_of(rank: int, count: int) -> Columns:

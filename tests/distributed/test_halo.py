@@ -13,8 +13,8 @@ import pgccd
 from distributed.conftest import World
 from pgccd import ops, sim
 from pgccd.distributed import Alone, Cells, Comm
-from pgccd.distributed.detection import detect_distributed
-from pgccd.distributed.share import Options
+from pgccd.distributed.detection.detect import detect_distributed
+from pgccd.distributed.detection.share import Options
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 

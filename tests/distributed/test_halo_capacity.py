@@ -14,8 +14,10 @@ from torch import Tensor
 from distributed.conftest import World
 from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
 from pgccd import sim
-from pgccd.distributed import Cells, Comm, halo_capacity, share
-from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo, Sent
+from pgccd.distributed import Cells, Comm
+from pgccd.distributed.detection import share
+from pgccd.distributed.halo import capacity as halo_capacity
+from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo, Sent
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 CAPACITIES = ["ample", "usual", "exact", "none", "boundary"]

@@ -17,7 +17,7 @@ from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed import BalanceOptions, Comm
 from pgccd.distributed import World as SharedWorld
 from pgccd.distributed.comm.exchange import take_rows
-from pgccd.distributed.vertices import Vertices, vertex_counts
+from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status", "segment", "time")
 REPORTS = ("first", "all", "any", "earliest")

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from distributed.test_partition import partitions
 from pgccd import ops
-from pgccd.distributed import Cells, replicas
+from pgccd.distributed import Cells
+from pgccd.distributed.halo import replicas
 
 SEPARATION = 0.25
 DEVICES = ["cpu"] + (["cuda"] if torch.cuda.is_available() else [])

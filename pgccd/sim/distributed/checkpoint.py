@@ -15,9 +15,10 @@ import torch
 
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.guard import of_all_ranks
+from pgccd.distributed.halo.migrate import id_range
 from pgccd.distributed.launch.agreement import on_first, together
-from pgccd.distributed.migrate import id_range
-from pgccd.distributed.partition import Cells, Partition
+from pgccd.distributed.partition.cells import Cells
+from pgccd.distributed.partition.interface import Partition
 from pgccd.sim.checkpoint import StoredCheckpoint
 from pgccd.sim.checkpoint_files import (
     FOLDER,

@@ -13,13 +13,13 @@ from typing import NoReturn
 
 import torch
 
-from pgccd.distributed.balance import POLICIES, BalanceOptions
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.guard import RankFailureError, is_of_all_ranks
 from pgccd.distributed.launch.agreement import on_first
 from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connect, tell_problem
 from pgccd.distributed.launch.placement import find_placement
-from pgccd.distributed.rebalancing import PARTITIONS
+from pgccd.distributed.partition.balance import POLICIES, BalanceOptions
+from pgccd.distributed.partition.rebalancing import PARTITIONS
 from pgccd.sim.checkpoint import find_checkpoint
 from pgccd.sim.distributed.runner import DistributedOptions
 

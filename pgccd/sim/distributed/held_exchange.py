@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.distributed.centres import Centres
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.held import Held
-from pgccd.distributed.partition import Partition
-from pgccd.distributed.replicas import ReplicaList, ReplicaTable, find_replicas, join_replicas
+from pgccd.distributed.halo.centres import Centres
+from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.replicas import ReplicaList, ReplicaTable, find_replicas, join_replicas
+from pgccd.distributed.partition.interface import Partition
 from pgccd.runtime.host_copy import HostCopy
 
 

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from pgccd.detection.parts import pairs_of_step
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.migrate import Leaving
-from pgccd.distributed.padded_share import ShareCapacity, search_padded_share
-from pgccd.distributed.partition import Partition
-from pgccd.distributed.share import Build, Options, PartEstimates
+from pgccd.distributed.detection.padded_share import ShareCapacity, search_padded_share
+from pgccd.distributed.detection.share import Build, Options, PartEstimates
+from pgccd.distributed.halo.migrate import Leaving
+from pgccd.distributed.partition.interface import Partition
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.sim.captured import Searches, clear_rows
 from pgccd.sim.distributed.held_exchange import HeldExchange

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from pgccd.distributed.balance import imbalance
+from pgccd.distributed.partition.balance import imbalance
 from pgccd.sim.tally import COUNTED, WORK, Rows
 
 

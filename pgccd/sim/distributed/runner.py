@@ -14,12 +14,13 @@ from torch import Tensor
 
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
-from pgccd.distributed.balance import BalanceOptions
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
-from pgccd.distributed.partition import Cells, Partition, Triple
-from pgccd.distributed.rebalancing import make_partition, require_policy
+from pgccd.distributed.partition.balance import BalanceOptions
+from pgccd.distributed.partition.cells import Cells
+from pgccd.distributed.partition.interface import Partition, Triple
+from pgccd.distributed.partition.rebalancing import make_partition, require_policy
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
 from pgccd.sim.checkpoint import require_checkpoint

@@ -12,16 +12,16 @@ from torch import Tensor
 
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.parts import contacts_of_step
-from pgccd.distributed.balance import BackOff, BalanceOptions, RankLoads
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection import Detection
-from pgccd.distributed.halo_capacity import HaloCapacity
-from pgccd.distributed.migrate import Census, Leaving, id_range, migrate
-from pgccd.distributed.padded_share import ShareCapacity, can_replay, rows_with_slack
-from pgccd.distributed.partition import Partition
-from pgccd.distributed.rebalancing import rebalanced
-from pgccd.distributed.share import Options, OwnSearch, PartEstimates, Share
+from pgccd.distributed.detection.detect import Detection
+from pgccd.distributed.detection.padded_share import ShareCapacity, can_replay, rows_with_slack
+from pgccd.distributed.detection.share import Options, OwnSearch, PartEstimates, Share
+from pgccd.distributed.halo.capacity import HaloCapacity
+from pgccd.distributed.halo.migrate import Census, Leaving, id_range, migrate
+from pgccd.distributed.partition.balance import BackOff, BalanceOptions, RankLoads
+from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.partition.rebalancing import rebalanced
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
@@ -255,7 +255,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
             resolved.learn()  # so that contacts need not be waited for
             found = Detection(share, contacts_of_step(share.parts))
             seconds = torch.tensor(reports.seconds(), dtype=torch.float64)
-            after = rebalanced(self.comm, self._partition, planned.position, found, self.balance, seconds)
+            after = rebalanced(self.comm, self._partition, found.places(planned.position), self.balance, seconds)
             self._back_off.tried(index, after.moved)
             if after.moved > 0:
                 self._partition, self._capacity = after.partition, None

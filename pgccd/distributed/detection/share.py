@@ -21,16 +21,16 @@ from pgccd.detection.checks import check_separation, operator_tolerance
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.parts import Part, find_part, first_contacts_of, pairs_of_step
 from pgccd.detection.query import Query
-from pgccd.distributed.body_columns import bodies_of, of_checked, take_bodies
-from pgccd.distributed.centres import Centres, centres_of
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.halo import Halo
-from pgccd.distributed.halo_capacity import HaloCapacity
-from pgccd.distributed.held import Held
-from pgccd.distributed.partition import Partition
-from pgccd.distributed.replicas import MOST_TABLE_RANKS
-from pgccd.distributed.vertices import Vertices, vertex_counts
+from pgccd.distributed.detection.body_columns import bodies_of, of_checked, take_bodies
+from pgccd.distributed.halo.capacity import HaloCapacity
+from pgccd.distributed.halo.centres import Centres, centres_of
+from pgccd.distributed.halo.ghosts import Halo
+from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.replicas import MOST_TABLE_RANKS
+from pgccd.distributed.halo.vertices import Vertices, vertex_counts
+from pgccd.distributed.partition.interface import Partition
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.runtime.host_copy import HostCopy

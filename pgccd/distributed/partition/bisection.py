@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.partition import Partition, Point, box_given
+from pgccd.distributed.partition.interface import Partition, Point, box_given
 
 # A plane is searched in so many bins, these being divided again, so many times.
 _BINS, _ZOOMS = 64, 4

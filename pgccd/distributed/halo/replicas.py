@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.distributed.centres import Centres
+from pgccd.distributed.halo.centres import Centres
 
 #: With more ranks than this there is no table: it has a byte for each body and rank.
 MOST_TABLE_RANKS = 64

@@ -11,7 +11,7 @@ from torch import Tensor
 from pgccd.detection.contacts import Contacts, earliest_row
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection import Detection
+from pgccd.distributed.detection.detect import Detection
 
 
 def tell_owners(comm: Comm, found: Detection) -> Contacts:
@@ -36,8 +36,7 @@ def earliest_for_all(comm: Comm, found: Detection, ids: int | None = None) -> Co
     Args:
         comm: between the ranks.
         found: contacts that each rank found, at least the earliest one of the pairs that it tested.
-        ids: of a trajectory, how many each segment has, see `pgccd.distributed.segments`: the first segment comes
-            first.
+        ids: of a trajectory, how many each segment has, see `segments`: the first segment comes first.
     """
     columns = _in_global_ids(found)
     i, j = columns["pairs"].unbind(dim=1)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pgccd.distributed.comm.exchange import Columns, Route
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.replicas import ReplicaList, ReplicaTable
+from pgccd.distributed.halo.replicas import ReplicaList, ReplicaTable
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,15 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.parts import Part, contacts_of_step, search_seconds
-from pgccd.distributed.centres import centres_of
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.halo_capacity import HaloCapacity
-from pgccd.distributed.held import Held
-from pgccd.distributed.partition import Partition
-from pgccd.distributed.share import Build, Options, OwnSearch, PartEstimates, Share
-from pgccd.distributed.vertices import Vertices
+from pgccd.distributed.detection.share import Build, Options, OwnSearch, PartEstimates, Share
+from pgccd.distributed.halo.capacity import HaloCapacity
+from pgccd.distributed.halo.centres import centres_of
+from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.vertices import Vertices
+from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.partition.rebalancing import Places
 from pgccd.runtime.stages import StageClock
 
 
@@ -38,13 +39,13 @@ class Detection:
         """(P, 2) int64: the PCS as rows of bodies held, that of the smaller id first."""
         return torch.cat([part.in_step(_pairs_of(part)) for part in self.share.parts])
 
-    def reference_points(self) -> tuple[Tensor, Tensor]:
-        """(P, 3) and (K, 3): the lower corners of the intersections of the boxes of pairs, and of colliding ones."""
+    def places(self, position: Tensor) -> Places:
+        """Where the work was, given the positions (N, 3) of the rank's own bodies."""
         parts = self.share.parts
         lower = [ops.swept_boxes(*centres_of(part.bodies), *self.share.kept)[0] for part in parts]
         of_pairs = [_corners(corner, _pairs_of(part)) for part, corner in zip(parts, lower, strict=True)]
         of_contacts = [_corners(at, part.find().pairs) for part, at in zip(parts, lower, strict=True)]
-        return torch.cat(of_pairs), torch.cat(of_contacts)
+        return Places(position, torch.cat(of_pairs), torch.cat(of_contacts))
 
 
 def _pairs_of(part: Part) -> Tensor:

@@ -14,20 +14,20 @@ from pgccd.detection import narrow
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.trajectories import TrajectoryContacts
-from pgccd.distributed.balance import PAIR_COST, BackOff, BalanceOptions, RankLoads
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
-from pgccd.distributed.detection import Detection, detect_distributed
-from pgccd.distributed.halo_capacity import HaloCapacity
+from pgccd.distributed.detection.detect import Detection, detect_distributed
+from pgccd.distributed.detection.report import earliest_for_all, tell_owners
+from pgccd.distributed.detection.segments import Segments
+from pgccd.distributed.detection.share import Options, PartEstimates
+from pgccd.distributed.halo.capacity import HaloCapacity
+from pgccd.distributed.halo.migrate import Census, migrate
+from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import require_agreement, together
-from pgccd.distributed.migrate import Census, migrate
-from pgccd.distributed.partition import Point, Triple
-from pgccd.distributed.rebalancing import make_partition, rebalanced, require_policy
-from pgccd.distributed.report import earliest_for_all, tell_owners
-from pgccd.distributed.segments import Segments
-from pgccd.distributed.share import Options, PartEstimates
-from pgccd.distributed.vertices import Vertices, vertex_counts
-from pgccd.distributed.world_columns import ids_given, payload_columns, require_rows, require_unique
+from pgccd.distributed.partition.balance import PAIR_COST, BackOff, BalanceOptions, RankLoads
+from pgccd.distributed.partition.interface import Point, Triple
+from pgccd.distributed.partition.rebalancing import make_partition, rebalanced, require_policy
+from pgccd.distributed.world.columns import ids_given, payload_columns, require_rows, require_unique
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
@@ -329,8 +329,8 @@ class World:
             loads = self.comm.all_gather(torch.tensor([*mine, self._seconds], dtype=torch.float64))
             bodies, pairs, contacts = loads[:, :3].long().t().tolist()
             if not RankLoads(bodies, pairs, contacts, loads[:, 3].tolist()).are_level(self.balance):
-                where = self.comm, self.partition, self.found.share.parts[0].bodies.position_t0, self.found
-                after = rebalanced(*where, self.balance, loads[:, 3])
+                places = self.found.places(self.found.share.parts[0].bodies.position_t0)
+                after = rebalanced(self.comm, self.partition, places, self.balance, loads[:, 3])
                 self._back_off.tried(self.steps_made, after.moved)
                 self.partition = after.partition
                 self._capacity = None

@@ -10,8 +10,8 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.distributed.comm.exchange import Columns, Route, replace_rows, unpack
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.partition import Partition
-from pgccd.distributed.vertices import Vertices
+from pgccd.distributed.halo.vertices import Vertices
+from pgccd.distributed.partition.interface import Partition
 from pgccd.runtime.hashing import row_hash
 
 # Ids made at a time.

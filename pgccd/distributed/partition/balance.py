@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pgccd.distributed.partition import Cells
+from pgccd.distributed.partition.cells import Cells
 
 Policy = Literal["cost", "measured", "one-cell", "none"]
 POLICIES: tuple[str, ...] = get_args(Policy)

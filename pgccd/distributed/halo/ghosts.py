@@ -16,13 +16,13 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.distributed.centres import centres_of
 from pgccd.distributed.comm.exchange import Arrival, Route
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo
-from pgccd.distributed.held import Held
-from pgccd.distributed.partition import Partition
-from pgccd.distributed.replicas import find_replicas
+from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo
+from pgccd.distributed.halo.centres import centres_of
+from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.replicas import find_replicas
+from pgccd.distributed.partition.interface import Partition
 from pgccd.runtime.host_copy import HostCopy
 
 

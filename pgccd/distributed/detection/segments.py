@@ -14,8 +14,8 @@ from pgccd.detection.contacts import Contacts
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection import Detection
-from pgccd.distributed.report import earliest_for_all, tell_owners
+from pgccd.distributed.detection.detect import Detection
+from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 
 _MOST_WORLDS, _MOST_IDS = 2**31, 2**62
 

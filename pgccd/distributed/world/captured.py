@@ -13,12 +13,18 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.detection.capacity import COUNT_ROWS, OVERFLOWS, busy_nanoseconds
 from pgccd.detection.parts import first_contacts_of
-from pgccd.distributed.balance import RankLoads
 from pgccd.distributed.comm.exchange import Columns, pack, unpack
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.migrate import Leaving
-from pgccd.distributed.padded_share import PaddedShare, ShareCapacity, can_replay, rows_with_slack, search_padded_share
-from pgccd.distributed.world import World
+from pgccd.distributed.detection.padded_share import (
+    PaddedShare,
+    ShareCapacity,
+    can_replay,
+    rows_with_slack,
+    search_padded_share,
+)
+from pgccd.distributed.halo.migrate import Leaving
+from pgccd.distributed.partition.balance import RankLoads
+from pgccd.distributed.world.world import World
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.replayed_steps import GRAPH_SLACK, ReplayedSteps
 from pgccd.runtime.transaction import Replay, TransactionGraph

@@ -14,15 +14,15 @@ from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import check_separation, operator_tolerance
 from pgccd.detection.parts import Part, find_part
-from pgccd.distributed.body_columns import bodies_of, of_checked, take_bodies
-from pgccd.distributed.centres import Centres, centres_of
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.halo_capacity import HaloCapacity, PaddedHalo, padded_count
-from pgccd.distributed.held import Held
-from pgccd.distributed.partition import Partition
-from pgccd.distributed.replicas import MOST_TABLE_RANKS
-from pgccd.distributed.share import Build, Options, PartEstimates, Share
+from pgccd.distributed.detection.body_columns import bodies_of, of_checked, take_bodies
+from pgccd.distributed.detection.share import Build, Options, PartEstimates, Share
+from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo, padded_count
+from pgccd.distributed.halo.centres import Centres, centres_of
+from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.replicas import MOST_TABLE_RANKS
+from pgccd.distributed.partition.interface import Partition
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.side_stream import SideStream

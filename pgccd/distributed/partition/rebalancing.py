@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.distributed.balance import (
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.partition.balance import (
     PAIR_COST,
     BalanceOptions,
     CellLoads,
@@ -17,13 +19,20 @@ from pgccd.distributed.balance import (
     rebalance,
     relative_speeds,
 )
-from pgccd.distributed.bisection import Bisection
-from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection import Detection
-from pgccd.distributed.partition import Cells, Partition, Point, Triple
+from pgccd.distributed.partition.bisection import Bisection
+from pgccd.distributed.partition.cells import Cells
+from pgccd.distributed.partition.interface import Partition, Point, Triple
 
 #: Of `make_partition`.
 PARTITIONS = ("cells", "bisection")
+
+
+class Places(NamedTuple):
+    """Where one rank's work was in a step."""
+
+    bodies: Tensor  #: (N, 3): their positions
+    pairs: Tensor  #: (P, 3): of each pair tested, the lower corner of the intersection of the two swept boxes
+    contacts: Tensor  #: (K, 3): the same, of colliding pairs
 
 
 @dataclass(frozen=True)
@@ -55,48 +64,44 @@ def require_policy(partition: str, options: BalanceOptions) -> None:
 
 
 def rebalanced(
-    comm: Comm, partition: Partition, position: Tensor, found: Detection, options: BalanceOptions, seconds: Tensor
+    comm: Comm, partition: Partition, places: Places, options: BalanceOptions, seconds: Tensor
 ) -> Rebalanced:
     """The partition of the next step. All ranks call it.
 
     Args:
         comm: between the ranks.
         partition: of the last step.
-        position: (N, 3) of this rank's bodies.
-        found: what it found.
+        places: of what this rank did in it.
         options: which policy, and how eager.
         seconds: (ranks,) float64 each was at work; for "measured".
     """
     if isinstance(partition, Cells):
-        total = CellLoads.unstacked(comm.sum(cell_loads(partition, position, found).stacked()))
+        total = CellLoads.unstacked(comm.sum(cell_loads(partition, places).stacked()))
         after = rebalance(partition, total, options, seconds)
         moved = int((after.owner != partition.owner).sum())
         return Rebalanced(after, moved)
     assert isinstance(partition, Bisection)
-    return _bisected(comm, partition, position, found, options, seconds)
+    return _bisected(comm, partition, places, options, seconds)
 
 
-def cell_loads(partition: Cells, position: Tensor, found: Detection) -> CellLoads:
+def cell_loads(partition: Cells, places: Places) -> CellLoads:
     """What one rank saw in each cell."""
-    places = position, *found.reference_points()
-    return CellLoads(*(torch.bincount(partition.cell_of(at), minlength=partition.cell_count) for at in places))
+    counts = (torch.bincount(partition.cell_of(at), minlength=partition.cell_count) for at in places)
+    return CellLoads(*counts)
 
 
-def _bisected(
-    comm: Comm, partition: Bisection, position: Tensor, found: Detection, options: BalanceOptions, seconds: Tensor
-) -> Rebalanced:
+def _bisected(comm: Comm, partition: Bisection, places: Places, options: BalanceOptions, seconds: Tensor) -> Rebalanced:
     """New planes, if what they gain over the horizon is worth the bodies that move."""
-    of_pairs, _ = found.reference_points()
-    points = torch.cat([position, of_pairs])
+    points = torch.cat([places.bodies, places.pairs])
     weights = torch.full((len(points),), PAIR_COST, dtype=torch.int64, device=points.device)
-    weights[: len(position)] = 1
+    weights[: len(places.bodies)] = 1
     before = _loads(comm, partition, points, weights)
     shares = torch.ones(comm.size, dtype=torch.float64)
     if options.policy == "measured":
         shares = relative_speeds(before.cpu(), seconds)
     after = partition.rebalanced(comm, points, weights, shares.tolist())
     loads = _loads(comm, after, points, weights).cpu() / shares
-    moving = comm.sum((after.owner_of(position) != comm.rank).sum().reshape(1))
+    moving = comm.sum((after.owner_of(places.bodies) != comm.rank).sum().reshape(1))
     gain = (float((before.cpu() / shares).max()) - float(loads.max())) * options.horizon
     if gain <= options.moving * float(moving) / comm.size or imbalance(loads) >= imbalance(before.cpu() / shares):
         return Rebalanced(partition, 0)

@@ -9,7 +9,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.distributed.vertices import Vertices
+from pgccd.distributed.halo.vertices import Vertices
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 

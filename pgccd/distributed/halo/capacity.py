@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.distributed.centres import Centres
 from pgccd.distributed.comm.exchange import Columns, Route, pack, unpack
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.held import Held
-from pgccd.distributed.replicas import ReplicaTable
+from pgccd.distributed.halo.centres import Centres
+from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.replicas import ReplicaTable
 from pgccd.runtime.host_copy import HostCopy
 
 # A capacity is the last count times _SLACK plus _SOME (for small counts), rounded up to a multiple, so that buffers

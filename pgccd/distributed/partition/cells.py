@@ -1,8 +1,7 @@
-"""Which rank owns which part of space, as pure functions of tensors.
+"""The two-level uniform decomposition of Du, Liu & Suzumura 2017, 4.1.
 
-`Cells` is the two-level uniform decomposition of Du, Liu & Suzumura 2017, 4.1: the world's box is cut into one
-subdomain a rank, each subdomain into cells. A table, the same on every rank, holds the owner of each cell: at first the
-rank of its subdomain, later the one that load balancing chose. `pgccd.distributed.bisection` has another one.
+The world's box is cut into one subdomain a rank, each subdomain into cells. A table, the same on every rank, holds the
+owner of each cell: at first the rank of its subdomain, later the one that load balancing chose.
 
 What is at the boundary of the box extends to infinity, so that a body that leaves the box is never lost.
 """
@@ -12,7 +11,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -20,9 +18,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-
-Triple = tuple[int, int, int]
-Point = tuple[float, float, float]
+from pgccd.distributed.partition.interface import Partition, Point, Triple, box_given
 
 
 def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
@@ -53,50 +49,6 @@ def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
     divisors = [count for count in range(1, ranks + 1) if ranks % count == 0]
     choices = [(x, y, ranks // (x * y)) for x, y in itertools.product(divisors, divisors) if ranks % (x * y) == 0]
     return min((counts for counts in choices if axes == 3 or counts[2] == 1), key=badness)
-
-
-def box_given(lower: Point, upper: Point) -> tuple[Point, Point]:
-    """The corners of a box as plain numbers.
-
-    Raises:
-        TypeError, ValueError: naming the argument.
-    """
-    for name, corner in (("lower", lower), ("upper", upper)):
-        if not hasattr(corner, "__len__") or isinstance(corner, str) or getattr(corner, "shape", (3,)) != (3,):
-            raise TypeError(f"{name}: expected three finite numbers, got {arguments.describe(corner)}")
-        if len(corner) != 3 or not all(math.isfinite(arguments.number(x, name)) for x in corner):
-            raise ValueError(f"{name}: expected three finite numbers, got {corner}")
-    low, high = (cast(Point, tuple(float(x) for x in corner)) for corner in (lower, upper))
-    if not all(0.0 < b - a < math.inf for a, b in zip(low, high, strict=True)):
-        raise ValueError(f"upper: expected a box with volume above {tuple(lower)}, got {tuple(upper)}")
-    return low, high
-
-
-class Partition(ABC):
-    """Which rank owns which part of space; the same on all ranks."""
-
-    lower: Point  #: of the world's box, length units
-    upper: Point
-
-    @property
-    @abstractmethod
-    def ranks(self) -> int: ...
-
-    @abstractmethod
-    def owner_of(self, points: Tensor) -> Tensor:
-        """(K,) int64: the rank that owns the place of each of the points (K, 3)."""
-
-    @abstractmethod
-    def subdomain(self, rank: int) -> ops.Subdomain:
-        """A rank's part as the operators take it."""
-
-    @abstractmethod
-    def copy(self) -> Partition:
-        """In memory of its own, for a CUDA graph that reads it."""
-
-    @abstractmethod
-    def become(self, other: Partition) -> bool:
-        """Takes the values of another one, in the same memory. False: a graph that reads this one cannot take them."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,1 @@
+"""Bodies on ranks that do not own them: ghosts, and migration to a new owner."""

@@ -1,0 +1,58 @@
+"""What a partition of space is: which rank owns which part of it, as pure functions of tensors."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import cast
+
+from torch import Tensor
+
+from pgccd import arguments, ops
+
+Triple = tuple[int, int, int]
+Point = tuple[float, float, float]
+
+
+def box_given(lower: Point, upper: Point) -> tuple[Point, Point]:
+    """The corners of a box as plain numbers.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+    """
+    for name, corner in (("lower", lower), ("upper", upper)):
+        if not hasattr(corner, "__len__") or isinstance(corner, str) or getattr(corner, "shape", (3,)) != (3,):
+            raise TypeError(f"{name}: expected three finite numbers, got {arguments.describe(corner)}")
+        if len(corner) != 3 or not all(math.isfinite(arguments.number(x, name)) for x in corner):
+            raise ValueError(f"{name}: expected three finite numbers, got {corner}")
+    low, high = (cast(Point, tuple(float(x) for x in corner)) for corner in (lower, upper))
+    if not all(0.0 < b - a < math.inf for a, b in zip(low, high, strict=True)):
+        raise ValueError(f"upper: expected a box with volume above {tuple(lower)}, got {tuple(upper)}")
+    return low, high
+
+
+class Partition(ABC):
+    """Which rank owns which part of space; the same on all ranks."""
+
+    lower: Point  #: of the world's box, length units
+    upper: Point
+
+    @property
+    @abstractmethod
+    def ranks(self) -> int: ...
+
+    @abstractmethod
+    def owner_of(self, points: Tensor) -> Tensor:
+        """(K,) int64: the rank that owns the place of each of the points (K, 3)."""
+
+    @abstractmethod
+    def subdomain(self, rank: int) -> ops.Subdomain:
+        """A rank's part as the operators take it."""
+
+    @abstractmethod
+    def copy(self) -> Partition:
+        """In memory of its own, for a CUDA graph that reads it."""
+
+    @abstractmethod
+    def become(self, other: Partition) -> bool:
+        """Takes the values of another one, in the same memory. False: a graph that reads this one cannot take them."""

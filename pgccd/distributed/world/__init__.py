@@ -1,0 +1,1 @@
+"""A scene of the user's own, spread over ranks."""
