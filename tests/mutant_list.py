@@ -375,6 +375,66 @@ _DIRECTIONS = [
     ),
 ]
 
+_SEPARATIONS = [
+    Mutant(
+        "leaves-without-distance",
+        TRAVERSE + "leaf_separation.h",
+        "tree_.sweep().inflation * (1.0f + 8.0f * Precision<float>::unit)",
+        "0.0f * tree_.sweep().inflation",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "leaves-distance-0.999",
+        TRAVERSE + "leaf_separation.h",
+        "tree_.sweep().inflation * (1.0f + 8.0f * Precision<float>::unit)",
+        "0.999f * tree_.sweep().inflation",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "leaves-apart-at-the-start-only",
+        TRAVERSE + "leaf_separation.h",
+        "smaller(gap_start, gap_end) >",
+        "gap_start >",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "leaves-apart-at-the-end-only",
+        TRAVERSE + "leaf_separation.h",
+        "smaller(gap_start, gap_end) >",
+        "gap_end >",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "leaves-without-second-row",
+        TRAVERSE + "leaf_separation.h",
+        "row < leaf.first_points + leaf.points_count",
+        "row < leaf.first_points + 1",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "features-stepwise-without-distance",
+        CORE + "fixed_directions.h",
+        "square_root(length_squared) * limits.apart",
+        "square_root(length_squared) * 0.0f",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "features-stepwise-distance-0.999",
+        CORE + "fixed_directions.h",
+        "square_root(length_squared) * limits.apart",
+        "square_root(length_squared) * (0.999f * limits.apart)",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "features-stepwise-out-of-range",
+        CORE + "fixed_directions.h",
+        "if (!limits.in_range()) return false;",
+        "",
+        ON_TRAVERSE,
+        equivalent="in the local frame of a pair nothing is larger than 1, and steps shorter than 1e-12 are not tried",
+    ),
+]
+
 _CERTIFICATES = [
     Mutant(
         "fixed-direction-extent-zero",
@@ -1423,6 +1483,7 @@ MUTANTS = [
     *_DEFORMING,
     *_TREE,
     *_DIRECTIONS,
+    *_SEPARATIONS,
     *_CERTIFICATES,
     *_PATIENT,
     *_CORE,

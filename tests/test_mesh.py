@@ -39,7 +39,7 @@ def walk(links: np.ndarray) -> tuple[list[tuple[int, int, int]], int]:
     def visit(node: int, depth: int) -> tuple[int, int]:
         nonlocal deepest
         deepest = max(deepest, depth)
-        first, count = links[node // WIDTH, node % WIDTH].tolist()
+        first, count = links[node // WIDTH, node % WIDTH, :2].tolist()
         if count == 0:
             below = [
                 visit(first * WIDTH + slot, depth + 1)
@@ -171,8 +171,31 @@ def test_set_offsets_and_padding() -> None:
         assert torch.equal(vertices[low[0] : high[0]], mesh.vertices)
         assert torch.equal(faces[low[1] : high[1]], mesh.faces)
         assert torch.equal(edges[low[2] : high[2]], mesh.edges)
+        assert torch.equal(joined.tensors[6][low[4] : high[4]], mesh._leaf_points)
         assert joined.radius[k] == mesh.radius
     assert len(triangles) == sum(len(m.faces) for m in meshes)
+
+
+def test_leaves_list_the_vertices_of_their_triangles() -> None:
+    """Each once, eight to a row; the last one fills the row. A strip has more than eight in a leaf."""
+    strip = np.array([[k // 2, k % 2, 0.1 * k] for k in range(30)], dtype=float)
+    faces = np.array([[k, k + 1, k + 2] for k in range(28)])
+    lengths = set()
+    for mesh in (bumpy(np.random.default_rng(0), 2), pgccd.Mesh(strip, faces, origin="centroid")):
+        triangles = mesh._triangles.numpy()
+        x = (mesh.vertices - mesh.centre_offset).float()
+        for first, count, row, rows in mesh._node_links.view(-1, 4).tolist():
+            if count <= 0:
+                assert rows == 0
+                continue
+            points = mesh._leaf_points[row : row + rows]
+            listed = points[:, 3].reshape(-1).tolist()
+            used = sorted(set(triangles[first : first + count, :3].ravel().tolist()))
+            assert listed == used + [used[-1]] * (8 * rows - len(used)) and rows == -(-len(used) // 8)
+            places = points[:, :3].transpose(1, 2).reshape(-1, 3).view(torch.float32)
+            assert torch.equal(places, x[listed])
+            lengths.add(rows)
+    assert lengths == {1, 2}
     assert ops.refit.__doc__
 
 

@@ -76,38 +76,39 @@ const Element* optional_column(const std::optional<Tensor>& tensor, const char* 
 inline void check_offsets(const MeshSetView& view, const MeshOffsets& sizes) {
   for (int64_t mesh = 0; mesh <= view.mesh_count; ++mesh) {
     const MeshOffsets from = mesh == 0 ? MeshOffsets{} : view.offsets[mesh - 1], at = view.offsets[mesh];
-    const bool ascend =
-        at.vertex >= from.vertex && at.face >= from.face && at.edge >= from.edge && at.block >= from.block;
-    const bool end =
-        at.vertex <= sizes.vertex && at.face <= sizes.face && at.edge <= sizes.edge && at.block <= sizes.block;
+    const bool ascend = at.vertex >= from.vertex && at.face >= from.face && at.edge >= from.edge &&
+                        at.block >= from.block && at.leaf_points >= from.leaf_points;
+    const bool end = at.vertex <= sizes.vertex && at.face <= sizes.face && at.edge <= sizes.edge &&
+                     at.block <= sizes.block && at.leaf_points <= sizes.leaf_points;
     STD_TORCH_CHECK(ascend && end, "mesh_set.offsets: row ", mesh, ": expected ascending rows of the other tensors");
   }
   const MeshOffsets first = view.offsets[0], last = view.offsets[view.mesh_count];
   const bool is_all = first.vertex == 0 && first.face == 0 && first.edge == 0 && first.block == 0 &&
-                      last.vertex == sizes.vertex && last.face == sizes.face && last.edge == sizes.edge &&
-                      last.block == sizes.block;
+                      first.leaf_points == 0 && last.vertex == sizes.vertex && last.face == sizes.face &&
+                      last.edge == sizes.edge && last.block == sizes.block && last.leaf_points == sizes.leaf_points;
   STD_TORCH_CHECK(is_all, "mesh_set.offsets: expected the first row to be 0, and the last one the sizes of the others");
 }
 
 inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
-  STD_TORCH_CHECK(t.size() == 10, "mesh_set: expected 10 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 11, "mesh_set: expected 11 tensors, got ", t.size());
   MeshSetView view;
   view.vertices = rows<double>(t[0], "mesh_set.vertices", {kAnySize, 3});
   view.faces = rows<int32_t>(t[1], "mesh_set.faces", {kAnySize, 3});
   view.edges = rows<int32_t>(t[2], "mesh_set.edges", {kAnySize, 2});
   view.triangles = rows<int32_t, Triangle>(t[3], "mesh_set.triangles", {t[1].size(0), 8});
   view.node_blocks = rows<float, NodeBlock>(t[4], "mesh_set.node_blocks", {kAnySize, kBlockColumns, kBlockWidth});
-  view.node_links = rows<int32_t, NodeLink>(t[5], "mesh_set.node_links", {t[4].size(0), kBlockWidth, 2});
-  view.corners = {rows<float>(t[6], "mesh_set.corners", {9, kAnySize}), t[6].size(1)};
-  STD_TORCH_CHECK(t[6].size(1) >= t[1].size(0) + kMaxLeafTriangles, "mesh_set.corners: columns are not padded");
-  view.offsets = rows<int64_t, MeshOffsets>(t[7], "mesh_set.offsets", {kAnySize, 4});
-  view.mesh_count = t[7].size(0) - 1;
+  view.node_links = rows<int32_t, NodeLink>(t[5], "mesh_set.node_links", {t[4].size(0), kBlockWidth, 4});
+  view.leaf_points = rows<int32_t, LeafPoints>(t[6], "mesh_set.leaf_points", {kAnySize, 4, kBlockWidth});
+  view.corners = {rows<float>(t[7], "mesh_set.corners", {9, kAnySize}), t[7].size(1)};
+  STD_TORCH_CHECK(t[7].size(1) >= t[1].size(0) + kMaxLeafTriangles, "mesh_set.corners: columns are not padded");
+  view.offsets = rows<int64_t, MeshOffsets>(t[8], "mesh_set.offsets", {kAnySize, 5});
+  view.mesh_count = t[8].size(0) - 1;
   STD_TORCH_CHECK(view.mesh_count >= 0, "mesh_set.offsets: expected at least one row");
-  if (!t[7].is_cuda()) check_offsets(view, {t[0].size(0), t[1].size(0), t[2].size(0), t[4].size(0)});
+  if (!t[8].is_cuda()) check_offsets(view, {t[0].size(0), t[1].size(0), t[2].size(0), t[4].size(0), t[6].size(0)});
   // No rows where every mesh has its SBV centre at its origin.
-  const int64_t centres = t[8].size(0) == 0 ? 0 : t[7].size(0) - 1;
-  view.centres = rows<double>(t[8], "mesh_set.centres", {centres, 3});
-  view.reaches = rows<double>(t[9], "mesh_set.reaches", {centres});
+  const int64_t centres = t[9].size(0) == 0 ? 0 : t[8].size(0) - 1;
+  view.centres = rows<double>(t[9], "mesh_set.centres", {centres, 3});
+  view.reaches = rows<double>(t[10], "mesh_set.reaches", {centres});
   if (centres == 0) view.centres = view.reaches = nullptr;
   return view;
 }

@@ -51,6 +51,7 @@ py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces
   out["triangles"] = to_matrix<int32_t>(triangles);
   out["node_blocks"] = to_matrix<float>(tree.blocks);
   out["node_links"] = to_matrix<int32_t>(tree.links);
+  out["leaf_points"] = to_matrix<int32_t>(tree.leaf_points);
   return out;
 }
 

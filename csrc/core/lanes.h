@@ -34,6 +34,11 @@ inline uint32_t lane_bits(Mask8 mask) {
   return bits;
 #endif
 }
+inline float largest_lane(Float8 x) {
+  x = larger(x, __builtin_shuffle(x, Mask8{4, 5, 6, 7, 0, 1, 2, 3}));
+  x = larger(x, __builtin_shuffle(x, Mask8{2, 3, 0, 1, 6, 7, 4, 5}));
+  return larger(x[0], x[1]);
+}
 inline bool all_lanes(Mask8 mask) { return lane_bits(mask) == (1u << kLanes) - 1; }
 
 #endif

@@ -37,10 +37,18 @@ constexpr int kBlockColumns = 9;
 struct NodeLink {
   int32_t first;           // inner node: the block of its children; leaf: its first triangle
   int32_t triangle_count;  // 0 for inner nodes, -1 for empty slots
+  int32_t first_points;    // leaf: its first row of `leaf_points`
+  int32_t points_count;    // leaf: its number of these rows
+};
+
+// Vertices of a leaf's triangles, each once, eight at a time. The last of them fills the slots that are left.
+struct alignas(16) LeafPoints {
+  float x[kBlockWidth], y[kBlockWidth], z[kBlockWidth];
+  int32_t vertex[kBlockWidth];
 };
 
 struct MeshOffsets {
-  int64_t vertex, face, edge, block;
+  int64_t vertex, face, edge, block, leaf_points;
 };
 
 // Corners of the triangles in float32, as nine columns (corner 0 x, y, z, corner 1 x, ...) of `stride` values, so that
@@ -57,8 +65,9 @@ struct MeshSetView {
   const Triangle* triangles;     // (faces), leaf order
   const NodeBlock* node_blocks;  // (blocks)
   const NodeLink* node_links;    // (blocks, 8)
-  CornerColumns corners;         // (9, stride), column entries in the order of `triangles`
-  const MeshOffsets* offsets;    // (meshes + 1): the next row ends a mesh's rows
+  const LeafPoints* leaf_points;
+  CornerColumns corners;       // (9, stride), column entries in the order of `triangles`
+  const MeshOffsets* offsets;  // (meshes + 1): the next row ends a mesh's rows
   int64_t mesh_count;
   // Both null where the SBV centre of every mesh is its origin.
   const double* centres;  // (meshes, 3) SBV centres, body frame

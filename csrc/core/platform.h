@@ -13,6 +13,8 @@
 // Before a loop with a long body, not to be unrolled on devices: their instruction caches are small.
 #if defined(__CUDA_ARCH__)
 #define PGCCD_KEEP_LOOP _Pragma("unroll 1")
+#define PGCCD_UNROLL _Pragma("unroll")
 #else
 #define PGCCD_KEEP_LOOP
+#define PGCCD_UNROLL
 #endif

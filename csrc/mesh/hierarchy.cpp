@@ -62,9 +62,10 @@ class Builder {
 
  private:
   struct BinaryNode {
-    int32_t begin, end;  // triangles
-    int32_t child;       // first of two neighbours, or -1
-    NodeVolume volume;
+    int32_t begin, end;                          // triangles
+    int32_t child;                               // first of two neighbours, or -1
+    int32_t first_points = 0, points_count = 0;  // of leaves
+    NodeVolume volume{};
   };
 
   struct Split {
@@ -88,7 +89,7 @@ class Builder {
 
   void split_all() {
     const int32_t count = static_cast<int32_t>(faces_.size());
-    binary_.push_back({0, count, -1, {}});
+    binary_.push_back({0, count, -1});
     std::vector<int32_t> all(node_of_vertex_.size());
     std::iota(all.begin(), all.end(), 0);
     const std::vector<int32_t> as_given = tree_.triangle_order;
@@ -102,14 +103,15 @@ class Builder {
       add_volume(task);
       if (end - begin <= leaf_size_) {
         std::copy(task.order->begin() + begin, task.order->begin() + end, tree_.triangle_order.begin() + begin);
+        add_leaf_points(task);
         continue;
       }
       const Split split = best_split(begin, end, task.depth);
       partition_orders(begin, end, split);
       const int32_t child = static_cast<int32_t>(binary_.size());
       binary_[task.node].child = child;
-      binary_.push_back({begin, split.middle, -1, {}});
-      binary_.push_back({split.middle, end, -1, {}});
+      binary_.push_back({begin, split.middle, -1});
+      binary_.push_back({split.middle, end, -1});
       tasks.push_back({child + 1, task.depth + 1, &along_[split.axis], task.vertices});
       tasks.push_back({child, task.depth + 1, &along_[split.axis], std::move(task.vertices)});
     }
@@ -130,16 +132,16 @@ class Builder {
       for (int slot = 0; slot < kBlockWidth; ++slot) {
         if (slot >= static_cast<int>(task.nodes.size())) {
           set_volume(task.block, slot, {{NAN, NAN, NAN}, {NAN, NAN, NAN}, NAN, NAN, NAN});
-          tree_.links[task.block][slot] = {0, -1};
+          tree_.links[task.block][slot] = {0, -1, 0, 0};
           continue;
         }
         const BinaryNode& node = binary_[task.nodes[slot]];
         set_volume(task.block, slot, node.volume);
         if (node.child < 0) {
-          tree_.links[task.block][slot] = {node.begin, node.end - node.begin};
+          tree_.links[task.block][slot] = {node.begin, node.end - node.begin, node.first_points, node.points_count};
           continue;
         }
-        tree_.links[task.block][slot] = {static_cast<int32_t>(tree_.blocks.size()), 0};
+        tree_.links[task.block][slot] = {static_cast<int32_t>(tree_.blocks.size()), 0, 0, 0};
         tasks.push_back({widen(node.child), static_cast<int32_t>(tree_.blocks.size())});
         tree_.blocks.emplace_back();
         tree_.links.emplace_back();
@@ -243,6 +245,24 @@ class Builder {
       for (const int32_t v : faces_[(*task.order)[k]]) node_of_vertex_[v] = task.node;
     }
     std::erase_if(task.vertices, [&](int32_t v) { return node_of_vertex_[v] != task.node; });
+  }
+
+  void add_leaf_points(const Task& leaf) {
+    BinaryNode& node = binary_[leaf.node];
+    node.first_points = static_cast<int32_t>(tree_.leaf_points.size());
+    const size_t count = leaf.vertices.size();
+    for (size_t first = 0; first < count; first += kBlockWidth) {
+      LeafPoints& points = tree_.leaf_points.emplace_back();
+      for (size_t slot = 0; slot < kBlockWidth; ++slot) {
+        const int32_t v = leaf.vertices[std::min(first + slot, count - 1)];
+        const Vec3<float> point = cast<float>(load_vec3(vertices_ + 3 * int64_t{v}));
+        points.x[slot] = point.x;
+        points.y[slot] = point.y;
+        points.z[slot] = point.z;
+        points.vertex[slot] = v;
+      }
+    }
+    node.points_count = static_cast<int32_t>(tree_.leaf_points.size()) - node.first_points;
   }
 
   // Area-weighted mean of the triangles' normals, or any direction where that vanishes.

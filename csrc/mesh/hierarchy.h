@@ -15,6 +15,7 @@ struct Hierarchy {
   std::vector<NodeBlock> blocks;
   std::vector<std::array<NodeLink, kBlockWidth>> links;
   std::vector<int32_t> triangle_order;  // faces in the order of the leaves
+  std::vector<LeafPoints> leaf_points;
 };
 
 // `vertices`: x, y, z rows. Splits where the surface area heuristic (Goldsmith & Salmon 1987) is least; in the middle

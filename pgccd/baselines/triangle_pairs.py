@@ -46,5 +46,5 @@ def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor) -> tuple[Te
 
 def _rows(bodies: MovingBodies, body: Tensor, triangle: Tensor) -> Tensor:
     """(K, 8) int32 rows of triangles of bodies' meshes."""
-    triangles, offsets = bodies.mesh_set[3], bodies.mesh_set[7]
+    triangles, offsets = bodies.mesh_set[3], bodies.mesh_set[8]
     return triangles[offsets[bodies.scene.mesh_index[body].long(), 1] + triangle]

@@ -106,7 +106,8 @@ class Mesh:
         # Corner coordinates as nine columns, relative to the SBV centre as the hierarchy is.
         self._corners = torch.from_numpy(local).float()[in_leaf_order].view(-1, 9).T.contiguous()
         self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 9, 8)
-        self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 2)
+        self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 4)
+        self._leaf_points = torch.from_numpy(prepared["leaf_points"]).view(-1, 4, 8)
 
     @classmethod
     def from_trimesh(cls, mesh: Any, origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> Mesh:
@@ -228,13 +229,14 @@ class MeshSet:
                 raise TypeError(f"meshes[{index}]: expected a pgccd.Mesh, got {type(mesh).__name__}")
         self.meshes = list(meshes)
         counts = torch.tensor(
-            [[len(m.vertices), len(m.faces), len(m.edges), len(m._node_links)] for m in meshes], dtype=torch.int64
+            [[len(rows) for rows in (m.vertices, m.faces, m.edges, m._node_links, m._leaf_points)] for m in meshes]
         )
-        #: (meshes + 1, 4) int64: first rows of each mesh's vertices, faces, edges and node blocks; the last row closes.
-        self.offsets = torch.cat([torch.zeros((1, 4), dtype=torch.int64), counts.cumsum(0)])
+        #: (meshes + 1, 5) int64: first rows of each mesh's vertices, faces, edges, node blocks and leaf points. The last
+        #: row holds the totals.
+        self.offsets = torch.cat([torch.zeros((1, 5), dtype=torch.int64), counts.cumsum(0)])
         #: (meshes,) float64.
         self.radius = torch.tensor([m.radius for m in meshes], dtype=torch.float64, device=device)
-        columns = ("vertices", "faces", "edges", "_triangles", "_node_blocks", "_node_links")
+        columns = ("vertices", "faces", "edges", "_triangles", "_node_blocks", "_node_links", "_leaf_points")
         joined = [torch.cat([getattr(m, column) for m in meshes]) for column in columns]
         # Padded, so that eight neighbours can be loaded at the last triangle too.
         corners = torch.nn.functional.pad(torch.cat([m._corners for m in meshes], dim=1), (0, LEAF_SIZE))

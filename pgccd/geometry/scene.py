@@ -193,7 +193,7 @@ class Scene:
         offsets = self.meshes.offsets
         counts = (offsets[1:] - offsets[:-1])[index]
         begin = (counts.cumsum(0) - counts).to(self.device)
-        vertex_count, _, _, block_count = counts.sum(0).tolist()
+        vertex_count, _, _, block_count, _ = counts.sum(0).tolist()
         return VertexLayout(vertex_count, block_count, begin[:, 0].contiguous(), begin[:, 3].contiguous())
 
     @property

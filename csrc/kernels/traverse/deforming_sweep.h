@@ -53,6 +53,29 @@ struct alignas(16) DeformingSweep : PairFrame {
 
   PGCCD_HD Vec3<float> turned(const LocalPose&, int, Vec3<float> direction) const { return direction; }
 
+  // One of eight vertices of a leaf (T = float) or all, relative to the body's centre, at the start (0) or the horizon
+  // (1).
+  template <class T>
+  PGCCD_HD Vec3<T> leaf_points(const DeformingBodies& bodies, const LeafPoints& points, int side, int slot,
+                               int end) const {
+    if constexpr (sizeof(T) == sizeof(float)) {
+      return vertex(bodies, side, points.vertex[slot], end);
+    } else {
+      Vec3<T> out;
+      for (int lane = 0; lane < kLanes; ++lane) {
+        const Vec3<float> x = vertex(bodies, side, points.vertex[lane], end);
+        out.x[lane] = x.x;
+        out.y[lane] = x.y;
+        out.z[lane] = x.z;
+      }
+      return out;
+    }
+  }
+
+  PGCCD_HD static Vec3<float> pulled_back(const LocalPose& p, int, Vec3<float> direction) {
+    return p.first.r0.x * direction;
+  }
+
   template <class T>
   PGCCD_HD Corners<T> corners(const DeformingBodies& bodies, int side, int32_t triangle, int end) const {
     Corners<T> out;

@@ -51,10 +51,22 @@ PGCCD_HD uint32_t pairs_without_common_vertex(const Triangle& ti, const Triangle
   return ~(corners_i | corners_j << 3 | edges << kFirstEdgeBit) & ((1u << kFeaturePairBits) - 1u);
 }
 
-// May the feature pair of that bit meet over the segment? `corner(side, index, end)` returns where the triangles'
-// corners are. One path through the code for both sorts of pairs: on a device they share a warp.
+// A feature pair at both ends of a segment.
+struct MovingFeatures {
+  FeaturePair<float> start, end;
+  bool is_edge_edge;
+
+  // Both are true only if they stay apart; the second finds more, and takes longer.
+  PGCCD_HD bool plainly_apart(float distance) const { return stays_apart(start, end, distance, is_edge_edge); }
+  PGCCD_HD bool stepwise_apart(float distance) const {
+    return stays_apart_stepwise(start, end, distance, is_edge_edge);
+  }
+};
+
+// The feature pair of that bit. `corner(side, index, end)` returns where the triangles' corners are. One path through
+// the code for both sorts of pairs: on a device they share a warp.
 template <class Corner>
-PGCCD_HD bool pair_meets(Corner&& corner, int bit, float distance) {
+PGCCD_HD MovingFeatures moving_features(Corner&& corner, int bit) {
   const bool is_edge_edge = bit >= kFirstEdgeBit, is_face_of_i = bit >= 3 && !is_edge_edge;
   const int first_side = is_face_of_i ? 1 : 0, second_side = 1 - first_side;
   // Corners x0 .. x3 of the feature pair: edge-edge c, c + 1; d, d + 1; vertex-face c; 0, 1, 2.
@@ -67,7 +79,7 @@ PGCCD_HD bool pair_meets(Corner&& corner, int bit, float distance) {
     const Vec3<float> b_tip = corner(second_side, is_edge_edge ? next_d : 2, end);
     return {to - from, a_tip - (is_edge_edge ? from : to), b_tip - to};
   };
-  return !stays_apart(features(0), features(1), distance, is_edge_edge);
+  return {features(0), features(1), is_edge_edge};
 }
 
 // Calls emit(kind, feature_i, feature_j) for the feature pair of that bit. Of one body, the vertex comes before the

@@ -26,6 +26,7 @@ struct LeafShared {
   bool is_one_body[kSlots], is_one_leaf[kSlots];  // both sides are; written where a body may be tested against itself
   uint16_t triangle_pairs[5 * kWarp];             // waiting: slot of i * kSlots + slot of j
   uint16_t features[kWarp * (kFeaturePairBits + 1)];  // waiting: triangle pair * 16 + bit
+  uint16_t near[2 * kWarp];                           // likewise: those that are not plainly apart
   alignas(4) uint16_t met[2 * kTrianglePairs];        // feature pairs emitted so far, where segments are many
 };
 
@@ -59,6 +60,31 @@ __device__ inline void store_triangle(LeafShared& shared, int slot, const Moving
       shared.coordinate[row + 2][slot] = v.z;
     }
   }
+}
+
+__device__ inline uint32_t rows_of(uint32_t reaching, int half, int side) {
+  return (reaching >> (kHalf * half + kMaxLeafTriangles * side)) & 0xffu;
+}
+// The lanes of a leaf pair, if triangles of both sides reach the other leaf.
+__device__ inline uint32_t kept_of_half(uint32_t reaching, int half) {
+  const bool both = rows_of(reaching, half, 0) != 0 && rows_of(reaching, half, 1) != 0;
+  return both ? reaching & (0xffffu << (kHalf * half)) : 0;
+}
+
+// Of the triangles in the lanes `kept`, stored from slot `first_slot` on, where those of one side of a leaf pair follow
+// one another. Returns the number of pairs.
+__device__ inline int list_triangle_pairs(LeafShared& shared, uint32_t kept, int first_slot, int queued, int lane) {
+  const int i0 = __popc(rows_of(kept, 0, 0)), j0 = __popc(rows_of(kept, 0, 1));
+  const int i1 = __popc(rows_of(kept, 1, 0)), j1 = __popc(rows_of(kept, 1, 1));
+  const int of_first = i0 * j0, count = of_first + i1 * j1;
+  for (int k = lane; k < count; k += kWarp) {
+    const bool is_first = k < of_first;
+    const unsigned index = is_first ? k : k - of_first, columns = is_first ? j0 : j1;
+    const unsigned p = index / columns, q = index - p * columns;
+    const int first = first_slot + (is_first ? 0 : i0 + j0), second = first + (is_first ? i0 : i1);
+    shared.triangle_pairs[queued + k] = static_cast<uint16_t>((first + p) * kSlots + second + q);
+  }
+  return count;
 }
 
 // Sum over the lanes before this one; the total goes to `total`.

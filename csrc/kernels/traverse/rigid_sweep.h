@@ -132,6 +132,19 @@ struct alignas(16) RigidSweep : PairFrame {
     return inverse_scale * sweep_detail::transform(side == 0 ? p.first : p.second, direction);
   }
 
+  // One of eight vertices of a leaf (T = float) or all, relative to the SBV centre, body axes; the same at both ends of
+  // a segment.
+  template <class T>
+  PGCCD_HD static Vec3<T> leaf_points(const RigidBodies&, const LeafPoints& points, int, int slot, int) {
+    return {load<T>(points.x + slot), load<T>(points.y + slot), load<T>(points.z + slot)};
+  }
+
+  // The direction whose product with v is that of `direction` with the place of v, but for the shift.
+  PGCCD_HD static Vec3<float> pulled_back(const LocalPose& p, int side, Vec3<float> direction) {
+    const Mat3<float>& m = side == 0 ? p.first : p.second;
+    return direction.x * m.r0 + direction.y * m.r1 + direction.z * m.r2;
+  }
+
   // Of one triangle, or of it and the seven that follow.
   template <class T>
   PGCCD_HD Corners<T> corners(const RigidBodies& bodies, int side, int32_t triangle, int) const {

@@ -85,8 +85,8 @@ PGCCD_HD Vec3<T> shifted(Vec3<float> shift, Vec3<T> v) {
 // What both kinds of sweeps share: the bodies' rows of the mesh set (read at every node), their frame, and the scale.
 struct PairFrame {
   int64_t body[2];
-  int64_t first_face[2], first_block[2];  // rows of the bodies' meshes in the mesh set
-  double scale;                           // a power of two
+  int64_t first_face[2], first_block[2], first_points[2];  // rows of the bodies' meshes in the mesh set
+  double scale;                                            // a power of two
   double horizon;
   float local_scale, inverse_scale;  // the same in float, perhaps 0; and 1 / scale, or 0 beyond the range of float
 
@@ -100,6 +100,7 @@ struct PairFrame {
       const MeshOffsets& offsets = bodies.meshes.offsets[bodies.mesh_index[body[side]]];
       first_face[side] = offsets.face;
       first_block[side] = offsets.block;
+      first_points[side] = offsets.leaf_points;
     }
   }
 };

@@ -10,7 +10,7 @@ namespace pgccd {
 struct TraverseCounters {
   Counter rest[3];  // tasks handed back: launches take turns, see TaskHandover
   Counter most_rest;
-  Counter leaves;
+  Counter leaves, meeting_leaves;  // pairs of leaves that the descent found; those that culling left
   Counter edge_edge, vertex_face;  // candidates
   Counter poses;
   Counter node_tests;

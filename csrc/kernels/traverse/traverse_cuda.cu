@@ -2,6 +2,7 @@
 // for the host on the way; the counts then show whether everything fitted.
 #include <cub/cub.cuh>
 
+#include "kernels/traverse/cull_leaves.cuh"
 #include "kernels/traverse/descend.cuh"
 #include "kernels/traverse/traverse_counters.h"
 #include "kernels/traverse/traverse_cuda.h"
@@ -78,7 +79,7 @@ struct Traversal {
         descend_rest(launch, launch == launches ? kLastLaunch : launch, leaves);
       }
     }
-    visit(leaves, out);
+    visit(cull(leaves), out);
     return out;
   }
 
@@ -179,6 +180,14 @@ struct Traversal {
     descend_further<Bodies><<<resident_blocks_of(descend_further<Bodies>), kBlockThreads, 0, context_.stream>>>(
         pairs_, kind, rest, leaves, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_further");
+  }
+
+  TaskList cull(TaskList leaves) {
+    const TaskList meeting{context_.allocate<Task>(leaves.capacity), &counters_->meeting_leaves, leaves.capacity};
+    cull_leaves<Bodies><<<kWaves * resident_blocks_of(cull_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(
+        pairs_, leaves, meeting);
+    check_cuda(cudaGetLastError(), "cull_leaves");
+    return meeting;
   }
 
   void visit(TaskList leaves, CandidateSink out) {

@@ -50,7 +50,7 @@ class LeafVisitor {
         stored = filled_ + __popc(kept) <= kSlots;
         if (stored && kept != 0) {
           if (kept >> lane_ & 1u) store(task, side, row, moving, remembers, kept);
-          list_triangle_pairs(kept);
+          queued_ += list_triangle_pairs(shared_, kept, filled_, queued_, lane_);
           filled_ += __popc(kept);
           __syncwarp();  // the triangles and their pairs are written
         }
@@ -81,8 +81,10 @@ class LeafVisitor {
   // Tests what fills all lanes; or `all` that waits, and then slots are free.
   __device__ __forceinline__ void work(bool all) {
     for (;;) {
-      if (waiting_ >= kWarp || (all && queued_ == 0 && waiting_ > 0)) {
-        test_features(smaller(waiting_, kWarp));
+      if (near_ >= kWarp || (all && queued_ == 0 && waiting_ == 0 && near_ > 0)) {
+        test_stepwise(smaller(near_, kWarp));
+      } else if (waiting_ >= kWarp || (all && queued_ == 0 && waiting_ > 0)) {
+        test_plainly(smaller(waiting_, kWarp));
       } else if (queued_ >= kWarp || (all && queued_ > 0)) {
         test_triangles(smaller(queued_, kWarp));
       } else {
@@ -90,30 +92,6 @@ class LeafVisitor {
       }
     }
     if (all) filled_ = 0;
-  }
-
-  __device__ static uint32_t rows_of(uint32_t reaching, int half, int side) {
-    return (reaching >> (kHalf * half + kMaxLeafTriangles * side)) & 0xffu;
-  }
-  // The lanes of a leaf pair, if triangles of both sides reach the other leaf.
-  __device__ static uint32_t kept_of_half(uint32_t reaching, int half) {
-    const bool both = rows_of(reaching, half, 0) != 0 && rows_of(reaching, half, 1) != 0;
-    return both ? reaching & (0xffffu << (kHalf * half)) : 0;
-  }
-
-  // Slots of one side of a leaf pair follow one another.
-  __device__ void list_triangle_pairs(uint32_t kept) {
-    const int i0 = __popc(rows_of(kept, 0, 0)), j0 = __popc(rows_of(kept, 0, 1));
-    const int i1 = __popc(rows_of(kept, 1, 0)), j1 = __popc(rows_of(kept, 1, 1));
-    const int of_first = i0 * j0, count = of_first + i1 * j1;
-    for (int k = lane_; k < count; k += kWarp) {
-      const bool is_first = k < of_first;
-      const unsigned index = is_first ? k : k - of_first, columns = is_first ? j0 : j1;
-      const unsigned p = index / columns, q = index - p * columns;
-      const int first = filled_ + (is_first ? 0 : i0 + j0), second = first + (is_first ? i0 : i1);
-      shared_.triangle_pairs[queued_ + k] = static_cast<uint16_t>((first + p) * kSlots + second + q);
-    }
-    queued_ += count;
   }
 
   // One waiting triangle pair a lane: lists the feature pairs it represents, unless the triangles stay apart.
@@ -147,14 +125,31 @@ class LeafVisitor {
     __syncwarp();  // the list is written
   }
 
-  // One waiting feature pair a lane: emits those that may meet.
-  __device__ __forceinline__ void test_features(int count) {
+  __device__ __forceinline__ MovingFeatures features_of(int listed) const {
+    const int i = listed / 16 / kSlots, j = listed / 16 % kSlots;
+    const auto corner_of = [&](int side, int index, int end) { return corner(shared_, side == 0 ? i : j, index, end); };
+    return moving_features(corner_of, listed % 16);
+  }
+
+  // One waiting feature pair a lane: lists those that are not plainly apart.
+  __device__ __forceinline__ void test_plainly(int count) {
     waiting_ -= count;
     const bool is_given = lane_ < count;
     const int listed = is_given ? shared_.features[waiting_ + lane_] : 0;
+    const bool is_near = is_given && !features_of(listed).plainly_apart(shared_.distance[listed / 16 / kSlots]);
+    const uint32_t lanes = __ballot_sync(kAllLanes, is_near);
+    if (is_near) shared_.near[near_ + __popc(lanes & lanes_below(lane_))] = static_cast<uint16_t>(listed);
+    near_ += __popc(lanes);
+    __syncwarp();  // the list is written
+  }
+
+  // One of these a lane: emits those that may meet.
+  __device__ __forceinline__ void test_stepwise(int count) {
+    near_ -= count;
+    const bool is_given = lane_ < count;
+    const int listed = is_given ? shared_.near[near_ + lane_] : 0;
     const int bit = listed % 16, i = listed / 16 / kSlots, j = listed / 16 % kSlots;
-    const auto corner_of = [&](int side, int index, int end) { return corner(shared_, side == 0 ? i : j, index, end); };
-    const bool meets = is_given && pair_meets(corner_of, bit, shared_.distance[i]);
+    const bool meets = is_given && !features_of(listed).stepwise_apart(shared_.distance[i]);
     Candidate candidate{};
     if (meets) {
       const bool is_one_body = Sweep::may_be_one_body && shared_.is_one_body[i];
@@ -178,6 +173,7 @@ class LeafVisitor {
   int filled_ = 0;   // slots
   int queued_ = 0;   // triangle pairs waiting
   int waiting_ = 0;  // feature pairs waiting
+  int near_ = 0;     // those among them that are not plainly apart
 };
 
 template <class Bodies>
