@@ -17,16 +17,16 @@ import torch
 import pgccd
 from pgccd import distributed, sim
 from pgccd.about import describe_installation
+from pgccd.checkpoint.lock import FolderError
 from pgccd.detection.broad import BROAD_PHASES
 from pgccd.detection.narrow import REPORTS, Kind, Status
 from pgccd.files import load_motion, load_scene
 from pgccd.geometry.origin import Origin
 from pgccd.runtime.memory import is_out_of_memory
-from pgccd.sim.checkpoint import require_checkpoint
-from pgccd.sim.checkpoint_files import Header
+from pgccd.sim.checkpoint import Header, require_checkpoint
 from pgccd.sim.distributed import command
 from pgccd.sim.progress import Progress, terminal_progress
-from pgccd.sim.run_folder import WORLD_FILE, FolderError
+from pgccd.sim.run_folder import WORLD_FILE
 from pgccd.sim.summary import summary_lines, totals, write_pictures
 
 _COMMANDS = ("simulate", "detect", "info")
@@ -194,7 +194,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     try:
         folder = command.folder_to_resume(comm, options.resume, out)
         if folder is not None:
-            header = distributed.on_first(comm, lambda: require_checkpoint(folder)).header
+            header = distributed.on_first(comm, lambda: require_checkpoint(folder)).run
             _require_same_world(folder, header, given)
             files = options.mesh or distributed.on_first(comm, lambda: _mesh_files(folder))
             meshes = distributed.together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))

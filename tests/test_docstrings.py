@@ -28,7 +28,7 @@ from pgccd.sim.step import FIRST_CONTACTS
 ROOT = Path(__file__).resolve().parents[1]
 # What needs ranks, a scheduler or a GPU's streams; tests of its own run it.
 NOT_ALONE = (
-    "pgccd.sim.distributed.checkpoint",
+    "pgccd.distributed.checkpoint.writing",
     "pgccd.distributed.guard.guard",
     "pgccd.distributed.comm.mpi_comm",
     "pgccd.sim.distributed.runner",

@@ -101,7 +101,7 @@ def test_trimesh_is_imported_lazily_and_in_one_place() -> None:
 
 def test_single_device_modules_do_not_know_the_cluster() -> None:
     upper = ("pgccd.distributed", "pgccd.sim", "pgccd.baselines", "pgccd.viz", "pgccd.cli")
-    lower = (PACKAGE / folder for folder in ("geometry", "motion", "detection", "ops", "runtime"))
+    lower = (PACKAGE / folder for folder in ("geometry", "motion", "detection", "ops", "runtime", "checkpoint"))
     wrong = [
         (path.name, name)
         for path in [*PACKAGE.glob("*.py"), *python_files(*lower)]
@@ -115,6 +115,7 @@ def test_single_device_modules_do_not_know_the_cluster() -> None:
 def test_packages_import_only_those_below() -> None:
     may_import = {
         "runtime": set(),
+        "checkpoint": {"runtime"},
         "geometry": set(),
         "motion": {"geometry"},
         "detection": {"geometry", "motion", "runtime"},
@@ -128,7 +129,7 @@ def test_packages_import_only_those_below() -> None:
 
 
 def test_folders_of_ranks_import_only_those_below() -> None:
-    folders = ("guard", "comm", "launch", "partition", "halo", "detection", "world")
+    folders = ("guard", "comm", "launch", "partition", "halo", "checkpoint", "detection", "world")
     root = PACKAGE / "distributed"
     assert {path.parent.name for path in root.glob("*/__init__.py")} == set(folders)
     assert [path.name for path in root.glob("*.py")] == ["__init__.py"]

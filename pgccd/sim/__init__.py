@@ -8,8 +8,8 @@ import importlib as _importlib
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
+from pgccd.checkpoint.files import CheckpointError
 from pgccd.sim.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from pgccd.sim.checkpoint_files import CheckpointError
 from pgccd.sim.hashing import contacts_hash, state_hash
 from pgccd.sim.log import LOG_FILE, read_log
 from pgccd.sim.model import PATTERNS, Model, ModelConfig, RobotState

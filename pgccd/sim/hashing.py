@@ -36,12 +36,3 @@ def state_hash(state: RobotState) -> int:
         >>> f"{pgccd.sim.state_hash(state):016x}"
     """
     return row_hash(hashed_columns(state))
-
-
-def id_hash(id: Tensor) -> int:
-    """Hash over ids (N,) int64, as `contacts_hash`.
-
-    Example:
-        >>> f"{pgccd.sim.hashing.id_hash(state.id):016x}"
-    """
-    return row_hash([id])

@@ -13,16 +13,16 @@ from typing import Any, Protocol
 
 import torch
 
+from pgccd.checkpoint.lock import hold
 from pgccd.detection.broad import BroadPhase
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
-from pgccd.sim.checkpoint import Checkpoint, load_checkpoint, require_checkpoint, save_checkpoint
-from pgccd.sim.checkpoint_files import Header
+from pgccd.sim.checkpoint import Checkpoint, Header, load_checkpoint, require_checkpoint, save_checkpoint
 from pgccd.sim.log import StepLog
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress, Silent
 from pgccd.sim.replay import StepMaker
-from pgccd.sim.run_folder import begin, hold
+from pgccd.sim.run_folder import begin
 from pgccd.sim.step import Step
 
 

@@ -2,52 +2,68 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
+from support.checkpoint_faults import plant
 
 from distributed.conftest import World
 from pgccd import sim
-from pgccd.distributed import BalanceOptions, Cells, Comm
+from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm, Partition
+from pgccd.distributed.checkpoint import shared_folder
+from pgccd.distributed.checkpoint.partition import load_partition
+from pgccd.distributed.checkpoint.shared_folder import sees_mark
+from pgccd.distributed.partition.rebalancing import PARTITIONS, make_partition
 from pgccd.sim.checkpoint import require_checkpoint
 from pgccd.sim.distributed import DistributedOptions, DistributedSimulation, resume, run, runner
-from pgccd.sim.distributed.checkpoint import load_share
-from pgccd.sim.run_folder import sees_mark
+from pgccd.sim.distributed.runner import load_robots
 from pgccd.sim.summary import write_pictures
 
 CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
 
 
-def go_on(comm: Comm, folder: str) -> list[dict[str, Any]]:
+EAGER = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0)
+
+
+def go_on(comm: Comm, folder: str, kind: str = "cells") -> list[dict[str, Any]]:
     """Six steps, then two more; returns the log."""
-    eager = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0)
-    options = DistributedOptions(cells=4, balance=eager)
+    options = DistributedOptions(kind, cells=4, balance=EAGER)
     run(comm, CONFIG, 6, folder, options=options)
+    stored = require_checkpoint(Path(folder))
     half = sim.Model(CONFIG).half_extent
-    start = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=4)
-    owners = require_checkpoint(Path(folder)).owners()
-    assert owners is not None and not torch.equal(owners.owner, start.owner)
-    for other in (Cells.uniform(start.lower, half, comm.size + n, cells=5 - n) for n in (0, 1)):
-        assert runner._owned_as_before(owners, other) is other
+    start = make_partition(kind, tuple(-x for x in half), half, comm.size, 3, 4, torch.device("cpu"))
+    name = "owner" if kind == "cells" else "planes"
+    kept = stored.shared()[name]
+    assert not torch.equal(kept, getattr(start, name))
+    others = [Cells.uniform(start.lower, half, comm.size + n, cells=5 - n) for n in (0, 1)]
+    others += [Bisection.uniform(start.lower, half, comm.size + 1)]
+    others += [replace(start, upper=(half[0], half[1], 2.0 * half[2]))]
+    for other in others:
+        assert load_partition(comm, stored, other) is other
 
     began = []
 
-    def begin(comm: Comm, model: sim.Model, partition: Cells, *rest: Any) -> DistributedSimulation:
+    def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> DistributedSimulation:
         began.append(partition)
         return DistributedSimulation(comm, model, partition, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "DistributedSimulation", begin)
         finished = resume(comm, folder, 8, options=options)
-    assert torch.equal(began[0].owner, owners.owner)
+    assert torch.equal(getattr(began[0], name), kept)
     return finished.records
 
 
-def test_owners_of_cells_are_kept(ranks: World, tmp_path: Path) -> None:
-    records = ranks.run(3, go_on, str(tmp_path / "three"))[0]
+@pytest.mark.parametrize("kind", PARTITIONS)
+def test_the_partition_is_kept(ranks: World, tmp_path: Path, kind: str) -> None:
+    records = ranks.run(3, go_on, str(tmp_path / "three"), kind)[0]
     alone = sim.run(CONFIG, 8, tmp_path / "one").records
     assert [record["state_hash"] for record in records] == [record["state_hash"] for record in alone]
 
@@ -55,7 +71,7 @@ def test_owners_of_cells_are_kept(ranks: World, tmp_path: Path) -> None:
 def share(comm: Comm, folder: str) -> tuple[list[int], str]:
     """The ids that a rank reads, or what it is told."""
     try:
-        return load_share(comm, require_checkpoint(Path(folder))).id.tolist(), ""
+        return load_robots(comm, require_checkpoint(Path(folder))).id.tolist(), ""
     except ValueError as error:
         return [], str(error)
 
@@ -77,12 +93,72 @@ def test_any_number_of_ranks_reads_what_another_wrote(ranks: World, tmp_path: Pa
         assert ids == [] and "rank-00001.safetensors is damaged: its hash" in said
 
 
-def test_owners_are_verified(ranks: World, tmp_path: Path) -> None:
+def go_on_as(comm: Comm, folder: str, kind: str) -> list[dict[str, Any]]:
+    """Two more steps on another number of ranks; returns the log."""
+    options = DistributedOptions(kind, cells=4, balance=EAGER)
+    return resume(comm, folder, 10, options=options).records
+
+
+@pytest.mark.parametrize("kind", PARTITIONS)
+def test_another_number_of_ranks_begins_uniformly(ranks: World, tmp_path: Path, kind: str) -> None:
+    ranks.run(3, go_on, str(tmp_path / "three"), kind)
+    expected = sim.run(CONFIG, 10, tmp_path / "one").records[-1]
+    assert ranks.run(2, go_on_as, str(tmp_path / "three"), kind)[0][-1]["state_hash"] == expected["state_hash"]
+
+
+def load(comm: Comm, folder: str, kind: str) -> str:
+    """What a rank is told of the partition."""
+    half = sim.Model(CONFIG).half_extent
+    lower = tuple(-x for x in half)
+    uniform = make_partition(kind, lower, half, comm.size, 3, 4, torch.device("cpu"))
+    try:
+        load_partition(comm, require_checkpoint(Path(folder)), uniform)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def test_the_partition_is_verified(ranks: World, tmp_path: Path) -> None:
     ranks.run(2, go_on, str(tmp_path))
-    (table,) = tmp_path.glob("checkpoints/step-*/owners.safetensors")
+    (table,) = tmp_path.glob("checkpoints/step-*/shared.safetensors")
     table.write_bytes(table.read_bytes()[:-8])
-    with pytest.raises(ValueError, match=r"owners.safetensors is damaged: it has \d+ bytes"):
-        require_checkpoint(tmp_path).owners()
+    for said in ranks.run(2, load, str(tmp_path), "cells"):
+        assert re.search(r"shared.safetensors is damaged: it has \d+ bytes", said)
+
+
+def changed(planes: torch.Tensor, row: int, column: int, value: float) -> dict[str, torch.Tensor]:
+    planes = planes.clone()
+    planes[row, column] = value
+    return {"planes": planes}
+
+
+#: By what is wrong with the planes of three ranks: others, and what is said of them.
+WRONG_PLANES: dict[str, tuple[Callable[[torch.Tensor], dict[str, torch.Tensor]], str]] = {
+    "none": (lambda planes: {"owner": torch.zeros(3)}, "it has no 'planes'"),
+    "too few": (lambda planes: {"planes": planes[:1].clone()}, r"expected \(2, 4\) float64, got \(1, 4\)"),
+    "single": (lambda planes: {"planes": planes.float()}, r"expected \(2, 4\) float64, got \(2, 4\) torch.float32"),
+    "nan": (lambda planes: changed(planes, 1, 1, float("nan")), "expected finite numbers"),
+    "infinite": (lambda planes: changed(planes, 0, 1, float("inf")), "expected finite numbers"),
+    "outside": (lambda planes: changed(planes, 1, 1, 1e6), "1000000.0 is outside of the part"),
+    "axis": (lambda planes: changed(planes, 0, 0, 7.0), "expected a tree of 3 parts"),
+    "a circle": (lambda planes: changed(planes, 1, 3, 0.0), "expected a tree of 3 parts"),
+    "a rank twice": (lambda planes: changed(planes, 1, 3, -2.0), "expected a tree of 3 parts"),
+}
+
+
+@pytest.mark.parametrize("wrong", list(WRONG_PLANES))
+def test_planes_that_were_planted(ranks: World, tmp_path: Path, wrong: str) -> None:
+    """With the right hashes."""
+    ranks.run(3, go_on, str(tmp_path), "bisection")
+    assert ranks.run(3, load, str(tmp_path), "bisection") == [""] * 3
+    (path,) = tmp_path.glob("checkpoints/step-*/shared.safetensors")
+    change, expected = WRONG_PLANES[wrong]
+    save_file(change(load_file(path)["planes"]), path)
+    raw = path.read_bytes()
+    about = {"bytes": len(raw), "sha256": hashlib.sha256(raw).hexdigest()}
+    plant(tmp_path, lambda index: index["shared"].update(about))
+    for said in ranks.run(3, load, str(tmp_path), "bisection"):
+        assert re.search(expected, said) and str(tmp_path) in said and len(said.splitlines()) == 1
 
 
 def see(comm: Comm, folder: str) -> str:
@@ -101,7 +177,7 @@ def test_a_folder_that_ranks_do_not_share(ranks: World, tmp_path: Path) -> None:
 
 def see_at_once(comm: Comm, folder: str) -> str:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "sees_mark", lambda folder, name: sees_mark(folder, name, within=0.2))
+        patch.setattr(shared_folder, "sees_mark", lambda folder, name: sees_mark(folder, name, within=0.2))
         patch.setattr(runner, "_compare", lambda *_: None)
         return see(comm, folder)
 

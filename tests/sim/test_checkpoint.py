@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
 import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
+from support.checkpoint_faults import Runs, changes_by_chance, plant
 
 from pgccd import sim
-from pgccd.sim import checkpoint_files as module
-from pgccd.sim.checkpoint import find_checkpoint
-from pgccd.sim.checkpoint_files import FOLDER, POINTER, Owners, new_name, publish, write_robots
+from pgccd.checkpoint import files as module
+from pgccd.checkpoint.files import FOLDER, POINTER
+from pgccd.sim.checkpoint import KIND, ROBOTS, Header, find_checkpoint
 
 CONFIG = sim.ModelConfig(robots=30, pattern="skewed", seed=3)
-HEADER = module.Header(CONFIG, 1, 2, "digest")
 
 
 def start_state() -> sim.RobotState:
@@ -30,14 +27,15 @@ def start_state() -> sim.RobotState:
 
 def write(folder: Path, steps_made: int, ranks: int = 3) -> Path:
     """A checkpoint as many ranks write it."""
-    root, name, state = folder / FOLDER, new_name(steps_made), start_state()
-    module.make_folder(root / name)
+    root, state = folder / FOLDER, start_state()
+    name = module.make_folder(root, KIND, steps_made)
     files = []
     for rank in range(ranks):
         part = {name: column[rank::ranks].clone() for name, column in state.columns.items()}
-        files.append(write_robots(root / name, rank, sim.RobotState(**part)))
-    header = module.Header(CONFIG, steps_made, 20, "digest")
-    return publish(root, name, header, files, Owners([1, 1, 3], [2, 2, 2], torch.arange(24) % 3))
+        files.append(module.write_tables(root / name, rank, {ROBOTS: part}))
+    header = Header(CONFIG, steps_made, 20, "digest")
+    content = module.Content(KIND, steps_made, header.plain, {"owner": torch.arange(24) % 3})
+    return module.publish(root, name, content, module.layout_of({ROBOTS: part}), files)
 
 
 def same(found: sim.RobotState, expected: sim.RobotState) -> bool:
@@ -48,7 +46,7 @@ def read_all(folder: Path) -> sim.Checkpoint:
     """Everything that is in the newest one."""
     stored = find_checkpoint(folder)
     assert stored is not None
-    stored.owners()
+    stored.shared()
     return sim.load_checkpoint(folder)
 
 
@@ -59,10 +57,11 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert (found.config, found.steps_made, found.steps_wanted, found.meshes) == (CONFIG, 7, 20, "digest")
     stored = find_checkpoint(tmp_path)
     assert stored is not None
-    owners = stored.owners()
-    assert owners is not None and owners.owner.tolist() == [k % 3 for k in range(24)]
+    assert stored.shared()["owner"].tolist() == [k % 3 for k in range(24)]
     # The rows of ranks follow one another.
-    assert stored.rows(8, 13).id.tolist() == [24, 27, 1, 4, 7] and len(stored.rows(30, 30)) == 0
+    parts = [stored.rows(ROBOTS, begin, end) for begin, end in ((0, 8), (8, 13), (13, 30), (30, 30))]
+    assert parts[1][0]["id"].tolist() == [24, 27, 1, 4, 7] and parts[3][0]["position"].shape == (0, 3)
+    stored.require_hash(ROBOTS, sum(total for _, total in parts))
     sim.save_checkpoint(tmp_path / "again", found)
     assert same(sim.load_checkpoint(tmp_path / "again").state, start_state())
     assert find_checkpoint(tmp_path / "none") is None
@@ -109,57 +108,27 @@ def test_a_failure_leaves_a_whole_one(tmp_path: Path, monkeypatch: pytest.Monkey
     assert read_all(tmp_path).steps_made == 7 and len(list((tmp_path / FOLDER).iterdir())) == 2
 
 
-def mutations(raw: bytes, rng: np.random.Generator) -> list[bytes]:
-    """One of each kind."""
-    at, end = sorted(rng.integers(0, len(raw), 2).tolist())
-    flipped = bytearray(raw)
-    flipped[at] ^= 1 << int(rng.integers(8))
-    noise = rng.integers(0, 256, 7, dtype=np.uint8).tobytes()
-    digit = bytearray(raw)
-    digits = [k for k, byte in enumerate(raw[:4096]) if chr(byte).isdigit()]
-    digit[digits[int(rng.integers(len(digits)))]] = 48 + int(rng.integers(10))
-    cut, dropped, repeated = raw[:at], raw[:at] + raw[end:], raw[:end] + raw[at:]
-    return [bytes(flipped), cut, dropped, repeated, raw[:at] + noise + raw[at:], raw + noise, bytes(digit)]
-
-
 def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path) -> None:
-    folder, expected = write(tmp_path, 7, ranks=2), start_state()
-    files = [tmp_path / FOLDER / POINTER, *folder.iterdir()]
-    rng, tried, refused = np.random.default_rng(7), 0, 0
-    while tried < 10_000:
-        path = files[tried % len(files)]
-        raw = path.read_bytes()
-        for changed in mutations(raw, rng):
-            path.write_bytes(changed)
-            tried += 1
-            try:
-                found = read_all(tmp_path)
-            except module.CheckpointError as error:
-                refused += 1
-                assert str(tmp_path) in str(error) and len(str(error).splitlines()) == 1
-            else:
-                assert same(found.state, expected) and found.steps_made == 7 and found.config == CONFIG
-        path.write_bytes(raw)
-    assert refused > 0.9 * tried
+    write(tmp_path, 7, ranks=2)
+    expected, refused = start_state(), 0
+    for _ in changes_by_chance(tmp_path, 10_000):
+        try:
+            found = read_all(tmp_path)
+        except module.CheckpointError as error:
+            refused += 1
+            assert str(tmp_path) in str(error) and len(str(error).splitlines()) == 1
+        else:
+            assert same(found.state, expected) and found.steps_made == 7 and found.config == CONFIG
+    assert refused > 9_000
     assert same(read_all(tmp_path).state, expected)
 
 
-@pytest.mark.parametrize("missing", ["index.json", "rank-00001.safetensors", "owners.safetensors", ""])
+@pytest.mark.parametrize("missing", ["index.json", "rank-00001.safetensors", "shared.safetensors", ""])
 def test_a_file_that_is_missing_is_named(tmp_path: Path, missing: str) -> None:
     folder = write(tmp_path, 7)
     (folder / missing).unlink() if missing else shutil.rmtree(folder)
     with pytest.raises(module.CheckpointError, match=f"{missing or 'index.json'} cannot be read: No such file"):
         read_all(tmp_path)
-
-
-class Runs:
-    """Makes a folder when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = str(path)
-
-    def __reduce__(self) -> tuple[Callable[[str], None], tuple[str]]:
-        return os.mkdir, (self.path,)
 
 
 def test_nothing_in_a_checkpoint_is_executed(tmp_path: Path) -> None:
@@ -178,37 +147,40 @@ def test_nothing_in_a_checkpoint_is_executed(tmp_path: Path) -> None:
     assert proof.exists()
 
 
-def plant(tmp_path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
-    """Changes the index, and the pointer with it."""
-    pointer = tmp_path / FOLDER / POINTER
-    content = json.loads(pointer.read_text())
-    path = tmp_path / FOLDER / content["folder"] / "index.json"
-    index = json.loads(path.read_text())
-    change(index)
-    path.write_text(json.dumps(index))
-    content["index_sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
-    pointer.write_text(json.dumps(content))
-
-
 CHANGES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "elsewhere": lambda index: index["files"][0].update(name="../../outside.safetensors"),
     "absolute": lambda index: index["files"][0].update(name="/etc/passwd"),
-    "number of robots": lambda index: index["files"][0].update(robots=11),
-    "negative numbers": lambda index: [index["files"][k].update(robots=r) for k, r in enumerate((-10, 20, 20))],
-    "no number": lambda index: index.update(robots="30"),
-    "all robots": lambda index: index.update(robots=31),
+    "number of robots": lambda index: index["files"][0]["tables"]["robots"].update(count=11),
+    "negative numbers": lambda index: [
+        index["files"][k]["tables"]["robots"].update(count=r) for k, r in enumerate((-10, 20, 20))
+    ],
+    "no number": lambda index: index["files"][0]["tables"]["robots"].update(count="10"),
+    "no bytes": lambda index: index["files"][0].update(bytes=None),
+    "all robots": lambda index: index["header"]["config"].update(robots=31),
     "fewer files": lambda index: index["files"].pop(),
     "no list": lambda index: index.update(files=None),
     "another key": lambda index: index["files"][0].update(command="rm"),
-    "configuration": lambda index: index["config"].update(robots=-4),
-    "no configuration": lambda index: index.pop("config"),
+    "another table": lambda index: index["files"][0]["tables"].update(more={"count": 0, "hash": 0}),
+    "no table": lambda index: index["files"][0]["tables"].clear(),
+    "configuration": lambda index: index["header"]["config"].update(robots=-4),
+    "no configuration": lambda index: index["header"].pop("config"),
+    "no header": lambda index: index.update(header=[]),
     "steps": lambda index: index.update(steps_made="many"),
     "negative steps": lambda index: index.update(steps_made=-1),
-    "state": lambda index: index.update(state_hash=5),
-    "ids": lambda index: index.update(id_hash="x"),
-    "format": lambda index: index.update(format=3),
-    "owners": lambda index: index.update(owners=[]),
-    "owners' file": lambda index: index["owners"].update(file={}),
+    "steps wanted": lambda index: index["header"].update(steps_wanted="many"),
+    "state": lambda index: index["files"][1]["tables"]["robots"].update(hash=5),
+    "no hash": lambda index: index["files"][1]["tables"]["robots"].update(hash="x"),
+    "format": lambda index: index.update(format=2),
+    "kind": lambda index: index.update(kind="world"),
+    "no layout": lambda index: index.update(layout={}),
+    "a layout without columns": lambda index: index["layout"].update(robots={}),
+    "another layout": lambda index: index["layout"]["robots"].update(position=["float64", [2]]),
+    "more columns": lambda index: index["layout"]["robots"].update(mood=["float64", []]),
+    "an unknown type": lambda index: index["layout"]["robots"].update(position=["object", [3]]),
+    "a large layout": lambda index: index["layout"]["robots"].update(position=["float64", [2**80]]),
+    "the rows of another": lambda index: index["files"].reverse(),
+    "shared": lambda index: index.update(shared=[]),
+    "shared file": lambda index: index.update(shared={}),
 }
 
 
@@ -231,25 +203,52 @@ def test_a_pointer_that_was_planted(tmp_path: Path, name: Any) -> None:
         read_all(tmp_path)
 
 
-@pytest.mark.parametrize("problem", ["torch.float64", "[30, 3]", "[30]", "missing"])
-def test_columns_of_other_types(tmp_path: Path, problem: str) -> None:
-    """With the right hashes, as a version with another layout might write them."""
-    columns = start_state().columns
+@pytest.mark.parametrize("problem", ["float64", "[30, 3]", "[30]", "missing"])
+@pytest.mark.parametrize("is_told", [True, False])
+def test_columns_of_other_types(tmp_path: Path, problem: str, is_told: bool) -> None:
+    """With the right hashes, as a version with another layout might write them; whether the index says so or not."""
+    columns, told = start_state().columns, start_state().columns
     changes = {
-        "torch.float64": {"position": columns["position"].float()},
+        "float64": {"position": columns["position"].float()},
         "[30, 3]": {"position": columns["position"][:, :2].contiguous()},
         "[30]": {"id": columns["id"][:-1].clone()},
     }
     columns |= changes.get(problem, {})
     if problem == "missing":
         del columns["velocity"]
-    root, name = tmp_path / FOLDER, new_name(1)
-    module.make_folder(root / name)
-    publish(root, name, HEADER, [module.write_tensors(root / name / "rank-00000.safetensors", columns, 30, 0, 0)])
+    root = tmp_path / FOLDER
+    name = module.make_folder(root, KIND, 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "rows_hash", lambda *_: 0)
+        entry = module.write_tables(root / name, 0, {ROBOTS: columns})
+    tables = {ROBOTS: module.Rows(30, 0)}
+    entry = module.FileEntry(entry.name, entry.bytes, entry.sha256, tables)
+    content = module.Content(KIND, 1, Header(CONFIG, 1, 2, "digest").plain)
+    module.publish(root, name, content, module.layout_of({ROBOTS: columns if is_told else told}), [entry])
     with pytest.raises(module.CheckpointError) as refused:
         read_all(tmp_path)
-    assert problem == "missing" or f"expected {problem}" in str(refused.value).replace("expected shape", "expected")
     assert len(str(refused.value).splitlines()) == 1
+    if not is_told and problem != "missing":
+        assert f"expected {problem}" in str(refused.value).replace("expected shape", "expected").replace("torch.", "")
+
+
+@pytest.mark.parametrize("kind", ["world", None])
+def test_one_of_another_kind(tmp_path: Path, kind: Any) -> None:
+    """It is not read, and not replaced."""
+    folder = write(tmp_path, 7)
+    pointer = tmp_path / FOLDER / POINTER
+    pointer.write_text(json.dumps(json.loads(pointer.read_text()) | {"kind": kind}))
+    for call in (read_all, lambda path: write(path, 8)):
+        with pytest.raises(module.CheckpointError, match=f"expected the checkpoint of a simulation, .* kind {kind!r}"):
+            call(tmp_path)
+    assert [path.name for path in (tmp_path / FOLDER).glob("step-*")] == [folder.name]
+
+
+def test_folders_of_others_stay(tmp_path: Path) -> None:
+    for name in ("step-1", "step-000000001-pictures", "other"):
+        (tmp_path / FOLDER / name).mkdir(parents=True)
+    write(tmp_path, 7)
+    assert len(list((tmp_path / FOLDER).iterdir())) == 5
 
 
 def test_one_of_an_earlier_version(tmp_path: Path) -> None:
@@ -261,7 +260,7 @@ def test_one_of_an_earlier_version(tmp_path: Path) -> None:
     assert sim.run(CONFIG, 1, tmp_path, overwrite=True).steps_made == 1
     write(tmp_path / "ranks", 3)
     (tmp_path / "ranks" / FOLDER / POINTER).write_text('{"format": 1, "folder": "step-000000003"}')
-    with pytest.raises(module.CheckpointError, match="its format is 1, this version reads 2"):
+    with pytest.raises(module.CheckpointError, match="its format is 1, this version reads 3"):
         sim.resume(tmp_path / "ranks")
 
 

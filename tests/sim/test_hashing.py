@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
+from pgccd.runtime.hashing import row_hash
 from pgccd.sim import Model, ModelConfig, contacts_hash, state_hash
-from pgccd.sim.hashing import id_hash
 from pgccd.sim.model import RobotState
 from pgccd.sim.tally import count_step
 
@@ -69,7 +69,7 @@ def test_tally_of_a_step_is_the_sum_of_its_parts(device: torch.device) -> None:
     toi = torch.rand(300, dtype=torch.float64, generator=generator)
     toi[::7] = 0.0
     padded = torch.cat([pairs, torch.full((50, 2), -1)]), torch.cat([toi, torch.full((50,), torch.inf).double()])
-    hashes = contacts_hash(id[pairs], toi), state_hash(state), id_hash(state.id)
+    hashes = contacts_hash(id[pairs], toi), state_hash(state), row_hash([state.id])
     stopped, touching = int((fraction < 1.0).sum()), int((toi == 0.0).sum())
     assert 0 < stopped < 1000 and touching > 0
     for rows, times in ((pairs, toi), padded):

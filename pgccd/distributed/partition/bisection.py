@@ -20,6 +20,8 @@ from pgccd.distributed.partition.interface import Partition, Point, box_given
 _BINS, _ZOOMS = 64, 4
 # Cells of a rank's part along each axis, in which ghosts are found near own bodies.
 _CELLS = 16
+# Of the largest coordinate of the box: how far a plane may lie outside of the part that it divides.
+_SLACK = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +112,36 @@ class Bisection(Partition):
             return False
         self.planes.copy_(other.planes)
         return True
+
+    def with_planes(self, planes: Tensor) -> Bisection:
+        """The same box divided by other planes.
+
+        Args:
+            planes: (P - 1, 4) float64, as `Bisection` has them.
+
+        Raises:
+            ValueError: they do not divide the box into one part a rank.
+        """
+        if planes.shape != self.planes.shape or planes.dtype != torch.float64:
+            expected = f"({len(self.planes)}, 4) float64"
+            raise ValueError(f"planes: expected {expected}, got {tuple(planes.shape)} {planes.dtype}")
+        if not bool(torch.isfinite(planes).all()):
+            raise ValueError("planes: expected finite numbers")
+        # The search for a plane may leave its part by rounding.
+        slack = _SLACK * max(abs(x) for corner in (self.lower, self.upper) for x in corner)
+        coordinates = planes[:, 1].tolist()
+
+        def as_given(level: Sequence[_Split]) -> list[float]:
+            found = [coordinates.pop(0) for _ in level]
+            for at, split in zip(found, level, strict=True):
+                if not split.low - slack <= at <= split.high + slack:
+                    raise ValueError(f"planes: {at} is outside of the part from {split.low} to {split.high}")
+            return found
+
+        # All else follows from the coordinates.
+        if not torch.equal(_bisect(self.lower, self.upper, [1.0] * self.ranks, as_given), planes.cpu()):
+            raise ValueError(f"planes: expected a tree of {self.ranks} parts, each divided across its longest axis")
+        return replace(self, planes=planes.to(self.planes.device))
 
     def rebalanced(self, comm: Comm, points: Tensor, weights: Tensor, shares: Sequence[float]) -> Bisection:
         """Planes that divide the load of all ranks in given shares, found by four sums over the ranks for each level.

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import socket
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,23 +12,24 @@ from torch import Tensor
 
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
+from pgccd.distributed.checkpoint.partition import load_partition
+from pgccd.distributed.checkpoint.reading import load_share
+from pgccd.distributed.checkpoint.shared_folder import hold_together
+from pgccd.distributed.checkpoint.writing import CheckpointWriter
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
-from pgccd.distributed.partition.cells import Cells
 from pgccd.distributed.partition.interface import Partition, Triple
 from pgccd.distributed.partition.rebalancing import make_partition, require_policy
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
-from pgccd.sim.checkpoint import require_checkpoint
-from pgccd.sim.checkpoint_files import Header, Owners
-from pgccd.sim.distributed.checkpoint import Checkpoints, load_share
+from pgccd.sim.checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
 from pgccd.sim.distributed.simulation import CommittedRankStep, DistributedSimulation, RankStep, starting_share
 from pgccd.sim.log import StepLog
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
-from pgccd.sim.run_folder import begin, hold, sees_mark, write_mark
+from pgccd.sim.run_folder import begin
 from pgccd.sim.runner import Run, continued, drive
 from pgccd.sim.step import Step
 
@@ -95,7 +94,7 @@ def run(
     model = together(comm, lambda: Model(config, meshes, device))
     _compare(comm, model, steps, folder, checkpoint_every, options)
 
-    with _held(comm, folder):
+    with hold_together(comm, folder):
         on_first(comm, lambda: begin(folder, model.describe() | dict(notes or {}), overwrite))
         partition = _partition(comm, model, options)
         start = starting_share(comm, model)
@@ -132,48 +131,21 @@ def resume(
     """
     folder, options = Path(folder), options or DistributedOptions()
     stored = on_first(comm, lambda: require_checkpoint(folder))  # before anything is made there
-    with _held(comm, folder):
+    with hold_together(comm, folder):
         stored = on_first(comm, lambda: require_checkpoint(folder))
-        header = stored.header
+        header = stored.run
         model, steps = together(comm, lambda: continued(folder, header, steps, meshes, device))
         _compare(comm, model, steps, folder, checkpoint_every, options)
-        state = load_share(comm, stored).to(model.device)
-        partition = _owned_as_before(on_first(comm, stored.owners), _partition(comm, model, options))
+        state = load_robots(comm, stored).to(model.device)
+        partition = load_partition(comm, stored, _partition(comm, model, options))
         simulation = DistributedSimulation(comm, model, partition, state, options.balance, options.overlap, broad_phase)
         made = header.steps_made
         return _continue(simulation, made, steps, folder, checkpoint_every, progress, keep_last_step)
 
 
-@contextmanager
-def _held(comm: Comm, folder: Path) -> Iterator[None]:
-    """Rank 0 holds the folder against other jobs, and every rank has seen that it is the same one."""
-    with ExitStack() as stack:
-        on_first(comm, lambda: stack.enter_context(hold(folder)))
-        mark = on_first(comm, lambda: write_mark(folder))
-
-        def look() -> None:
-            if not sees_mark(folder, mark):
-                raise ValueError(
-                    f"folder: {folder.absolute()} on {socket.gethostname()} is not that of rank 0, which all must share"
-                )
-
-        try:
-            together(comm, look)
-        finally:
-            if comm.rank == 0:
-                (folder / mark).unlink(missing_ok=True)
-        yield
-
-
-def _owned_as_before(owners: Owners | None, partition: Partition) -> Partition:
-    """The partition with the owners of a checkpoint, so that loads stay even; unless space was cut in another way."""
-    if (
-        owners is None
-        or not isinstance(partition, Cells)
-        or (*owners.subdomains, *owners.cells) != (*partition.subdomains, *partition.cells)
-    ):
-        return partition
-    return partition.with_owner(owners.owner)
+def load_robots(comm: Comm, stored: StoredCheckpoint) -> RobotState:
+    """An equal share of the robots of a checkpoint, on the CPU: see `load_share`."""
+    return RobotState(**load_share(comm, stored, ROBOTS)[ROBOTS])
 
 
 def _compare(
@@ -197,7 +169,7 @@ class _SimulationMachine:
 
     def __init__(self, simulation: DistributedSimulation, folder: Path, digest: str) -> None:
         self.simulation, self._digest = simulation, digest
-        self._checkpoints = Checkpoints(simulation.comm, folder)
+        self._checkpoints = CheckpointWriter(simulation.comm, folder, KIND)
         self.last_step: RankStep | None = None
         self._asked = False  # this rank
         self._stopping: bool | None = None  # all ranks; None before the first step
@@ -218,7 +190,8 @@ class _SimulationMachine:
     def save(self, steps_made: int, steps_wanted: int) -> None:
         self.simulation.verify()
         header = Header(self.simulation.model.config, steps_made, steps_wanted, self._digest)
-        self._checkpoints.begin(header, self.simulation.state, self.simulation.partition)
+        tables = {ROBOTS: self.simulation.state.columns}
+        self._checkpoints.begin(steps_made, header.plain, tables, self.simulation.partition)
 
     def finish(self) -> None:
         self._checkpoints.finish()

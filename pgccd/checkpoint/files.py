@@ -1,0 +1,271 @@
+"""The files of a checkpoint, as they are written; see `pgccd.checkpoint`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import save_file
+from torch import Tensor
+from torch.nn.functional import pad
+
+from pgccd import ops
+from pgccd.runtime.hashing import row_hash
+
+FOLDER = "checkpoints"
+POINTER = "newest.json"
+FORMAT = 3
+INDEX = "index.json"
+SHARED = "shared.safetensors"
+#: Names of folders of checkpoints.
+NAME = re.compile(r"step-\d{9,12}-[0-9a-f]{8}")
+#: By the name that stands for it in an index: what safetensors can hold.
+DTYPES = {
+    str(dtype).removeprefix("torch."): dtype
+    for dtype in (
+        *(torch.bool, torch.uint8, torch.int8, torch.uint16, torch.int16, torch.uint32, torch.int32, torch.uint64),
+        *(torch.int64, torch.float16, torch.bfloat16, torch.float32, torch.float64, torch.complex64),
+        *(torch.float8_e4m3fn, torch.float8_e5m2),
+    )
+}
+
+Columns = Mapping[str, Tensor]
+
+# Rows that are hashed at a time.
+_BLOCK = 1 << 20
+
+
+class CheckpointError(ValueError):
+    """A checkpoint cannot be read or written; the message names the file."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a checkpoint is of."""
+
+    kind: str  #: of what wrote it, which alone can read it
+    steps_made: int
+    header: Mapping[str, Any]  #: what else is to be known, as JSON
+    shared: Columns = field(default_factory=dict)  #: tensors that are the same on all ranks
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What the index says of a table in a file."""
+
+    count: int
+    hash: int  #: `rows_hash`
+
+
+@dataclass(frozen=True)
+class FileEntry:
+    """What the index says of a file."""
+
+    name: str
+    bytes: int
+    sha256: str
+    tables: Mapping[str, Rows] = field(default_factory=dict)
+
+
+def rank_file(rank: int) -> str:
+    """The name of a rank's file."""
+    return f"rank-{rank:05d}.safetensors"
+
+
+def rows_hash(columns: Columns, rank: int, begin: int) -> int:
+    """Hash of rows at their places.
+
+    Args:
+        columns: (N, ...) on the CPU, of any dtype.
+        rank: in whose file they are.
+        begin: the row of its table where they begin.
+
+    Returns:
+        An integer in [0, 2^64). Hashes of parts of a table add up modulo 2^64.
+    """
+    ordered = [columns[name].contiguous() for name in sorted(columns)]
+    count, total = len(ordered[0]), 0
+    for first in range(0, count, _BLOCK):
+        rows = torch.arange(first, min(count, first + _BLOCK))
+        packed = ops.pack_rows(ordered, rows)
+        words = pad(packed, (0, -packed.shape[1] % 8)).view(torch.int64)
+        total += row_hash([torch.full_like(rows, rank), rows + begin, words])
+    return total % 2**64
+
+
+def make_folder(root: Path, kind: str, steps_made: int) -> str:
+    """Makes the folder of a checkpoint, of a name that no other has.
+
+    Args:
+        root: the folder `checkpoints` it goes to.
+        kind, steps_made: as in `Content`.
+
+    Returns:
+        Its name.
+
+    Raises:
+        CheckpointError: it cannot be made, or there is a checkpoint of another kind, which it would replace.
+    """
+    if (root / POINTER).exists():
+        read_pointer(root, kind)
+    name = f"step-{steps_made:09d}-{secrets.token_hex(4)}"
+    try:
+        (root / name).mkdir(parents=True)
+    except OSError as error:
+        raise CheckpointError(f"{root / name} cannot be made: {error.strerror or error}") from error
+    return name
+
+
+def write_tables(folder: Path, rank: int, tables: Mapping[str, Columns]) -> FileEntry:
+    """Writes one rank's tables of columns on the CPU. They are on the disk when it returns.
+
+    Raises:
+        CheckpointError: they cannot be written.
+    """
+    tensors = {f"{table}/{name}": column for table, columns in tables.items() for name, column in columns.items()}
+    written = _write_tensors(folder / rank_file(rank), tensors)
+    rows = {
+        table: Rows(len(next(iter(columns.values()))), rows_hash(columns, rank, 0)) for table, columns in tables.items()
+    }
+    return FileEntry(written.name, written.bytes, written.sha256, rows)
+
+
+def layout_of(tables: Mapping[str, Columns]) -> dict[str, dict[str, list[Any]]]:
+    """By table and name of a column its dtype and the shape of a row, as the index has it."""
+    return {
+        table: {
+            name: [str(column.dtype).removeprefix("torch."), list(column.shape[1:])] for name, column in columns.items()
+        }
+        for table, columns in tables.items()
+    }
+
+
+def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], files: Sequence[FileEntry]) -> Path:
+    """Completes a checkpoint whose tables have been written, makes it the newest one, and removes all others.
+
+    Args:
+        root: the folder `checkpoints`.
+        name: of the checkpoint's folder in it.
+        content: what it is of.
+        layout: of the tables: see `layout_of`.
+        files: of all ranks.
+
+    Returns:
+        Its folder.
+
+    Raises:
+        CheckpointError: it cannot be written; the one before is still there.
+    """
+    folder = root / name
+    index: dict[str, Any] = {"format": FORMAT, "kind": content.kind, "steps_made": content.steps_made}
+    index |= {"header": content.header, "layout": layout, "files": [asdict(entry) for entry in files]}
+    if content.shared:
+        index["shared"] = asdict(_write_tensors(folder / SHARED, content.shared))
+    try:
+        raw = json.dumps(index, indent=1).encode()
+        _write_bytes(folder / INDEX, raw)
+        _sync(folder)
+        _sync(root)  # which names the folder
+        pointer = {"format": FORMAT, "kind": content.kind, "folder": name}
+        pointer["index_sha256"] = hashlib.sha256(raw).hexdigest()
+        unfinished = root / f"{name}.pointer"
+        _write_bytes(unfinished, json.dumps(pointer).encode())
+        os.replace(unfinished, root / POINTER)
+        _sync(root)
+    except OSError as error:
+        raise CheckpointError(f"{folder} cannot be written: {error.strerror or error}") from error
+    _remove_others(root, name)
+    return folder
+
+
+def read_pointer(root: Path, kind: str) -> tuple[str, str]:
+    """The name of the newest checkpoint, and the hash of its index.
+
+    Raises:
+        CheckpointError: it cannot be read, or the checkpoint is of another kind.
+    """
+    path = root / POINTER
+    content = read_json(path, read_bytes(path))
+    require_format(path, content, kind)
+    name, digest = content.get("folder"), content.get("index_sha256")
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise CheckpointError(f"{path}: folder: expected the name of a checkpoint, got {name!r}")
+    return name, str(digest)
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a file, or CheckpointError."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise CheckpointError(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+def read_json(path: Path, raw: bytes) -> dict[str, Any]:
+    """The object that a file contains, or CheckpointError."""
+    try:
+        content = json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise CheckpointError(f"{path} cannot be read as JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise CheckpointError(f"{path}: expected an object, got {type(content).__name__}")
+    return content
+
+
+def require_format(path: Path, content: Mapping[str, Any], kind: str) -> None:
+    """Raises CheckpointError unless a file has the format of this version, and is of this kind."""
+    if content.get("format") != FORMAT:
+        raise CheckpointError(f"{path}: its format is {content.get('format')!r}, this version reads {FORMAT}")
+    if content.get("kind") != kind:
+        raise CheckpointError(f"{path}: expected the checkpoint of a {kind}, it is of kind {content.get('kind')!r}")
+
+
+def _write_tensors(path: Path, tensors: Columns) -> FileEntry:
+    """Writes a file, and waits until it is on the disk."""
+    try:
+        for name, tensor in tensors.items():
+            if str(tensor.dtype).removeprefix("torch.") not in DTYPES:
+                raise CheckpointError(f"{path} cannot be written: {name!r} is of {tensor.dtype}")
+        save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
+        _sync(path)
+        with open(path, "rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        return FileEntry(path.name, path.stat().st_size, digest)
+    except (OSError, SafetensorError, UnicodeError) as error:
+        raise CheckpointError(f"{path} cannot be written: {error}") from error
+
+
+def _write_bytes(path: Path, content: bytes) -> None:
+    with open(path, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync(path: Path) -> None:
+    """Waits until a file, or the names in a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _remove_others(root: Path, kept: str) -> None:
+    """Checkpoints that are not named any more, and what was left of unfinished ones."""
+    for other in root.iterdir():
+        if other.name != kept and NAME.fullmatch(other.name.removesuffix(".pointer")):
+            if other.is_dir() and not other.is_symlink():
+                shutil.rmtree(other, ignore_errors=True)
+            else:
+                other.unlink(missing_ok=True)

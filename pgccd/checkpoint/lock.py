@@ -1,0 +1,45 @@
+"""A folder that one job at a time may write to."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+_LOCK = "lock"
+
+
+class FolderError(ValueError):
+    """A folder cannot be used; the message says why."""
+
+
+@contextmanager
+def hold(folder: Path) -> Iterator[None]:
+    """Makes the folder if it is missing, and holds it against other jobs.
+
+    Raises:
+        FolderError: it cannot be written to, or another job holds it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = open(folder / _LOCK, "a+")  # noqa: SIM115  (closed below)
+    except OSError as error:
+        raise FolderError(f"folder: cannot write to {folder}: {error.strerror or error}") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            holder = file.read().strip() or "unknown"
+            raise FolderError(f"folder: {folder} is in use by another job: {holder}") from None
+        except OSError as error:  # the file system has no locks
+            warnings.warn(f"{folder} cannot be locked against other jobs: {error.strerror}", stacklevel=3)
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {socket.gethostname()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n")
+        file.flush()
+        yield

@@ -1,0 +1,208 @@
+"""A checkpoint as it is read; see `pgccd.checkpoint`."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from pgccd.checkpoint.files import (
+    DTYPES,
+    FOLDER,
+    INDEX,
+    POINTER,
+    SHARED,
+    CheckpointError,
+    FileEntry,
+    Rows,
+    rank_file,
+    read_bytes,
+    read_json,
+    read_pointer,
+    require_format,
+    rows_hash,
+)
+
+
+class Stored:
+    """The newest checkpoint in a folder. Its index has been compared with its hash, its other files have not: see
+    `verify`.
+
+    Args:
+        folder: in which the folder `checkpoints` is.
+        kind: of checkpoint that is expected.
+
+    Raises:
+        CheckpointError: it cannot be read.
+    """
+
+    def __init__(self, folder: Path, kind: str) -> None:
+        root = folder / FOLDER
+        name, digest = read_pointer(root, kind)
+        #: Of this checkpoint.
+        self.folder = root / name
+        path = self.folder / INDEX
+        raw = read_bytes(path)
+        if hashlib.sha256(raw).hexdigest() != digest:
+            raise CheckpointError(f"{path} is damaged: its hash is not the one in {POINTER}")
+        content = read_json(path, raw)
+        require_format(path, content, kind)
+        try:
+            self.steps_made: int = _number(content["steps_made"])
+            #: What else was to be known, not looked at yet.
+            self.header: dict[str, Any] = content["header"]
+            #: Of the ranks that wrote it.
+            self.files = [_file_entry(entry) for entry in content["files"]]
+            #: No rows of each table, by its name.
+            self.layout = {table: _no_rows(columns) for table, columns in content["layout"].items()}
+            self._shared = _file_entry(content["shared"]) if "shared" in content else None
+            if not isinstance(self.header, dict) or not all(self.layout.values()):
+                raise ValueError("expected a header, and columns in every table")
+            if [entry.name for entry in self.files] != [rank_file(rank) for rank in range(len(self.files))]:
+                raise ValueError("its list of files is not one")
+            if any(list(entry.tables) != list(self.layout) for entry in self.files):
+                raise ValueError("files with other tables than it says")
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            problem = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise CheckpointError(f"{path} is not the index of a checkpoint: {problem}") from error
+
+    def row_count(self, table: str) -> int:
+        """Of a table, in all files together."""
+        return sum(entry.tables[table].count for entry in self.files)
+
+    def verify(self, files: Sequence[FileEntry]) -> None:
+        """Compares files with their hashes.
+
+        Raises:
+            CheckpointError: naming the first that is missing or not what was written.
+        """
+        for entry in files:
+            path = self.folder / entry.name
+            try:
+                size = path.stat().st_size
+                if size == entry.bytes:
+                    with open(path, "rb") as file:
+                        digest = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError as error:
+                raise CheckpointError(f"{path} cannot be read: {error.strerror or error}") from error
+            if size != entry.bytes:
+                raise CheckpointError(f"{path} is damaged: it has {size} bytes instead of {entry.bytes}")
+            if digest != entry.sha256:
+                raise CheckpointError(f"{path} is damaged: its hash is not the one in {INDEX}")
+
+    def rows(self, table: str, begin: int, end: int) -> tuple[dict[str, Tensor], int]:
+        """Rows [begin, end) of a table, in the order of the files.
+
+        Returns:
+            The columns, and the hash of the rows. Those of all rows together are for `require_hash`.
+
+        Raises:
+            CheckpointError: a file cannot be read.
+        """
+        names = list(self.layout[table])
+        parts: dict[str, list[Tensor]] = {name: [] for name in names}
+        total = 0
+        for rank, low, high in self._places(table, begin, end):
+            columns = self._read(rank, table, names, low, high)
+            total += rows_hash(columns, rank, low)
+            for name, column in columns.items():
+                parts[name].append(column)
+        empty = self.layout[table]
+        return {name: torch.cat(each) if each else empty[name] for name, each in parts.items()}, total % 2**64
+
+    def require_hash(self, table: str, total: int) -> None:
+        """Raises CheckpointError unless this is the hash of all rows of a table together, modulo 2^64."""
+        if (total - sum(entry.tables[table].hash for entry in self.files)) % 2**64:
+            raise CheckpointError(f"{self.folder} is damaged: rows of {table} do not have the hash in {INDEX}")
+
+    def first_of(self, table: str, begin: int, counts: str, other: str) -> int:
+        """Where the rows of another table begin that belong to row `begin` of this one. A column of this table says how
+        many belong to each of its rows.
+
+        Args:
+            table, begin: the row.
+            counts: the column, (N,) int64.
+            other: the other table.
+
+        Raises:
+            CheckpointError: a file cannot be read.
+        """
+        first = 0
+        for rank, entry in enumerate(self.files):
+            if begin < entry.tables[table].count:
+                return first + int(self._read(rank, table, [counts], 0, begin)[counts].sum())
+            begin -= entry.tables[table].count
+            first += entry.tables[other].count
+        return first
+
+    def shared(self) -> dict[str, Tensor]:
+        """The tensors that are the same on all ranks, verified.
+
+        Raises:
+            CheckpointError: they cannot be read.
+        """
+        if self._shared is None:
+            return {}
+        path = self.folder / SHARED
+        self.verify([FileEntry(SHARED, self._shared.bytes, self._shared.sha256)])
+        try:
+            with safe_open(path, framework="pt") as file:
+                return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (no mapping)
+        except (OSError, SafetensorError) as error:
+            raise CheckpointError(f"{path} cannot be read: {error}") from error
+
+    def _places(self, table: str, begin: int, end: int) -> list[tuple[int, int, int]]:
+        """In which ranks' files rows are, and which rows of these."""
+        found, first = [], 0
+        for rank, entry in enumerate(self.files):
+            low, high = max(begin - first, 0), min(end - first, entry.tables[table].count)
+            first += entry.tables[table].count
+            if low < high:
+                found.append((rank, low, high))
+        return found
+
+    def _read(self, rank: int, table: str, names: Sequence[str], begin: int, end: int) -> dict[str, Tensor]:
+        entry = self.files[rank]
+        path, columns = self.folder / entry.name, {}
+        try:
+            with safe_open(path, framework="pt") as file:
+                for name in names:
+                    part, empty = file.get_slice(f"{table}/{name}"), self.layout[table][name]
+                    expected = [entry.tables[table].count, *empty.shape[1:]]
+                    if part.get_shape() != expected:
+                        raise CheckpointError(f"{path}: {name!r}: expected shape {expected}, got {part.get_shape()}")
+                    columns[name] = part[begin:end]
+                    if columns[name].dtype != empty.dtype:
+                        raise CheckpointError(f"{path}: {name!r}: expected {empty.dtype}, got {columns[name].dtype}")
+        except (OSError, SafetensorError) as error:
+            raise CheckpointError(f"{path} cannot be read: {error}") from error
+        return columns
+
+
+def has_checkpoint(folder: Path) -> bool:
+    """Whether there is one in a folder."""
+    return (folder / FOLDER / POINTER).exists()
+
+
+def _number(value: Any) -> int:
+    if type(value) is not int or value < 0:
+        raise ValueError("expected numbers >= 0")
+    return value
+
+
+def _file_entry(content: Any) -> FileEntry:
+    tables = {name: Rows(**rows) for name, rows in content["tables"].items()}
+    for rows in tables.values():
+        _number(rows.count), _number(rows.hash)
+    return FileEntry(**(content | {"bytes": _number(content["bytes"]), "tables": tables}))
+
+
+def _no_rows(columns: Mapping[str, Any]) -> dict[str, Tensor]:
+    return {
+        name: torch.empty((0, *map(_number, shape)), dtype=DTYPES[dtype]) for name, (dtype, shape) in columns.items()
+    }

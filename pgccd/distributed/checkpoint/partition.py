@@ -1,0 +1,55 @@
+"""The partition of space in a checkpoint."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torch import Tensor
+
+from pgccd.checkpoint.files import CheckpointError
+from pgccd.checkpoint.stored import Stored
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.launch.agreement import on_first, together
+from pgccd.distributed.partition.bisection import Bisection
+from pgccd.distributed.partition.cells import Cells
+from pgccd.distributed.partition.interface import Partition
+
+
+def partition_header(partition: Partition) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """How space was cut at first, as JSON; and the tensor that says who owns what, by name."""
+    cut: dict[str, Any] = {"lower": list(partition.lower), "upper": list(partition.upper), "ranks": partition.ranks}
+    if isinstance(partition, Cells):
+        cut |= {"kind": "cells", "subdomains": list(partition.subdomains), "cells": list(partition.cells)}
+        return cut, {"owner": partition.owner}
+    assert isinstance(partition, Bisection)
+    return cut | {"kind": "bisection"}, {"planes": partition.planes}
+
+
+def load_partition(comm: Comm, stored: Stored, uniform: Partition) -> Partition:
+    """The partition of a checkpoint, so that loads are as even as they were.
+
+    Args:
+        comm: between the ranks.
+        stored: the checkpoint.
+        uniform: a partition to begin with; returned if the checkpoint is of another number of ranks, or space was cut
+            in another way.
+
+    Raises:
+        ValueError: the checkpoint is damaged; on all ranks.
+    """
+    if stored.header.get("partition") != partition_header(uniform)[0]:
+        return uniform
+    shared = on_first(comm, stored.shared)
+
+    def restore() -> Partition:
+        try:
+            if isinstance(uniform, Cells):
+                return uniform.with_owner(shared["owner"])
+            assert isinstance(uniform, Bisection)
+            return uniform.with_planes(shared["planes"])
+        except KeyError as error:
+            raise CheckpointError(f"{stored.folder}: it has no {error} of its partition") from error
+        except ValueError as error:
+            raise CheckpointError(f"{stored.folder}: its partition: {error}") from error
+
+    return together(comm, restore)

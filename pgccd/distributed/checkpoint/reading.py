@@ -1,0 +1,48 @@
+"""Checkpoints that any number of ranks reads, whatever number wrote them."""
+
+from __future__ import annotations
+
+import torch
+
+from pgccd.checkpoint.stored import Stored
+from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.halo.migrate import id_range
+from pgccd.distributed.launch.agreement import together
+
+
+def load_share(comm: Comm, stored: Stored, table: str, ragged: tuple[str, str] | None = None) -> dict[str, Columns]:
+    """An equal share of the rows of a table, on the CPU. All ranks together get all of them, and have verified them;
+    each reads no more rows than its own.
+
+    Args:
+        comm: between the ranks.
+        stored: the checkpoint, the same on all ranks.
+        table: whose rows are shared out.
+        ragged: a column (N,) int64 of this table, and another table of which so many rows belong to each of its rows,
+            in the same order.
+
+    Returns:
+        The columns of the table and of the ragged one, by the names of these.
+
+    Raises:
+        ValueError: it is damaged or cannot be read; on all ranks.
+    """
+
+    def read() -> tuple[dict[str, Columns], list[int]]:
+        begin, end = id_range(comm, stored.row_count(table))
+        columns, total = stored.rows(table, begin, end)
+        found, hashes = {table: columns}, [total]
+        if ragged is not None:
+            counts, other = ragged
+            first = stored.first_of(table, begin, counts, other)
+            found[other], total = stored.rows(other, first, first + int(columns[counts].sum()))
+            hashes.append(total)
+        return found, hashes
+
+    together(comm, lambda: stored.verify(stored.files[comm.rank :: comm.size]))
+    found, hashes = together(comm, read)
+    signed = [value - 2**64 if value >= 2**63 else value for value in hashes]
+    for name, total in zip(found, comm.sum(torch.tensor(signed)).tolist(), strict=True):
+        stored.require_hash(name, total)
+    return found

@@ -1,0 +1,62 @@
+"""A folder that all ranks see, and that no other job writes to meanwhile."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from pgccd.checkpoint.lock import hold
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.launch.agreement import on_first, together
+
+# How long a file of one machine may take to be seen by another: network file systems keep what they know for seconds.
+_SEEN_WITHIN = 20.0
+
+
+@contextmanager
+def hold_together(comm: Comm, folder: Path) -> Iterator[None]:
+    """Rank 0 holds the folder against other jobs, and every rank has seen that it is the same one.
+
+    Raises:
+        ValueError: it cannot be written to, another job holds it, or a rank does not see it; on all ranks.
+    """
+    with ExitStack() as stack:
+        on_first(comm, lambda: stack.enter_context(hold(folder)))
+        mark = on_first(comm, lambda: write_mark(folder))
+
+        def look() -> None:
+            if not sees_mark(folder, mark):
+                raise ValueError(
+                    f"folder: {folder.absolute()} on {socket.gethostname()} is not that of rank 0, which all must share"
+                )
+
+        try:
+            together(comm, look)
+        finally:
+            if comm.rank == 0:
+                (folder / mark).unlink(missing_ok=True)
+        yield
+
+
+def write_mark(folder: Path) -> str:
+    """Writes a file that only this job knows of; returns its name."""
+    name = f".seen-{secrets.token_hex(8)}"
+    (folder / name).touch()
+    return name
+
+
+def sees_mark(folder: Path, name: str, within: float = _SEEN_WITHIN) -> bool:
+    """Whether the file comes to be seen here."""
+    deadline = time.monotonic() + within
+    while not (folder / name).exists():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+        if folder.is_dir():
+            os.listdir(folder)  # some file systems look again only then
+    return True

@@ -1,0 +1,109 @@
+"""Checkpoints that all ranks write: each its own rows, in the background."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from concurrent.futures import Future
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+from pgccd.checkpoint.files import FOLDER, CheckpointError, Content, layout_of, make_folder, publish, write_tables
+from pgccd.distributed.checkpoint.partition import partition_header
+from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.guard import of_all_ranks
+from pgccd.distributed.launch.agreement import on_first
+from pgccd.distributed.partition.interface import Partition
+
+
+class CheckpointWriter:
+    """Writes checkpoints to a folder. Every rank writes a file of its own rows while it goes on with other work.
+
+    Args:
+        comm: between the ranks; all of them make and use one together.
+        folder: seen by all ranks.
+        kind: of the checkpoints: see `pgccd.checkpoint.files.Content`.
+
+    Example:
+        >>> writer = CheckpointWriter(comm, folder, "world")
+        >>> writer.begin(10, {"box": [1.0, 2.0, 3.0]}, {"bodies": {"id": id, "position": position}}, partition)
+        >>> writer.finish()
+    """
+
+    def __init__(self, comm: Comm, folder: Path, kind: str) -> None:
+        self._comm, self._kind = comm, kind
+        self._root = folder / FOLDER
+        self._background = comm.background
+        self._writing: Future[Path] | None = None
+
+    def begin(
+        self, steps_made: int, header: Mapping[str, Any], tables: Mapping[str, Columns], partition: Partition
+    ) -> None:
+        """Starts to write; returns once the rows have been copied. Waits for the checkpoint before, if need be.
+
+        Args:
+            steps_made: before this checkpoint.
+            header: what else is to be known, as JSON; the same on all ranks.
+            tables: this rank's rows, as columns by name; of the same names, dtypes and widths on all ranks.
+            partition: of space; the same on all ranks.
+
+        Raises:
+            CheckpointError: the checkpoint before, or the folder of this one, could not be written.
+        """
+        self.finish()
+        name = on_first(self._comm, lambda: make_folder(self._root, self._kind, steps_made))
+        copies = {
+            table: {name: column.detach().to("cpu", copy=True) for name, column in columns.items()}
+            for table, columns in tables.items()
+        }
+        cut, shared = partition_header(partition)
+        shared = {name: tensor.to("cpu", copy=True) for name, tensor in shared.items()}
+        content = Content(self._kind, steps_made, {**header, "partition": cut}, shared)
+        done: Future[Path] = Future()
+
+        def work() -> None:
+            try:
+                done.set_result(self._write(name, content, copies))
+            except BaseException as error:
+                done.set_exception(error)
+
+        self._writing = done
+        threading.Thread(target=work, name="pgccd-checkpoint", daemon=True).start()
+
+    def finish(self) -> Path | None:
+        """Waits until the last checkpoint is whole.
+
+        Returns:
+            Its folder; None if there is nothing to wait for.
+
+        Raises:
+            CheckpointError, RuntimeError: it could not be written; on all ranks.
+        """
+        writing, self._writing = self._writing, None
+        if writing is None:
+            return None
+        with self._comm.guard.waiting("checkpoint") if self._comm.size > 1 else nullcontext():
+            return writing.result()
+
+    def _write(self, name: str, content: Content, tables: Mapping[str, Columns]) -> Path:
+        own, error = None, None
+        try:
+            own = write_tables(self._root / name, self._comm.rank, tables)
+        except CheckpointError as failed:
+            error = str(failed)
+        of_ranks = self._background.gather((own, error))
+        if self._comm.rank == 0 and error is None:
+            errors = [text for _, text in of_ranks if text is not None]
+            error = errors[0] if errors else None
+            if error is None:
+                try:
+                    files = [entry for entry, _ in of_ranks if entry is not None]
+                    publish(self._root, name, content, layout_of(tables), files)
+                except CheckpointError as failed:
+                    error = str(failed)
+        error = self._background.broadcast(error)
+        if error is not None:
+            raise of_all_ranks(CheckpointError(error))
+        return self._root / name
