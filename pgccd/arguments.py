@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -74,6 +76,13 @@ def device(value: Any, name: str = "device") -> torch.device:
         return torch.device(value)
     except RuntimeError as error:
         raise ValueError(f'{name}: expected a torch.device or its name, such as "cuda", got {value!r}') from error
+
+
+def path(value: Any, name: str) -> Path:
+    """The value as a path of the file system."""
+    if not isinstance(value, (str, PathLike)) or not str(value):
+        raise TypeError(f"{name}: expected a path, got {describe(value)}")
+    return Path(value)
 
 
 def rows(value: Any, name: str, count: int) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -81,6 +82,7 @@ def calls(folder: Path) -> dict[str, Call]:
     np.savez(folder / "poses.npz", **{n: c.numpy() for n, c in poses.items()}, orientation_t1=poses["orientation_t0"])
     filters: dict[str, Any] = dict.fromkeys(("group", "mask", "world"), [0, 1]) | {"static": [False, True]}
     world = distributed.World([mesh], (0, 0, 0), (9, 9, 9), motion.position_t0, payload={"v": torch.ones(2, 3)})
+    world.save(folder / "saved")
     hits = pgccd.detect(scene, motion)
 
     def motion_of(bodies: distributed.Bodies) -> pgccd.RigidMotion:
@@ -179,6 +181,12 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "distributed.World.step": Call(world.step, {"motion": motion}),
         "distributed.World.move": Call(world.move, {"position": motion.position_t0, "v": torch.ones(2, 3)}),
+        "distributed.World.save": Call(world.save, {"folder": folder / "saved"}),
+        "distributed.World.load": Call(
+            distributed.World.load,
+            {"folder": folder / "saved", "meshes": [mesh], "device": "cpu", "report": "first", **options}
+            | {"broad_phase": "auto", "path": "rigid", "overlap": True},
+        ),
         "distributed.CapturedWorld": Call(
             distributed.CapturedWorld, {"world": world, "motion": motion_of, "response": response_of}
         ),
@@ -186,11 +194,13 @@ def calls(folder: Path) -> dict[str, Call]:
     }
 
 
-NAMES = list(calls(Path("/tmp")))
+with tempfile.TemporaryDirectory() as some_folder:
+    NAMES = list(calls(Path(some_folder)))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_nonsense_is_refused_by_name(name: str, tmp_path: Path) -> None:
+def test_nonsense_is_refused_by_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # where a folder may be made
     call = calls(tmp_path)[name]
     wrong = []
     if name != "Mesh.from_trimesh":

@@ -4,6 +4,7 @@
 the nanorobot simulation.) Whatever the number of ranks, the results are the same to the last bit.
 """
 
+from pgccd.checkpoint.files import CheckpointError
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.comm.mpi_comm import MpiComm
 from pgccd.distributed.comm.torch_comm import TorchComm
@@ -27,6 +28,7 @@ __all__ = [
     "CapturedWorld",
     "CellLoads",
     "Cells",
+    "CheckpointError",
     "Comm",
     "DisagreementError",
     "MpiComm",

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.contacts import Contacts, earliest_row
+from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.detect import Detection
@@ -67,3 +68,19 @@ def _canonical_order(pairs: Tensor) -> Tensor:
     """By first id, then second; contacts of one pair come from one rank, which has put them in order."""
     by_second = torch.argsort(pairs[:, 1], stable=True)
     return by_second[torch.argsort(pairs[by_second, 0], stable=True)]
+
+
+def first_toi_of(id: Tensor, hits: Contacts) -> Tensor:
+    """(N,) float64: the first toi of bodies, or the first `time` of a trajectory; inf for those that do not collide.
+
+    Args:
+        id: (N,) int64 global ids, ascending.
+        hits: with `pairs` in global ids.
+    """
+    first = torch.full((len(id),), torch.inf, dtype=torch.float64, device=id.device)
+    time = hits.time if isinstance(hits, TrajectoryContacts) else hits.toi
+    assert time is not None
+    bodies, toi = hits.pairs.reshape(-1), time.repeat_interleave(2)
+    row = torch.searchsorted(id, bodies).clamp_(max=max(0, len(id) - 1))
+    own = id[row] == bodies if len(id) else torch.zeros_like(bodies, dtype=torch.bool)
+    return first.scatter_reduce(0, row[own], toi[own], "amin")

@@ -2,15 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any, Literal
+
 import torch
 from torch import Tensor
 
 from pgccd import arguments
 from pgccd.distributed.comm.exchange import Columns, make_route
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import together
+from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
+
+# Columns of scenes that may be absent.
+_OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision")
+#: All columns that detection reads.
+OF_SCENES = ("id", "mesh_index", *_OPTIONAL)
+
+
+def scene_of(meshes: MeshSet, columns: Columns) -> Scene:
+    """Of bodies with these columns."""
+    optional: dict[str, Any] = {name: columns[name] for name in _OPTIONAL if name in columns}
+    return Scene.of_checked(meshes, columns["mesh_index"], **optional)
+
+
+def motion_of(columns: Columns, path: Literal["rigid", "linear"]) -> RigidMotion | VertexMotion:
+    """The reverse of `moving_columns`, the columns of vertices being among the others."""
+    if "x_t0" in columns:
+        return VertexMotion(columns["x_t0"], columns["x_t1"])
+    pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
+    return RigidMotion.from_rotation(*pose, path=path)
 
 
 def require_rows(motion: RigidMotion | VertexMotion | Trajectory, bodies: int, vertex_count: Tensor) -> None:
@@ -25,6 +50,32 @@ def require_rows(motion: RigidMotion | VertexMotion | Trajectory, bodies: int, v
         what, given, expected = "bodies", motion.position.shape[1], bodies
     if given != expected:
         raise ValueError(f"motion: has {given} {what}, this rank owns {expected}")
+
+
+def moving_columns(
+    motion: RigidMotion | VertexMotion, bodies: int, vertex_count: Tensor, path: str
+) -> tuple[Columns, Vertices | None]:
+    """The columns of a motion: of bodies, or of the vertices of bodies that deform.
+
+    Args:
+        motion: of one step.
+        bodies: how many there are.
+        vertex_count: (N,) int64 of each.
+        path: of all motions of the world.
+
+    Raises:
+        TypeError, ValueError: the motion is of no such kind, or does not fit.
+    """
+    if not isinstance(motion, (RigidMotion, VertexMotion)):
+        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
+        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    require_rows(motion, bodies, vertex_count)
+    if isinstance(motion, VertexMotion):
+        return {}, Vertices(motion.columns(), vertex_count)
+    if motion.path != path:
+        raise ValueError(f"motion: its path is {motion.path!r}, the world's {path!r}")
+    motion.check_given()
+    return motion.columns(), None
 
 
 def ids_given(id: Tensor | None, count: int, device: torch.device) -> Tensor:
@@ -64,3 +115,36 @@ def require_unique(comm: Comm, id: Tensor) -> None:
             raise ValueError(f"id: {int(twice[0])} is given to more than one body")
 
     together(comm, check)
+
+
+def new_values(new: Mapping[str, Tensor], columns: Columns, vertices: Columns) -> tuple[Columns, Columns]:
+    """What a user says that bodies have now, checked.
+
+    Args:
+        new: by name: "position", and values of the payload.
+        columns, vertices: of a world, those of the payload with names that begin with a point.
+
+    Returns:
+        New columns of bodies, and of vertices.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+    """
+    of_bodies: Columns = {}
+    of_vertices: Columns = {}
+    for name, values in new.items():
+        key = name if name == "position" else "." + name
+        former = columns.get(key, vertices.get(key))
+        if former is None:
+            known = sorted(name[1:] for name in (*columns, *vertices) if name.startswith("."))
+            raise ValueError(f"{name}: not a payload of this world, which has {known}")
+        if not isinstance(values, Tensor) or values.layout != torch.strided:
+            raise TypeError(f"{name}: expected a dense tensor, got {arguments.describe(values)}")
+        arguments.refuse_gradient(values, name)
+        if values.shape != former.shape or values.dtype != former.dtype or values.device != former.device:
+            expected = f"{tuple(former.shape)} {former.dtype} on {former.device}"
+            raise ValueError(f"{name}: expected {expected}, got {tuple(values.shape)} {values.dtype}")
+        (of_bodies if key in columns else of_vertices)[key] = values.detach()
+    if not bool(torch.isfinite(new["position"]).all()):
+        raise ValueError("position: expected finite numbers")
+    return of_bodies, of_vertices

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from os import PathLike
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
@@ -13,31 +15,27 @@ from pgccd import arguments
 from pgccd.detection import narrow
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
-from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.detection.detect import Detection, detect_distributed
-from pgccd.distributed.detection.report import earliest_for_all, tell_owners
+from pgccd.distributed.detection.report import earliest_for_all, first_toi_of, tell_owners
 from pgccd.distributed.detection.segments import Segments
 from pgccd.distributed.detection.share import Options, PartEstimates
 from pgccd.distributed.halo.capacity import HaloCapacity
 from pgccd.distributed.halo.migrate import Census, migrate
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
-from pgccd.distributed.launch.agreement import require_agreement, together
+from pgccd.distributed.launch.agreement import together
 from pgccd.distributed.partition.balance import PAIR_COST, BackOff, BalanceOptions, RankLoads
 from pgccd.distributed.partition.interface import Point, Triple
-from pgccd.distributed.partition.rebalancing import make_partition, rebalanced, require_policy
-from pgccd.distributed.world.columns import ids_given, payload_columns, require_rows, require_unique
-from pgccd.geometry.digest import meshes_digest
-from pgccd.geometry.mesh import Mesh, MeshSet
-from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.distributed.partition.rebalancing import rebalanced
+from pgccd.distributed.world.checkpoint import load_state, save_state
+from pgccd.distributed.world.columns import OF_SCENES, motion_of, moving_columns, new_values, require_rows, scene_of
+from pgccd.distributed.world.state import Cut, WorldState, require_alike, state_given
+from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.runtime.stages import StageClock
-
-# Columns of scenes that may be absent, and all columns that detection reads.
-_OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision")
-_OF_SCENES = ("id", "mesh_index", *_OPTIONAL)
 
 
 class World:
@@ -104,60 +102,98 @@ class World:
         balance: BalanceOptions | None = None,
         overlap: bool = True,
     ) -> None:
-        self.comm = comm or Alone()
-        self.options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)
-        self.balance, self.path = balance or BalanceOptions(), path
+        comm, balance = comm or Alone(), balance or BalanceOptions()
+        options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)
         optional = {"group": group, "mask": mask, "world": world, "static": static, "margin": margin}
-        given: dict[str, Any] = {name: column for name, column in optional.items() if column is not None}
+        columns: dict[str, Any] = {"id": id, "mesh_index": mesh_index, "self_collision": self_collision}
+        columns |= {"optional": optional, "payload": payload, "vertex_payload": vertex_payload}
+        cut = Cut(partition, lower, upper, axes, cells)
+        state = together(comm, lambda: state_given(comm.size, meshes, cut, balance, position, **columns))
+        require_alike(comm, state, options, balance, path, id is not None)
+        self._begin(comm, options, balance, path, state.with_ids(comm, id is not None))
 
-        def prepare() -> Columns:
-            arguments.real_tensor(position, "position")
-            if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
-                raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
-            self._meshes = MeshSet(meshes, position.device)
-            cut = lower, upper, self.comm.size, axes, cells, position.device
-            self.partition = make_partition(partition, *cut)
-            require_policy(partition, self.balance)
-            index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
-            scene = Scene(self._meshes, index, self_collision=self_collision, **given)  # checks them
-            if scene.body_count != len(position):
-                raise ValueError(f"mesh_index: expected {len(position)} values, one a body, got {scene.body_count}")
-            columns = {"id": ids_given(id, len(position), position.device), "mesh_index": scene.mesh_index}
-            columns["position"] = position.to(torch.float64)
-            columns |= {name: getattr(scene, name) for name in given}
-            if scene.self_collision is not None:
-                columns["self_collision"] = scene.self_collision
-            count, self._vertices = vertex_counts(self._meshes, scene.mesh_index), None
-            of_vertices = {} if vertex_payload is None else vertex_payload
-            of_vertices = payload_columns(of_vertices, "vertex_payload", int(count.sum()), position.device)
-            if of_vertices:
-                self._vertices, columns["vertex_count"] = Vertices(of_vertices, count), count
-            return columns | payload_columns(
-                {} if payload is None else payload, "payload", len(position), position.device
-            )
-
-        columns = together(self.comm, prepare)
-        all_columns = columns | ({} if self._vertices is None else self._vertices.columns)
-        kinds = {name: (str(column.dtype), tuple(column.shape[1:])) for name, column in all_columns.items()}
-        facts = {"payload": kinds, "lower, upper": (lower, upper), "options": self.options, "path": path}
-        facts |= {"partition": partition, "axes": axes, "cells": cells, "balance": self.balance, "id": id is None}
-        facts |= {"meshes": meshes_digest(self._meshes.meshes), "position": position.device.type}
-        require_agreement(self.comm, facts)
-        if id is None:
-            counts = self.comm.all_gather(torch.tensor([len(position)]))[:, 0].tolist()
-            columns["id"] = columns["id"] + sum(counts[: self.comm.rank])
-        require_unique(self.comm, columns["id"])
-        self.census = Census.of_ranks(self.comm, columns["id"])
+    def _begin(
+        self, comm: Comm, options: Options, balance: BalanceOptions, path: Literal["rigid", "linear"], state: WorldState
+    ) -> None:
+        self.comm, self.options, self.balance, self.path = comm, options, balance, path
+        self._meshes, self._cut, self.partition = state.meshes, state.cut, state.partition
+        self.census = Census.of_ranks(comm, state.columns["id"])
         #: Of the last step.
         self.found: Detection | None = None
         self._capacity: HaloCapacity | None = None
         self.estimates = PartEstimates()
-        self.steps_made = 0
+        self.steps_made = state.steps_made
         self._seconds, self._back_off = 0.0, BackOff()
-        ascending = torch.argsort(columns["id"])
-        self.columns = take_rows(columns, ascending)
-        self._vertices = None if self._vertices is None else self._vertices.take(ascending)
+        ascending = torch.argsort(state.columns["id"])
+        self.columns = take_rows(state.columns, ascending)
+        self._vertices = None if state.vertices is None else state.vertices.take(ascending)
         self._change_hands()
+
+    @classmethod
+    def load(
+        cls,
+        folder: str | PathLike[str],
+        meshes: Sequence[Mesh],
+        *,
+        comm: Comm | None = None,
+        device: torch.device | str = "cpu",
+        report: narrow.Report = "first",
+        min_separation: float = 0.0,
+        tolerance: float | None = None,
+        nonzero_toi: bool = False,
+        broad_phase: BroadPhase = "auto",
+        path: Literal["rigid", "linear"] = "rigid",
+        balance: BalanceOptions | None = None,
+        overlap: bool = True,
+    ) -> World:
+        """The world of the newest checkpoint in a folder: see `save`. Steps that follow have the results that they
+        would have had without.
+
+        Bodies with all their columns, steps made, and how space is cut come from the checkpoint. On as many ranks as
+        saved it, each part of space has the owner that it had; on another number it is cut anew.
+
+        Args:
+            folder: as for `save`.
+            meshes: those of the world that was saved.
+            device: where the bodies will be.
+            comm, report, min_separation, tolerance, nonzero_toi, broad_phase, path, balance, overlap: as for `World`.
+
+        Raises:
+            FileNotFoundError: there is no checkpoint.
+            CheckpointError: it cannot be read, or is not what was written.
+            TypeError, ValueError: naming the argument; on all ranks, as the others.
+
+        Example:
+            >>> world.save("out/world")
+            >>> world = pgccd.distributed.World.load("out/world", [rock], comm=comm)
+        """
+        comm, balance, world = comm or Alone(), balance or BalanceOptions(), cls.__new__(cls)
+        options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)
+        state = load_state(comm, folder, meshes, device, balance)
+        require_alike(comm, state, options, balance, path, ids_given=True)
+        world._begin(comm, options, balance, path, state)
+        return world
+
+    def save(self, folder: str | PathLike[str]) -> Path:
+        """Writes a checkpoint, between two steps, for `load`; on any number of ranks. It replaces the one before, which
+        is there until this one is whole.
+
+        Args:
+            folder: seen by all ranks, for checkpoints of one world. It is made if it is missing, and held against other
+                jobs meanwhile.
+
+        Returns:
+            The folder of the checkpoint in it.
+
+        Raises:
+            CheckpointError: it cannot be written; the one before is still there.
+            ValueError: another job holds the folder, or a rank does not see it; on all ranks, as the other.
+
+        Example:
+            >>> world.save("out/world")
+        """
+        space = self._meshes, self._cut, self.partition
+        return save_state(self.comm, folder, WorldState(*space, self.columns, self._vertices, self.steps_made))
 
     @property
     def id(self) -> Tensor:
@@ -219,19 +255,9 @@ class World:
         return tell_owners(self.comm, found)
 
     def _detect(self, own: Columns, motion: RigidMotion | VertexMotion, options: Options) -> Detection:
-        if not isinstance(motion, (RigidMotion, VertexMotion)):
-            kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
-            raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
         count = vertex_counts(self._meshes, own["mesh_index"])
-        require_rows(motion, len(own["id"]), count)
-        vertices = None
-        if isinstance(motion, VertexMotion):
-            vertices = Vertices(motion.columns(), count)
-        else:
-            if motion.path != self.path:
-                raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
-            motion.check_given()
-            own = own | motion.columns()
+        moving, vertices = moving_columns(motion, len(own["id"]), count, self.path)
+        own = own | moving
         self.comm.guard.activity = "step"
         clock = StageClock()
         where = self.comm, self.partition, own, self.build, options, clock
@@ -252,13 +278,7 @@ class World:
             raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
         if hits.toi is None:
             raise ValueError('hits: report="any" gives no toi')
-        first = torch.full((len(self.id),), torch.inf, dtype=torch.float64, device=self.id.device)
-        time = hits.time if isinstance(hits, TrajectoryContacts) else hits.toi
-        assert time is not None
-        bodies, toi = hits.pairs.reshape(-1), time.repeat_interleave(2)
-        row = torch.searchsorted(self.id, bodies).clamp_(max=max(0, len(self.id) - 1))
-        own = self.id[row] == bodies if len(self.id) else torch.zeros_like(bodies, dtype=torch.bool)
-        return first.scatter_reduce(0, row[own], toi[own], "amin")
+        return first_toi_of(self.id, hits)
 
     def move(self, position: Tensor, **payload: Tensor) -> None:
         """Says where the bodies are now; those in cells of other ranks go there, with their payload.
@@ -274,24 +294,8 @@ class World:
         Example:
             >>> world.move(x, velocity=v)
         """
-        moved: Columns = {}
-        of_vertices: Columns = {}
-        for name, values in {"position": position, **payload}.items():
-            key = name if name == "position" else "." + name
-            of_bodies, vertices = self.columns, {} if self._vertices is None else self._vertices.columns
-            former = of_bodies.get(key, vertices.get(key))
-            if former is None:
-                known = sorted({*self.payload, *self.vertex_payload})
-                raise ValueError(f"{name}: not a payload of this world, which has {known}")
-            if not isinstance(values, Tensor) or values.layout != torch.strided:
-                raise TypeError(f"{name}: expected a dense tensor, got {arguments.describe(values)}")
-            arguments.refuse_gradient(values, name)
-            if values.shape != former.shape or values.dtype != former.dtype or values.device != former.device:
-                expected = f"{tuple(former.shape)} {former.dtype} on {former.device}"
-                raise ValueError(f"{name}: expected {expected}, got {tuple(values.shape)} {values.dtype}")
-            (moved if key in of_bodies else of_vertices)[key] = values.detach()
-        if not bool(torch.isfinite(position).all()):
-            raise ValueError("position: expected finite numbers")
+        vertices = {} if self._vertices is None else self._vertices.columns
+        moved, of_vertices = new_values({"position": position, **payload}, self.columns, vertices)
         # Only now: what is refused changes nothing.
         self.columns |= moved
         if self._vertices is not None:
@@ -307,24 +311,18 @@ class World:
 
     def columns_of_scene(self, columns: Columns) -> Columns:
         """Those of them that detection reads."""
-        return {name: columns[name] for name in _OF_SCENES if name in columns}
+        return {name: columns[name] for name in OF_SCENES if name in columns}
 
     def build(self, columns: Columns) -> tuple[Scene, RigidMotion | VertexMotion]:
         """The scene and motion of bodies with these columns."""
-        optional: dict[str, Any] = {name: columns[name] for name in _OPTIONAL if name in columns}
-        scene = Scene.of_checked(self._meshes, columns["mesh_index"], **optional)
-        if "x_t0" in columns:
-            return scene, VertexMotion(columns["x_t0"], columns["x_t1"])
-        pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
-        return scene, RigidMotion.from_rotation(*pose, path=self.path)
+        return scene_of(self._meshes, columns), motion_of(columns, self.path)
 
     def decides_balance(self, steps_made: int) -> bool:
         """Whether it is decided after so many steps if bodies change hands for balance."""
         return self.balance.applies(steps_made, self.comm.size) and self._back_off.is_over(steps_made)
 
     def _change_hands(self) -> None:
-        if self.decides_balance(self.steps_made):
-            assert self.found is not None
+        if self.found is not None and self.decides_balance(self.steps_made):  # not before the first step after loading
             mine = [len(self.found.held.own_id), len(self.found.pairs), len(self.found.contacts)]
             loads = self.comm.all_gather(torch.tensor([*mine, self._seconds], dtype=torch.float64))
             bodies, pairs, contacts = loads[:, :3].long().t().tolist()

@@ -1,0 +1,133 @@
+"""Checkpoints of a `World`: bodies with all their columns, the vertices of those that deform, and the partition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from pgccd import arguments
+from pgccd.checkpoint.files import CheckpointError
+from pgccd.checkpoint.stored import Stored, has_checkpoint
+from pgccd.distributed.checkpoint.partition import load_partition
+from pgccd.distributed.checkpoint.reading import load_share
+from pgccd.distributed.checkpoint.shared_folder import hold_together
+from pgccd.distributed.checkpoint.writing import CheckpointWriter
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.launch.agreement import on_first, require_agreement, together
+from pgccd.distributed.partition.balance import BalanceOptions
+from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.world.state import Cut, WorldState, state_given
+from pgccd.geometry.digest import meshes_digest
+from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.scene import OPTIONAL_COLUMNS
+
+KIND = "world"
+_BODIES, _VERTICES, _COUNT = "bodies", "vertices", "vertex_count"
+_REQUIRED = ("id", "mesh_index", "position")
+_KNOWN = (*_REQUIRED, *OPTIONAL_COLUMNS, "self_collision", _COUNT)
+
+
+def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState) -> Path:
+    """Writes a checkpoint of all ranks, and makes it the newest one in a folder; see `World.save`."""
+    root = _folder_given(comm, folder)
+    tables = {_BODIES: state.columns}
+    if state.vertices is not None:
+        tables[_VERTICES] = state.vertices.columns
+    cut = {"partition": state.cut.partition, "axes": int(state.cut.axes), "cells": state.cut.cells}
+    cut |= {"lower": [float(x) for x in state.cut.lower], "upper": [float(x) for x in state.cut.upper]}
+    header = {"meshes": meshes_digest(state.meshes.meshes), "cut": cut}
+    with hold_together(comm, root):
+        writer = CheckpointWriter(comm, root, KIND)
+        writer.begin(state.steps_made, header, tables, state.partition)
+        written = writer.finish()
+    assert written is not None
+    return written
+
+
+def load_state(
+    comm: Comm,
+    folder: str | PathLike[str],
+    meshes: Sequence[Mesh],
+    device: torch.device | str,
+    balance: BalanceOptions,
+) -> WorldState:
+    """An equal share of the bodies of a checkpoint, and its partition; see `World.load`."""
+    root = _folder_given(comm, folder)
+    stored = on_first(comm, lambda: _stored(root))
+
+    def prepare() -> tuple[MeshSet, Partition]:
+        where = arguments.device(device)
+        mesh_set = MeshSet(meshes, where)
+        if meshes_digest(mesh_set.meshes) != stored.header.get("meshes"):
+            raise ValueError(f"meshes: the world in {root} was saved with others")
+        return mesh_set, _cut(stored).uniform(comm.size, where, balance)
+
+    mesh_set, uniform = together(comm, prepare)
+    partition = load_partition(comm, stored, uniform)
+    ragged = (_COUNT, _VERTICES) if _VERTICES in stored.layout else None
+    found = load_share(comm, stored, _BODIES, ragged)
+    where = mesh_set.device
+    columns = {name: column.to(where) for name, column in found[_BODIES].items()}
+    of_vertices = {name: column.to(where) for name, column in found.get(_VERTICES, {}).items()}
+
+    def check() -> WorldState:
+        optional = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
+        if "static" in optional:
+            optional["static"] = optional["static"].to(torch.bool)
+        return state_given(
+            comm.size,
+            mesh_set.meshes,
+            _cut(stored),
+            balance,
+            columns["position"],
+            id=columns["id"],
+            mesh_index=columns["mesh_index"],
+            self_collision=columns.get("self_collision", False),
+            optional=optional,
+            payload={name[1:]: column for name, column in columns.items() if name.startswith(".")},
+            vertex_payload={name[1:]: column for name, column in of_vertices.items()},
+        )
+
+    try:
+        state = together(comm, check).with_ids(comm, are_given=True)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {error}") from error
+    return replace(state, partition=partition, steps_made=stored.steps_made)
+
+
+def _folder_given(comm: Comm, folder: str | PathLike[str]) -> Path:
+    """The same on all ranks."""
+    path = together(comm, lambda: arguments.path(folder, "folder"))
+    require_agreement(comm, {"folder": str(path)})
+    return path
+
+
+def _stored(folder: Path) -> Stored:
+    """The newest checkpoint, of whose index all is known to be there that a world needs."""
+    if not has_checkpoint(folder):
+        raise FileNotFoundError(f"folder: no checkpoint at {folder}")
+    stored = Stored(folder, KIND)
+    names = stored.layout.get(_BODIES, {})
+    missing = [name for name in _REQUIRED if name not in names]
+    missing += [_COUNT] if _VERTICES in stored.layout and _COUNT not in names else []
+    unknown = [name for name in names if name not in _KNOWN and not name.startswith(".")]
+    if missing or unknown or not set(stored.layout) <= {_BODIES, _VERTICES}:
+        problem = f"without {missing}" if missing else f"with unknown columns {unknown} or tables"
+        raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {problem}")
+    return stored
+
+
+def _cut(stored: Stored) -> Cut:
+    content: Any = stored.header.get("cut")
+    try:
+        cells = content["cells"] if isinstance(content["cells"], int) else tuple(content["cells"])
+        cut = Cut(content["partition"], tuple(content["lower"]), tuple(content["upper"]), content["axes"], cells)
+        cut.uniform(1, torch.device("cpu"), BalanceOptions("none"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {error}") from error
+    return cut

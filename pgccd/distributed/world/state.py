@@ -1,0 +1,131 @@
+"""What a `World` begins with: one rank's share of the bodies, checked, and how space is cut."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.detection.share import Options
+from pgccd.distributed.halo.vertices import Vertices, vertex_counts
+from pgccd.distributed.launch.agreement import require_agreement
+from pgccd.distributed.partition.balance import BalanceOptions
+from pgccd.distributed.partition.interface import Partition, Point, Triple
+from pgccd.distributed.partition.rebalancing import make_partition, require_policy
+from pgccd.distributed.world.columns import ids_given, payload_columns, require_unique
+from pgccd.geometry.digest import meshes_digest
+from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.scene import Scene
+
+
+@dataclass(frozen=True)
+class Cut:
+    """How space is cut at first, as for `World`."""
+
+    partition: str
+    lower: Point
+    upper: Point
+    axes: int
+    cells: int | Triple
+
+    def uniform(self, ranks: int, device: torch.device, balance: BalanceOptions) -> Partition:
+        """The partition for so many ranks.
+
+        Raises:
+            TypeError, ValueError: naming the argument of `World`.
+        """
+        made = make_partition(self.partition, self.lower, self.upper, ranks, self.axes, self.cells, device)
+        require_policy(self.partition, balance)
+        return made
+
+
+@dataclass(frozen=True)
+class WorldState:
+    """One rank's part of a world between two steps."""
+
+    meshes: MeshSet
+    cut: Cut
+    partition: Partition
+    columns: Columns  #: of bodies, those of the payload with names that begin with a point
+    vertices: Vertices | None  #: that travel with the bodies
+    steps_made: int = 0
+
+    def with_ids(self, comm: Comm, are_given: bool) -> WorldState:
+        """The same; ids that were not given are counted through, rank by rank.
+
+        Raises:
+            ValueError: two bodies have the same; on all ranks.
+        """
+        id = self.columns["id"]
+        if not are_given:
+            counts = comm.all_gather(torch.tensor([len(id)]))[:, 0].tolist()
+            id = id + sum(counts[: comm.rank])
+        require_unique(comm, id)
+        return replace(self, columns=self.columns | {"id": id})
+
+
+def state_given(
+    ranks: int,
+    meshes: Sequence[Mesh],
+    cut: Cut,
+    balance: BalanceOptions,
+    position: Tensor,
+    *,
+    id: Tensor | None,
+    mesh_index: Tensor | None,
+    self_collision: Tensor | bool,
+    optional: Mapping[str, Tensor | None],
+    payload: dict[str, Tensor] | None,
+    vertex_payload: dict[str, Tensor] | None,
+) -> WorldState:
+    """What this rank was given, checked.
+
+    Args:
+        ranks: their number.
+        optional: columns of scenes, None those that were not given.
+        meshes, cut, balance, position, id, mesh_index, self_collision, payload, vertex_payload: as for `World`.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+    """
+    arguments.real_tensor(position, "position")
+    if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
+        raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
+    mesh_set = MeshSet(meshes, position.device)
+    partition = cut.uniform(ranks, position.device, balance)
+    index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
+    given: dict[str, Any] = {name: column for name, column in optional.items() if column is not None}
+    scene = Scene(mesh_set, index, self_collision=self_collision, **given)  # checks them
+    if scene.body_count != len(position):
+        raise ValueError(f"mesh_index: expected {len(position)} values, one a body, got {scene.body_count}")
+    columns = {"id": ids_given(id, len(position), position.device), "mesh_index": scene.mesh_index}
+    columns["position"] = position.to(torch.float64)
+    columns |= {name: getattr(scene, name) for name in given}
+    if scene.self_collision is not None:
+        columns["self_collision"] = scene.self_collision
+    count, vertices = vertex_counts(mesh_set, scene.mesh_index), None
+    of_vertices = {} if vertex_payload is None else vertex_payload
+    of_vertices = payload_columns(of_vertices, "vertex_payload", int(count.sum()), position.device)
+    if of_vertices:
+        vertices, columns["vertex_count"] = Vertices(of_vertices, count), count
+    columns |= payload_columns({} if payload is None else payload, "payload", len(position), position.device)
+    return WorldState(mesh_set, cut, partition, columns, vertices)
+
+
+def require_alike(
+    comm: Comm, state: WorldState, options: Options, balance: BalanceOptions, path: str, ids_given: bool
+) -> None:
+    """Raises DisagreementError unless all ranks begin alike."""
+    all_columns = state.columns | ({} if state.vertices is None else state.vertices.columns)
+    kinds = {name: (str(column.dtype), tuple(column.shape[1:])) for name, column in all_columns.items()}
+    cut = state.cut
+    facts = {"payload": kinds, "lower, upper": (cut.lower, cut.upper), "options": options, "path": path}
+    facts |= {"partition": cut.partition, "axes": cut.axes, "cells": cut.cells, "balance": balance, "id": not ids_given}
+    facts |= {"meshes": meshes_digest(state.meshes.meshes), "position": state.columns["position"].device.type}
+    require_agreement(comm, facts)

@@ -1,0 +1,331 @@
+"""Faults of checkpoints of worlds: one line that says which, the same on all ranks; and nothing is lost."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import re
+import resource
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import pytest
+import torch
+from support.checkpoint_faults import Runs, changes_by_chance, files_of, newest, plant
+from support.crowds import crowds
+from support.ranks import RankPool
+
+import pgccd
+from distributed import test_motions
+from distributed.test_motions import spread
+from distributed.test_world_checkpoint import CROWD, begin, load, save_on_the_way, state_of
+from pgccd.checkpoint import files
+from pgccd.checkpoint.files import FOLDER, POINTER
+from pgccd.checkpoint.lock import hold
+from pgccd.distributed import Alone, BalanceOptions, CheckpointError, Comm, World
+from pgccd.distributed.checkpoint import shared_folder
+
+CPU = torch.device("cpu")
+
+
+def test_a_type_that_files_cannot_hold(tmp_path: Path) -> None:
+    begin(Alone()).save(tmp_path)
+    position = torch.zeros((1, 3), dtype=torch.float64)
+    mesh = crowds()[CROWD].meshes[0]
+    for payload in ({"z": position.to(torch.complex128)}, {"\ud800": position}):
+        world = World([mesh], (0.0,) * 3, (8.0,) * 3, position, payload=payload)
+        with pytest.raises(CheckpointError, match=r"^/.*/rank-00000.safetensors cannot be written: "):
+            world.save(tmp_path)
+    assert state_of(load(Alone(), tmp_path)) == state_of(begin(Alone()))  # the one before
+
+
+def told(comm: Comm, folder: str, what: str = "load") -> str:
+    """What a rank is told; it has nothing left to be told of afterwards."""
+    world = begin(comm) if what == "save" else None
+    try:
+        load(comm, folder) if world is None else world.save(folder)
+    except (ValueError, FileNotFoundError) as error:
+        assert len(str(error).splitlines()) == 1
+        comm.barrier()
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def same_told(of_ranks: list[str]) -> str:
+    """What all ranks were told, with the same words but for the rank that they name."""
+    (said,) = {re.sub(r"^(ValueError: rank \d+|\w+Error): ", "", said) for said in of_ranks}
+    return said
+
+
+def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path) -> None:
+    world, refused = begin(Alone()), 0
+    world.save(tmp_path)
+    expected = state_of(world)
+    for _ in changes_by_chance(tmp_path, 2_000):
+        try:
+            found = load(Alone(), tmp_path)
+        except CheckpointError as error:
+            refused += 1
+            assert str(tmp_path) in str(error) and len(str(error).splitlines()) == 1
+        else:
+            assert state_of(found) == expected
+    assert refused > 1_800
+
+
+@pytest.mark.parametrize("name", ["index.json", "rank-00000.safetensors", "rank-00001.safetensors"])
+@pytest.mark.parametrize("fault", ["flipped", "cut off", "missing"])
+def test_a_fault_is_told_to_all_ranks(ranks: RankPool, tmp_path: Path, name: str, fault: str) -> None:
+    ranks.run(2, save_on_the_way, str(tmp_path), "cells")
+    path = newest(tmp_path) / name
+    raw = bytearray(path.read_bytes())
+    raw[-3] ^= 4
+    path.unlink() if fault == "missing" else path.write_bytes(raw if fault == "flipped" else raw[:-9])
+    for size in (1, 2, 3):
+        said = same_told(ranks.run(size, told, str(tmp_path)))
+        assert (
+            said.startswith(str(path)) and ("cannot be read: No such file" if fault == "missing" else "damaged") in said
+        )
+
+
+def test_no_checkpoint(ranks: RankPool, tmp_path: Path) -> None:
+    assert same_told(ranks.run(2, told, str(tmp_path))) == f"folder: no checkpoint at {tmp_path}"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_executed(tmp_path: Path) -> None:
+    begin(Alone()).save(tmp_path)
+    bomb = pickle.dumps(Runs(tmp_path / "executed"))
+    for path in files_of(tmp_path):
+        raw = path.read_bytes()
+        path.write_bytes(bomb)
+        with pytest.raises(CheckpointError):
+            load(Alone(), tmp_path)
+        path.write_bytes(raw)
+    (newest(tmp_path) / "more.safetensors").write_bytes(bomb)
+    load(Alone(), tmp_path)
+    assert not (tmp_path / "executed").exists()
+
+
+#: By what was planted, and what is said of it.
+CHANGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+    "no meshes": (lambda index: index["header"].pop("meshes"), "meshes: the world in .* was saved with others"),
+    "no cut": (lambda index: index["header"].pop("cut"), "is not the checkpoint of a world"),
+    "an unknown partition": (lambda index: index["header"]["cut"].update(partition="x"), "partition: expected one of"),
+    "no box": (lambda index: index["header"]["cut"].update(upper=[0, 0, 0]), "upper: expected a box"),
+    "another axis": (lambda index: index["header"]["cut"].update(axes=7), "axes: expected 1, 2 or 3"),
+    "many cells": (lambda index: index["header"]["cut"].update(cells=2**30), "cells: expected integers"),
+    "no ids": (lambda index: index["layout"]["bodies"].pop("id"), r"without \['id'\]"),
+    "an unknown column": (lambda index: index["layout"]["bodies"].update(x=["int64", []]), r"unknown columns \['x'\]"),
+    "an unknown table": (
+        lambda index: [
+            index["layout"].update(more={"x": ["int64", []]}),
+            index["files"][0]["tables"].update(more={"count": 0, "hash": 0}),
+        ],
+        "unknown columns .* or tables",
+    ),
+    "vertices of no number": (
+        lambda index: [
+            index["layout"].update(vertices={".x": ["int64", []]}),
+            index["files"][0]["tables"].update(vertices={"count": 0, "hash": 0}),
+        ],
+        r"without \['vertex_count'\]",
+    ),
+    "another kind": (lambda index: index.update(kind="simulation"), "expected the checkpoint of a world"),
+    "another hash": (lambda index: index["files"][0]["tables"]["bodies"].update(hash=1), "rows of bodies do not have"),
+    "no partition": (lambda index: index.pop("shared"), "it has no 'owner' of its partition"),
+}
+
+
+@pytest.mark.parametrize("change", list(CHANGES))
+def test_an_index_that_was_planted(tmp_path: Path, change: str) -> None:
+    begin(Alone()).save(tmp_path)
+    planted, expected = CHANGES[change]
+    plant(tmp_path, planted)
+    with pytest.raises(ValueError, match=expected) as refused:
+        load(Alone(), tmp_path)
+    assert str(tmp_path) in str(refused.value) and len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "expected"),
+    [
+        ("id", lambda c: torch.zeros_like(c), "id: 0 is given to more than one body"),
+        ("id", lambda c: c - 100, "id: expected numbers >= 0"),
+        ("mesh_index", lambda c: c + 1000, "mesh_index: "),
+        ("position", lambda c: c[:, :2].contiguous(), "position: expected shape"),
+        ("world", lambda c: c - 5, "world: ids must lie in"),
+    ],
+)
+def test_columns_that_were_planted(
+    tmp_path: Path, column: str, value: Callable[[torch.Tensor], torch.Tensor], expected: str
+) -> None:
+    """With the right hashes."""
+    world = begin(Alone())
+    world.columns[column] = value(world.columns[column])
+    world.save(tmp_path)
+    with pytest.raises(CheckpointError, match=f"is not the checkpoint of a world: {expected}") as refused:
+        load(Alone(), tmp_path)
+    assert str(tmp_path) in str(refused.value) and len(str(refused.value).splitlines()) == 1
+
+
+def test_vertices_that_were_planted(ranks: RankPool, tmp_path: Path) -> None:
+    ranks.run(2, plant_vertices, str(tmp_path))
+    for size in (1, 3):
+        of_ranks = ranks.run(size, told_of_vertices, str(tmp_path))
+        assert all(re.search("rows of vertices do not have the hash|vertex_payload", said) for said in of_ranks)
+
+
+def plant_vertices(comm: Comm, folder: str) -> None:
+    world = spread(comm, "first", CPU)
+    world.columns["vertex_count"] = world.columns["vertex_count"] - 2**40
+    world.save(folder)
+
+
+def told_of_vertices(comm: Comm, folder: str) -> str:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        World.load(folder, test_motions.meshes().meshes, comm=comm)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("call", ["save_file", "_sync", "_write_bytes", "replace"])
+@pytest.mark.parametrize("number", range(4))  # the fifth `_sync` follows the replacement of the pointer
+def test_a_failure_leaves_the_one_before(tmp_path: Path, call: str, number: int) -> None:
+    """Of the disk, at any moment."""
+    world = begin(Alone())
+    before = world.save(tmp_path)
+    owner: Any = files.os if call == "replace" else files
+    effects = [mock.DEFAULT] * number + [OSError(28, "No space left on device")] + [mock.DEFAULT] * 9
+    world.steps_made = 1
+    with mock.patch.object(owner, call, side_effect=effects, wraps=getattr(owner, call)) as called:
+        try:
+            world.save(tmp_path)
+            assert called.call_count <= number
+        except CheckpointError as error:
+            assert re.search("^/.* cannot be written: .*No space left on device", str(error))
+            assert newest(tmp_path) == before and load(Alone(), tmp_path).steps_made == 0
+    world.save(tmp_path)
+    assert load(Alone(), tmp_path).steps_made == 1 and len(list((tmp_path / FOLDER).iterdir())) == 2
+
+
+def fill_the_disk(comm: Comm, folder: str) -> str:
+    """Of rank 1, when there is a checkpoint already."""
+    world = begin(comm)
+    before = world.save(folder)
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if comm.rank == 1:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1024, limit[1]))
+    try:
+        with pytest.raises(CheckpointError) as caught:
+            world.save(folder)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert newest(Path(folder)) == before and state_of(load(comm, folder)) == state_of(world)
+    assert world.save(folder) != before
+    return str(caught.value)
+
+
+def test_a_full_disk(ranks: RankPool, tmp_path: Path) -> None:
+    (said,) = set(ranks.run(3, fill_the_disk, str(tmp_path)))
+    assert re.search(f"^{tmp_path}/.*/rank-00001.safetensors cannot be written: .*File too large", said)
+    assert len(said.splitlines()) == 1
+    assert sorted(path.name for path in (tmp_path / FOLDER).iterdir()) == sorted([POINTER, newest(tmp_path).name])
+
+
+def test_a_folder_that_cannot_be_written(ranks: RankPool, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    folder = tmp_path / "file" / "world"
+    said = same_told(ranks.run(2, told, str(folder), "save"))
+    assert said == f"folder: cannot write to {folder}: Not a directory"
+
+
+def test_a_folder_that_another_job_holds(ranks: RankPool, tmp_path: Path) -> None:
+    with hold(tmp_path):
+        said = same_told(ranks.run(2, told, str(tmp_path), "save"))
+    assert said.startswith(f"folder: {tmp_path} is in use by another job: process ")
+    assert not (tmp_path / FOLDER).exists()
+
+
+def save_apart(comm: Comm, folder: str) -> str:
+    """To a folder of each rank's own."""
+    look = shared_folder.sees_mark
+
+    def see(path: Path, mark: str) -> bool:
+        return look(Path(folder, "elsewhere") if comm.rank == 1 else path, mark, within=0.2)
+
+    with mock.patch.object(shared_folder, "sees_mark", see):
+        return told(comm, folder, "save")
+
+
+def test_a_folder_that_ranks_do_not_share(ranks: RankPool, tmp_path: Path) -> None:
+    said = same_told(ranks.run(3, save_apart, str(tmp_path)))
+    assert re.search(f"^folder: {tmp_path} on .* is not that of rank 0", said)
+    assert [path.name for path in tmp_path.iterdir()] == ["lock"]
+
+
+def test_folders_that_differ(ranks: RankPool, tmp_path: Path) -> None:
+    (said,) = set(ranks.run(2, save_to_two, str(tmp_path)))
+    assert said == f"folder: rank 0 has '{tmp_path}/0', rank 1 has '{tmp_path}/1'"
+    assert list(tmp_path.iterdir()) == []
+
+
+def save_to_two(comm: Comm, folder: str) -> str:
+    return told(comm, f"{folder}/{comm.rank}", "save").removeprefix("DisagreementError: ")
+
+
+def test_a_run_of_the_simulation_is_not_replaced(tmp_path: Path) -> None:
+    pgccd.sim.run(pgccd.sim.ModelConfig(robots=20), 1, tmp_path)
+    for call in (lambda: begin(Alone()).save(tmp_path), lambda: load(Alone(), tmp_path)):
+        with pytest.raises(CheckpointError, match="expected the checkpoint of a world, it is of kind 'simulation'"):
+            call()
+    assert pgccd.sim.resume(tmp_path, 2).steps_made == 2
+    begin(Alone()).save(tmp_path / "world")
+    with pytest.raises(CheckpointError, match="expected the checkpoint of a simulation, it is of kind 'world'"):
+        pgccd.sim.resume(tmp_path / "world")
+
+
+def test_a_pointer_that_was_planted(tmp_path: Path) -> None:
+    begin(Alone()).save(tmp_path)
+    pointer = tmp_path / FOLDER / POINTER
+    shutil.copytree(newest(tmp_path), tmp_path / "elsewhere")
+    pointer.write_text(json.dumps(json.loads(pointer.read_text()) | {"folder": "../elsewhere"}))
+    with pytest.raises(CheckpointError, match="folder: expected the name of a checkpoint, got '../elsewhere'"):
+        load(Alone(), tmp_path)
+
+
+def mistakes(comm: Comm, folder: str) -> list[str]:
+    """What is said of arguments that do not fit, or that ranks have different ones of."""
+    begin(comm).save(folder)
+    right = crowds()[CROWD].meshes
+    wrong = [pgccd.Mesh(mesh.vertices * 2.0, mesh.faces) for mesh in right]
+    said = []
+    for meshes, more in (
+        (wrong, {}),
+        (wrong if comm.rank == 1 else right, {}),
+        (right[:1], {}),
+        (right, {"min_separation": 0.1 * comm.rank}),
+        (right, {"balance": BalanceOptions("cost" if comm.rank else "none")}),
+    ):
+        with pytest.raises(ValueError) as caught:  # noqa: PT011
+            World.load(folder, meshes, comm=comm, **more)
+        said.append(str(caught.value))
+    return said
+
+
+def test_mistakes_are_named(ranks: RankPool, tmp_path: Path) -> None:
+    first, second = ranks.run(2, mistakes, str(tmp_path))
+    assert first[0] == second[0] == f"meshes: the world in {tmp_path} was saved with others"
+    assert first[1] == f"rank 1: {second[1]}" and second[1] == first[0]
+    assert first[2] == second[2] == first[0]
+    assert first[3] == second[3] and first[3].startswith("options: rank 0 has")
+    assert first[4] == second[4] and first[4].startswith("balance: rank 0 has")
+
+
+def test_one_cell_needs_cells(tmp_path: Path) -> None:
+    begin(Alone(), "bisection").save(tmp_path)
+    with pytest.raises(ValueError, match="^balance: .*one-cell"):
+        World.load(tmp_path, crowds()[CROWD].meshes, balance=BalanceOptions("one-cell"))
