@@ -133,6 +133,18 @@ def test_hot_spots_are_divided(ranks: World, size: int) -> None:
     assert outside <= size  # of what is at the boundary, nothing is known
 
 
+def test_planes_outside_of_their_part_by_rounding() -> None:
+    """As `_PlaneSearch` may find them."""
+    partition = Bisection.uniform(*BOX, 2)
+    planes = partition.planes.clone()
+    high = partition.upper[int(planes[0, 0])]
+    planes[0, 1] = torch.tensor(high, dtype=torch.float64).nextafter(torch.tensor(torch.inf, dtype=torch.float64))
+    assert torch.equal(partition.with_planes(planes).planes, planes)
+    planes[0, 1] = high + 1e-6
+    with pytest.raises(ValueError, match="is outside of the part"):
+        partition.with_planes(planes)
+
+
 def test_shares_that_are_not_equal() -> None:
     points = torch.rand((20_000, 3), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     weights, shares = torch.ones(20_000, dtype=torch.int64), [1.0, 2.0, 1.0, 4.0, 2.0]

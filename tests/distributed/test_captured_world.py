@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 from unittest import mock
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from support.graphs import graphs_on
+from support.ranks import RankPool
 from support.shapes import bumpy
 from torch import Tensor
 
@@ -137,6 +139,29 @@ def test_without_graphs(world: Ranks) -> None:
 
 def test_on_one_device(device: torch.device) -> None:
     assert follow(Alone(), "none", "cells", True, str(device), False)["replayed"] > 15
+
+
+def save_and_load(comm: Comm, folder: str, device: str = "cpu") -> int:
+    """A checkpoint between two parts of a loop; how many steps were replayed after it."""
+    expected, counts = plain_loop(STEPS)
+    with graphs_on(device):
+        world = spread(comm, torch.device(device), "cost", "cells")
+        steps = CapturedWorld(world, motion, response, True).run(10)
+        world.save(folder)
+        asked: dict[str, Any] = {"nonzero_toi": True, "min_separation": 1e-3, "balance": world.balance}
+        world = World.load(folder, meshes().meshes, comm=comm, device=device, **asked)
+        assert world.id.device.type == torch.device(device).type
+        after = CapturedWorld(world, motion, response, True).run(STEPS - 10)
+        assert [(step.pcs, step.contacts) for step in steps + after] == counts
+        rows = torch.div(world.id.cpu() - 1, 3, rounding_mode="floor")
+        for name, column in {"position": world.position, **world.payload}.items():
+            assert torch.equal(column.cpu(), expected[name][rows]), name
+    return sum(step.replayed for step in after)
+
+
+def test_a_loop_goes_on_from_a_checkpoint(ranks: RankPool, device: torch.device, tmp_path: Path) -> None:
+    assert save_and_load(Alone(), str(tmp_path), str(device)) > 5
+    assert ranks.run(3, save_and_load, str(tmp_path))[0] > 0
 
 
 def start_empty(comm: Comm) -> int:

@@ -116,6 +116,7 @@ CHANGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "no cut": (lambda index: index["header"].pop("cut"), "is not the checkpoint of a world"),
     "an unknown partition": (lambda index: index["header"]["cut"].update(partition="x"), "partition: expected one of"),
     "no box": (lambda index: index["header"]["cut"].update(upper=[0, 0, 0]), "upper: expected a box"),
+    "a large box": (lambda index: index["header"]["cut"].update(upper=[10**400] * 3), "checkpoint of a world"),
     "another axis": (lambda index: index["header"]["cut"].update(axes=7), "axes: expected 1, 2 or 3"),
     "many cells": (lambda index: index["header"]["cut"].update(cells=2**30), "cells: expected integers"),
     "no ids": (lambda index: index["layout"]["bodies"].pop("id"), r"without \['id'\]"),
@@ -323,6 +324,12 @@ def test_mistakes_are_named(ranks: RankPool, tmp_path: Path) -> None:
     assert first[2] == second[2] == first[0]
     assert first[3] == second[3] and first[3].startswith("options: rank 0 has")
     assert first[4] == second[4] and first[4].startswith("balance: rank 0 has")
+
+
+def test_no_path() -> None:
+    """Which would be the current folder."""
+    with pytest.raises(TypeError, match="^folder: expected a path, got ''"):
+        begin(Alone()).save("")
 
 
 def test_one_cell_needs_cells(tmp_path: Path) -> None:

@@ -43,6 +43,11 @@ def load_share(comm: Comm, stored: Stored, table: str, ragged: tuple[str, str] |
     together(comm, lambda: stored.verify(stored.files[comm.rank :: comm.size]))
     found, hashes = together(comm, read)
     signed = [value - 2**64 if value >= 2**63 else value for value in hashes]
-    for name, total in zip(found, comm.sum(torch.tensor(signed)).tolist(), strict=True):
-        stored.require_hash(name, total)
+    totals = comm.sum(torch.tensor(signed)).tolist()
+
+    def compare() -> None:
+        for name, total in zip(found, totals, strict=True):
+            stored.require_hash(name, total)
+
+    together(comm, compare)
     return found

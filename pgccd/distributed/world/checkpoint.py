@@ -95,7 +95,7 @@ def load_state(
 
     try:
         state = together(comm, check).with_ids(comm, are_given=True)
-    except (TypeError, ValueError, RuntimeError) as error:
+    except (TypeError, ValueError) as error:
         raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {error}") from error
     return replace(state, partition=partition, steps_made=stored.steps_made)
 
@@ -128,6 +128,6 @@ def _cut(stored: Stored) -> Cut:
         cells = content["cells"] if isinstance(content["cells"], int) else tuple(content["cells"])
         cut = Cut(content["partition"], tuple(content["lower"]), tuple(content["upper"]), content["axes"], cells)
         cut.uniform(1, torch.device("cpu"), BalanceOptions("none"))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {error}") from error
     return cut
