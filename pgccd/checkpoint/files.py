@@ -188,6 +188,19 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
     return folder
 
 
+def discard(root: Path, name: str) -> None:
+    """Removes what was written of a checkpoint that could not be completed, unless `newest.json` may name it."""
+    try:
+        named = json.loads((root / POINTER).read_bytes())["folder"]
+    except FileNotFoundError:
+        named = None
+    except (OSError, ValueError, TypeError, KeyError):
+        return
+    if named != name:
+        shutil.rmtree(root / name, ignore_errors=True)
+        (root / f"{name}.pointer").unlink(missing_ok=True)
+
+
 def read_pointer(root: Path, kind: str) -> tuple[str, str]:
     """The name of the newest checkpoint, and the hash of its index.
 

@@ -113,7 +113,8 @@ class Stored:
             for name, column in columns.items():
                 parts[name].append(column)
         empty = self.layout[table]
-        return {name: torch.cat(each) if each else empty[name] for name, each in parts.items()}, total % 2**64
+        found = {name: torch.cat(each) if len(each) > 1 else [empty[name], *each][-1] for name, each in parts.items()}
+        return found, total % 2**64
 
     def require_hash(self, table: str, total: int) -> None:
         """Raises CheckpointError unless this is the hash of all rows of a table together, modulo 2^64."""

@@ -16,6 +16,7 @@ from pgccd.checkpoint.files import (
     POINTER,
     CheckpointError,
     Content,
+    discard,
     layout_of,
     make_folder,
     publish,
@@ -70,12 +71,8 @@ class StoredCheckpoint(Stored):
                 raise ValueError("steps_wanted: expected a number >= 0")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CheckpointError(f"{path} is not the index of a run: {error}") from error
-        expected, found = layout_of({ROBOTS: _no_robots()}), layout_of(self.layout)
-        for name, column in expected[ROBOTS].items():
-            if found.get(ROBOTS, {}).get(name) != column:
-                raise CheckpointError(f"{path}: {name}: expected {column}, got {found.get(ROBOTS, {}).get(name)}")
-        if found != expected:
-            raise CheckpointError(f"{path}: expected no other columns than those of robots")
+        if layout_of(self.layout) != layout_of({ROBOTS: _no_robots()}):
+            raise CheckpointError(f"{path}: expected the columns of robots, and no others")
         if self.row_count(ROBOTS) != self.run.config.robots:
             raise CheckpointError(f"{path}: of {self.run.config.robots} robots it has {self.row_count(ROBOTS)}")
 
@@ -123,9 +120,13 @@ def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint) -> Path:
     root = Path(run_folder) / FOLDER
     name = make_folder(root, KIND, checkpoint.steps_made)
     tables = {ROBOTS: checkpoint.state.to("cpu").columns}
-    entry = write_tables(root / name, 0, tables)
     content = Content(KIND, checkpoint.steps_made, checkpoint.plain)
-    return publish(root, name, content, layout_of(tables), [entry])
+    try:
+        entry = write_tables(root / name, 0, tables)
+        return publish(root, name, content, layout_of(tables), [entry])
+    except CheckpointError:
+        discard(root, name)
+        raise
 
 
 def load_checkpoint(run_folder: str | Path) -> Checkpoint:

@@ -208,6 +208,7 @@ def test_a_failure_leaves_the_one_before(tmp_path: Path, call: str, number: int)
         except CheckpointError as error:
             assert re.search("^/.* cannot be written: .*No space left on device", str(error))
             assert newest(tmp_path) == before and load(Alone(), tmp_path).steps_made == 0
+            assert sorted(path.name for path in (tmp_path / FOLDER).iterdir()) == sorted([POINTER, before.name])
     world.save(tmp_path)
     assert load(Alone(), tmp_path).steps_made == 1 and len(list((tmp_path / FOLDER).iterdir())) == 2
 
@@ -225,7 +226,8 @@ def fill_the_disk(comm: Comm, folder: str) -> str:
             world.save(folder)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
-    assert newest(Path(folder)) == before and state_of(load(comm, folder)) == state_of(world)
+    assert newest(Path(folder)) == before and len(list(before.parent.iterdir())) == 2
+    assert state_of(load(comm, folder)) == state_of(world)
     assert world.save(folder) != before
     return str(caught.value)
 

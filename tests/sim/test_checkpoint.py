@@ -264,6 +264,21 @@ def test_one_of_an_earlier_version(tmp_path: Path) -> None:
         sim.resume(tmp_path / "ranks")
 
 
+def test_a_checkpoint_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, 7)
+    checkpoint = sim.load_checkpoint(tmp_path)
+    for call in ("save_file", "_write_bytes"):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, call, raise_full)
+            with pytest.raises(module.CheckpointError, match="No space left on device"):
+                sim.save_checkpoint(tmp_path, checkpoint)
+        assert len(list((tmp_path / FOLDER).iterdir())) == 2
+
+
+def raise_full(*_: Any) -> None:
+    raise OSError(28, "No space left on device")
+
+
 def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ValueError, match="^folder: cannot write to .*: Not a directory"):

@@ -9,7 +9,16 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from pgccd.checkpoint.files import FOLDER, CheckpointError, Content, layout_of, make_folder, publish, write_tables
+from pgccd.checkpoint.files import (
+    FOLDER,
+    CheckpointError,
+    Content,
+    discard,
+    layout_of,
+    make_folder,
+    publish,
+    write_tables,
+)
 from pgccd.distributed.checkpoint.partition import partition_header
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
@@ -94,15 +103,16 @@ class CheckpointWriter:
         except CheckpointError as failed:
             error = str(failed)
         of_ranks = self._background.gather((own, error))
-        if self._comm.rank == 0 and error is None:
-            errors = [text for _, text in of_ranks if text is not None]
-            error = errors[0] if errors else None
+        if self._comm.rank == 0:
+            error = next((text for _, text in of_ranks if text is not None), None)
             if error is None:
                 try:
                     files = [entry for entry, _ in of_ranks if entry is not None]
                     publish(self._root, name, content, layout_of(tables), files)
                 except CheckpointError as failed:
                     error = str(failed)
+            if error is not None:
+                discard(self._root, name)
         error = self._background.broadcast(error)
         if error is not None:
             raise of_all_ranks(CheckpointError(error))
