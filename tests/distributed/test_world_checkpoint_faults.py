@@ -92,7 +92,7 @@ def test_a_fault_is_told_to_all_ranks(ranks: RankPool, tmp_path: Path, name: str
 
 
 def test_no_checkpoint(ranks: RankPool, tmp_path: Path) -> None:
-    assert same_told(ranks.run(2, told, str(tmp_path))) == f"folder: no checkpoint at {tmp_path}"
+    assert set(ranks.run(2, told, str(tmp_path))) == {f"FileNotFoundError: folder: no checkpoint at {tmp_path}"}
     assert list(tmp_path.iterdir()) == []
 
 

@@ -18,6 +18,7 @@ from pgccd.distributed.checkpoint.reading import load_share
 from pgccd.distributed.checkpoint.shared_folder import hold_together
 from pgccd.distributed.checkpoint.writing import CheckpointWriter
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.interface import Partition
@@ -58,6 +59,8 @@ def load_state(
 ) -> WorldState:
     """An equal share of the bodies of a checkpoint, and its partition; see `World.load`."""
     root = _folder_given(comm, folder)
+    if not on_first(comm, lambda: has_checkpoint(root)):  # of one type on all ranks, which may then begin a world
+        raise of_all_ranks(FileNotFoundError(f"folder: no checkpoint at {root}"))
     stored = on_first(comm, lambda: _stored(root))
 
     def prepare() -> tuple[MeshSet, Partition]:
@@ -109,8 +112,6 @@ def _folder_given(comm: Comm, folder: str | PathLike[str]) -> Path:
 
 def _stored(folder: Path) -> Stored:
     """The newest checkpoint, of whose index all is known to be there that a world needs."""
-    if not has_checkpoint(folder):
-        raise FileNotFoundError(f"folder: no checkpoint at {folder}")
     stored = Stored(folder, KIND)
     names = stored.layout.get(_BODIES, {})
     missing = [name for name in _REQUIRED if name not in names]

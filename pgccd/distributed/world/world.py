@@ -159,7 +159,7 @@ class World:
             comm, report, min_separation, tolerance, nonzero_toi, broad_phase, path, balance, overlap: as for `World`.
 
         Raises:
-            FileNotFoundError: there is no checkpoint.
+            FileNotFoundError: there is no checkpoint; on all ranks.
             CheckpointError: it cannot be read, or is not what was written.
             TypeError, ValueError: naming the argument; on all ranks, as the others.
 
