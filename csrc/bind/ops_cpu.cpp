@@ -60,6 +60,11 @@ class CpuBackend {
     find_pairs_padded_cpu(executor_, bodies, choice, out);
   }
 
+  void pairs_exactly(const BroadBodies& bodies, const BroadPhaseChoice& choice, int64_t most,
+                     const PairOutput& make_output, int64_t* counts) const {
+    find_pairs_exactly_cpu(executor_, bodies, choice, most, make_output, counts);
+  }
+
   void require_owners(const int64_t* owners, const int64_t* given, int64_t most, int64_t limit) const {
     require_rows(executor_, std::clamp<int64_t>(*given, 0, most), "owners", "name rows of first",
                  [&](int64_t k) { return is_within(owners[2 * k], limit) && is_within(owners[2 * k + 1], limit); });

@@ -17,6 +17,9 @@
 namespace pgccd::bind {
 namespace {
 
+constexpr const char* kExactNeedsCpu =
+    "capacity: an exact number of contacts needs the CPU; on a GPU give a capacity";
+
 class CudaBackend {
  public:
   explicit CudaBackend(const Tensor& like) : session_(like) {}
@@ -50,6 +53,9 @@ class CudaBackend {
   void pairs_padded(const BroadBodies& bodies, const BroadPhaseChoice& choice, const PaddedPairs& out) const {
     find_pairs_cuda(session_.context(), bodies, choice, out);
   }
+  void pairs_exactly(const BroadBodies&, const BroadPhaseChoice&, int64_t, const PairOutput&, int64_t*) const {
+    STD_TORCH_CHECK(false, kExactNeedsCpu);
+  }
   void begin_counts(const CountSpan& first, const CountSpan& second, int64_t* time) const {
     begin_counts_cuda(session_.context(), first, second, time);
   }
@@ -61,8 +67,7 @@ class CudaBackend {
   }
   template <class Bodies>
   void find_contacts(const Bodies& bodies, const ContactSearch& search, const ContactOutput& make_output) const {
-    STD_TORCH_CHECK(search.contact_capacity.contacts != kExactly,
-                    "capacity: an exact number of contacts needs the CPU; on a GPU give a capacity");
+    STD_TORCH_CHECK(search.contact_capacity.contacts != kExactly, kExactNeedsCpu);
     find_contacts_cuda(session_.context(), bodies, search, make_output);
   }
   void lower_first_toi(const RigidBodies& bodies, const ContactSearch& search, const FirstToi& known) const {

@@ -4,8 +4,7 @@
 
 #include <tuple>
 
-#include "bind/broad_arguments.h"
-#include "bind/contact_tensors.h"
+#include "bind/detect_ops.h"
 #include "kernels/begin_counts.h"
 #include "kernels/padded_pairs.h"
 #include "kernels/pipeline/contact_search.h"
@@ -31,6 +30,43 @@ struct PaddedOps {
     const PaddedPairs out{{capacity[0], capacity[1], capacity[2] != 0}, data<int64_t>(rows), data<int64_t>(counts)};
     Backend(radius).pairs_padded(bodies, broad_phase_choice(broad_phase, -1), out);
     return {rows, counts};
+  }
+
+  // All of a step: what is wrong with the poses, unless that is known, then the pairs, then their contacts.
+  static Found detect_rigid(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies, bool linear_path,
+                            const std::vector<Tensor>& spheres, const std::optional<Tensor>& group,
+                            const std::optional<Tensor>& mask, const std::optional<Tensor>& world,
+                            const std::optional<Tensor>& is_static, const std::optional<Tensor>& known_faults,
+                            const std::vector<int64_t>& checks, const std::vector<double>& limits,
+                            double min_separation, double tolerance, bool nonzero_toi, int64_t report,
+                            int64_t broad_phase, const std::vector<int64_t>& pair_capacity,
+                            const std::vector<int64_t>& capacity) {
+    const RigidBodies view = rigid_view(mesh_set, bodies, linear_path);
+    const int64_t count = view.centres.count;
+    STD_TORCH_CHECK(spheres.size() == 3, "spheres: expected 3 tensors, got ", spheres.size());
+    BroadBodies swept = broad_view(spheres[0], spheres[1], spheres[2], group, mask, world, is_static,
+                                   {min_separation, tolerance});
+    STD_TORCH_CHECK(swept.count == count, "spheres: expected ", count, ", one a body, got ", swept.count);
+    const Tensor faults =
+        known_faults ? *known_faults
+                     : DetectOps<Backend>::first_faults({bodies[1], bodies[2], bodies[4], bodies[5]}, checks, limits);
+    const int64_t* const first_faults = rows<int64_t>(faults, "faults", {kAnySize});
+    STD_TORCH_CHECK(faults.size(0) > 0, "faults: expected a number at least");
+    swept.is_invalid = first_faults + faults.size(0) - 1;
+    check_capacity(pair_capacity, 3);
+    check_capacity(capacity, 7);
+    const Tensor& like = bodies[1];
+    Tensor pairs = like, counts = new_tensor<int64_t>(like, {kPairCounts});
+    const auto make_rows = [&](int64_t rows) { return data<int64_t>(pairs = new_tensor<int64_t>(like, {rows, 2})); };
+    const Backend backend(like);
+    const BroadPhaseChoice choice = broad_phase_choice(broad_phase, -1);
+    if (capacity.back() == kExactly) {
+      backend.pairs_exactly(swept, choice, pair_capacity[0], make_rows, data<int64_t>(counts));
+    } else {
+      const PairCapacity most{pair_capacity[0], pair_capacity[1], pair_capacity[2] != 0};
+      backend.pairs_padded(swept, choice, {most, make_rows(most.pairs), data<int64_t>(counts)});
+    }
+    return contacts(view, pairs, counts, faults, {min_separation, tolerance, nonzero_toi}, report, capacity);
   }
 
   static Found contacts_rigid(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies, bool linear_path,
@@ -144,6 +180,7 @@ struct PaddedOps {
 // Use inside a STABLE_TORCH_LIBRARY_IMPL block.
 #define PGCCD_REGISTER_PADDED_OPS(library, Backend)                                                                  \
   library.impl("pairs_padded", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::pairs>::call));                           \
+  library.impl("detect_rigid", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::detect_rigid>::call));                    \
   library.impl("contacts_padded_rigid", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::contacts_rigid>::call));         \
   library.impl("contacts_padded_deforming", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::contacts_deforming>::call)); \
   library.impl("lower_first_toi_rigid", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::lower_first_toi_rigid>::call))

@@ -79,6 +79,10 @@ class MovingBodies:
             self._faults = self._look(self.motion.first_faults(self._columns))
         return self._faults
 
+    def known_faults(self) -> Tensor | None:
+        """`first_faults`, or None where an operator that looks at the columns finds all of them."""
+        return self.first_faults() if self.motion.has_verdict else self._faults
+
     def check(self) -> None:
         """Looks again, for a stage that is called alone: columns may have been written to. Waits for a GPU.
 

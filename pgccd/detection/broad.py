@@ -24,8 +24,7 @@ BROAD_PHASE_NUMBERS: dict[str, int] = {name: number for number, name in enumerat
 _FEW_BODIES = 2_000
 _GRID_OCTAVES = 3
 _MANY_BODIES = 150_000
-#: Centres at t0 and t1, radius, and the filters.
-_Columns = tuple[Tensor, Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]
+_Filters = tuple[Tensor | None, Tensor | None, Tensor | None, Tensor | None]
 
 _AXES = {"auto": -1, "x": 0, "y": 1, "z": 2}
 
@@ -209,10 +208,14 @@ def _find(bodies: MovingBodies, chosen: str, min_separation: float, tolerance: f
     return find_pairs_of_checked(bodies, min_separation, chosen, tolerance, axis)
 
 
-def _columns(bodies: MovingBodies) -> _Columns:
+def filters(bodies: MovingBodies) -> _Filters:
+    """Which pairs may collide: group, mask, world, static."""
     scene = bodies.scene
-    filters = scene.group, scene.mask, scene.world, scene.static
-    return bodies.centre_t0, bodies.centre_t1, bodies.reach, *filters
+    return scene.group, scene.mask, scene.world, scene.static
+
+
+def _columns(bodies: MovingBodies) -> tuple[Tensor, Tensor, Tensor, *_Filters]:
+    return bodies.centre_t0, bodies.centre_t1, bodies.reach, *filters(bodies)
 
 
 def _kept(min_separation: float, tolerance: float | None) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,8 +167,7 @@ class CapacityError(RuntimeError):
         return self._message
 
 
-@dataclass(frozen=True)
-class Counts:
+class Counts(NamedTuple):
     """What the operators counted in one step, in their order; times in nanoseconds of the device's clock."""
 
     pairs: int  # found
@@ -196,7 +195,7 @@ class Counts:
     @classmethod
     def of(cls, values: Sequence[int]) -> Counts:
         """From the operators' two columns, one after the other."""
-        return cls(*values)
+        return cls._make(values)
 
     @property
     def overflow(self) -> bool:
@@ -222,7 +221,7 @@ class Counts:
 
 
 #: Where each of the counts is.
-COUNT_ROWS: dict[str, int] = {field.name: row for row, field in enumerate(fields(Counts))}
+COUNT_ROWS: dict[str, int] = {name: row for row, name in enumerate(Counts._fields)}
 #: How many of them are the broad phase's.
 COUNTS_OF_PAIRS = COUNT_ROWS["poses"]
 #: Those that tell that a capacity was exceeded.

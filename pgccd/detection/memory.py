@@ -74,15 +74,23 @@ def estimate_of(scene: Scene, query: Query, pairs: Tensor | None) -> CapacityEst
     """That of the scene's steps with this report. A whole step and a repetition of a part of it may need very different
     memory a pair: where pairs are given, octaves of their number have estimates of their own."""
     octave = None if pairs is None else len(pairs).bit_length()
-    estimate = scene.capacity_estimates.setdefault((query.report, octave), CapacityEstimate())
-    assert isinstance(estimate, CapacityEstimate)
-    return estimate
+    estimates, key = scene.capacity_estimates, (query.report, octave)
+    if key not in estimates:
+        estimates[key] = CapacityEstimate()
+    return estimates[key]
 
 
-def pairs_a_chunk(scene: Scene, query: Query, budget: int | None, pair_count: int) -> int:
-    """How many body pairs to traverse at a time, so that memory stays within the budget."""
+def pairs_a_chunk(scene: Scene, estimate: CapacityEstimate, budget: int | None, pair_count: int = 0) -> int:
+    """How many body pairs to traverse at a time, so that memory stays within the budget.
+
+    Args:
+        scene: the bodies.
+        estimate: of whole steps of theirs.
+        budget: the user's.
+        pair_count: how many there are, for which a GPU may have more memory than usual.
+    """
     bytes_per_pair = _BYTES_PER_PAIR
-    needed = estimate_of(scene, query, None).needed
+    needed = estimate.needed
     if needed is not None and needed.pairs:
         bytes_per_pair = max(bytes_per_pair, math.ceil(needed.bytes / needed.pairs))
     limit = memory_limit(budget, pair_count * bytes_per_pair, scene.device)

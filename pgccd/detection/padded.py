@@ -108,6 +108,8 @@ def search_padded(
         pairs: (P, 2) int64, instead of that.
         pair_counts: (7,) int64, left on the device: what is known of their number, if that is not P.
     """
+    if pairs is None and not bodies.deforming:
+        return search_rigid(bodies, query, capacity, broad_phase, capacity.of_pairs)
     faults = bodies.first_faults()
     if pairs is None:
         chosen = broad.choose(bodies, broad_phase)
@@ -124,6 +126,40 @@ def search_padded(
         bodies.mesh_set, bodies.tensors, linear_path, pairs, pair_counts, faults, query, capacity
     )
     return Search(bodies, query, capacity, chosen or "given", rows, counts)
+
+
+def search_rigid(
+    bodies: MovingBodies,
+    query: Query,
+    capacity: Capacity,
+    broad_phase: broad.BroadPhase,
+    pair_capacity: Sequence[int],
+) -> Search:
+    """A step of rigid bodies by one operator, which looks for faults, too, unless they are known.
+
+    Args:
+        bodies, query, capacity, broad_phase: as for `search_padded`.
+        pair_capacity: of the PCS, see `ops.pairs_padded`. Where `capacity` is EXACTLY, nothing is searched if there are
+            more pairs, and the overflow is counted.
+    """
+    chosen = broad.choose(bodies, broad_phase)
+    *rows, counts = ops.detect_rigid(
+        bodies.mesh_set,
+        bodies.tensors,
+        bodies.linear_path,
+        [bodies.centre_t0, bodies.centre_t1, bodies.reach],
+        *broad.filters(bodies),
+        bodies.known_faults(),
+        *bodies.motion.checks,
+        query.min_separation,
+        operator_tolerance(query.tolerance),
+        query.nonzero_toi,
+        _REPORTS[query.report],
+        broad.BROAD_PHASE_NUMBERS[chosen],
+        pair_capacity,
+        capacity.of_contacts,
+    )
+    return Search(bodies, query, capacity, chosen, tuple(rows), counts)
 
 
 def contacts_padded(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -202,7 +202,7 @@ def find_part(
 
 def _counts_of(stats: Stats) -> Tensor:
     """(21,) int64: what `Counts` would say of a search of which the statistics are known."""
-    counts = dict.fromkeys((field.name for field in fields(Counts)), 0)
+    counts = dict.fromkeys(Counts._fields, 0)
     counts |= {"pairs": stats.pcs, "pairs_written": stats.pcs, "candidates": stats.candidates}
     counts |= {"contacts": stats.contacts, "unresolved": stats.unresolved, "node_tests": stats.node_tests}
     counts["traverse_ended"] = round(1e9 * stats.seconds["traverse"])

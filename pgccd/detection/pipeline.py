@@ -15,8 +15,8 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import EXACTLY, Capacity, check_capacity
 from pgccd.detection.checks import check_pairs
 from pgccd.detection.contacts import Contacts, PaddedContacts
-from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit
-from pgccd.detection.padded import Search, search_padded
+from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
+from pgccd.detection.padded import Search, search_padded, search_rigid
 from pgccd.detection.query import Query
 from pgccd.detection.streaming import SolvePairs, stream
 from pgccd.detection.trajectories import TrajectoryContacts, detect_trajectory
@@ -141,7 +141,9 @@ def detect(
         return detect_trajectory(scene, motion, query, detect_step)
     on_cpu = isinstance(scene, Scene) and scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # which compiled graphs do not know
-    bodies = MovingBodies(scene, motion, wait=on_cpu and capacity is None)
+    # Where one operator makes the step, it looks at the poses too.
+    at_once = pairs is None and isinstance(motion, RigidMotion)
+    bodies = MovingBodies(scene, motion, wait=on_cpu and capacity is None and not at_once)
     seconds = time.perf_counter() - start if capacity is None else 0.0
     broad.choose(bodies, broad_phase)  # complains of a name it does not know
     if pairs is not None:
@@ -168,11 +170,12 @@ def find_contacts(
         query, broad_phase, memory_budget: as for `detect`.
         pairs: (P, 2) int64, or None. Where bodies have ids that rows do not follow, the body named first is i.
     """
-    if bodies.device.type == "cpu":
-        return stream(bodies, query, broad_phase, pairs, memory_budget, *_on_cpu(bodies, query))
-    found = _detect_at_once(bodies, query, broad_phase, pairs, memory_budget)
+    on_cpu = bodies.device.type == "cpu"
+    at_once = _detect_exactly if on_cpu else _detect_at_once
+    found = at_once(bodies, query, broad_phase, pairs, memory_budget)
     if found is None:
-        found = stream(bodies, query, broad_phase, pairs, memory_budget, *_on_gpu(bodies, query, memory_budget))
+        solve = _on_cpu(bodies, query) if on_cpu else _on_gpu(bodies, query, memory_budget)
+        found = stream(bodies, query, broad_phase, pairs, memory_budget, *solve)
     return found
 
 
@@ -235,6 +238,25 @@ def _on_gpu(
         return found
 
     return solve, solve_at_any_price
+
+
+def _detect_exactly(
+    bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
+) -> Contacts | None:
+    """On a CPU all stages by one operator; None if there is none for such bodies, or the memory is not enough for all
+    pairs."""
+    if pairs is not None or bodies.deforming:
+        return None
+    estimate = estimate_of(bodies.scene, query, None)
+    most = pairs_a_chunk(bodies.scene, estimate, memory_budget)
+    if estimate.needed is not None and estimate.needed.pairs > most:  # as in the last step
+        return None
+    search = search_rigid(bodies, query, EXACTLY, broad_phase, [most, 0, 0])
+    counts = search.read()
+    if not counts.pairs_overflow:
+        return search.contacts(counts)
+    estimate.learn(bodies.scene.body_count, counts.needed(EXACTLY))
+    return None
 
 
 def _detect_at_once(

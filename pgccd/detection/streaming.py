@@ -14,7 +14,7 @@ from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import Capacity
 from pgccd.detection.contacts import Contacts, Stats
-from pgccd.detection.memory import pairs_a_chunk
+from pgccd.detection.memory import estimate_of, pairs_a_chunk
 from pgccd.detection.query import Query
 
 _COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
@@ -45,13 +45,13 @@ def stream(
     start = time.perf_counter()
     chosen = broad.choose(bodies, broad_phase) if pairs is None else "given"
     if pairs is None:
-        if bodies.device.type != "cpu":
+        if not bodies.checked:
             bodies.raise_faults(bodies.first_faults().tolist())
         pairs = broad.find_pairs_of_checked(bodies, query.min_separation, chosen, query.tolerance)
     seconds = time.perf_counter() - start
     parts: list[Contacts] = []
     # A list of chunks to come, the next one last.
-    length = pairs_a_chunk(bodies.scene, query, memory_budget, pairs.shape[0])
+    length = pairs_a_chunk(bodies.scene, estimate_of(bodies.scene, query, None), memory_budget, pairs.shape[0])
     chunks = [pairs] if pairs.shape[0] <= length else list(pairs.split(length))[::-1]
     while chunks:
         chunk = chunks.pop()

@@ -80,6 +80,11 @@ class MovingColumns:
         names = () if self.is_trusted else (*self._given, *self._names)
         return Faults(names, self._row, getattr(self, self._names[0]).shape[0], self._sources)
 
+    @property
+    def has_verdict(self) -> bool:
+        """Whether `first_faults` is more than what operators find in the columns."""
+        return self.is_trusted or self._given_faults is not None
+
     def check(self) -> None:
         """Raises ValueError if a number is not finite or a quaternion not unit, naming the first row."""
         self.raise_faults(self.first_faults().tolist())

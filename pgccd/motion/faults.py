@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -33,8 +33,13 @@ _CHECKS = {
 def first_faults(columns: Mapping[str, Tensor]) -> Tensor:
     """(F + 1,) int64: the first faulty row of each of the F columns, or the number of rows; and 1 if there is any, else
     0. On the columns' device, without waiting for it."""
-    checks = [_CHECKS.get(name, _FINITE) for name in columns]
-    return ops.first_faults(list(columns.values()), [check[0] for check in checks], [check[1] for check in checks])
+    return ops.first_faults(list(columns.values()), *checks_of(columns))
+
+
+def checks_of(names: Iterable[str]) -> tuple[list[int], list[float]]:
+    """The `checks` and `limits` of `ops.first_faults` for columns of these names."""
+    checks = [_CHECKS.get(name, _FINITE) for name in names]
+    return [check[0] for check in checks], [check[1] for check in checks]
 
 
 def joined(first: Tensor | None, more: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.arguments import real_rows
 from pgccd.motion.columns import MovingColumns
+from pgccd.motion.faults import checks_of
 from pgccd.motion.times import broadcast_times
 
 PathKind = Literal["rigid", "linear"]
@@ -43,6 +44,8 @@ class RigidMotion(MovingColumns):
     """
 
     _names = ("position_t0", "position_t1", "orientation_t0", "rotation")
+    #: Of these columns, for operators that look at them.
+    checks = checks_of(_names)
 
     def __init__(
         self,

@@ -16,6 +16,10 @@ void begin_counts_cpu(const CountSpan& first, const CountSpan& second, int64_t* 
 void find_pairs_padded_cpu(const Executor& executor, const BroadBodies& bodies, const BroadPhaseChoice& choice,
                            const PaddedPairs& out);
 
+// The PCS in a buffer of its size; none if the bodies are invalid, or if there are more than `most`.
+void find_pairs_exactly_cpu(const Executor& executor, const BroadBodies& bodies, const BroadPhaseChoice& choice,
+                            int64_t most, const PairOutput& make_output, int64_t* counts);
+
 // Contacts of body pairs in as many rows as the capacity says, padding after them.
 template <class Bodies>
 void find_contacts_cpu(const Executor& executor, const Bodies& bodies, const ContactSearch& search,

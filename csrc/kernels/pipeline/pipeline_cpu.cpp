@@ -61,6 +61,15 @@ ContactRows search_all(const Executor& executor, const Bodies& bodies, const Con
   return found;
 }
 
+void count_pairs(int64_t began, int64_t found, int64_t written, int64_t* counts) {
+  counts[kPairsNeeded] = found;
+  counts[kOverlapsNeeded] = counts[kLongRowsNeeded] = 0;
+  counts[kPairsWritten] = written;
+  counts[kPairsOverflow] = found > written;
+  counts[kBroadBegan] = began;
+  counts[kBroadEnded] = nanoseconds();
+}
+
 }  // namespace
 
 void begin_counts_cpu(const CountSpan& first, const CountSpan& second, int64_t* time) {
@@ -70,8 +79,7 @@ void begin_counts_cpu(const CountSpan& first, const CountSpan& second, int64_t* 
 
 void find_pairs_padded_cpu(const Executor& executor, const BroadBodies& bodies, const BroadPhaseChoice& choice,
                            const PaddedPairs& out) {
-  out.counts[kBroadBegan] = nanoseconds();
-  const int64_t capacity = out.capacity.pairs;
+  const int64_t began = nanoseconds(), capacity = out.capacity.pairs;
   std::vector<int64_t> too_many;
   int64_t count = 0;
   const auto make_output = [&](int64_t found) {
@@ -84,11 +92,27 @@ void find_pairs_padded_cpu(const Executor& executor, const BroadBodies& bodies, 
   const int64_t written = std::min(count, capacity);
   if (!too_many.empty()) std::copy_n(too_many.data(), 2 * written, out.rows);
   std::fill(out.rows + 2 * written, out.rows + 2 * capacity, int64_t{-1});
-  out.counts[kPairsNeeded] = count;
-  out.counts[kOverlapsNeeded] = out.counts[kLongRowsNeeded] = 0;
-  out.counts[kPairsWritten] = written;
-  out.counts[kPairsOverflow] = count > capacity;
-  out.counts[kBroadEnded] = nanoseconds();
+  count_pairs(began, count, written, out.counts);
+}
+
+void find_pairs_exactly_cpu(const Executor& executor, const BroadBodies& bodies, const BroadPhaseChoice& choice,
+                            int64_t most, const PairOutput& make_output, int64_t* counts) {
+  const int64_t began = nanoseconds();
+  std::vector<int64_t> too_many;
+  int64_t count = 0;
+  const auto rows = [&](int64_t found) {
+    count = found;
+    if (found <= most) return make_output(found);
+    make_output(0);
+    too_many.resize(2 * found);
+    return too_many.data();
+  };
+  if (bodies.invalid()) {
+    make_output(0);
+  } else {
+    find_pairs_cpu(executor, bodies, choice, rows);
+  }
+  count_pairs(began, count, count <= most ? count : 0, counts);
 }
 
 template <class Bodies>
