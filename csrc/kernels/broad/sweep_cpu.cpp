@@ -124,7 +124,8 @@ void sweep_cpu(const Executor& executor, const BroadBodies& bodies, int axis, co
   std::vector<int64_t> first_test(bodies.count + 1, 0);
   for (int64_t p = 0; p < bodies.count; ++p) first_test[p + 1] = first_test[p] + (sorted.end[p] - p - 1);
   constexpr int64_t kTestGrain = 1 << 15;
-  std::vector<FoundPairs> found(executor.worker_count());
+  const int64_t chunks = (first_test.back() + kTestGrain - 1) / kTestGrain;
+  std::vector<FoundPairs> found(std::clamp<int64_t>(chunks, 1, executor.worker_count()));
   parallel_chunks(executor, first_test.back(), kTestGrain, [&](int worker, int64_t begin, int64_t end) {
     int64_t p = std::upper_bound(first_test.begin(), first_test.end(), begin) - first_test.begin() - 1;
     for (int64_t test = begin; test < end; ++p) {
