@@ -131,6 +131,10 @@ def test_trusted_columns_are_never_looked_at(monkeypatch: pytest.MonkeyPatch) ->
     assert len(pgccd.detect(scene, trusted)) == len(pgccd.detect(scene, trusted[:], capacity=Capacity.guess(9)).trim())
     pgccd.broad.sweep(pgccd.MovingBodies(scene, trusted))
     with pytest.raises(AssertionError, match="looked at"):
+        pgccd.broad.sweep(pgccd.MovingBodies(scene, motion))
+    motion.orientation_t0.mul_(1.1)
+    pgccd.detect(scene, trusted)
+    with pytest.raises(ValueError, match="^orientation_t0: body 0: expected a unit quaternion"):
         pgccd.detect(scene, motion)
 
 

@@ -33,6 +33,7 @@ INDICES = [
     ("narrow_deforming", (3,), "candidates"),
     ("contacts_padded_rigid", (1, 0), "mesh"),
     ("contacts_padded_rigid", (3,), "pairs"),
+    ("detect_rigid", (1, 0), "mesh"),
     ("lower_first_toi_rigid", (1,), "owners"),
     ("lower_first_toi_rigid", (5,), "pairs"),
     ("take_rows", (2,), "rows"),
@@ -57,7 +58,7 @@ INDICES = [
 ]
 LENGTHS = ("broad_pairs", "pairs_padded", "swept_boxes", "boundary_bodies", "near_ghosts", "owned_pairs")
 LENGTHS += ("replica_ranks", "traverse_rigid", "narrow_rigid", "contacts_padded_rigid", "lower_first_toi_rigid")
-LENGTHS += ("reached_ranks", "vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
+LENGTHS += ("detect_rigid", "reached_ranks", "vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
 PROGRAM = "import sys; sys.path.insert(0, {tests!r}); import test_ops_bounds; test_ops_bounds.{function}()"
 
 
@@ -85,6 +86,8 @@ def calls() -> dict[str, tuple[Any, ...]]:
         tensors = [a for a in torch.utils._pytree.tree_leaves(arguments) if isinstance(a, torch.Tensor)]
         if any(t.shape == (7,) and t.dtype == torch.int64 and t[3] == 0 for t in tensors):
             continue  # no pairs
+        if name == "detect_rigid" and len(torch.ops.pgccd.detect_rigid(*arguments)[0]) == 0:
+            continue  # no contacts
         size = -sum(t.numel() == 0 for t in tensors), sum(t.numel() for t in tensors)
         if name not in most or size > most[name][0]:
             most[name] = size, arguments

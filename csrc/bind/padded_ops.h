@@ -43,9 +43,13 @@ struct PaddedOps {
                             const std::vector<int64_t>& capacity) {
     const RigidBodies view = rigid_view(mesh_set, bodies, linear_path);
     const int64_t count = view.centres.count;
-    STD_TORCH_CHECK(spheres.size() == 3, "spheres: expected 3 tensors, got ", spheres.size());
-    BroadBodies swept = broad_view(spheres[0], spheres[1], spheres[2], group, mask, world, is_static,
-                                   {min_separation, tolerance});
+    const bool is_own = spheres.empty();
+    STD_TORCH_CHECK(is_own || spheres.size() == 3, "spheres: expected 3 tensors, or none, got ", spheres.size());
+    STD_TORCH_CHECK(!is_own || (view.meshes.centres == nullptr && view.centres.margin == nullptr),
+                    "spheres: expected 3 tensors where meshes are off centre or bodies have margins");
+    const Tensor* const sphere = is_own ? &bodies[1] : spheres.data();
+    BroadBodies swept =
+        broad_view(sphere[0], sphere[1], sphere[2], group, mask, world, is_static, {min_separation, tolerance});
     STD_TORCH_CHECK(swept.count == count, "spheres: expected ", count, ", one a body, got ", swept.count);
     const Tensor faults =
         known_faults ? *known_faults

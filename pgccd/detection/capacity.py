@@ -59,6 +59,13 @@ class Capacity:
                 arguments.integer(number, name, _EXACT if name == "contacts" else 0, "a number of rows >= 0")
 
     @classmethod
+    def _of_checked(cls, **parts: Any) -> Capacity:
+        """Of all parts, which need not be looked at. As each call of `detect` makes one, it matters how long it takes."""
+        made = object.__new__(cls)
+        made.__dict__.update(parts)
+        return made
+
+    @classmethod
     def guess(cls, body_count: int, pair_count: int | None = None, self_vertex_count: int = 0) -> Capacity:
         """Capacity for a scene like the nanorobot world, nearly twice over, and for folded cloth.
 
@@ -204,10 +211,17 @@ class Counts(NamedTuple):
 
     def needed(self, capacity: Capacity) -> Capacity:
         """The capacity that the step, run in `capacity`, would have needed."""
-        return Capacity(
+        return Capacity._of_checked(
+            pairs=self.pairs,
+            contacts=self.contacts,
+            overlaps=self.overlaps,
+            poses=self.poses,
+            tasks=self.tasks,
+            leaf_pairs=self.leaf_pairs,
+            candidates=self.candidates,
+            open=self.open,
             launches=max(1, 2 * capacity.launches) if self.tasks_left else capacity.launches,
             long_rows=self.long_rows != 0,
-            **{name: getattr(self, name) for name in _BYTES},
         )
 
     @property

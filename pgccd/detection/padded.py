@@ -147,7 +147,7 @@ def search_rigid(
         bodies.mesh_set,
         bodies.tensors,
         bodies.linear_path,
-        [bodies.centre_t0, bodies.centre_t1, bodies.reach],
+        [] if bodies.reach is bodies.radius else [bodies.centre_t0, bodies.centre_t1, bodies.reach],
         *broad.filters(bodies),
         bodies.known_faults(),
         *bodies.motion.checks,

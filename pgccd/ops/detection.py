@@ -143,16 +143,16 @@ def pairs_padded(
 
 
 def detect_rigid(
-    mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool, spheres: Sequence[Tensor], *rest: object
+    mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, spheres: list[Tensor], *rest: object
 ) -> tuple[Tensor, ...]:
     """As `contacts_padded_rigid`, of the pairs that `pairs_padded` finds of the spheres: position_t0, position_t1 and
-    radius.
+    radius, or nothing where these are the bodies' own.
 
     `rest`: group, mask, world, is_static; faults, as they are handed on, or None: then the bodies' poses are looked at;
     checks and limits of that, as of `first_faults`, by position_t0, position_t1, orientation and rotation;
     min_separation, tolerance, nonzero_toi, report, broad_phase, capacity of the pairs, capacity.
     """
-    return library.operators.detect_rigid(list(mesh_set), list(bodies), linear_path, list(spheres), *rest)
+    return library.operators.detect_rigid(mesh_set, bodies, linear_path, spheres, *rest)
 
 
 def contacts_padded_rigid(

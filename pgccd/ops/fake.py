@@ -221,8 +221,8 @@ def _(mesh_set: list[Tensor], bodies: list[Tensor], pairs: Tensor, *rest: Any) -
 
 @torch.library.register_fake("pgccd::detect_rigid")
 def _(mesh_set: list[Tensor], bodies: list[Tensor], *rest: Any) -> tuple[Tensor, ...]:
-    known_faults = rest[6]
-    return _fake_found(bodies[1], (None, bodies[1].new_empty((5,)) if known_faults is None else known_faults, *rest))
+    pairs, known_faults = bodies[1].new_empty((0, 2), dtype=torch.int64), rest[6]
+    return _fake_found(pairs, (None, pairs.new_empty((5,)) if known_faults is None else known_faults, *rest))
 
 
 @torch.library.register_fake("pgccd::lower_first_toi_rigid")

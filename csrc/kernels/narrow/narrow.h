@@ -23,6 +23,7 @@ struct NarrowInput {
   int64_t pair_count;
   NarrowSettings settings;
   Report report;
+  const double* latest = nullptr;  // (pair_count,) later contacts need not be found; or null. Only the CPU looks
 };
 
 // Capacity of a narrow phase that runs without the host waiting for its counts.

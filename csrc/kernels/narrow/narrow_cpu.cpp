@@ -39,6 +39,7 @@ template <class Bodies>
 std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& bodies, const NarrowInput& input) {
   const bool bounded = input.report != Report::kAll;
   std::vector<double> best(bounded ? input.pair_count : 0, kNever);
+  if (bounded && input.latest != nullptr) std::copy_n(input.latest, input.pair_count, best.begin());
   std::vector<std::vector<FoundContact>> found(executor.worker_count());
   parallel_chunks(executor, input.candidates.size, kCandidateGrain, [&](int worker, int64_t begin, int64_t end) {
     int64_t c = begin;

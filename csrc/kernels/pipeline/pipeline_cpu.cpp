@@ -52,7 +52,7 @@ ContactRows search_all(const Executor& executor, const Bodies& bodies, const Con
     if (search.only_earliest && !horizon.empty()) {
       std::fill(horizon.begin(), horizon.end(), *std::min_element(horizon.begin(), horizon.end()));
     }
-    traversal.horizon = horizon.data();
+    traversal.horizon = narrow.latest = horizon.data();
   }
   ContactRows found = search_once(executor, bodies, traversal, narrow, counts, narrow_time);
   search.contact_counts[kContactsNeeded] = static_cast<int64_t>(found.pair.size());

@@ -1,4 +1,5 @@
 #include <bit>
+#include <optional>
 
 #include "kernels/traverse/leaf_item.h"
 #include "kernels/traverse/leaf_separation.h"
@@ -20,27 +21,23 @@ class PairCache {
  public:
   using Sweep = typename SweepOf<Bodies>::type;
 
-  PairCache(const Bodies& bodies, const TraverseInput& input) : bodies_(bodies), input_(input), sweep_(make_sweep(0)) {}
+  PairCache(const Bodies& bodies, const TraverseInput& input) : bodies_(bodies), input_(input) {}
 
   PairTree<Bodies> tree(int32_t pair) {
     if (pair != current_) {
       current_ = pair;
-      sweep_ = make_sweep(pair);
-      for (int k = 0; k <= sweep_.segment_count; ++k) poses_[k] = sweep_.pose(bodies_, k);
+      sweep_.emplace(bodies_, input_.pairs[2 * pair], input_.pairs[2 * pair + 1], input_.settings,
+                     horizon_of(input_, pair));
+      for (int k = 0; k <= sweep_->segment_count; ++k) poses_[k] = sweep_->pose(bodies_, k);
     }
-    return {bodies_, sweep_, poses_};
+    return {bodies_, *sweep_, poses_};
   }
 
  private:
-  Sweep make_sweep(int64_t pair) const {
-    return Sweep(bodies_, input_.pairs[2 * pair], input_.pairs[2 * pair + 1], input_.settings,
-                 horizon_of(input_, pair));
-  }
-
   const Bodies& bodies_;
   const TraverseInput& input_;
   int32_t current_ = -1;
-  Sweep sweep_;
+  std::optional<Sweep> sweep_;
   LocalPose poses_[kMaxSegments + 1]{};
 };
 
