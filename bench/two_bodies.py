@@ -68,9 +68,7 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def measure(
-    scene: pgccd.Scene, sort: str, motions: Sequence[pgccd.RigidMotion], rounds: int
-) -> list[dict[str, Any]]:
+def measure(scene: pgccd.Scene, sort: str, motions: Sequence[pgccd.RigidMotion], rounds: int) -> list[dict[str, Any]]:
     """A row for the call, one for each of its operators, and one for a trivial operator; they take turns."""
     small = torch.zeros(1)
     works: dict[str, list[Callable[[], Any]]] = {"torch.neg of one number": [lambda: torch.neg(small)] * len(motions)}

@@ -17,8 +17,7 @@
 namespace pgccd::bind {
 namespace {
 
-constexpr const char* kExactNeedsCpu =
-    "capacity: an exact number of contacts needs the CPU; on a GPU give a capacity";
+constexpr const char* kExactNeedsCpu = "capacity: an exact number of contacts needs the CPU; on a GPU give a capacity";
 
 class CudaBackend {
  public:

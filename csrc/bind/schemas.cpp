@@ -77,12 +77,13 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "contacts_padded_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, Tensor faults, "
       "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
-  // All of a step: pairs_padded of the spheres = [position_t0, position_t1, radius], those of the bodies if there are none
-  // (which must then be centred, without margins); and contacts_padded_rigid. Faults of the poses, bodies[1, 2, 4, 5],
-  // are looked for as by first_faults, unless they are given. Where capacity.contacts is -1 there are as many pairs as
-  // are found, but none if these are more than pair_capacity.pairs.
+  // All of a step: pairs_padded of the spheres = [position_t0, position_t1, radius], those of the bodies if there are
+  // none (which must then be centred, without margins); and contacts_padded_rigid. Faults of the poses, bodies[1, 2, 4,
+  // 5], are looked for as by first_faults, unless they are given. Where capacity.contacts is -1 there are as many pairs
+  // as are found, but none if these are more than pair_capacity.pairs.
   library.def(
-      "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, Tensor? mask, "
+      "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, Tensor? "
+      "mask, "
       "Tensor? world, Tensor? is_static, Tensor? faults, int[] checks, float[] limits, float min_separation, "
       "float tolerance, bool nonzero_toi, int report, int broad_phase, int[] pair_capacity, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");

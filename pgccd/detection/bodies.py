@@ -143,8 +143,8 @@ class MovingBodies:
 
 def _rigid(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
     position_t0, position_t1, orientation_t0, rotation = columns.values()
-    if len(position_t0) != scene.body_count:
-        raise ValueError(f"motion: has {len(position_t0)} bodies, the scene {scene.body_count}")
+    if position_t0.shape[0] != scene.body_count:
+        raise ValueError(f"motion: has {position_t0.shape[0]} bodies, the scene {scene.body_count}")
     return [scene.mesh_index, position_t0, position_t1, scene.radius, orientation_t0, rotation]
 
 

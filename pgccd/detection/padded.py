@@ -47,7 +47,7 @@ class Search:
         if self.query.report == "earliest":
             rows = take_earliest(rows)
         bodies, waits = self.bodies.scene.body_count, int(self.counts.is_cuda)
-        stats = stats_of(counts, self.capacity, bodies, len(rows[0]), self.broad_phase, waits)
+        stats = stats_of(counts, self.capacity, bodies, rows[0].shape[0], self.broad_phase, waits)
         if self.query.report == "any":
             return Contacts(rows[0], None, None, None, None, None, None, None, stats)
         pairs, kind, features, status, toi, coordinates, point, normal = rows
@@ -159,7 +159,7 @@ def search_rigid(
         pair_capacity,
         capacity.of_contacts,
     )
-    return Search(bodies, query, capacity, chosen, tuple(rows), counts)
+    return Search(bodies, query, capacity, chosen, tuple(rows), counts)  # type: ignore[arg-type]
 
 
 def contacts_padded(

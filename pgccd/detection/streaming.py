@@ -33,7 +33,7 @@ def stream(
     solve: SolvePairs,
     solve_at_any_price: Callable[[Tensor], Contacts],
 ) -> Contacts:
-    """What `pgccd.detect` does in little memory, and on a CPU always.
+    """What `pgccd.detect` does in little memory; on a CPU also with given pairs, and with bodies that deform.
 
     Args:
         bodies: the scene in motion.

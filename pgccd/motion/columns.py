@@ -22,6 +22,8 @@ class MovingColumns:
     # Names of the columns that detection reads, and what a row of them is.
     _names: tuple[str, ...] = ()
     _row = "body"
+    #: `checks` and `limits` of these columns for `ops.detect_rigid`.
+    checks: tuple[list[int], list[float]] = ([], [])
     # Arguments that no column keeps, and what was found of them.
     _given: tuple[str, ...] = ()
     _given_faults: Tensor | None = None

@@ -44,7 +44,6 @@ class RigidMotion(MovingColumns):
     """
 
     _names = ("position_t0", "position_t1", "orientation_t0", "rotation")
-    #: Of these columns, for operators that look at them.
     checks = checks_of(_names)
 
     def __init__(
