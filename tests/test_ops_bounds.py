@@ -54,7 +54,7 @@ INDICES = [
     ("voxel_boxes", (7,), "counts"),
     ("voxel_pairs", (1,), "segments"),
     ("voxel_pairs", (3,), "first_segment"),
-    *((name, (0, 7), "mesh_set.offsets") for name in ("refit", "traverse_rigid", "narrow_deforming")),
+    *((name, (0, 8), "mesh_set.offsets") for name in ("refit", "traverse_rigid", "narrow_deforming")),
 ]
 LENGTHS = ("broad_pairs", "pairs_padded", "swept_boxes", "boundary_bodies", "near_ghosts", "owned_pairs")
 LENGTHS += ("replica_ranks", "traverse_rigid", "narrow_rigid", "contacts_padded_rigid", "lower_first_toi_rigid")
@@ -148,7 +148,7 @@ def change_everything() -> None:
             for m, element in enumerate(value if isinstance(value, list) else []):
                 # Mesh sets and node blocks are made by the package: of these shapes are looked at, and the offsets.
                 is_blocks = isinstance(element, torch.Tensor) and element.dtype == torch.float32
-                is_content = is_blocks or (schema[k].name == "mesh_set" and m != 7)
+                is_content = is_blocks or (schema[k].name == "mesh_set" and m != 8)
                 for other in replacements(element):
                     is_same_shape = isinstance(other, torch.Tensor) and other.shape == element.shape
                     if is_content and is_same_shape and other.dtype == element.dtype:
