@@ -62,18 +62,18 @@ __device__ inline void store_triangle(LeafShared& shared, int slot, const Moving
   }
 }
 
-__device__ inline uint32_t rows_of(uint32_t reaching, int half, int side) {
+__device__ __forceinline__ uint32_t rows_of(uint32_t reaching, int half, int side) {
   return (reaching >> (kHalf * half + kMaxLeafTriangles * side)) & 0xffu;
 }
 // The lanes of a leaf pair, if triangles of both sides reach the other leaf.
-__device__ inline uint32_t kept_of_half(uint32_t reaching, int half) {
+__device__ __forceinline__ uint32_t kept_of_half(uint32_t reaching, int half) {
   const bool both = rows_of(reaching, half, 0) != 0 && rows_of(reaching, half, 1) != 0;
   return both ? reaching & (0xffffu << (kHalf * half)) : 0;
 }
 
 // Of the triangles in the lanes `kept`, stored from slot `first_slot` on, where those of one side of a leaf pair follow
 // one another. Returns the number of pairs.
-__device__ inline int list_triangle_pairs(LeafShared& shared, uint32_t kept, int first_slot, int queued, int lane) {
+__device__ __forceinline__ int list_triangle_pairs(LeafShared& shared, uint32_t kept, int first_slot, int queued, int lane) {
   const int i0 = __popc(rows_of(kept, 0, 0)), j0 = __popc(rows_of(kept, 0, 1));
   const int i1 = __popc(rows_of(kept, 1, 0)), j1 = __popc(rows_of(kept, 1, 1));
   const int of_first = i0 * j0, count = of_first + i1 * j1;
