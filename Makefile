@@ -1,20 +1,20 @@
-# `make demo` and `make test` work on a fresh machine: the first of them sets .venv up (see bootstrap.py) and compiles.
+# `make demo` and `make test` work on a fresh machine: they first set up .venv (see bootstrap.py) and compile.
 
 PYTHON ?= python3
 VENV_PYTHON := .venv/bin/python
-# The two steps leave a stamp each, so that they run again only when their inputs have changed.
+# A stamp file per step, so that it runs again only when its inputs have changed.
 ENVIRONMENT := .venv/pgccd-environment
 EXTENSION := build/pgccd-extension
-# What is compiled depends on PGCCD_CUDA: a new value is a new file.
+# The extension depends on PGCCD_CUDA: a new value makes a new file.
 CUDA_SETTING := build/pgccd-cuda-$(or $(PGCCD_CUDA),auto)
-# Folders are listed along with files, so that a removed source is noticed too.
+# Includes folders, so that a removed source triggers a rebuild too.
 EXTENSION_INPUTS := setup.py $(wildcard build_support/*.py) $(shell find csrc)
 CPP_FILES = find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cuh' -o -name '*.cu'
-# xdist may be missing where there is no network.
+# xdist may be missing without a network.
 PARALLEL = $$($(VENV_PYTHON) -c "import xdist" 2>/dev/null && echo "-n 2")
 
-# The kernels on small scenes. Left out: graphs and compilation, which need torch's memory pool; with it the tools would
-# not see the ends of tensors.
+# The kernels on small scenes. Excludes graphs and compilation, which need torch's memory pool; with the pool the tools
+# cannot see where tensors end.
 SANITIZED = tests/test_rows.py tests/test_traverse.py tests/test_capacity.py tests/test_self_collision_padded.py \
 	tests/sim tests/distributed/test_subdomain.py -m "cuda and not slow" -k "not graph and not compile and not one_wait"
 

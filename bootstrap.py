@@ -1,8 +1,8 @@
-"""Makes .venv ready to build, run and test pgccd: `make demo` and `make test` run it once. Standard library only.
+"""Prepares .venv to build, run and test pgccd: `make demo` and `make test` run it once. Standard library only.
 
-With a network it installs torch, the packages named in pyproject.toml and, where there is a GPU, a CUDA compiler.
-Where the Python that runs it already has torch, that one is used and never replaced; where there is no network, what is
-missing is done without. An existing .venv is kept.
+With a network it installs torch, the packages named in pyproject.toml and, where there is a GPU, a CUDA compiler. If
+the Python that runs it already has torch, that torch is used and never replaced. Without a network, missing packages
+are skipped. An existing .venv is kept.
 
 Environment: PGCCD_CUDA=auto|0|1 as in setup.py. auto, the default, installs a CUDA compiler only where torch sees a GPU
 and no nvcc is found; 1 installs it wherever none is found, and fails without.
@@ -30,7 +30,7 @@ LOG = ROOT / "build" / "bootstrap.log"
 CONSTRAINTS = VENV / "constraints.txt"
 
 TORCH = "torch==2.13.0"  # built for CUDA 13.0
-OLDEST_TORCH = (2, 11)  # the stable ABI that the extension is compiled for
+OLDEST_TORCH = (2, 11)  # minimum of the stable ABI that the extension is compiled for
 CUDA_COMPILER_WHEELS = {  # by the major version of torch's CUDA
     "13": [
         "nvidia-cuda-nvcc==13.0.88",
@@ -41,7 +41,7 @@ CUDA_COMPILER_WHEELS = {  # by the major version of torch's CUDA
     ]
 }
 PIP_INSTALL = [VENV_PYTHON, "-m", "pip", "--disable-pip-version-check", "--no-input", "install", "--progress-bar=off"]
-PIP_INSTALL += ["--no-compile"]  # of thousands of modules most are never imported; Python compiles those that are
+PIP_INSTALL += ["--no-compile"]  # most modules are never imported; Python compiles the rest on import
 HEARTBEAT_SECONDS = 15
 
 PRINT_TORCH = """
@@ -91,8 +91,9 @@ def main() -> None:
 
 
 def cache_bytecode() -> None:
-    """Imports what most processes do. Where Python is told not to cache what it compiles, importing torch would take
-    twice as long, in each of the many processes that ranks and tests are."""
+    """Imports common modules once to cache their bytecode. With PYTHONDONTWRITEBYTECODE, importing torch would take
+    twice as long in each of the many rank and test processes.
+    """
     if sys.dont_write_bytecode:
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         modules = "import torch.distributed.run, torch.distributed.checkpoint"
@@ -112,9 +113,9 @@ def create_environment() -> None:
             f"{sys.executable} cannot make a virtual environment; on Debian and Ubuntu: apt install python3-venv"
         ) from error
     if parent:
-        # ensurepip's setuptools, years old, would hide the parent's.
+        # ensurepip's old setuptools would hide the parent's.
         subprocess.run([VENV_PYTHON, "-m", "pip", "uninstall", "--quiet", "--yes", "setuptools"], check=True)
-        # system_site_packages would not do: a venv made from a venv does not see that one's packages.
+        # system_site_packages does not suffice: a venv made from a venv does not see that venv's packages.
         packages = next((VENV / "lib").glob("python*/site-packages"))
         lines = [f"import site; site.addsitedir({entry!r})\n" for entry in ask(sys.executable, PRINT_SITE_DIRECTORIES)]
         (packages / "parent-environment.pth").write_text("".join(lines))
@@ -141,50 +142,50 @@ def install_packages() -> None:
     ]
     missing = install_what_is_missing("packages", wanted)
     if missing:
-        say(f"going without {', '.join(missing)}")
+        say(f"continuing without {', '.join(missing)}")
 
 
 def install_cuda_compiler(torch_cuda: str, has_gpu: bool, is_forced: bool) -> None:
     home = ask(VENV_PYTHON, PRINT_CUDA_TOOLKIT, torch_cuda)
     wheels = CUDA_COMPILER_WHEELS.get(torch_cuda.split(".")[0])
     if home is None and not has_gpu and not is_forced:
-        say("no GPU and no nvcc: building for CPUs alone (PGCCD_CUDA=1 builds for GPUs too)")
+        say("no GPU and no nvcc: building for CPUs only (PGCCD_CUDA=1 builds for GPUs too)")
         return
     if home is None and wheels and index_is_reachable():
-        # All of them again, even where torch brought one along: nvcc finds the others only beside itself.
+        # Reinstall all of them, even those that torch brought along: nvcc finds the others only in its own folder.
         everything = ["--ignore-installed", "--no-deps", *wheels]
         run("installing the CUDA compiler", [*PIP_INSTALL, "--timeout=10", *everything], must_succeed=False)
         home = ask(VENV_PYTHON, PRINT_CUDA_TOOLKIT, torch_cuda)
-    say(f"CUDA compiler in {home}" if home else f"no CUDA {torch_cuda} compiler: building for CPUs alone")
+    say(f"CUDA compiler in {home}" if home else f"no CUDA {torch_cuda} compiler: building for CPUs only")
 
 
 def install_project() -> None:
-    # compat: a path in a .pth file. Type checkers and editors do not see through the import hook of other modes.
+    # compat: a path in a .pth file. Type checkers and editors cannot resolve the import hooks of the other modes.
     options = ["--verbose", "--no-index", "--no-build-isolation", "--no-deps", "--config-settings=editable_mode=compat"]
     run("compiling and installing pgccd", [*PIP_INSTALL, *options, "--editable", "."])
 
 
 def install_what_is_missing(what: str, requirements: Sequence[str]) -> list[str]:
-    """Install the requirements that are not met, and return those that could not be."""
+    """Installs unmet requirements; returns those that could not be installed."""
     missing = ask(VENV_PYTHON, PRINT_UNMET, *requirements)
     if not missing or not index_is_reachable():
         return missing
     install = [*PIP_INSTALL, "--timeout=10", "--retries=2", "--constraint", CONSTRAINTS]
     if not run(f"installing {what}", [*install, *missing], must_succeed=False):
-        for requirement in missing:  # one that does not exist for this platform must not cost all the others
+        for requirement in missing:  # a requirement unavailable on this platform must not block the others
             run(f"installing {requirement}", [*install, requirement], must_succeed=False)
     return ask(VENV_PYTHON, PRINT_UNMET, *requirements)
 
 
 @functools.cache
 def index_is_reachable() -> bool:
-    # pip is asked, and not a socket, because it knows about mirrors and proxies.
+    # pip instead of a socket, because it uses configured mirrors and proxies.
     probe = ["--dry-run", "--ignore-installed", "--no-deps", "--timeout=5", "--retries=0", "wheel"]
     return run("looking for the package index", [*PIP_INSTALL, *probe], must_succeed=False)
 
 
 def find_torch(python: Path | str) -> dict | None:
-    """Version, CUDA version and GPUs of the torch that `python` imports, None without one that is new enough."""
+    """Version, CUDA version and GPUs of the torch that `python` imports; None if it is missing or too old."""
     torch = ask(python, PRINT_TORCH)
     if torch and tuple(int(number) for number in torch["version"].split(".")[:2]) < OLDEST_TORCH:
         return None
@@ -192,13 +193,13 @@ def find_torch(python: Path | str) -> dict | None:
 
 
 def ask(python: Path | str, program: str, *arguments: str):
-    """What `program` prints as JSON when `python` runs it, None if it fails."""
+    """JSON output of `program` run by `python`; None if it fails."""
     answer = subprocess.run([python, "-c", program, *arguments], capture_output=True, text=True)
     return json.loads(answer.stdout) if answer.returncode == 0 else None
 
 
 def run(what: str, command: Sequence[str | Path], must_succeed: bool = True) -> bool:
-    """Run a command with its output in the log; on the terminal one line, and signs of life while it lasts."""
+    """Runs a command with its output in the log; the terminal gets one line, and a heartbeat."""
     say(what)
     started = next_sign = time.monotonic()
     with LOG.open("a") as log:

@@ -1,10 +1,10 @@
-"""Builds the two extension modules; everything else stands in pyproject.toml.
+"""Builds the two extension modules; everything else is in pyproject.toml.
 
 `pgccd._C`     the operators, on torch's stable ABI: one binary serves torch 2.11 and later, and every Python 3.11+.
 `pgccd._host`  host-side work on numpy arrays and the build information, by pybind11, without torch headers.
 
 Environment: PGCCD_CUDA=auto|0|1 (build the CUDA kernels if possible, never, or fail without them), CUDA_HOME,
-TORCH_CUDA_ARCH_LIST, CXX, MAX_JOBS (compilers at a time), NVCC_APPEND_FLAGS.
+TORCH_CUDA_ARCH_LIST, CXX, MAX_JOBS (parallel compilers), NVCC_APPEND_FLAGS.
 """
 
 import fcntl
@@ -22,7 +22,7 @@ from setuptools import Extension, setup
 
 ROOT = Path(__file__).resolve().parent
 BUILD = ROOT / "build"
-sys.path.insert(0, str(ROOT))  # a PEP 517 build does not put the project's folder on the path
+sys.path.insert(0, str(ROOT))  # a PEP 517 build does not add the project's folder to the path
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])  # for the venv's ninja
 
 from build_support.cuda_toolkit import (  # noqa: E402
@@ -53,7 +53,7 @@ def choose_cuda_toolkit() -> CudaToolkit | None:
 
 
 def choose_cuda_architectures() -> str:
-    """What the user asked for, else the GPUs that are here, else Hopper; always with PTX for newer ones."""
+    """TORCH_CUDA_ARCH_LIST if set, otherwise the GPUs present or Hopper, with PTX for newer GPUs."""
     if wish := os.environ.get("TORCH_CUDA_ARCH_LIST"):
         return wish
     capabilities = {torch.cuda.get_device_capability(index) for index in range(torch.cuda.device_count())}
@@ -74,7 +74,7 @@ def describe_compiler() -> str:
 
 
 def pybind11_include() -> str:
-    """The header folder of the pybind11 package or, where that is missing, of the copy inside torch."""
+    """The header folder of the pybind11 package or, if that is missing, of the copy inside torch."""
     try:
         import pybind11
     except ImportError:
@@ -86,18 +86,18 @@ TORCH_INCLUDE = str(Path(torch.__file__).parent / "include")
 toolkit = choose_cuda_toolkit()
 architectures = choose_cuda_architectures() if toolkit else ""
 if toolkit:
-    # cpp_extension reads both when it is imported or later: they must be set first.
+    # cpp_extension reads both on import or later: set them first.
     os.environ["CUDA_HOME"] = str(toolkit.home)
     os.environ["TORCH_CUDA_ARCH_LIST"] = architectures
 
-# Its warning that no GPU is here: none is needed to compile.
+# Silences its warning that there is no GPU: none is needed to compile.
 logging.getLogger("torch.utils.cpp_extension").setLevel(logging.ERROR)
 from torch.utils.cpp_extension import BuildExtension, CppExtension, CUDAExtension  # noqa: E402
 
 # No contraction and no fast-math, on either compiler: CPU and CUDA must give the same bits.
 # x86-64-v3 makes fma() one instruction; ARMv8 has it anyway.
-# -g1, -lineinfo: line tables, so that profilers can name the line.
-# errno and floating-point traps are never looked at; without them square roots and comparisons vectorise.
+# -g1, -lineinfo: line tables for profilers.
+# errno and floating-point traps are unused; without them square roots and comparisons vectorise.
 HOST_FLAGS = [
     "-O3",
     "-g1",
@@ -111,7 +111,7 @@ HOST_FLAGS = [
 ]
 if platform.machine() == "x86_64":
     HOST_FLAGS.append("-march=x86-64-v3")
-# -isystem: no warnings about other people's headers.
+# -isystem: no warnings about third-party headers.
 CXX_FLAGS = ["-std=c++20", *HOST_FLAGS, "-isystem", TORCH_INCLUDE]
 NVCC_FLAGS = ["-std=c++20", "-O3", "-lineinfo", "--fmad=false", "--expt-relaxed-constexpr", "--extended-lambda"]
 NVCC_FLAGS += architecture_flags(architectures) if toolkit else []
@@ -131,8 +131,8 @@ def operators_module() -> Extension:
         "define_macros": TORCH_MACROS,
         "extra_compile_args": {"cxx": CXX_FLAGS, "nvcc": NVCC_FLAGS},
         "depends": glob("csrc/**/*.h", recursive=True),
-        # Where the compiler links its C++ library statically, the symbols of that copy must not mix with those of
-        # torch's: formatting an error's message would crash.
+        # If the compiler links its C++ library statically, the symbols of that copy must not mix with torch's:
+        # formatting an error message would crash.
         "extra_link_args": ["-Wl,--exclude-libs,ALL"],
         "py_limited_api": True,
     }
@@ -171,11 +171,11 @@ class BuildIncrementally(BuildExtension):
     def run(self) -> None:
         BUILD.mkdir(exist_ok=True)
         with open(BUILD / "lock", "w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)  # two builds at once would write over each other's files
+            fcntl.flock(lock, fcntl.LOCK_EX)  # parallel builds would overwrite each other's files
             super().run()
 
     def build_extension(self, extension: Extension) -> None:
-        # One folder a module: each has its own build.ninja.
+        # One folder per module: each has its own build.ninja.
         self.build_temp = str(BUILD / "objects" / sys.implementation.cache_tag / extension.name)
         super().build_extension(extension)
 

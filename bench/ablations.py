@@ -1,11 +1,11 @@
-"""What each decision of the design is worth: the same steps of the standard world, with one thing changed at a time.
+"""The effect of each design decision: the same steps of the standard world with one thing changed at a time.
 
     python bench/ablations.py [--device cuda] [--robots N]
 
-Broad phases; reports; meshes and hierarchies shared by all instances, against vertices and a hierarchy of each body's
-own, rebuilt in each step, as the paper's streams have them; elementary queries in float64 against float32; on a GPU a
-captured step against launches. Every variant of one question must find the same contacts. (One cell a step against
-several: figure6.py.)
+Broad phases; reports; meshes and hierarchies shared by all instances against separate vertices and hierarchies per
+body, rebuilt in each step, as in the paper's streams; elementary queries in float64 against float32; on a GPU, a
+captured step against separate launches. Every variant of one question must find the same contacts. (One cell per step
+against several: figure6.py.)
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from torch import Tensor
 import pgccd
 
 _ROBOTS = {"cpu": 4_000, "cuda": 100_000}
-# Vertices of their own for so many robots at most: they take 17 kB each, and hierarchies 30 kB.
+# Limit for separate vertices per body: these take 17 kB per robot, hierarchies 30 kB.
 _MOST_OWN = {"cpu": 4_000, "cuda": 100_000}
 
 
@@ -60,7 +60,7 @@ Variant = Callable[[pgccd.RigidMotion], pgccd.Contacts]
 
 
 def broad_phases(world: MixedWorld) -> dict[str, Variant]:
-    """How potentially colliding pairs are found."""
+    """The broad phases."""
     return {
         name: lambda motion, name=name: pgccd.detect(world.scene, motion, broad_phase=name)
         for name in ("grid", "sweep", "lbvh")
@@ -68,7 +68,7 @@ def broad_phases(world: MixedWorld) -> dict[str, Variant]:
 
 
 def reports(world: MixedWorld) -> dict[str, Variant]:
-    """How much is asked."""
+    """The reports."""
     return {
         name: lambda motion, name=name: pgccd.detect(world.scene, motion, name)
         for name in ("first", "any", "all", "earliest")
@@ -76,7 +76,7 @@ def reports(world: MixedWorld) -> dict[str, Variant]:
 
 
 def geometries(world: MixedWorld, device: str) -> dict[str, Variant]:
-    """Where vertices and hierarchies come from, on straight paths of the vertices."""
+    """Sources of vertices and hierarchies, on straight vertex paths."""
     found: dict[str, Variant] = {"shared by instances": lambda motion: pgccd.detect(world.scene, motion)}
     if len(world.state) > _MOST_OWN[device]:
         return found
@@ -91,12 +91,12 @@ def geometries(world: MixedWorld, device: str) -> dict[str, Variant]:
 
 
 def _placed(vertices: Tensor, position: Tensor, orientation: Tensor) -> Tensor:
-    """(N V, 3) vertices (V, 3) of one mesh at N poses."""
+    """Vertices (V, 3) of one mesh at N poses: (N V, 3)."""
     return _placed_each(vertices[None].expand(len(position), -1, -1), position, orientation).reshape(-1, 3)
 
 
 def _placed_each(points: Tensor, position: Tensor, orientation: Tensor) -> Tensor:
-    """Points (N, V, 3), those of each row at its pose."""
+    """Points (N, V, 3), each row placed by its pose."""
     w, v = orientation[:, None, :1], orientation[:, None, 1:].expand_as(points)
     cross = torch.linalg.cross
     return position[:, None] + points + 2.0 * cross(v, cross(v, points) + w * points)
@@ -109,7 +109,7 @@ def with_path(motion: pgccd.RigidMotion, path: Any) -> pgccd.RigidMotion:
 
 
 def launches(world: MixedWorld, motions: list[pgccd.RigidMotion]) -> dict[str, Variant]:
-    """How a GPU is given its work. Neither waits for the counts."""
+    """Graph replay against separate launches on a GPU. Neither waits for the counts."""
     if world.scene.device.type != "cuda":
         return {}
     needed = pgccd.detect(world.scene, motions[0]).stats.needed
@@ -126,7 +126,7 @@ def launches(world: MixedWorld, motions: list[pgccd.RigidMotion]) -> dict[str, V
 def compare(
     question: str, variants: dict[str, Variant], motions: list[pgccd.RigidMotion], device: str
 ) -> list[dict[str, Any]]:
-    """A row for each variant. The first motion is not timed. Variants take turns, so that a slow moment hits all."""
+    """One row per variant. The first motion is a warm-up. Variants alternate, so that disturbances affect all."""
     spent: dict[str, list[float]] = {name: [] for name in variants}
     for index, motion in enumerate(motions):
         seen = None
@@ -135,7 +135,7 @@ def compare(
             if isinstance(hits, pgccd.PaddedContacts):
                 hits = hits.trim()
             pairs = hits.pairs.unique(dim=0)
-            if name == "earliest":  # the one contact among those of the variants before
+            if name == "earliest":  # its one contact must be among those of the variants before
                 is_right = seen is not None and all(pair in seen.tolist() for pair in pairs.tolist())
             else:
                 is_right = seen is None or torch.equal(seen, pairs)
@@ -148,7 +148,7 @@ def compare(
 
 
 def precisions(world: MixedWorld, motions: list[pgccd.RigidMotion], device: str) -> list[dict[str, Any]]:
-    """Vertex-face queries, the candidates of all steps."""
+    """float64 against float32 on vertex-face queries: the candidates of all steps."""
     ends = [torch.cat(parts) for parts in zip(*(_queries(world, motion, device) for motion in motions), strict=True)]
     rows = []
     for dtype in (torch.float64, torch.float32):
@@ -162,7 +162,7 @@ def precisions(world: MixedWorld, motions: list[pgccd.RigidMotion], device: str)
 
 
 def _queries(world: MixedWorld, motion: pgccd.RigidMotion, device: str) -> list[Tensor]:
-    """(n, 4, 3) points at both ends, about the first body's position, where float32 has digits to spare."""
+    """Points (n, 4, 3) at both ends, relative to the first body's position, where float32 has spare digits."""
     moving = pgccd.MovingBodies(world.scene, with_path(motion, "linear"))
     pairs = pgccd.broad.find_pairs(moving)
     candidates, _ = pgccd.traverse.bvtt(moving, pairs)
@@ -181,7 +181,7 @@ def _queries(world: MixedWorld, motion: pgccd.RigidMotion, device: str) -> list[
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table."""
+    """The row as table columns."""
     queries = {"queries": row.get("queries"), "contacts": row.get("contacts")}
     return {"question": row["question"], "variant": row["variant"], "ms": row["ms"]["median"], **queries}
 

@@ -1,6 +1,4 @@
-"""pgccd's broad phases against one another, on swept spheres: scenes of several densities, sizes and shapes. (Beside
-other programs: peers.py.)
-"""
+"""pgccd's broad phases on swept spheres: scenes of several densities, sizes and shapes. (Other programs: peers.py.)"""
 
 from __future__ import annotations
 

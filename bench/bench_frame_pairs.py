@@ -1,11 +1,11 @@
 """Every colliding vertex-face and edge-edge pair of public simulation frame pairs, self-collisions included.
 
-Reads a folder of public ground truth; bench/support/frame_pairs.py says what is in it. Each scene is one body that
-deforms and collides with itself. Vertices are in device memory before the clock starts, contacts are there when it
-stops. The mesh and the shape of its hierarchy, which last for all frames of a simulation, are made before. What is
-found is compared with the list: any other contact is "extra", a false positive.
+Reads a folder of public ground truth; see bench/support/frame_pairs.py for its format. Each scene is one deforming body
+that collides with itself. Times are from vertices in device memory to contacts in device memory. The mesh and the
+topology of its hierarchy, which are constant over a simulation, are not timed. Contacts are compared with the list:
+those not in it are "extra", false positives.
 
-Without --data nothing is measured.
+Without --data it does nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from support import frame_pairs, results, timing
 
 import pgccd
 
-# "all": a toi for every colliding pair; "earliest": the one toi of the whole step.
+# "all": a toi for every colliding pair; "earliest": the first toi of the whole step.
 _REPORTS: tuple[pgccd.narrow.Report, ...] = ("all", "earliest")
 
 
@@ -79,7 +79,7 @@ def measure(pair: frame_pairs.FramePair, report: pgccd.narrow.Report, arguments:
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table."""
+    """The row as table columns."""
     counts = ("pcs", "node_tests", "candidates", "contacts", "unresolved", "true", "missed", "extra")
     return {
         "scene": row["scene"],

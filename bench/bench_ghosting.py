@@ -1,13 +1,12 @@
-"""Two ways to find all contacts of the bodies of many ranks, counted on the standard model:
+"""Two ways to find all contacts of bodies distributed over ranks, counted on the standard model:
 
   once   ghosts where CBVs reach; each pair is tested by one rank, the owner of its boxes' reference point; contacts are
-         sent to the owners of both bodies (what `pgccd.distributed` does)
-  twice  ghosts where CBVs, grown by the largest extent of any, reach; every owner finds all contacts of its bodies by
-         itself, and pairs of two owners are tested by both
+  sent to the owners of both bodies (as in `pgccd.distributed`) twice  ghosts where CBVs grown by the largest extent of
+  any body reach; every owner finds all contacts of its bodies, and pairs with two owners are tested by both
 
-Per body: ghosts, body pairs tested, rows of contacts sent. "unseen": pairs that no rank would test if ghosts were where
-CBVs reach and owners tested pairs of their own bodies alone, since neither owner holds the other body. Robots have been
-moving for some steps; there is no GPU and no message in this, only numbers.
+Per body: ghosts, body pairs tested, rows of contacts sent. "unseen": pairs that no rank would test with ghosts where
+CBVs reach and owners testing only pairs of their own bodies, since neither owner has the other body. Robots have moved
+for some steps before. Only counts are computed; no GPU is used and no messages are sent.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from pgccd import broad, ops, sim
 from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed import Cells
 
-_ROWS = 1 << 18  # of bodies by ranks at a time
+_ROWS = 1 << 18  # (body, rank) entries per chunk
 
 
 def main() -> None:
@@ -51,12 +50,12 @@ def main() -> None:
 def count(
     model: sim.Model, bodies: MovingBodies, contacts: Tensor, ranks: int, arguments: argparse.Namespace
 ) -> dict[str, Any]:
-    """One row."""
+    """The row of one number of ranks."""
     x, y, z = model.half_extent
     partition = Cells.uniform((-x, -y, -z), (x, y, z), ranks, cells=arguments.cells)
     centres = [bodies.position_t0, bodies.position_t1, bodies.radius]
     lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
-    # Distance that a CBV reaches from the centre that decides the owner of the body.
+    # Largest distance of a box's faces from the centre that determines the owner.
     extent = float(torch.maximum(upper - bodies.position_t0, bodies.position_t0 - lower).max())
     owner, pairs = partition.owner_of(bodies.position_t0), broad.find_pairs(bodies)
     owners = owner[pairs]
@@ -75,7 +74,7 @@ def count(
 
 
 def ghosts(partition: Cells, centres: list[Tensor], owner: Tensor, separation: float) -> int:
-    """Bodies that reach cells of others with boxes grown by half the separation, once for each of these."""
+    """Ghosts with boxes grown by half the separation: bodies times the other ranks that they reach."""
     total = 0
     for rows in torch.arange(len(owner)).split(max(1, _ROWS // partition.ranks)):
         reached = reach(partition, centres, rows, separation)
@@ -85,16 +84,16 @@ def ghosts(partition: Cells, centres: list[Tensor], owner: Tensor, separation: f
 
 
 def reach(partition: Cells, centres: list[Tensor], rows: Tensor, separation: float = 0.0) -> Tensor:
-    """(B, ranks) uint8: 1 where one of the rows (B,) reaches a cell of the rank."""
+    """Entry (B, ranks) uint8: 1 where one of the rows (B,) reaches a cell of the rank."""
     ranks = partition.ranks
     reached, _ = ops.replica_ranks(centres, separation, 0.0, partition.subdomain(0), rows, ranks)
-    # A rank is sent the contacts of others only.
+    # The operator omits the calling rank; its column is computed as another rank.
     reached[:, 0] = ops.replica_ranks(centres, separation, 0.0, partition.subdomain(ranks - 1), rows, ranks)[0][:, 0]
     return reached
 
 
 def unseen(partition: Cells, centres: list[Tensor], pairs: Tensor, owners: Tensor) -> int:
-    """Pairs (P, 2) of different owners (P, 2), neither of which holds the body that is not its own."""
+    """Pairs (P, 2) with different owners (P, 2) in which neither owner has the other body."""
     seen = torch.zeros(len(pairs), dtype=torch.bool)
     for side in range(2):
         reached = reach(partition, centres, pairs[:, side].contiguous())
@@ -103,7 +102,7 @@ def unseen(partition: Cells, centres: list[Tensor], pairs: Tensor, owners: Tenso
 
 
 def sent(partition: Cells, lower: Tensor, owner: Tensor, contacts: Tensor) -> int:
-    """Rows of contacts on their way to owners of their bodies that did not find them."""
+    """Rows of contacts sent to owners of their bodies that did not find them."""
     tester = partition.owner_of(torch.maximum(lower[contacts[:, 0]], lower[contacts[:, 1]]))
     owners = owner[contacts]
     rows = owners != tester[:, None]

@@ -1,16 +1,16 @@
-"""How the time and the memory of one step's detection (first contact of every pair) grow with what a scene holds.
+"""Growth of the time and memory of one step's detection (first contact of every pair) with the scene.
 
 Scenes:
-  standard  the standard nanorobot world in full swing, from a thousand robots to ten million
-  density   robots at random places, free to overlap, with 0.25 to 16 potentially colliding pairs a body
-  terrain   pebbles of 80 triangles that fall on one static mesh of a million triangles
-  sizes     robots of sizes from 1 to 1/1000, uniform in their logarithm, at random places, about one pair a body
-  fast      the standard world's robots, but each moves 2 radii and turns by 1.5 rad in the step
+  standard the standard nanorobot world after it has left the lattice, from a thousand robots to ten million density
+  robots at random places, free to overlap, with 0.25 to 16 potentially colliding pairs per body terrain   pebbles of 80
+  triangles that fall on one static mesh of a million triangles sizes     robots of sizes from 1 to 1/1000, uniform in
+  their logarithm, at random places, about one pair per body fast      the standard world's robots, but each moves 2
+  radii and turns by 1.5 rad in the step
 
-Every step timed has its own poses: poses in device memory to contacts in device memory, by device events on a GPU. The
-times of stages are the host's, which waits for the device only where it needs a number. "peak_bytes" is the most that
-was held during one further step: scene, poses and all that detection allocates; "scratch_bytes" the last of these. (On
-a CPU these are resident pages.)
+Every timed step has its own poses. Times are from poses in device memory to contacts in device memory, by device events
+on a GPU. Stage times are host times; the host waits for the device only where it needs a number. "peak_bytes" is the
+peak of one further step: scene, poses and the allocations of detection; "scratch_bytes" is the latter alone. (On a CPU
+these are resident pages.)
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from pgccd import sim
 
 _PAIRS_A_BODY = (0.25, 1.0, 4.0, 16.0)
 _SIZE_RATIO, _SIZES = 1000.0, 31
-# Of the standard world's mean displacement, 0.1 radii, and largest turn, 0.1 rad.
+# Relative to the standard world's mean displacement, 0.1 radii, and largest turn, 0.1 rad.
 _FASTER, _TURNING_FASTER = 20.0, 15.0
-# Larger worlds make fewer steps before the first one timed.
+# Larger worlds make fewer steps before timing.
 _LARGE = 2_000_000
-# Steps timed at least, however long they take.
+# Minimum number of timed steps, however long they take.
 _FEWEST = 5
 _COUNTS = ("pcs", "node_tests", "candidates", "contacts")
 
@@ -47,7 +47,7 @@ Steps = tuple[pgccd.Scene, Iterator[pgccd.RigidMotion]]
 
 @dataclass
 class Case:
-    """One row: how its scene and its steps are made, and what is worth telling about them."""
+    """One row: generators of its scene and steps, and details to report."""
 
     scene: str
     bodies: int
@@ -63,7 +63,7 @@ def main() -> None:
         for case in cases(arguments):
             rows.append(measure(case, arguments))
             print(f"{case.scene}, {case.bodies} bodies: {rows[-1]['ms']['median']} ms", flush=True)
-    finally:  # rows that are done are kept when a larger scene does not fit
+    finally:  # keeps finished rows when a larger scene does not fit
         if rows:
             print()
             results.table([flat(row) for row in rows])
@@ -72,7 +72,7 @@ def main() -> None:
 
 
 def parse_arguments() -> argparse.Namespace:
-    """The command line. Sizes not given depend on the device."""
+    """The command line. Default sizes depend on the device."""
     parser = results.parser(__doc__)
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--scenes", nargs="+", choices=_SCENES, default=list(_SCENES))
@@ -108,13 +108,13 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Case]:
-    """All rows asked for."""
+    """All requested rows."""
     for scene in arguments.scenes:
         yield from _SCENES[scene](arguments)
 
 
 def standard(arguments: argparse.Namespace) -> Iterator[Case]:
-    """The standard world by number of robots."""
+    """The standard world for each number of robots."""
     for robots in arguments.robots:
         steps_before = arguments.steps_before_large if robots > _LARGE else arguments.steps_before
 
@@ -126,7 +126,7 @@ def standard(arguments: argparse.Namespace) -> Iterator[Case]:
 
 
 def density(arguments: argparse.Namespace) -> Iterator[Case]:
-    """Robots by pairs a body."""
+    """Robots for each number of pairs per body."""
     for pairs in _PAIRS_A_BODY:
 
         def make(pairs: float = pairs) -> Steps:
@@ -179,13 +179,13 @@ _SCENES: dict[str, Callable[[argparse.Namespace], Iterator[Case]]] = {
 
 
 def faster(state: sim.RobotState) -> pgccd.RigidMotion:
-    """The step about to be made, longer and with more rotation."""
+    """The planned step, longer and with more rotation."""
     velocity, spin = _FASTER * state.velocity, _TURNING_FASTER * state.angular_velocity
     return pgccd.RigidMotion.from_velocity(state.position, state.orientation, velocity, spin, dt=1.0)
 
 
 def measure(case: Case, arguments: argparse.Namespace) -> dict[str, Any]:
-    """One row: medians over the steps timed, means of the counts, and memory."""
+    """One row: medians over the timed steps, means of the counts, and memory."""
     device = arguments.device
     bytes_at_first = bytes_in_use(device)
     scene, motions = case.make()
@@ -224,7 +224,7 @@ def measure(case: Case, arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table."""
+    """The row as table columns."""
     return {
         "scene": row["scene"],
         "bodies": row["bodies"],

@@ -1,9 +1,9 @@
-"""Time of a whole step of the nanorobot simulation on one GPU: as replays of one CUDA graph, and launch by launch; on
-an idle host, and on one whose processors are all busy with something else.
+"""Time of a whole step of the nanorobot simulation on one GPU: as replays of one CUDA graph, and with separate
+launches; on an idle host, and on one whose cores are all busy with other processes.
 
 "wall" is the time between steps on the host, "device" the time between events on the stream, as in `steps.jsonl`. Both
-ways must end in the same state. A step that the graph could not make counts with what it took to make it again and to
-capture a larger graph.
+must end in the same state. The time of a step that overflowed the graph's capacity includes repeating it and capturing
+a larger graph.
 """
 
 from __future__ import annotations
@@ -73,14 +73,14 @@ def measure(robots: int, graph: bool, busy: bool, arguments: argparse.Namespace)
 
 
 def keep_busy(stop: Event) -> None:
-    """Keeps one processor busy."""
+    """Keeps one core busy."""
     while not stop.is_set():
         sum(range(100_000))
 
 
 @contextmanager
 def busy_host() -> Iterator[None]:
-    """As many processes as there are processors, all of them busy."""
+    """Starts one busy process per core."""
     context = multiprocessing.get_context("spawn")
     stop = context.Event()
     processes = [context.Process(target=keep_busy, args=(stop,), daemon=True) for _ in range(os.cpu_count() or 1)]
@@ -96,7 +96,7 @@ def busy_host() -> Iterator[None]:
 
 @contextmanager
 def idle_host() -> Iterator[None]:
-    """Nothing else."""
+    """No other load."""
     yield
 
 

@@ -1,14 +1,13 @@
-"""Time of one step's detection in the standard nanorobot world, per stage, with the memory taken (by everything: the
-world's state, poses, detection) and the floor below it.
+"""Time of one step's detection in the standard nanorobot world, per stage, with the memory used (by the world's state,
+poses and detection) and a lower bound of the time.
 
-The world first runs until nothing is left of the lattice it starts from (`--steps-before`, or `--checkpoint`). Then,
-step after step of the simulation, `detect(report="first")` is timed: poses in device memory to contacts in device
-memory. The floor is what any program would need at least: reading every pose once, writing and reading every
-potentially colliding pair, writing every contact, at the copy bandwidth measured in the same run; and the operations
-of the node tests and candidates that were actually made, roughly counted, at the rate of matrix products measured in
-the same run.
+The world first runs until it has left the lattice of its start (`--steps-before`, or `--checkpoint`). Then
+`detect(report="first")` is timed in successive steps: poses in device memory to contacts in device memory. The lower
+bound is the time that any program needs for: reading every pose once, writing and reading every potentially colliding
+pair, writing every contact, at the copy bandwidth measured in the same run; and the operations of the node tests and
+candidates actually tested, roughly counted, at the rate of matrix products measured in the same run.
 
-On a GPU further steps are also made as a CUDA graph in a capacity that suffices for them, and must find as much.
+On a GPU further steps also run as a CUDA graph with sufficient capacity, and must find the same contacts.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ from support.scenes import MixedWorld
 import pgccd
 from pgccd import sim
 
-# Roughly, from the sources: a node is placed at both ends (36 operations) and tested as moving spheres (24); a
-# candidate that is culled at once takes a few hundred operations in double precision. Triangle tests at the leaves are
-# not counted at all.
+# Rough counts from the sources: a node is placed at both ends (36 operations) and tested as moving spheres (24); a
+# candidate culled by the first test takes a few hundred operations in double precision. Triangle tests at the leaves
+# are not counted.
 _OPERATIONS_A_NODE_TEST = 60
 _OPERATIONS_A_CANDIDATE = 400
 _BYTES_A_PAIR = 16
@@ -77,7 +76,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def measure(robots: int, arguments: argparse.Namespace, rates: dict[str, float]) -> dict[str, Any]:
-    """One size of world: medians over the steps timed, and means of the counts."""
+    """One world size: medians over the timed steps, and means of the counts."""
     with PeakMemory(arguments.device) as memory:
         world = start(robots, arguments)
         row = run(world, arguments, rates)
@@ -86,14 +85,14 @@ def measure(robots: int, arguments: argparse.Namespace, rates: dict[str, float])
 
 
 def start(robots: int, arguments: argparse.Namespace) -> MixedWorld:
-    """The world in full swing."""
+    """The world after it has left the lattice."""
     if arguments.checkpoint:
         return MixedWorld.from_checkpoint(sim.load_checkpoint(arguments.checkpoint), arguments.device)
     return MixedWorld(robots, arguments.steps_before, arguments.device, arguments.seed, arguments.pattern)
 
 
 def run(world: MixedWorld, arguments: argparse.Namespace, rates: dict[str, float]) -> dict[str, Any]:
-    """`measure` without the memory and the graph."""
+    """`measure` without memory and graph."""
     device, robots = arguments.device, len(world.state)
     spent: list[float] = []
     stages: dict[str, list[float]] = {}
@@ -133,7 +132,7 @@ def run(world: MixedWorld, arguments: argparse.Namespace, rates: dict[str, float
 
 
 def as_graph(world: MixedWorld, arguments: argparse.Namespace) -> dict[str, float]:
-    """Milliseconds that steps take as a graph."""
+    """Milliseconds per step as a graph."""
     device, spent = arguments.device, []
     captured: pgccd.CapturedDetection | None = None
     for state in itertools.islice(world, 1 + arguments.rounds):
@@ -155,7 +154,7 @@ def as_graph(world: MixedWorld, arguments: argparse.Namespace) -> dict[str, floa
 
 
 def measure_rates(device: str) -> dict[str, float]:
-    """Copy bandwidth (read and write both counted) and operations a second of a float32 matrix product."""
+    """Copy bandwidth (reads plus writes) and operations per second of a float32 matrix product."""
     source = torch.ones(1 << 26, dtype=torch.float32, device=device)
     target = torch.empty_like(source)
     copies = [timing.seconds(lambda: target.copy_(source), device)[0] for _ in range(12)][2:]
@@ -169,7 +168,7 @@ def measure_rates(device: str) -> dict[str, float]:
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table."""
+    """The row as table columns."""
     return {
         "robots": row["robots"],
         "ms": row["ms"]["median"],

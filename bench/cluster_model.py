@@ -1,27 +1,24 @@
-"""What limits 64 to 1,024 GPUs: the decomposition of up to a billion bodies, really made (on the CPU, in blocks,
-without detection), and a model of a step's time on top of it.
+"""Limits of scaling to 64 to 1,024 GPUs: the actual decomposition of up to a billion bodies (on the CPU, in blocks,
+without detection), and a model of a step's time based on it.
 
-Counted for every number of ranks: bodies, ghosts and neighbours of each rank, bytes in the halo, the size of the table
-of cells. Then a skewed density (a peak in each corner of the box) is balanced for some steps by the policy of
-`pgccd.distributed.partition.balance` itself. The model adds up, for the most loaded rank:
+Counted for every number of ranks: bodies, ghosts and neighbours of each rank, bytes of the halo, size of the cell
+table. Then a skewed density (a peak in each corner of the box) is balanced for some steps by the policy of
+`pgccd.distributed.partition.balance`. The model sums, for the most loaded rank:
 
-    alone       a step of one process: linear in its robots, through what was measured for the smallest and the largest
-                number (bench/results/cluster_scaling-cuda.json)
-    imbalance   that, times what the most loaded rank has more
-    ghosts      a robot's share of that, times the ghosts
-    many        what a step of two ranks on one host took more: launches and calls of NCCL
-    halo        between hosts: messages x latency + bytes / bandwidth, out and in, for halo and migration
-    resolution  between hosts: `--rounds` x one exchange of 16 bytes a ghost
-    gather      between hosts: one all-gather of 900 bytes a rank
-    balance     between hosts: one all-reduce of 24 bytes a cell; and the decision, which is timed here once the loads
-                are even
+    alone       a step of one process: linear in its robots, through the measurements of the smallest and the largest
+    number (bench/results/cluster_scaling-cuda.json) imbalance   that, times the excess load of the most loaded rank
+    ghosts time per robot, times the ghosts many        extra time of a step of two ranks on one host: launches and NCCL
+    calls halo        between hosts: messages x latency + bytes / bandwidth, out and in, for halo and migration
+    resolution  between hosts: `--rounds` x one exchange of 16 bytes per ghost gather      between hosts: one all-gather
+    of 900 bytes per rank balance     between hosts: one all-reduce of 24 bytes per cell; and the decision, timed here
+    once the loads are even
 
-and says which share of a step each is. Robots have the size, the speed and the density of the standard world and are
-spread evenly. What it says of four ranks on one host, which it has not been fitted to, stands beside the measurement;
-of an earlier version too, to whose own rows it is fitted then.
+and gives each term's share of the step. Robots have the size, the speed and the density of the standard world and are
+spread evenly. Its prediction for four ranks on one host, to which it is not fitted, is listed next to the measurement;
+also for the rows of an earlier version, with its own fit.
 
-    python bench/cluster_model.py --robots 1000000000 --ranks 1024
-    python bench/cluster_model.py --counted  # the model again, from earlier counts
+    python bench/cluster_model.py --robots 1000000000 --ranks 1024 python bench/cluster_model.py --counted  # only the
+    model, from earlier counts
 """
 
 from __future__ import annotations
@@ -40,8 +37,8 @@ from pgccd.distributed import BalanceOptions, CellLoads, Cells, imbalance, rebal
 from pgccd.distributed.partition.balance import rank_loads
 
 _BLOCK = 1 << 20
-_STATE_BYTES = 112  # of a robot in the halo
-_GHOST_BYTES = 16  # there and back in a round
+_STATE_BYTES = 112  # per robot in the halo
+_GHOST_BYTES = 16  # both ways in a round
 _RECORD_BYTES = 900
 _CELL_BYTES = 24
 
@@ -72,13 +69,13 @@ def main() -> None:
 
 
 def count(arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    """The decompositions of one world."""
+    """The decompositions of one world for all numbers of ranks."""
     model = sim.Model(sim.ModelConfig(robots=arguments.robots))
     begin = time.perf_counter()
     counts = [Counts(model, ranks, arguments) for ranks in arguments.ranks]
     for first in range(0, arguments.robots, _BLOCK):
         state = model.start(torch.arange(first, min(arguments.robots, first + _BLOCK)))
-        # Anywhere: in the lattice of the start, whole layers would lie on one side of a boundary.
+        # Random positions: in the initial lattice, whole layers would lie on one side of a boundary.
         place = ops.random_uniforms(state.id, 0, 0, 0)[:, :3] - 0.5
         state.position = 2.0 * place * torch.tensor(model.half_extent, dtype=torch.float64)
         motion, radius = model.motion(state), model.scene(state.id).radius
@@ -104,10 +101,10 @@ def parse_arguments() -> argparse.Namespace:
 
 
 class Measured:
-    """What was measured on one host, and how well it is described.
+    """Model parameters fitted to measurements on one host; `check` compares predictions with measurements.
 
     Args:
-        rows: of cluster_scaling.py, for one and two ranks at least; or none.
+        rows: of cluster_scaling.py, at least for one and two ranks; or empty.
     """
 
     def __init__(self, rows: list[dict[str, Any]]) -> None:
@@ -139,13 +136,13 @@ class Measured:
         return self.fixed_ms + self.robot_ms * bodies
 
     def step(self, row: dict[str, Any]) -> float:
-        """Of a measured row, but for what being many costs."""
+        """The prediction for a measured row, without the communication term."""
         bodies = row["robots"] / row["ranks"]
         return self.alone(bodies) * row["imbalance_by_step"][-1] + self.robot_ms * bodies * row["ghosts_a_body"]
 
     @property
     def fitted(self) -> dict[str, float]:
-        """The numbers found."""
+        """The fitted parameters."""
         return {name: timing.rounded(value) for name, value in vars(self).items() if name != "check"}
 
 
@@ -157,11 +154,11 @@ class Counts:
         upper = (x, y, z)
         self.partition = Cells.uniform((-x, -y, -z), upper, ranks, axes=arguments.axes, cells=arguments.cells)
         self.bodies = torch.zeros(self.partition.cell_count, dtype=torch.int64)
-        #: From rank to rank.
+        #: by (source, destination).
         self.ghosts = torch.zeros(ranks * ranks, dtype=torch.int64)
 
     def add(self, motion: Any, radius: torch.Tensor) -> None:
-        """A block of bodies."""
+        """Counts a block of bodies."""
         partition, ranks = self.partition, self.partition.ranks
         centres = [motion.position_t0, motion.position_t1, radius]
         centre = partition.cell_of(motion.position_t0)
@@ -170,7 +167,7 @@ class Counts:
         first, last = (partition.cell_of(corner) for corner in ops.swept_boxes(*centres, 0.0, 0.0))
         for rows in torch.nonzero(first != last)[:, 0].split(max(1, _BLOCK // ranks)):
             reached, _ = ops.replica_ranks(centres, 0.0, 0.0, partition.subdomain(0), rows, ranks)
-            if ranks > 1:  # a rank is sent the contacts of others only
+            if ranks > 1:  # the operator omits the calling rank
                 reached[:, 0] = ops.replica_ranks(centres, 0.0, 0.0, partition.subdomain(1), rows, ranks)[0][:, 0]
             row, destination = torch.nonzero(reached).unbind(dim=1)
             source = owner[rows[row]]
@@ -178,7 +175,7 @@ class Counts:
             self.ghosts += torch.bincount((source * ranks + destination)[away], minlength=ranks * ranks)
 
     def row(self, arguments: argparse.Namespace) -> dict[str, Any]:
-        """Counts and balance."""
+        """Counts, and the balancing of a skewed density."""
         partition, ranks = self.partition, self.partition.ranks
         table = self.ghosts.view(ranks, ranks)
         sent, received = table.sum(1), table.sum(0)
@@ -200,7 +197,7 @@ class Counts:
 
 
 def spread(values: torch.Tensor) -> dict[str, float]:
-    """Least, mean, most."""
+    """Minimum, mean and maximum."""
     return {
         "least": int(values.min()),
         "mean": timing.rounded(float(values.double().mean())),
@@ -209,14 +206,14 @@ def spread(values: torch.Tensor) -> dict[str, float]:
 
 
 def balance_skewed(partition: Cells, steps: int) -> dict[str, Any]:
-    """Imbalance step by step of robots that crowd in the eight corners, four times as dense there as on average."""
+    """Imbalance per step for robots concentrated in the eight corners, at four times the average density."""
     centre = [(torch.arange(count) + 0.5) / count for count in partition.grid]
     off = torch.stack(
         [torch.minimum(axis, 1.0 - axis)[index] for axis, index in zip(centre, _grid(partition), strict=True)]
     )
     density = 1.0 + 12.0 * torch.exp(-((off / 0.12) ** 2).sum(dim=0))
     bodies = (1e9 / len(density) * density / density.mean()).long()
-    pairs = (bodies * density / density.mean() * 0.75).long()  # partners grow with the density
+    pairs = (bodies * density / density.mean() * 0.75).long()  # the number of partners is proportional to the density
     loads = CellLoads(bodies, pairs, pairs // 20)
     seen, moved, decision = [], [], []
     for _ in range(steps):
@@ -241,7 +238,7 @@ def _grid(partition: Cells) -> tuple[torch.Tensor, ...]:
 def model(
     row: dict[str, Any], arguments: argparse.Namespace, measured: Measured, uneven: float | None = None
 ) -> dict[str, Any]:
-    """Milliseconds of a step on the most loaded rank, and the efficiency against one GPU with its share alone."""
+    """Milliseconds of a step on the most loaded rank, and the efficiency relative to one GPU with its share."""
     ranks, latency = row["ranks"], 1e-3 * arguments.latency_us
     a_millisecond = 1e6 * arguments.gigabytes
     bodies, ghosts = row["bodies_a_rank"]["mean"], row["ghosts_a_rank"]["most"]
@@ -269,7 +266,7 @@ def model(
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table."""
+    """The row as table columns."""
     ghosts = row["ghosts_a_rank"]["most"] / row["bodies_a_rank"]["mean"]
     limits = sorted(row["model"]["parts_ms"].items(), key=lambda item: -item[1])[1]
     return {

@@ -1,15 +1,15 @@
-"""Strong and weak scaling and balance of the nanorobot world over ranks, and where the time of a step goes.
+"""Strong and weak scaling and balance of the nanorobot world over ranks, with the time of a step by stage.
 
-Run it once for each number of ranks; every run adds its row to the same file and compares it with the rows there:
+Run it once for each number of ranks; every run adds a row to the file and compares it with the rows in it:
 
     python bench/cluster_scaling.py --robots 4000000 --device cuda
     torchrun --nproc-per-node 4 bench/cluster_scaling.py --robots 4000000 --device cuda
     torchrun --nproc-per-node 4 bench/cluster_scaling.py --robots-a-rank 1000000 --device cuda
 
-With one rank the single-device program is timed beside, over the same steps. Steps follow one another as a simulation
-makes them; one lasts from the end of the one before, which every rank learns when the slowest has come. `waiting` is
-what a rank spends in the all-gather of the outcome. Ranks depend on their hosts: `host_loop_ms` is what a loop of plain
-Python takes on each of them at the end, all at once; compare it before you compare rows.
+With one rank the single-device program is timed too, over the same steps. Steps run consecutively as in a simulation; a
+step lasts from the end of the one before, which is common to all ranks. `waiting` is the time a rank spends in the
+all-gather of the outcome. Times depend on the hosts: `host_loop_ms` is the time of a plain Python loop run on all ranks
+at once at the end; compare it before comparing rows.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from pgccd.distributed.launch.connect import TRANSPORTS
 from pgccd.distributed.partition.rebalancing import make_partition
 from pgccd.sim.runner import HasRecord
 
-# What the stages of a step are summed up to.
+# Groups of stages.
 PARTS = {
     "plan": ("plan",),
     "detect": ("bounds", "broad", "traverse", "narrow"),
@@ -40,13 +40,13 @@ PARTS = {
     "waiting": ("gather",),
     "hash": ("hash",),
 }
-# What is left of a step: the host's own time between stages. Negative where a GPU does something meanwhile: what has to
-# do with ghosts is done while own pairs are tested.
+# Remainder of a step: host time between stages. Negative where a GPU overlaps stages: ghosts are processed during the
+# tests of own pairs.
 REST = "rest"
 
 
 def main() -> None:
-    """Runs the benchmark on all ranks; rank 0 writes."""
+    """Runs the benchmark on all ranks; rank 0 writes the result."""
     arguments = parse_arguments()
     if arguments.device == "cpu":
         torch.set_num_threads(1)
@@ -78,7 +78,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, Any]:
-    """One row; the same on all ranks."""
+    """One row, equal on all ranks."""
     weak = arguments.robots_a_rank is not None
     robots = arguments.robots_a_rank * comm.size if weak else arguments.robots
     config = sim.ModelConfig(robots=robots, pattern=arguments.pattern, seed=arguments.seed)
@@ -142,7 +142,7 @@ def start(
 def follow(
     comm: distributed.Comm, begin: int, rounds: int, step: Callable[[int], HasRecord]
 ) -> tuple[list[float], list[dict[str, Any]]]:
-    """Seconds and lines of the log of so many steps in a row, after one that is not timed."""
+    """Durations (seconds) and log records of `rounds` consecutive steps, after one untimed step."""
     comm.barrier()
     last = step(begin)
     end, durations, records = time.perf_counter(), [], []
@@ -150,26 +150,26 @@ def follow(
         made = step(index)
         former, end = end, time.perf_counter()
         durations.append(end - former)
-        # As a simulation does: a step's line is written when the next has been made.
+        # As in a simulation: a step's record is written after the next step.
         records.append(last.record)
         last = made
     return durations, [*records[1:], last.record]
 
 
 def parts_of(record: dict[str, Any], duration: float) -> dict[str, float]:
-    """Seconds of a step on one rank, by what they were spent on."""
+    """Seconds of a step on one rank, by group of stages."""
     spent = {name: sum(record["stage_seconds"].get(stage, 0.0) for stage in stages) for name, stages in PARTS.items()}
     return spent | {REST: duration - sum(spent.values())}
 
 
 def over_ranks(parts: list[list[dict[str, float]]], name: str, combine: Any) -> float:
-    """Median over the steps of the mean, or the largest, of all ranks; milliseconds."""
+    """Median over the steps of the mean or maximum over ranks, milliseconds."""
     steps = [combine([rank[step][name] for rank in parts]) for step in range(len(parts[0]))]
     return timing.summary(steps)["median"]
 
 
 def mean(values: list[float]) -> float:
-    """Of a list that is not empty."""
+    """Mean of a nonempty list."""
     return sum(values) / len(values)
 
 
@@ -179,7 +179,7 @@ def ratio(values: list[float]) -> float:
 
 
 def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -> None:
-    """Adds the row to the file, and prints all of them."""
+    """Adds the row to the file, and prints all rows."""
     path = arguments.out or results.FOLDER / f"cluster_scaling-{arguments.device.partition(':')[0]}.json"
     known = json.loads(Path(path).read_text()) if Path(path).exists() else {}
     rows = known.get("rows", [])
@@ -197,25 +197,25 @@ def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -
         "transport",
     )
     row["transport"] = transport
-    row["commit"] = results.versions()["commit"]  # others of the file may be of other versions
+    row["commit"] = results.versions()["commit"]  # other rows may come from other versions
     rows = [other for other in rows if [other.get(name) for name in key] != [row[name] for name in key]] + [row]
     rows.sort(key=lambda other: (other["scaling"], other["pattern"], other["ranks"], other["robots"]))
     results.table([flat(other, rows) for other in rows])
     print(f"\nmilliseconds of this run, {row['robots']:,} robots on {row['ranks']} ranks:")
     results.table(by_stage(row))
-    kept = {name: value for name, value in known.items() if name.startswith("earlier_rows")}  # of versions before
+    kept = {name: value for name, value in known.items() if name.startswith("earlier_rows")}  # from earlier versions
     results.write("cluster_scaling", arguments.device, {"rows": rows} | kept, Path(path))
 
 
 def by_stage(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """Where the time of a step goes."""
+    """The time of a step by stage, as table rows."""
     mean_ms, slowest_ms = row["mean_of_ranks_ms"], row["slowest_rank_ms"]
     stages = [{"stage": name, "mean of ranks": mean_ms[name], "slowest rank": slowest_ms[name]} for name in mean_ms]
     return [*stages, {"stage": "whole step", "mean of ranks": row["ms"]["median"], "slowest rank": None}]
 
 
 def flat(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """A row of the table, with its efficiency against the single process of the same world."""
+    """The row as table columns, with its efficiency relative to the single process in the same world."""
     a_rank = row["robots"] // row["ranks"]
     wanted = row["robots"] if row["scaling"] == "strong" else a_rank
     base = [

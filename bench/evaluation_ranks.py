@@ -1,4 +1,4 @@
-"""One rank of the evaluation; started by the scripts of the figures, which say what there is to do in a folder."""
+"""One rank of the evaluation; started by the scripts of the figures, with its cases in a folder."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def measure_simulation(comm: distributed.Comm, case: Case, steps: Steps, given: 
 
 
 def measure_baseline(comm: distributed.Comm, case: Case, steps: Steps, given: dict[str, Any]) -> dict[str, Any]:
-    """Detection by PCCCD; each rank has a block of robots, as they stood on the lattice at the start."""
+    """Detection by PCCCD; each rank has a block of robots in their initial lattice order."""
     config = sim.ModelConfig(**given["config"])
     model = sim.Model(config)
     begin, end = (rank * case.robots // comm.size for rank in (comm.rank, comm.rank + 1))
@@ -95,7 +95,7 @@ def measure_baseline(comm: distributed.Comm, case: Case, steps: Steps, given: di
         assert baseline.stats is not None and hits.toi is not None
         stages.append(baseline.stats.seconds)
         boxes += baseline.stats.boxes
-        first_is_mine = (hits.pairs[:, 0] >= begin) & (hits.pairs[:, 0] < end)  # contacts of two ranks are on both
+        first_is_mine = (hits.pairs[:, 0] >= begin) & (hits.pairs[:, 0] < end)  # contacts between two ranks are on both
         part = torch.tensor([sim.contacts_hash(hits.pairs[first_is_mine], hits.toi[first_is_mine]) - 2**63])
         total = sum(value + 2**63 for value in comm.all_gather(part)[:, 0].tolist()) % 2**64
         _require_hashes([f"{total:016x}"], given["hashes"][steps.settling + number :][:1], case)

@@ -1,12 +1,12 @@
-"""Figure 4 of Du, Liu & Suzumura (2017): how many times as fast as PCCCD a step is, with and without load balancing.
+"""Figure 4 of Du, Liu & Suzumura (2017): speedup of a step over PCCCD, with and without load balancing.
 
-    python bench/figure4.py                  # whatever this machine has: GPUs, or a small version on its CPU
-    python bench/figure4.py --device cpu --robots 10000 20000
+    python bench/figure4.py                  # on this machine's GPUs, or a small version on its CPU python
+    bench/figure4.py --device cpu --robots 10000 20000
 
-Ranks are started by the script: four, or as many as there are GPUs if these are fewer. A step of the simulation is
-timed as a whole (detection, resolution of collisions, migration, balance); of PCCCD only the detection, of the same
-motions, on all cores of the machine: on as many ranks, or on more with fewer threads each, whichever is fastest. All
-must find the same contacts.
+The script starts the ranks: four, or one per GPU if there are fewer GPUs. The simulation is timed by whole steps
+(detection, resolution of collisions, migration, balance); PCCCD only by its detection of the same motions, on all cores
+of the machine: on as many ranks, or on more with fewer threads each, whichever is fastest. All must find the same
+contacts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from support.evaluation import Case, Steps
 from pgccd import sim
 
 _ROBOTS = {"cpu": [1_000, 3_000, 8_000], "cuda": [10_000, 20_000, 30_000, 40_000]}
-# The paper's.
+# As in the paper.
 _RANKS, _THRESHOLD = 4, 0.15
 
 
@@ -53,13 +53,13 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def baseline_ranks(ranks: int) -> list[int]:
-    """How the cores are shared out among ranks of PCCCD: more ranks send and bisect side by side, and send more."""
+    """Numbers of ranks for PCCCD on all cores: more ranks bisect in parallel, but send more."""
     cores = len(os.sched_getaffinity(0))
     return sorted({ranks, max(ranks, cores // 4), max(ranks, cores)})
 
 
 def with_speedups(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Adds how many times as fast as PCCCD in the same world, on its best number of ranks, each is."""
+    """Adds each row's speedup over PCCCD in the same world, on PCCCD's best number of ranks."""
     base: dict[tuple[int, str], float] = {}
     for row in rows:
         if row["system"] == "PCCCD":
@@ -71,7 +71,7 @@ def with_speedups(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table."""
+    """The row as table columns."""
     return {
         "system": row["system"],
         "world": evaluation.world_of(row),

@@ -1,9 +1,9 @@
 """Figure 5 of Du, Liu & Suzumura (2017): time of a step against the number of ranks, with and without load balancing.
 
-    python bench/figure5.py                  # whatever this machine has: GPUs, or a small version on its CPU
+    python bench/figure5.py                  # on this machine's GPUs, or a small version on its CPU
 
-The paper's 40,000 robots, and sizes at which several GPUs pay. Ranks are started by the script, as many as there are
-GPUs at most.
+The paper's 40,000 robots, and sizes at which several GPUs are worthwhile. The script starts the ranks, at most one per
+GPU.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table."""
+    """The row as table columns."""
     return {
         "system": row["system"],
         "world": evaluation.world_of(row),

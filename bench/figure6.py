@@ -1,9 +1,10 @@
-"""Figure 6 of Du, Liu & Suzumura (2017): time of a step against the threshold of load balancing, by its own policy.
+"""Figure 6 of Du, Liu & Suzumura (2017): time of a step against the threshold of load balancing, with the paper's
+policy.
 
-    python bench/figure6.py                  # whatever this machine has: GPUs, or a small version on its CPU
+    python bench/figure6.py                  # on this machine's GPUs, or a small version on its CPU
 
-One cell at a time moves from the rank with most contacts to the one with fewest, once they differ by more than the
-threshold, relative to the most loaded. Beside it: no balancing, and the policy that pgccd uses by default.
+One cell at a time moves from the rank with most contacts to the one with fewest when they differ by more than the
+threshold, relative to the most loaded. For comparison: no balancing, and pgccd's default policy.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 from support import evaluation, results
 from support.evaluation import Case, Steps
 
-# The paper's number on GPUs, where it is little work, and one that fills them.
+# The paper's number on GPUs, a small load for them, and one that fills them.
 _ROBOTS = {"cpu": [2_000], "cuda": [10_000, 1_000_000]}
 _THRESHOLDS = (0.05, 0.10, 0.15, 0.20, 0.25, 0.30)
 
@@ -44,7 +45,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table."""
+    """The row as table columns."""
     return {
         "system": row["system"],
         "world": evaluation.world_of(row),

@@ -1,24 +1,23 @@
-"""Elementary queries with known answers: misses, false positives and microseconds, one CPU thread, beside ipctk's
-methods.
+"""Elementary queries with known results: misses, false positives and microseconds, one CPU thread, compared with
+ipctk's methods.
 
 Reads a folder of public ground truth (Wang et al. 2021, Belgrod et al. 2023), in NumPy files:
   queries/NAME.{vf,ee}.npz  points (n, 8, 3): four points at t0, then at t1; collides (n,) bool
   scenes/NAME.npz           vertices_t0, vertices_t1, faces, edges; vf_pairs, ee_pairs and *_collides (all true ones)
 
-Three sorts of rows come out. "queries": the given queries of one file. "exact list": the listed pairs of a scene,
-nearly all of which collide. "candidates": every pair of a scene whose swept boxes overlap; almost all of them are
-free, and any reported contact that the exact list does not contain is a false positive.
+Three kinds of rows are written. "queries": the given queries of one file. "exact list": the listed pairs of a scene,
+nearly all of which collide. "candidates": every pair of a scene whose swept boxes overlap; almost all of them are free,
+and any reported contact that the exact list does not contain is a false positive.
 
-"pgccd float32" is asked with the points rounded to float32. Its truth is what the float64 tests say of the rounded
-points, all of which float64 holds exactly: so "missed" there counts touches in float64 that float32 calls free, and
-"true" may differ from the row above.
+"pgccd float32" takes the points rounded to float32. Its reference is the float64 result on the rounded points, which
+are exact in float64: "missed" counts float64 touches that float32 reports as free, and "true" may differ from the row
+above.
 
 "settled_by_bits" is the share of queries that each arithmetic settled: 24 significant bits (float32), 53 (float64) or
-106 (pairs of float64). "slowest" is the one query that took longest of those timed one by one, named by its row in the
-file, or by the numbers of its features where there is no such row.
+106 (pairs of float64). "slowest" is the slowest of the queries timed individually, given by its row in the file, or by
+its feature indices if it has no row.
 
-Peers see at most `--peer-sample` queries of each row, drawn at random. How times are taken: see
-bench/support/elementary.py.
+Peers get at most `--peer-sample` random queries of each row. Timing method: see bench/support/elementary.py.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from support.elementary import SIGNIFICANT_BITS, Ipctk, Pgccd, Queries, peers_of
 from support.elementary_rows import Tally, errors, microseconds, percentiles, slowest, slowest_of_all, total
 from support.overlapping_boxes import Boxes, between, within
 
-# Candidates solved in one timed call.
+# Candidates per timed call.
 _CALL = 1 << 18
 
 
@@ -79,7 +78,7 @@ def main() -> None:
 
 
 def flat(row: dict[str, Any], columns: tuple[str, ...]) -> dict[str, Any]:
-    """Some columns of a row, and its nested parts as columns."""
+    """Selected columns of a row, with nested parts flattened."""
     settled = row.get("settled_by_bits", {})
     shares = {f"{bits} bits": settled.get(str(bits)) for bits in SIGNIFICANT_BITS}
     return {key: row.get(key) for key in columns} | shares | {"slowest_us": row.get("slowest", {}).get("us")}
@@ -88,7 +87,7 @@ def flat(row: dict[str, Any], columns: tuple[str, ...]) -> dict[str, Any]:
 def known(
     name: str, kind: str, rows: str, points: Queries, truth: np.ndarray, ipctk: Any | None, arguments: Any
 ) -> list[dict[str, Any]]:
-    """pgccd and the peers on queries whose answers are known."""
+    """Rows of pgccd and the peers on queries with known results."""
     head = {"set": name, "rows": rows, "kind": kind}
     random = np.random.default_rng(0)
     sample = random.permutation(len(points))[: arguments.single_sample]
@@ -112,7 +111,7 @@ def known(
 def candidates(
     name: str, kind: str, scene: dict[str, np.ndarray], ipctk: Any | None, arguments: Any
 ) -> list[dict[str, Any]]:
-    """pgccd on all pairs with overlapping boxes, the peers on a sample of them."""
+    """Rows of pgccd on all pairs with overlapping boxes, and of the peers on a sample."""
     head = {"set": name, "rows": "candidates", "kind": kind}
     solvers = pgccd_methods(kind, arguments.tolerance)
     tallies = [Tally() for _ in solvers]
@@ -127,7 +126,7 @@ def candidates(
         truth = np.isin(keys(pairs), exact)
         for solver, tally in zip(solvers, tallies, strict=True):
             tally.add(solver.batch(points), solver.truth(points, truth))
-        # An equal share of every call, cut to size at the end.
+        # An equal share of every call, trimmed at the end.
         share.append((pairs[: arguments.peer_sample], truth[: arguments.peer_sample]))
     if tallies[0].true != len(exact):
         raise AssertionError(
@@ -149,7 +148,7 @@ def candidates(
 
 
 def one_by_one(solver: Pgccd, points: Queries, truth: np.ndarray, names: np.ndarray) -> dict[str, Any]:
-    """Times of single queries: percentiles, and the slowest of them."""
+    """Times of single queries: percentiles and the slowest."""
     seconds = solver.single_seconds(points)
     return percentiles(seconds, truth) | {"slowest": slowest(seconds, solver.batch(points), names)}
 
@@ -159,7 +158,7 @@ def ask_peer(peer: Ipctk, points: Queries, truth: np.ndarray) -> dict[str, Any]:
     answers = peer.ask(points)
     free = ~answers.collides
     free_seconds = peer.mean_seconds_free(points[free])
-    # What it finds colliding is timed query by query.
+    # Colliding queries are timed one by one.
     spent = float(answers.seconds[answers.collides].sum()) + (free_seconds or 0.0) * int(free.sum())
     return (
         {"method": peer.name}
@@ -174,7 +173,7 @@ def ask_peer(peer: Ipctk, points: Queries, truth: np.ndarray) -> dict[str, Any]:
 
 
 def overlapping(scene: dict[str, np.ndarray], kind: str) -> Iterator[np.ndarray]:
-    """Candidate pairs (p, 2) of a scene, in pieces."""
+    """Candidate pairs (p, 2) of a scene, in chunks."""
     ends = scene["vertices_t0"], scene["vertices_t1"]
     if kind == "ee":
         yield from within(Boxes.swept(*ends, scene["edges"]))
@@ -184,7 +183,7 @@ def overlapping(scene: dict[str, np.ndarray], kind: str) -> Iterator[np.ndarray]
 
 
 def in_calls(pieces: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
-    """The same pairs in pieces of at most, and mostly, `_CALL`."""
+    """The same pairs regrouped in chunks of at most, and mostly, `_CALL`."""
     waiting: list[np.ndarray] = []
     for piece in pieces:
         waiting.append(piece)
@@ -207,7 +206,7 @@ def gather(scene: dict[str, np.ndarray], kind: str, pairs: np.ndarray) -> Querie
 
 
 def keys(pairs: np.ndarray) -> np.ndarray:
-    """(p,) int64, one number a pair. Edge pairs are meant without order."""
+    """One int64 key (p,) per pair. Edge pairs are unordered."""
     return pairs[:, 0].astype(np.int64) * (1 << 32) + pairs[:, 1]
 
 

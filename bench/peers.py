@@ -1,14 +1,13 @@
-"""pgccd beside other programs, on the same scenes in the same process.
+"""pgccd compared with other programs, on the same scenes in the same process.
 
-    python bench/peers.py                        # on a CPU
-    python bench/peers.py --device cuda          # what runs on a GPU
-    python bench/peers.py --questions pairs broad-phase
+    python bench/peers.py                        # on a CPU python bench/peers.py --device cuda          # programs that
+    run on a GPU python bench/peers.py --questions pairs broad-phase
 
 Five questions: the first toi of two near bodies; which of many bodies collide in a step; which swept spheres meet (the
-broad phase); how far a deforming scene may move (line search); and the step from one frame of public simulations to
-the next (with --data, a folder that holds scenes/). Every row names the program and its version, what it answers, what
-of the question it leaves open, and how many of the true answers it missed or gave beside them. Programs that are not
-installed are left out: pip install -r bench/requirements-peers.txt.
+broad phase); how far a deforming scene may move (line search); and the step from one frame of public simulations to the
+next (with --data, a folder that holds scenes/). Every row gives the program and its version, its kind of result, the
+parts of the question it cannot answer, and the numbers of true results missed and of false ones. Programs that are not
+installed are skipped: pip install -r bench/requirements-peers.txt.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     threads = torch.get_num_threads()
     for name in arguments.questions:
-        # Many bodies are a whole machine's work; elsewhere one thread beside programs that have one.
+        # Many bodies use all threads; otherwise one thread, because some programs have only one.
         torch.set_num_threads(threads if name == "bodies" else 1)
         found = _QUESTIONS[name](arguments)
         rows += found
@@ -51,7 +50,7 @@ def main() -> None:
 
 
 def _pairs(arguments: Any) -> list[dict[str, Any]]:
-    # One pair is no work for a GPU.
+    # One pair is too little work for a GPU.
     return [] if arguments.device == "cuda" else pairs.measure(arguments.pairs, arguments.pairs, 1e-6, arguments.seed)
 
 
@@ -87,7 +86,7 @@ _QUESTIONS: dict[str, Callable[[Any], list[dict[str, Any]]]] = {
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table."""
+    """The row as table columns."""
     counts = ("true", "missed", "extra", "earlier_toi", "later_toi", "longer", "shorter")
     head = {key: row[key] for key in ("question", "program", "version", "device")}
     return head | {"ms": row["ms"]["median"]} | {key: row.get(key) for key in counts}

@@ -18,7 +18,7 @@ from support import cluster_plots, evaluation_plots, peer_plots, results  # noqa
 
 Result = dict[str, Any]
 
-# pgccd stands out; peers are grey. Stages keep their colours from figure to figure (safe for colour-blind readers).
+# pgccd in colour, peers in grey. Stages have the same colours in all figures (colour-blind safe).
 _OURS, _PEER = "#0072b2", "#9a9a9a"
 _STAGES = {
     "plan": "#56b4e9", "bounds": "#cc79a7", "broad": "#e69f00", "traverse": "#0072b2",
@@ -29,7 +29,7 @@ _BROAD_PHASES = {"sweep": "#e69f00", "grid": "#0072b2", "lbvh": "#009e73"}
 
 
 def main() -> None:
-    """Draws every result there is a figure for."""
+    """Draws every result that has a figure."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--results", type=Path, default=results.FOLDER, help="folder of the JSON files and the pictures"
@@ -108,7 +108,7 @@ def _narrow_phase(result: Result) -> Figure:
     figure, all_axes = plt.subplots(1, len(panels), figsize=(3.4 * len(panels), 3.4), squeeze=False)
     for axes, (sort, key, title) in zip(all_axes[0], panels, strict=True):
         rows = [row for row in result["totals"] if row["rows"] == sort and row[key] is not None]
-        # One word a line, or neighbours run into each other.
+        # One word per line, so that neighbours do not overlap.
         names = [row["method"].replace(" ", "\n").replace("-", "-\n") for row in rows]
         heights = [row[key] for row in rows]
         axes.bar(names, heights, color=[_colour(name) for name in names])

@@ -1,9 +1,9 @@
-"""What spreading its bodies over ranks costs one rank, as the number of ranks grows and its own bodies stay as many.
+"""Cost of the decomposition on one rank as the number of ranks grows with constant bodies per rank.
 
-One rank from the middle of 64 to 4,096 is really made: its part of the world, a quarter of a million robots in it
-(10^9 in all on 4,096 ranks), which of them other ranks need, which those are, its near ghosts, and who leaves. Both
-partitions, and the replicas as a table (what up to 64 ranks use) and as a list. The planes of a bisection are searched
-once, as one of so many ranks does it that have the same loads. Messages are not sent.
+One rank in the middle of 64 to 4,096 is simulated: its part of the world with a quarter of a million robots (10^9 in
+all on 4,096 ranks), its boundary bodies, their destination ranks, its near ghosts, and the bodies that migrate. Both
+partitions, and the replicas as a table (used for up to 64 ranks) and as a list. The planes of a bisection are searched
+once, as by one of many ranks with equal loads. No messages are sent.
 
     python bench/rank_growth.py
 """
@@ -28,7 +28,7 @@ _KEPT = (0.0, 0.0)
 
 
 class SameElsewhere(Alone):
-    """One of many ranks that all have what this one has."""
+    """One of many ranks that all have the same data."""
 
     def __init__(self, size: int) -> None:
         super().__init__()
@@ -59,8 +59,8 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def measure(ranks: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    """A row for each partition."""
-    torch.set_num_threads(1)  # as of a rank that shares a machine
+    """One row per partition."""
+    torch.set_num_threads(1)  # as for a rank that shares a machine
     world = sim.Model(sim.ModelConfig(robots=arguments.robots_a_rank * ranks))
     upper = world.half_extent
     lower = tuple(-x for x in upper)
@@ -128,7 +128,7 @@ def measure_partition(
 
 
 def part_of(partition: Partition, rank: int) -> tuple[Tensor, Tensor]:
-    """The corners of a rank's part."""
+    """The corners of a rank's region."""
     if isinstance(partition, Bisection):
         low, high = partition.boxes[rank]
         return torch.tensor(low, dtype=torch.float64), torch.tensor(high, dtype=torch.float64)

@@ -1,6 +1,6 @@
-"""Time of a step of a loop of one's own, `pgccd.distributed.World`: as replays of one CUDA graph a rank
-(`CapturedWorld`), and launch by launch. Robots of 700 triangles fly straight on and turn; those that collide stop short
-of it and fly back. Both ways must end in the same state.
+"""Time of a step of a user's own loop with `pgccd.distributed.World`: as replays of one CUDA graph per rank
+(`CapturedWorld`), and with separate launches. Robots of 700 triangles fly straight and turn; those that collide stop
+just before the contact and fly back. Both must end in the same state.
 
     python bench/world_loop.py
     torchrun --nproc-per-node 2 bench/world_loop.py --device cuda
@@ -41,13 +41,13 @@ def main() -> None:
 
 
 def motion(bodies: distributed.Bodies) -> pgccd.RigidMotion:
-    """Of robots that move by some 0.1 of their radius and turn by some 0.1 rad."""
+    """Motion of robots that move by about 0.1 radii and turn by about 0.1 rad."""
     at = bodies.payload
     return pgccd.RigidMotion.from_velocity(bodies.position, at["orientation"], at["velocity"], at["spin"], dt=1.0)
 
 
 def response(bodies: distributed.Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
-    """Those that collide fly back."""
+    """Reverses the robots that collide."""
     position, orientation = motion.at(0.99 * first_toi.clamp(max=1.0))
     collides = (first_toi <= 1.0)[:, None]
     velocity, spin = (bodies.payload[name] for name in ("velocity", "spin"))

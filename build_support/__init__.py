@@ -1,1 +1,1 @@
-"""Helpers of setup.py and bootstrap.py; no part of the installed package."""
+"""Helpers of setup.py and bootstrap.py; not part of the installed package."""

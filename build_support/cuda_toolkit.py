@@ -1,4 +1,4 @@
-"""Find a CUDA compiler that fits the installed torch. Standard library only."""
+"""Finds a CUDA compiler that matches the installed torch. Standard library only."""
 
 import os
 import re
@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 
 class CudaToolkit(NamedTuple):
-    """A folder that holds bin/nvcc, and the release that nvcc reports, such as "13.0"."""
+    """A folder that contains bin/nvcc, and nvcc's release, such as "13.0"."""
 
     home: Path
     version: str
 
 
 def find_cuda_toolkit(torch_cuda_version: str) -> CudaToolkit | None:
-    """The first toolkit with the major version that torch was built with (torch refuses to build with another)."""
+    """The first toolkit with torch's major CUDA version (torch refuses to build with another)."""
     for home in _candidate_homes():
         version = _nvcc_release(home / "bin" / "nvcc")
         if version and version.split(".")[0] == torch_cuda_version.split(".")[0]:
@@ -27,7 +27,7 @@ def find_cuda_toolkit(torch_cuda_version: str) -> CudaToolkit | None:
 
 
 def architecture_flags(architectures: str) -> list[str]:
-    """The options of nvcc for a list such as "8.0;9.0+PTX" (names as in TORCH_CUDA_ARCH_LIST).
+    """nvcc options for a list such as "8.0;9.0+PTX" (names as in TORCH_CUDA_ARCH_LIST).
 
     torch adds such flags itself only if no other flag contains "arch", which `-march` does.
     """
@@ -44,9 +44,9 @@ def architecture_flags(architectures: str) -> list[str]:
 
 
 def cudart_link_directory(toolkit: CudaToolkit, scratch: Path) -> Path:
-    """A folder in which the linker finds `libcudart.so`.
+    """The folder in which the linker finds `libcudart.so`.
 
-    The PyPI wheels ship only the versioned name, `libcudart.so.13`; for them a link is made in `scratch`.
+    The PyPI wheels contain only the versioned name, `libcudart.so.13`; for them it creates a link in `scratch`.
     """
     library_directories = [toolkit.home / name for name in ("lib64", "lib")]
     for directory in library_directories:
@@ -69,7 +69,7 @@ def _candidate_homes() -> Iterator[Path]:
     if compiler := shutil.which("nvcc"):
         yield Path(compiler).resolve().parents[1]
     yield Path("/usr/local/cuda")
-    # The wheels nvidia-cuda-nvcc, nvidia-nvvm, ... unpack into one folder of site-packages.
+    # The wheels nvidia-cuda-nvcc, nvidia-nvvm, ... are installed into one folder of site-packages.
     for entry in sys.path:
         yield from sorted(Path(entry, "nvidia").glob("cu[0-9]*"))
 

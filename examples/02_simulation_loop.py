@@ -1,4 +1,4 @@
-"""A torch loop: a thousand tumbling boxes that turn round where they meet. Pass "cuda" to run it on a GPU."""
+"""A torch loop: a thousand tumbling boxes that reverse where they meet. Pass "cuda" to run it on a GPU."""
 
 import sys
 
@@ -22,7 +22,7 @@ spin = torch.randn(count, 3, dtype=torch.float64).to(device)
 for step in range(20):
     motion = pgccd.RigidMotion.from_velocity(position, orientation, velocity, spin, dt=0.1)
     hits = pgccd.detect(scene, motion, nonzero_toi=True)
-    # All move and turn until the first contact of the scene; those that touch then turn round.
+    # All bodies move until the first contact of the scene; those that touch then reverse.
     toi = hits.toi.min() if len(hits) else torch.ones((), dtype=torch.float64, device=device)
     position = position + toi * (motion.position_t1 - position)
     orientation = pgccd.integrate_orientation(orientation, toi * motion.rotation)

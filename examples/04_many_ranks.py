@@ -1,7 +1,7 @@
-"""A thousand tumbling boxes on several ranks, in a loop of one's own. The same bits come out however many there are:
+"""A thousand tumbling boxes on several ranks, in a user's own loop. Results are bitwise equal for any number of ranks:
 
-python examples/04_many_ranks.py
-torchrun --nproc-per-node 2 examples/04_many_ranks.py         (add "cuda" for one GPU a rank)
+python examples/04_many_ranks.py torchrun --nproc-per-node 2 examples/04_many_ranks.py         (add "cuda" for one GPU
+per rank)
 """
 
 import sys
@@ -21,7 +21,7 @@ with distributed.connect(sys.argv[1] if len(sys.argv) > 1 else "cpu") as comm:
     orientation = torch.nn.functional.normalize(torch.randn(1000, 4, dtype=torch.float64))
     velocity, spin = torch.randn(2, 1000, 3, dtype=torch.float64)
 
-    # Each rank brings a share of the bodies, here every so many-th; they move to where they belong.
+    # Each rank starts with every size-th body; World migrates them to their owners.
     mine = torch.arange(comm.rank, 1000, comm.size)
     world = distributed.World(
         [box],
@@ -38,12 +38,12 @@ with distributed.connect(sys.argv[1] if len(sys.argv) > 1 else "cpu") as comm:
         nonzero_toi=True,
     )
     for step in range(20):
-        mine = world.payload  # of the bodies that this rank owns now
+        mine = world.payload  # of the bodies that this rank now owns
         motion = pgccd.RigidMotion.from_velocity(
             world.position, mine["orientation"], mine["velocity"], mine["spin"], dt=0.1
         )
         toi = world.first_toi(world.step(motion))
-        # Those that touch stay as they are and turn round; the others go on.
+        # Bodies that touch keep their pose and reverse; all others complete the step.
         free = torch.isinf(toi)[:, None]
         turned = pgccd.integrate_orientation(mine["orientation"], motion.rotation)
         world.move(

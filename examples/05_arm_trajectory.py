@@ -1,21 +1,21 @@
-"""An arm of four links follows joint angles through waypoints; where does it first touch anything, for certain?
+"""An arm of four links follows joint angles through waypoints; up to where is it certainly free of contact?
 
-The links of an arm do not follow the arcs that are tested: their joints turn at constant rates between waypoints, so
-the origin of each link moves on a curve and its rotation is a product of several. But both paths go through the same
-poses at the waypoints, and differ between them by little. With s in [0, 1] along a segment and a point's positions x(s)
-on the true path and y(s) on the arc, x - y is zero at both ends, so
+The links of an arm do not follow the tested arcs: joints turn at constant rates between waypoints, so the origin of
+each link moves along a curve and its rotation is a product of several. But both paths have the same poses at the
+waypoints, and differ little in between. With s in [0, 1] along a segment and a point's positions x(s) on the true path
+and y(s) on the arc, x - y is zero at both ends, so
 
     |x - y| <= max |x'' - y''| / 8 <= (max |x''| + max |y''|) / 8.
 
 *True path.* Joint k turns by d_k at a constant rate, so a link turns at the rate w(s) = sum of d_k a_k(s) over its
-joints, where a_k is the axis, carried along by the joints before it. Joints j and k contribute an acceleration of at
-most |d_j| |d_k| times the point's distance from the later of the two; in sum at most (sum of |d_k|)^2 L, with L the
-link's reach from the first joint.
+joints, where a_k is the axis, rotated by the joints before it. Joints j and k contribute an acceleration of at most
+|d_j| |d_k| times the point's distance from the later of the two; in sum at most (sum of |d_k|)^2 L, with L the link's
+reach from the first joint.
 
-*Arc.* The origin moves straight, and the link's points turn about it by at most the sum of |d_k| in all:
+*Arc.* The origin moves along a straight line, and the link turns about it by at most the sum of |d_k|:
 |y''| <= (sum of |d_k|)^2 r, with r the link's reach from its origin.
 
-That is the margin of a link. It shrinks with the square of the steps: twice as many waypoints, a quarter of it.
+This bound is the link's margin. It is quadratic in the step: doubling the waypoints quarters it.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0
 
 
 def box(lower: tuple[float, ...], upper: tuple[float, ...]) -> pgccd.Mesh:
-    """With its origin at that of its coordinates: a link's is its joint."""
+    """A box with its origin at the zero of its coordinates; for a link this is its joint."""
     ends = np.array([lower, upper])
     corners = np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
@@ -38,12 +38,12 @@ def box(lower: tuple[float, ...], upper: tuple[float, ...]) -> pgccd.Mesh:
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of quaternions (w, x, y, z)."""
+    """Product of quaternions (w, x, y, z)."""
     return np.concatenate([[a[0] * b[0] - a[1:] @ b[1:]], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])])
 
 
 def forward(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles (LINKS,), radians -> where the joints are (LINKS, 3), and how the links are turned (LINKS, 4)."""
+    """Joint angles (LINKS,), radians -> positions of the joints (LINKS, 3) and orientations of the links (LINKS, 4)."""
     position, orientation = [np.zeros(3)], [np.array([1.0, 0.0, 0.0, 0.0])]
     for axis, angle in zip(AXES, angles, strict=True):
         orientation.append(product(orientation[-1], np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])))
@@ -52,7 +52,7 @@ def forward(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tip_of(position: Sequence[np.ndarray], orientation: Sequence[np.ndarray]) -> np.ndarray:
-    """The far end (3,) of the last of some links, where the next one's joint is."""
+    """Far end (3,) of the last of the given links: the position of the next joint."""
     q, along = orientation[-1], np.array([LENGTH, 0.0, 0.0])
     return position[-1] + along + 2 * np.cross(q[1:], np.cross(q[1:], along) + q[0] * along)
 
@@ -60,7 +60,7 @@ def tip_of(position: Sequence[np.ndarray], orientation: Sequence[np.ndarray]) ->
 link = box((0.05, -WIDTH / 2, -WIDTH / 2), (LENGTH - 0.05, WIDTH / 2, WIDTH / 2))
 obstacle = box((-0.2, -0.2, -0.2), (0.2, 0.2, 0.2))
 
-# A path in joint space; the obstacle is a body too, which stays where it is.
+# A path in joint space; the obstacle is a body at rest.
 start, goal = np.array([-0.8, 0.3, -0.5, 0.2]), np.array([0.9, -0.4, 0.6, 0.5])
 joints = start + np.linspace(0.0, 1.0, WAYPOINTS)[:, None] * (goal - start)
 poses = [forward(angles) for angles in joints]
@@ -68,12 +68,13 @@ place, upright = np.array([2.4, 1.2, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
 position = torch.tensor(np.array([[*x, place] for x, _ in poses]))  # (T, N, 3)
 orientation = torch.tensor(np.array([[*q, upright] for _, q in poses]))  # (T, N, 4)
 
-turn = np.abs(np.diff(joints, axis=0)).cumsum(axis=1).max(axis=0)  # (LINKS,): of the joints up to each link
-reach = LENGTH * np.arange(LINKS) + link.reach  # of a point of the link, from the first joint
+turn = np.abs(np.diff(joints, axis=0)).cumsum(axis=1).max(axis=0)  # (LINKS,): sum over the joints up to each link
+reach = LENGTH * np.arange(LINKS) + link.reach  # farthest point of the link from the first joint
 margin = (turn**2 * reach + turn**2 * link.reach) / 8.0
 print("margins:", ", ".join(f"{m:.2g}" for m in margin))
 
-# Neighbouring links are joined, so no two links are tested; the arm (bit 1) is, against the obstacle (bit 2).
+# Neighbouring links are joined, so links are not tested against each other; the arm (bit 1) is tested against the
+# obstacle (bit 2).
 scene = pgccd.Scene(
     [link, obstacle],
     [0] * LINKS + [1],
@@ -88,7 +89,7 @@ for (i, _), segment, toi in zip(hits.pairs.tolist(), hits.segment.tolist(), hits
 free = float(hits.first_toi().clamp(max=1.0))
 print(f"free for certain: the first {100 * free:.2f} % of the path")
 
-# How far the true path really strays from the arcs, half-way along each segment at the tip of the last link.
+# Deviation of the true path from the arcs, half-way along each segment at the tip of the last link.
 strays = 0.0
 for k in range(WAYPOINTS - 1):
     x, q = (pose.numpy()[:LINKS] for pose in trajectory.segment(k).at(0.5))

@@ -22,12 +22,12 @@ from pgccd.motion.trajectory import Trajectory
 if _TYPE_CHECKING:
     from pgccd import about, baselines, distributed, files, sim, viz
 
-# Imported when first used: they bring more along than detection needs.
+# Imported on first use: they load more modules than detection needs.
 _LATER = ("about", "baselines", "distributed", "files", "sim", "viz")
 
 __version__: str = _build_information()["version"]
 
-# Plain integers: torch.compile takes a comparison of a tensor with an enum member for a constant.
+# Plain integers: torch.compile treats the comparison of a tensor with an enum member as constant.
 FREE, TOUCH, UNRESOLVED = int(Status.FREE), int(Status.TOUCH), int(Status.UNRESOLVED)
 VF_AB, VF_BA, EE = int(Kind.VF_AB), int(Kind.VF_BA), int(Kind.EE)
 

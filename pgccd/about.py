@@ -1,4 +1,4 @@
-"""What this build is and what it can use."""
+"""Information about this build and its backends."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pgccd._host import build_information
 
 
 def describe_installation() -> dict[str, str]:
-    """Version, commit, compiler, CUDA, torch, devices and backends, in words.
+    """Version, commit, compiler, CUDA, torch, devices and backends, by name.
 
     Example:
         >>> pgccd.about.describe_installation()["kernels for"]

@@ -1,4 +1,4 @@
-"""Checks of arguments: each error is a TypeError or ValueError that starts with the argument's name."""
+"""Argument checks: each raises a TypeError or ValueError whose message starts with the argument's name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 
 
 def number(value: Any, name: str, expected: str = "a number") -> float:
-    """The value as a float: a Python or NumPy number, or a tensor with one element. No bool."""
+    """The value as a float. Accepts a Python or NumPy number or a tensor with one element, but not a bool."""
     if isinstance(value, Tensor) and value.dim() == 0 and not value.dtype.is_complex and value.dtype != torch.bool:
         value = value.item()
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.floating, np.integer)):
@@ -21,7 +21,7 @@ def number(value: Any, name: str, expected: str = "a number") -> float:
     return float(value)
 
 
-# Squares of longer ones overflow.
+# Squares of larger lengths overflow.
 _LONGEST = 1e150
 
 
@@ -44,21 +44,21 @@ def integer(value: Any, name: str, lowest: int, expected: str) -> int:
 
 
 def flag(value: Any, name: str) -> bool:
-    """The value, if it is a bool."""
+    """The value as a bool. Accepts only bool."""
     if not isinstance(value, (bool, np.bool_)):
         raise TypeError(f"{name}: expected True or False, got {describe(value)}")
     return bool(value)
 
 
 def choice(value: Any, name: str, choices: Iterable[str]) -> None:
-    """Raises unless the value is one of the choices."""
+    """Raises unless the value is one of `choices`."""
     if not isinstance(value, str) or value not in choices:
         error = ValueError if isinstance(value, str) else TypeError
         raise error(f"{name}: expected one of {list(choices)}, got {describe(value)}")
 
 
 def describe(value: Any) -> str:
-    """What was given, in a few words for an error message."""
+    """A short description of a value for an error message."""
     if isinstance(value, Tensor):
         return f"a {str(value.dtype).removeprefix('torch.')} tensor of shape {tuple(value.shape)}"
     if value is None or isinstance(value, (bool, int, float, complex)):
@@ -86,7 +86,7 @@ def path(value: Any, name: str) -> Path:
 
 
 def rows(value: Any, name: str, count: int) -> Any:
-    """What picks some of `count` rows: a mask, row numbers or a slice. A single number picks an element, no rows.
+    """An index of some of `count` rows: a mask, row numbers or a slice, but not a single number.
 
     Raises:
         IndexError: a number is out of range (of values on a CPU; a GPU asserts).
@@ -117,7 +117,7 @@ def rows(value: Any, name: str, count: int) -> Any:
 
 
 def refuse_gradient(values: Tensor, name: str) -> None:
-    """Raises if a gradient with respect to the values is expected of what is computed from them."""
+    """Raises if the values require grad while gradients are enabled."""
     if values.requires_grad and torch.is_grad_enabled():
         raise ValueError(
             f"{name}: requires grad, but pgccd computes no gradients: pass {name}.detach(), or call it under "
@@ -126,7 +126,7 @@ def refuse_gradient(values: Tensor, name: str) -> None:
 
 
 def real_tensor(values: Any, name: str) -> None:
-    """Raises unless the values are a dense float32 or float64 tensor of which no gradient is wanted."""
+    """Raises unless the values are a dense float32 or float64 tensor without a required gradient."""
     if not isinstance(values, Tensor):
         raise TypeError(f"{name}: expected a float32 or float64 tensor, got {describe(values)}")
     if values.dtype not in (torch.float32, torch.float64):
@@ -137,7 +137,7 @@ def real_tensor(values: Any, name: str) -> None:
 
 
 def real_rows(values: Any, name: str, count: int | None, width: int, device: torch.device | None) -> Tensor:
-    """The values as contiguous float64 rows (count, width) on the device; None: any number of rows, any device."""
+    """The values as contiguous float64 rows (count, width) on the device. None: any number of rows, or any device."""
     real_tensor(values, name)
     if values.dim() != 2 or values.shape[1] != width or (count is not None and values.shape[0] != count):
         rows = "N" if count is None else count
@@ -145,12 +145,12 @@ def real_rows(values: Any, name: str, count: int | None, width: int, device: tor
     if device is not None and values.device != device:
         raise ValueError(f"{name}: expected device {device}, got {values.device}")
     if values.dtype == torch.float64 and not values.requires_grad and values.is_contiguous():
-        return values  # as it mostly is: converting it all the same takes a tenth of a call for two bodies
+        return values  # the common case; converting anyway takes a tenth of a `detect` call for two bodies
     return values.detach().to(torch.float64).contiguous()
 
 
 def check_corners(points: np.ndarray, faces: np.ndarray) -> None:
-    """ValueError unless vertices (V, 3) are finite and faces (F, 3) name some of them."""
+    """Raises ValueError unless vertices (V, 3) are finite and faces (F, 3) are valid vertex indices."""
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         first = int(np.argmin(finite))

@@ -39,19 +39,19 @@ A pose puts a point v of a mesh file at position + R (v - origin), and the body 
 file's coordinates, unless a scene file says otherwise. Orientations are unit quaternions (w, x, y, z), body to world.
 
 scene.json: {"meshes": ["robot.ply", "rock.obj"], "mesh_index": [0, 0, 1], "poses": "poses.npz"}; paths are relative to
-it; optional: "group", "mask", "world", "static", "margin", lists with a value a body; "origin", with a value a mesh:
+it; optional: "group", "mask", "world", "static", "margin", lists with one value per body; "origin", one value per mesh:
 [x, y, z] in the file's coordinates, "centroid" (the SBV centre) or "center_of_mass"."""
 
 
 class ArgumentError(Exception):
-    """What is wrong with an argument, in one line."""
+    """A one-line message about an invalid argument."""
 
     def __init__(self, argument: str, problem: object) -> None:
         super().__init__(f"argument {argument}: {problem}" if argument else str(problem))
 
 
 class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:  # one line, without the usage
+    def error(self, message: str) -> NoReturn:  # without the usage text
         raise ArgumentError("", message)
 
 
@@ -83,20 +83,20 @@ def _build_parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="pgccd", description="Continuous collision detection for very many moving meshes.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="command", parser_class=_Parser)
 
-    simulate = commands.add_parser("simulate", help="run the nanorobot world", description="Runs the nanorobot world.")
+    simulate = commands.add_parser("simulate", help="run the nanorobot model", description="Runs the nanorobot model.")
     add = simulate.add_argument
-    add("--robots", type=int, metavar="N", help="how many (10000)")
-    add("--steps", type=int, metavar="S", help="how many to make in all (20; with --resume: as many as were wanted)")
-    add("--world", choices=sim.PATTERNS, help="how they move (random)")
-    add("--mesh", nargs="+", metavar="FILE", help="kinds of robots, dealt out in turn (the built-in robot)")
+    add("--robots", type=int, metavar="N", help="number of robots (10000)")
+    add("--steps", type=int, metavar="S", help="total number of steps (20; with --resume: that of the run)")
+    add("--world", choices=sim.PATTERNS, help="movement pattern (random)")
+    add("--mesh", nargs="+", metavar="FILE", help="meshes of the robots, assigned in turn (the built-in robot)")
     add("--device", default="cpu", help="cpu, cuda, cuda:1, ... (cpu)")
-    add("--broad-phase", choices=BROAD_PHASES, default="auto", help="how pairs are found; same results (auto)")
-    add("--seed", type=int, help="of all randomness (0)")
-    add("--out", type=Path, metavar="DIR", help="where the log, checkpoints and pictures go (out/simulate)")
+    add("--broad-phase", choices=BROAD_PHASES, default="auto", help="broad phase; does not change the result (auto)")
+    add("--seed", type=int, help="random seed (0)")
+    add("--out", type=Path, metavar="DIR", help="folder of the log, checkpoints and pictures (out/simulate)")
     add("--checkpoint-every", type=int, default=0, metavar="K", help="steps between checkpoints (one at the end)")
     add("--resume", metavar="DIR", help="continue the run in this folder; auto: the one in --out, if there is one")
-    add("--overwrite", action="store_true", help="replace a run that is in --out already")
-    add("--no-pictures", action="store_true", help="leave out world.png and world.html")
+    add("--overwrite", action="store_true", help="replace an earlier run in --out")
+    add("--no-pictures", action="store_true", help="do not write world.png and world.html")
     command.add_arguments(simulate)
     simulate.set_defaults(run=_simulate)
 
@@ -108,29 +108,29 @@ def _build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = detect.add_argument
-    add("meshes", nargs="*", metavar="MESH", help="mesh files, one a body")
-    add("--motion", metavar="NPZ", help="where the bodies are at both ends of the step")
+    add("meshes", nargs="*", metavar="MESH", help="mesh files, one per body")
+    add("--motion", metavar="NPZ", help="poses of the bodies at both ends of the step")
     add("--scene", metavar="JSON", help="instead of MESH and --motion: meshes shared by many bodies")
-    add("--report", choices=list(REPORTS), default="first", help="what to report of a pair (first)")
-    add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="bodies this near collide (0)")
+    add("--report", choices=list(REPORTS), default="first", help="which contacts to report (first)")
+    add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="distance that counts as touching (0)")
     add("--tolerance", type=float, metavar="LENGTH", help="of a reported contact (1e-6 of the smaller radius)")
     add("--device", default="cpu", help="cpu, cuda, ... (cpu)")
-    add("--broad-phase", choices=BROAD_PHASES, default="auto", help="how pairs are found; same results (auto)")
+    add("--broad-phase", choices=BROAD_PHASES, default="auto", help="broad phase; does not change the result (auto)")
     add("--json", action="store_true", help="print one JSON object")
     detect.set_defaults(run=_detect)
 
-    info = commands.add_parser("info", help="version, build, devices; and what is in mesh files")
+    info = commands.add_parser("info", help="version, build and devices; statistics of mesh files")
     info.add_argument("meshes", nargs="*", metavar="MESH", help="mesh files to describe")
     info.set_defaults(run=_info)
     return parser
 
 
 def _check_simulate(options: argparse.Namespace) -> None:
-    """Looks at what can be judged before ranks are connected."""
+    """Checks that need no connection between ranks."""
     if options.resume not in (None, "auto"):
         for name in ("robots", "world", "seed", "out"):
             if getattr(options, name) is not None:
-                raise ArgumentError(f"--{name}", "not allowed with --resume, which continues the world that is there")
+                raise ArgumentError(f"--{name}", "not allowed with --resume, which continues the existing world")
         if options.overwrite:
             raise ArgumentError("--overwrite", "not allowed with --resume")
     elif options.robots is not None and options.robots < 1:
@@ -156,7 +156,7 @@ def _simulate(options: argparse.Namespace) -> int:
             if not is_out_of_memory(error):
                 raise
             raise ArgumentError("--robots", f"too many for the memory of {options.device}: {error}") from error
-        except ValueError as error:  # an option that differs between ranks, or is invalid on another one
+        except ValueError as error:  # an option that differs between ranks, or is invalid on another rank
             raise ArgumentError("", error) from error
         if comm.rank == 0:
             _print_run(finished, folder, options)
@@ -219,7 +219,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
 
 
 def _require_same_world(folder: Path, header: Header, given: dict[str, Any]) -> None:
-    """That what `--resume auto` continues is what it would begin."""
+    """Raises unless the run that `--resume auto` continues has the options given."""
     for name, value in given.items():
         there = getattr(header.config, name)
         if there != value:
@@ -227,7 +227,7 @@ def _require_same_world(folder: Path, header: Header, given: dict[str, Any]) -> 
 
 
 def _option(field: str) -> str:
-    """By which a field of the configuration is given."""
+    """The option that sets a field of the configuration."""
     return "--" + field.replace("pattern", "world")
 
 
@@ -236,7 +236,7 @@ def _progress(comm: distributed.Comm, steps_made: int, steps: int) -> AbstractCo
 
 
 def _mesh_files(folder: Path) -> list[str] | None:
-    """Those that a run was begun with; None: the built-in robot."""
+    """The mesh files that the run was started with; None for the built-in robot."""
     path = folder / WORLD_FILE
     try:
         files = json.loads(path.read_text()).get("mesh_files") if path.is_file() else None
@@ -261,7 +261,7 @@ def _device(name: str) -> torch.device:
     if device.type not in ("cpu", "cuda"):
         raise ArgumentError("--device", f"expected cpu, cuda or cuda:INDEX, got {name!r}")
     if device.type == "cuda" and not 0 <= (device.index or 0) < torch.cuda.device_count():
-        raise ArgumentError("--device", f"{name} is not here: torch sees {torch.cuda.device_count()} CUDA devices")
+        raise ArgumentError("--device", f"{name} is not available: torch sees {torch.cuda.device_count()} CUDA devices")
     return device
 
 

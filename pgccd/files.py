@@ -1,4 +1,4 @@
-"""Scenes and motions in files, as the command line reads them."""
+"""Scenes and motions from files, as read by the command line."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
     """A scene and its motion from a JSON file.
 
     The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file}, paths relative to it; and optionally
-    "group", "mask", "world", "static" and "margin", lists with one value a body, and "origin", a list with one value a
-    mesh: a point [x, y, z] or a name, as for `Mesh`.
+    "group", "mask", "world", "static" and "margin", lists with one value per body, and "origin", a list with one value
+    per mesh: a point [x, y, z] or a name, as for `Mesh`.
 
     Raises:
         ValueError: a file cannot be read, a key is missing or unknown, or a value is not as `Scene` expects it.

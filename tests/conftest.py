@@ -1,4 +1,4 @@
-"""Fixtures of all tests: the devices, and which tests the ordinary run leaves out."""
+"""Fixtures of all tests: devices, and deselection of slow tests."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, settings
 
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
 
-# The same examples in every run, so that a failure can be looked at; no deadline, since machines are shared.
+# The same examples in every run, so that failures are reproducible; no deadline, since machines are shared.
 settings.register_profile(
     "pgccd", deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
@@ -21,7 +21,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Deselects slow tests unless requested: pytest -m slow."""
     if not config.option.markexpr:
         config.option.markexpr = "not slow"
-    if getattr(config.option, "dist", "no") == "load":  # of xdist, where it is installed
+    if getattr(config.option, "dist", "no") == "load":  # with xdist
         config.option.dist = "loadgroup"
     # Workers share the cores.
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
@@ -30,7 +30,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(params=DEVICES)
 def device(request: pytest.FixtureRequest) -> torch.device:
-    """Each device in turn; CUDA only where there is one."""
+    """Each device in turn; CUDA only if available."""
     if request.param == "cuda" and not torch.cuda.is_available():
         pytest.skip("no CUDA device")
     return torch.device(request.param)

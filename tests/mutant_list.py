@@ -1,4 +1,6 @@
-"""The mutants: what each replaces, and which test modules notice it; or why none can. See mutants.py."""
+"""The list of mutants: the text that each replaces, and the test modules that must fail; or the reason why none can.
+See mutants.py.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +9,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Mutant:
-    """One fault.
+    """One mutation of the source.
 
     `old`, which occurs once in `file` (or once in `within`, which occurs once in the file), is replaced by `new`.
-    `killed_by` are modules below tests/, or nodes of them. `equivalent` says why nothing can notice it. Where
-    `switched`, both texts are expressions of one type in ordinary code.
+    `killed_by` are modules below tests/, or nodes of them. `equivalent` is the reason why no test can fail. If
+    `switched`, both texts are expressions of the same type.
     """
 
     name: str
@@ -45,7 +47,7 @@ ON_ORIGIN = ("test_origin_bounds.py",)
 ON_MARGIN = ("test_margin.py",)
 
 _LOCAL_ROUNDING = "kLocalRounding, 64 units of the whole local frame, includes it"
-_SPARE = "the 32 units of the extent have room for it: the projected gap itself needs at most 12"
+_SPARE = "covered by the 32 units of the extent, of which the projected gap needs at most 12"
 
 _RIGID = [
     Mutant(
@@ -75,8 +77,8 @@ _RIGID = [
         "sweep_detail::kept_distance(centres, i, j, settings) + deviation",
         "sweep_detail::kept_distance(centres, i, j, settings) + 0.999 * deviation",
         ON_TRAVERSE,
-        equivalent="an arc of angle a strays by 1 - a^2/48 of the bound, and kLocalRounding is added: together at least"
-        " 0.3 % for every a",
+        equivalent="an arc of angle a deviates by 1 - a^2/48 of the bound; with kLocalRounding at least 0.3 % is spare"
+        " for every a",
     ),
     Mutant(
         "arc-deviation-first-body-only",
@@ -119,8 +121,8 @@ _RIGID = [
         "bodies.linear_path ? 1.5f : 0.5f",
         "bodies.linear_path ? 1.5f : 0.4995f",
         ON_TRAVERSE,
-        equivalent="for an angle a between the normals the tilt is r a/2 and the arcs' deviation r a^2/8; with what"
-        " kLocalRounding adds, the two never let a thousandth of the tilt show",
+        equivalent="for an angle a between the normals the tilt is r a/2 and the arcs' deviation r a^2/8; together"
+        " with kLocalRounding they cover a thousandth of the tilt",
     ),
     Mutant(
         "straight-tilt-as-arcs",
@@ -272,7 +274,7 @@ _TREE = [
         "distance * (1.0f + 8.0f * Precision<float>::unit)",
         "distance * 1.0f",
         ON_TRAVERSE,
-        equivalent=_LOCAL_ROUNDING + ", which is part of the distance: 8 units of it, below 1, are among those 64",
+        equivalent=_LOCAL_ROUNDING + ", which is part of the distance: its 8 units are among those 64",
     ),
     Mutant(
         "triangles-distance-0.999",
@@ -332,8 +334,8 @@ _DIRECTIONS = [
         "distance * (1.0f + 8.0f * unit) + (20.0f * unit) * extent",
         "distance * 1.0f + (20.0f * unit) * extent",
         ON_NARROW,
-        equivalent="a distance above 2 x the extent is never separated, and below that the threshold's own roundings, 3"
-        " units of it, fit into the doubled 20 units of the extent",
+        equivalent="a threshold above 2 x the extent never separates; below that, its own 3 roundings fit into the"
+        " doubled 20 units of the extent",
     ),
     Mutant(
         "cull-small-extents",
@@ -371,7 +373,7 @@ _DIRECTIONS = [
         "round_up<float>((settings.separation + settings.tolerance) * (1.0 + 0x1p-50))",
         "static_cast<float>(settings.separation + settings.tolerance)",
         ON_NARROW,
-        equivalent="half a unit of the distance, of which `stays_apart` adds eight",
+        equivalent="half a unit of the distance; `stays_apart` adds eight",
     ),
 ]
 
@@ -502,8 +504,7 @@ _CERTIFICATES = [
         "T(2) * error.point",
         ON_NARROW,
         equivalent="on straight paths a window ends with the step, so that both terms of a blend are at most twice as"
-        " long as the vectors at the ends of the window, of which there are 128 units; on arcs the points' error holds"
-        " it",
+        " long as the vectors at the ends of the window, covered by 128 units; on arcs the points' error covers it",
     ),
     Mutant(
         "lengths-without-root-three",
@@ -527,7 +528,7 @@ _CERTIFICATES = [
         "prefix * duration",
         ON_NARROW,
         equivalent="the threshold lies 32 units of the extent further out, and no gap closes by more than twice the"
-        " extent in a step: 16 units of the step, of which the product's rounding takes 4",
+        " extent in a step: 16 units of the step, of which the product's rounding uses 4",
     ),
     Mutant(
         "advance-not-rounded-down",
@@ -544,7 +545,7 @@ _CERTIFICATES = [
         "step * (T(1) - prefix) * (T(1) - T(4) * u)",
         "step * (T(1) - prefix)",
         ON_NARROW,
-        equivalent="the cubic changes by less than 6 |a||b||r|, so that its 128 units are more than 16 of time",
+        equivalent="the cubic changes by less than 6 |a||b||r|, so its 128 units are more than 16 units of time",
     ),
     Mutant(
         "phases-hand-on-complete-advances",
@@ -573,7 +574,7 @@ _CERTIFICATES = [
         "separation + path.deviation(duration) * (T(1) + T(16) * unit)",
         "separation + path.deviation(duration)",
         ON_NARROW,
-        equivalent="2^-40 in the curvature is 512 times as much",
+        equivalent="the 2^-40 in the curvature is 512 times larger",
     ),
     Mutant(
         "curvature-rounding",
@@ -582,7 +583,7 @@ _CERTIFICATES = [
         "(1.0 + 0.0)",
         ON_NARROW,
         within="(1.0 + 0x1p-40) * (first.angle",
-        equivalent="the curvature is off by at most 10 units, the deviation has 16 of its own, and an arc strays less"
+        equivalent="the curvature's error is at most 10 units, the deviation has 16 spare, and an arc deviates less"
         " than a parabola",
     ),
     Mutant(
@@ -685,8 +686,8 @@ _CERTIFICATES = [
         "normal_squared > (slender * slender) * parallel_squared",
         "normal_squared > T(0)",
         ON_NARROW,
-        equivalent="a foot inside needs the offset's part across to be less than the slenderness, so that the distance"
-        " is off by no more",
+        equivalent="an inside foot requires the offset's transverse part below the slenderness, which bounds the error"
+        " of the distance",
     ),
     Mutant(
         "toi-rounded-to-nearest",
@@ -724,7 +725,7 @@ _CERTIFICATES = [
         "round_down<T>(settings.tolerance)",
         "static_cast<T>(settings.tolerance)",
         ON_NARROW,
-        equivalent="a sixteenth of the tolerance is used, and a contact must be proven or be at the noise besides",
+        equivalent="a sixteenth of the tolerance is used, and a contact must also be certified or within the noise",
         switched=False,
     ),
     Mutant(
@@ -733,7 +734,7 @@ _CERTIFICATES = [
         "round_up<T>(settings.prune_at)",
         "static_cast<T>(settings.prune_at)",
         ON_NARROW,
-        equivalent="single precision is asked by elementary queries only, which are never pruned",
+        equivalent="only elementary queries use single precision, and they are never pruned",
         switched=False,
     ),
     Mutant(
@@ -952,8 +953,8 @@ _CORE = [
         "std::fma(-quadrant, half_pi_low, r)",
         "r",
         ("test_motion.py",),
-        equivalent="2^-110 of up to 2^20 quadrants is 2^-90, far below 2^-53; it matters to the relative error near the"
-        " zeros only, which is not promised",
+        equivalent="2^-110 of up to 2^20 quadrants is 2^-90, far below 2^-53; it affects only the relative error near"
+        " the zeros, which is unspecified",
     ),
     Mutant(
         "sine-last-term",
@@ -961,7 +962,7 @@ _CORE = [
         "-1.0 / 1307674368000.0 + q * (1.0 / 355687428096000.0)",
         "-1.0 / 1307674368000.0",
         ("test_motion.py", *ON_CORE),
-        equivalent="(pi/4)^17 / 17! is 2^-54: less than the 2 units promised leave",
+        equivalent="(pi/4)^17 / 17! is 2^-54: less than the margin of the specified 2 units",
     ),
     Mutant(
         "sine-last-two-terms",
@@ -1024,8 +1025,8 @@ _BROAD = [
         "1.0",
         ON_BROAD,
         within="kept) * (1.0 + 0x1p-42) + rounding",
-        equivalent="spheres that touch have an offset of their reach at least, so that the offset's slack is 2^-48 of a"
-        " third of it or more",
+        equivalent="touching spheres have an offset of at least their reach, so the offset's margin is at least 2^-48"
+        " of a third of it",
     ),
     Mutant(
         "predicate-reach-0.999",
@@ -1063,7 +1064,7 @@ _BROAD = [
         "0x1p-22 * std::fabs(x) + 0x1p-130",
         "0.0 * x",
         ON_BROAD,
-        equivalent="rounding to nearest keeps the order of bounds measured from one origin, so that those which overlap"
+        equivalent="rounding to nearest keeps the order of bounds measured from one origin, so overlapping ones"
         " still do; the balls have their own 2^-19",
     ),
     Mutant(
@@ -1072,7 +1073,7 @@ _BROAD = [
         "0x1p-22 * std::fabs(x) + 0x1p-130",
         "0x1p-22 * std::fabs(x)",
         ON_BROAD,
-        equivalent="rounding to nearest keeps the order of bounds measured from one origin, so that those which overlap"
+        equivalent="rounding to nearest keeps the order of bounds measured from one origin, so overlapping ones"
         " still do; the balls have their own 2^-19",
     ),
     Mutant(

@@ -1,11 +1,11 @@
-"""Faults put into the product on purpose, one at a time: every margin and error bound removed or made too small.
+"""Mutation testing: every margin and error bound is removed or made too small, one at a time.
 
 python tests/mutants.py [--only NAME ...] [--list] [--jobs N] [--rest] [--equivalents] [--folder PATH]
 
-Each mutant of `mutant_list` must be noticed by the test modules it names ("killed"), or be marked as equivalent, with
-the reason. Works on a copy of the project outside of it, with a build folder of its own, for the CPU only. Mutants that
-replace one expression by another are compiled together, each chosen by an environment variable; the others one by one.
-Prints a table, and exits with 1 if a mutant survived or if the unchanged copy fails its tests.
+For each mutant of `mutant_list` the test modules it names must fail ("killed"), or it must be marked as equivalent,
+with the reason. Works on a copy of the project with its own build folder, for the CPU only. Mutants that replace one
+expression by another are compiled together and selected by an environment variable; the others one by one. Prints a
+table, and exits with 1 if a mutant survived or if the unchanged copy fails its tests.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mutant_list import MUTANTS, Mutant
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIABLE = "PGCCD_MUTANT"
-# A mutant whose tests take longer is taken for an endless loop.
+# A mutant whose tests take longer counts as an endless loop.
 SECONDS = 900
 _LEFT_OUT = {".git", ".venv", "build", "out", "results", "__pycache__", ".mypy_cache", ".ruff_cache", ".pytest_cache"}
 _SWITCH = f"""
@@ -41,10 +41,10 @@ class StaleMutantError(Exception):
 
 
 def span(mutant: Mutant, text: str) -> tuple[int, int]:
-    """Where in a file's text the replaced part is.
+    """The range of the replaced text in a file's text.
 
     Raises:
-        StaleMutantError: it is not there, or more than once.
+        StaleMutantError: it does not occur exactly once.
     """
     around = mutant.within or mutant.old
     if text.count(around) != 1 or around.count(mutant.old) != 1:
@@ -63,7 +63,7 @@ def with_mutant(mutant: Mutant, text: str) -> str:
 
 
 def with_switches(numbered: Iterable[tuple[int, Mutant]], text: str) -> str:
-    """The file's text with every mutant in it as an expression that depends on which is selected."""
+    """The file's text with every mutant in it as an expression switched by the selected number."""
     by_span: dict[tuple[int, int], list[tuple[int, Mutant]]] = {}
     for number, mutant in numbered:
         by_span.setdefault(span(mutant, text), []).append((number, mutant))
@@ -74,12 +74,12 @@ def with_switches(numbered: Iterable[tuple[int, Mutant]], text: str) -> str:
 
 
 def overlaps(a: tuple[int, int], b: tuple[int, int]) -> bool:
-    """Different parts of a file that have some text in common."""
+    """Whether two different ranges overlap."""
     return a != b and a[0] < b[1] and b[0] < a[1]
 
 
 def batches(mutants: list[Mutant], texts: dict[str, str]) -> list[list[Mutant]]:
-    """Those that can be compiled together."""
+    """Groups of mutants that can be compiled together."""
     found: list[list[Mutant]] = []
     for mutant in mutants:
         here = span(mutant, texts[mutant.file])
@@ -104,13 +104,13 @@ class Copy:
             if _LEFT_OUT.intersection(name.parts) or source.suffix in (".so", ".pyc") or not source.is_file():
                 continue
             target = folder / name
-            # What is there already keeps its time, for the build; what a former run has changed gets a new one.
+            # Unchanged files keep their times, for the build; files changed by an earlier run get new ones.
             if not target.exists() or target.read_bytes() != source.read_bytes():
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_bytes(source.read_bytes())
 
     def write(self, texts: dict[str, str]) -> None:
-        """Files with these texts, all others as they are in the project; what does not change is not touched."""
+        """Writes files with these texts, and restores all others; unchanged files are not touched."""
         for name in self._originals.keys() - texts.keys():
             self._put(name, self._originals[name])
         for name, text in texts.items():
@@ -131,7 +131,7 @@ class Copy:
             raise SystemExit(f"the copy does not compile:\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}")
 
     def test(self, targets: Iterable[str], number: int = 0) -> tuple[bool, str]:
-        """Whether the tests pass, and the first that does not."""
+        """Whether the tests pass, and the first that fails."""
         names = [f"tests/{t}" for t in targets]
         command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", *names]
         environment = {**os.environ, VARIABLE: str(number), "PYTHONPATH": str(self.folder), "OMP_NUM_THREADS": "1"}
@@ -141,14 +141,14 @@ class Copy:
             )
         except subprocess.TimeoutExpired:
             return False, "time-out"
-        if done.returncode in (2, 3, 4, 5):  # not a failed test, but no test
+        if done.returncode in (2, 3, 4, 5):  # no test was run
             raise SystemExit(f"pytest {' '.join(names)}:\n{done.stdout[-4000:]}\n{done.stderr[-2000:]}")
         failed = re.search(r"^(?:FAILED|ERROR) tests/(\S+)", done.stdout, re.MULTILINE)
         return done.returncode == 0, failed[1] if failed else f"exit status {done.returncode}"
 
 
 def verdict(copy: Copy, mutant: Mutant, number: int, rest: bool) -> str:
-    """What became of a mutant that is compiled in as `number`."""
+    """The verdict on the mutant compiled in as `number`."""
     passed, by = copy.test(mutant.killed_by, number)
     if passed and rest and not mutant.equivalent:
         passed, by = copy.test([""], number)
@@ -158,7 +158,7 @@ def verdict(copy: Copy, mutant: Mutant, number: int, rest: bool) -> str:
 
 
 def run(mutants: list[Mutant], folder: Path, jobs: int, rest: bool) -> dict[str, str]:
-    """The verdict on each, by name; printed as they come."""
+    """The verdicts by name; printed as they become available."""
     copy, verdicts = Copy(folder), dict[str, str]()
     texts = {m.file: (ROOT / m.file).read_text() for m in mutants}
 
@@ -194,7 +194,7 @@ def run(mutants: list[Mutant], folder: Path, jobs: int, rest: bool) -> dict[str,
 
 
 def main() -> int:
-    """Runs the mutants asked for."""
+    """Runs the requested mutants."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these, or all whose names begin so")
     parser.add_argument("--list", action="store_true", help="print the mutants and stop")

@@ -1,9 +1,9 @@
-"""The elementary tests at length: streams random and adversarial queries through the product and the batch oracle.
+"""Long run of the elementary tests: random and adversarial queries against the batch oracle.
 
 python tests/nightly.py --queries 10000000 --seed 1 [--path linear|rigid] [--dtype float64|float32] [--device cpu|cuda]
 
-Prints a table by family, and examples of what went wrong. Exits with 1 if anything was missed, late or invented, or if
-more stayed unresolved or undecided than is usual.
+Prints a table by family, and examples of failures. Exits with 1 if a contact was missed, late or false, or if more than
+the usual number were unresolved or undecided.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ COLUMNS = ("queries", "true", "missed", "late", "invented", "misplaced", "near",
 
 
 def stream(arguments: argparse.Namespace) -> Iterator[tuple[str, Tally]]:
-    """Rounds without end."""
+    """An endless stream of rounds."""
     if arguments.path == "rigid":
         return bulk_arcs.arcs_checked(arguments.seed, itertools.count(), arguments.device)
     return bulk.straight(arguments.seed, itertools.count(), getattr(torch, arguments.dtype), arguments.device)
 
 
 def table(tallies: dict[str, Tally]) -> str:
-    """One line a family, and their sum."""
+    """One line per family, and their sum."""
     total = Tally()
     for tally in tallies.values():
         total.add(tally)

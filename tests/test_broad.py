@@ -1,4 +1,4 @@
-"""Broad phase against the exact set of pairs: nothing missed, and nothing more than a rounding away invented."""
+"""Broad phase against the exact set of pairs: none missed, and none invented beyond rounding."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pgccd import ops
 
 AXES = (-1, 0, 1, 2)
 NUMBERS = pgccd.broad.BROAD_PHASE_NUMBERS
-# Each broad phase, the sweep along each axis.
+# Each broad phase, and the sweep along each axis.
 WAYS: tuple[tuple[Callable[..., torch.Tensor], tuple[int, ...]], ...] = (
     *((ops.broad_pairs, (NUMBERS["sweep"], axis)) for axis in AXES),
     *((ops.broad_pairs, (number,)) for name, number in NUMBERS.items() if name != "sweep"),
@@ -27,7 +27,7 @@ ROUNDING = 1e-12
 
 
 def found_by(way: Any, start: Any, end: Any, radius: Any, separation: float = 0.0, **filters: Any) -> torch.Tensor:
-    """The operator on arrays (on the device of `filters["device"]`)."""
+    """Runs the operator on arrays (on the device of `filters["device"]`)."""
     operator, settings = way
     device, tolerance = filters.pop("device", "cpu"), filters.pop("tolerance", 0.0)
     columns = tensors(*(np.asarray(a, dtype=np.float64) for a in (start, end, radius)), device=device)
@@ -57,7 +57,7 @@ def check(start: Any, end: Any, radius: Any, separation: float = 0.0, **filters:
 
 
 def agreed(start: Any, end: Any, radius: Any, separation: float = 0.0, **options: Any) -> torch.Tensor:
-    """What all broad phases find."""
+    """The pairs found by all broad phases, which must agree."""
     found = [found_by(way, start, end, radius, separation, **options) for way in WAYS]
     names = [f"{operator.__name__}{settings}" for operator, settings in WAYS]
     different = [name for name, pairs in zip(names, found, strict=True) if not torch.equal(pairs, found[0])]
@@ -90,7 +90,7 @@ def test_far_from_the_origin(device: torch.device, far: float) -> None:
     start, end, radius = scattered(np.random.default_rng(2), 300, 8.0)
     shift = far * np.array([1.0, -0.5, 0.25])
     assert len(check(start + shift, end + shift, radius, device=device)) > 50
-    # And some at the origin too, so that the whole extent is huge against the bodies.
+    # With bodies at the origin too, so that the extent is huge relative to the bodies.
     both = [np.concatenate([x, x + shift]) for x in (start, end)]
     check(*both, np.tile(radius, 2), device=device)
 
@@ -125,7 +125,7 @@ def test_identical_and_still_bodies(device: torch.device) -> None:
 
 
 def test_touching_counts(device: torch.device) -> None:
-    # A row at exactly representable distances: neighbours touch exactly, and not one ulp further away.
+    # A row at exactly representable distances: neighbours touch exactly, and no longer one ulp further away.
     start = np.zeros((64, 3))
     start[:, 1] = 0.75 * np.arange(64)
     pairs = check(start, start, np.full(64, 0.375), device=device)

@@ -1,4 +1,4 @@
-"""Scenes that are hard on one broad phase or another: all of them must find the same pairs, and the true ones."""
+"""Scenes that are hard for one broad phase or another: all must find the same, true pairs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Arrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def stirred(rng: np.random.Generator, start: np.ndarray, radius: np.ndarray, step: float = 0.1) -> Arrays:
-    """Centres at both ends, steps in proportion to the radii, and the radii."""
+    """Centres at both ends, with steps in proportion to the radii, and the radii."""
     return start, start + step * radius[:, None] * rng.normal(size=start.shape), radius
 
 
@@ -27,7 +27,7 @@ def stirred(rng: np.random.Generator, start: np.ndarray, radius: np.ndarray, ste
 def test_sizes_over_many_octaves(device: torch.device, ratio: float, spread: float) -> None:
     rng = np.random.default_rng(10)
     radius = ratio ** rng.uniform(-1, 0, 700)
-    # Half of the small ones crowd around large ones, or they would hardly meet.
+    # Half of the small spheres crowd around large ones; otherwise few would meet.
     start = spread * rng.uniform(-1, 1, (700, 3))
     start[350:] = start[:350] + radius[:350, None] * rng.normal(size=(350, 3))
     assert len(check(*stirred(rng, start, radius), 0.001, device=device)) > 200
@@ -73,7 +73,7 @@ def test_long_capsules(device: torch.device, thin: float) -> None:
 
 @pytest.mark.parametrize("spacing", [1.0, 1.5, 1024.0, float(2**20)])
 def test_lattices(device: torch.device, spacing: float) -> None:
-    """Spacings at which cells of a hashed grid might fall on one another."""
+    """Spacings at which cells of a hashed grid might collide."""
     steps = np.arange(8.0)
     start = spacing * np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
     pairs = check(start, start, np.full(512, 0.5), device=device)
@@ -97,7 +97,7 @@ def test_many_worlds_in_one_place(device: torch.device) -> None:
 
 
 def test_more_pairs_than_expected(device: torch.device) -> None:
-    """Rows far longer than average, and more pairs than buffers are made for at first."""
+    """Rows far longer than average, and more pairs than the initial buffers hold."""
     rng = np.random.default_rng(17)
     start = rng.uniform(-0.5, 0.5, (2500, 3))
     start[:, 0] += 4.0 * (np.arange(2500) % 2)
@@ -108,7 +108,7 @@ def test_more_pairs_than_expected(device: torch.device) -> None:
 
 @st.composite
 def scenes(draw: st.DrawFn) -> tuple[Arrays, float, dict[str, Any]]:
-    """Clusters of any size and distance, sizes and speeds over any range, and filters."""
+    """Clusters of any size and distance, sizes and speeds over wide ranges, and filters."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(0, 60))
     clusters = draw(st.integers(1, 4))
@@ -183,7 +183,7 @@ def test_auto_chooses_by_number_and_sizes(device: torch.device) -> None:
 @pytest.mark.parametrize("worlds", [1, 3])
 @pytest.mark.parametrize("present", [0, 1, 40, 900])
 def test_rows_without_a_body(device: torch.device, worlds: int, present: int) -> None:
-    """Padding: a radius below zero. It is not found, wherever it is, and many rows of it in one place take no time."""
+    """Padding: a radius below zero. It is never found, and many such rows in one place cost no time."""
     rng = np.random.default_rng(21)
     start, end, radius = scattered(rng, 900, 5.0)
     world = rng.integers(0, worlds, 900) if worlds > 1 else None

@@ -1,4 +1,4 @@
-"""Spheres that touch exactly where coordinates of the world are rounded coarsely: no broad phase may lose one."""
+"""Spheres that touch exactly where world coordinates are rounded coarsely: no broad phase may miss a pair."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 import torch
 from test_broad import agreed, check
 
-# Directions with integer coordinates and integer length: touching is then a matter of integers.
+# Directions with integer coordinates and integer length: touching is then decided in integers.
 TRIPLES = ((0, 0, 1), (1, 2, 2), (2, 3, 6), (1, 4, 8), (4, 4, 7))
 
 
@@ -24,18 +24,19 @@ def directions_and_lengths() -> tuple[np.ndarray, np.ndarray]:
 
 
 def touching_across(exponent: int, seed: int, count: int = 300, largest: int = 6) -> dict[str, Any]:
-    """Pairs of spheres, each in a world of its own, that touch exactly near the corner 2^exponent (1, 1, 1) of the
-    octant, across which the spacing of doubles doubles. Radii are of that spacing."""
+    """Pairs of spheres, each in its own world, that touch exactly near the corner 2^exponent (1, 1, 1) of the octant,
+    where the spacing of doubles doubles. Radii are of the order of that spacing.
+    """
     rng = np.random.default_rng(seed)
-    unit = 2.0 ** (exponent - 52)  # spacing above the corner
+    unit = 2.0 ** (exponent - 52)  # spacing just above the corner
     table, lengths = directions_and_lengths()
     chosen = rng.integers(len(table), size=count)
     times = rng.integers(1, largest + 1, count)
     first = rng.integers(-8, 9, (count, 3))
     offset, length = table[chosen] * times[:, None], lengths[chosen] * times
-    # Half units, so that the ends of boxes are rounded.
+    # Half units, so that the bounds of boxes are rounded.
     halves = rng.integers(1, 2 * length)
-    corner = rng.choice([-1.0, 1.0], 3) * 2.0**exponent  # one, so that the middle of the scene is there
+    corner = rng.choice([-1.0, 1.0], 3) * 2.0**exponent  # the same for all, so that the middle of the scene is there
     sign = np.sign(corner)
     ends = [corner + sign * unit * first, corner + sign * unit * (first + offset)]
     radius = [0.5 * unit * halves, 0.5 * unit * (2 * length - halves)]
@@ -57,12 +58,12 @@ def test_touching_across_a_power_of_two(device: torch.device, exponent: int, lar
 
 
 def shifts(positions: np.ndarray, reach: float, corner: float) -> np.ndarray:
-    """By how much the middle of the interval position -/+ reach moves when its ends are rounded."""
+    """Shift of the middle of the interval position -/+ reach due to rounding its ends."""
     return 0.5 * ((positions - reach - corner) + (positions + reach - corner)) - (positions - corner)
 
 
 def worst_pair(triple: tuple[int, int, int], length: int, exponent: int, seed: int) -> dict[str, Any]:
-    """Two spheres that touch exactly along the direction, and whose computed boxes lie as far apart as can be."""
+    """Two spheres that touch exactly along the direction, and whose computed boxes lie as far apart as possible."""
     rng = np.random.default_rng(seed)
     unit, corner = 2.0 ** (exponent - 52), 2.0**exponent
     best, found = 0.0, {}
@@ -74,7 +75,7 @@ def worst_pair(triple: tuple[int, int, int], length: int, exponent: int, seed: i
             here, there = corner + steps * unit, corner + steps * unit + component * unit
             exact = ((here - corner) / unit == steps) & ((there - corner) / unit == steps + component)
             here, there = here[exact], there[exact]
-            # Radii are grown a little in every box.
+            # Boxes grow the radii a little.
             moved = shifts(there, radii[1] * (1 + 2.0**-40), corner) - shifts(here, radii[0] * (1 + 2.0**-40), corner)
             k = int(np.argmax(moved))
             apart += moved[k] * component / length
@@ -87,14 +88,14 @@ def worst_pair(triple: tuple[int, int, int], length: int, exponent: int, seed: i
 
 @pytest.mark.parametrize("exponent", [0, 27, -40, 100])
 def test_boxes_rounded_apart(device: torch.device, exponent: int) -> None:
-    """Balls around the middles of boxes still meet. The last direction comes within 0.0002 of the bound."""
+    """Spheres whose boxes are rounded apart still meet. The last direction comes within 0.0002 of the bound."""
     for triple, length in (((1, 2, 2), 3), ((6, 6, 7), 11), ((23, 24, 24), 41)):
         for seed in range(3):
             assert check(**worst_pair(triple, length, exponent, seed), device=device).tolist() == [[0, 1]]
 
 
 def test_each_touching_pair_in_a_scene_of_its_own(device: torch.device) -> None:
-    """The origin of the filter's boxes is then next to the spheres."""
+    """Then the origin of the filter's boxes is next to the spheres."""
     scene = touching_across(27, 5, count=150)
     for k in range(0, 300, 2):
         one = {name: scene[name][k : k + 2] for name in ("start", "end", "radius")}

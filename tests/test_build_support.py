@@ -1,4 +1,4 @@
-"""Choosing what nvcc compiles for."""
+"""Choice of the architectures that nvcc compiles for."""
 
 from __future__ import annotations
 

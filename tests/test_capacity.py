@@ -1,4 +1,4 @@
-"""Detection in a fixed capacity: the same contacts, nothing waits, and overflow is reported."""
+"""Detection in a fixed capacity: the same contacts, no host waits, and overflow is reported."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_too_little_capacity_is_reported(device: torch.device, part: str) -> Non
     assert bool(hits.overflow)
     with pytest.raises(pgccd.CapacityError, match=part) as error:
         hits.trim()
-    # With what it says was needed, in a few steps.
+    # Growing to the reported needs reaches a sufficient capacity in a few steps.
     for _ in range(6):
         more = error.value.capacity.grown(error.value.needed)
         hits = pgccd.detect(scene, motion, "all", broad_phase="grid", capacity=more)
@@ -140,7 +140,7 @@ def test_invalid_poses_are_reported_later(device: torch.device) -> None:
         columns = columns_of(motion)
         columns[2] = columns[2].clone()
         columns[2][3, 1] = torch.nan
-        with pytest.MonkeyPatch.context() as patch:  # a CPU would tell at once
+        with pytest.MonkeyPatch.context() as patch:  # a CPU would report it at once
             patch.setattr(torch.compiler, "is_compiling", lambda: True)
             wrong = pgccd.RigidMotion.from_rotation(*columns)
         hits = pgccd.detect(scene, wrong, broad_phase=broad_phase, capacity=capacity)
@@ -213,7 +213,7 @@ def test_one_wait_a_step() -> None:
     for report in REPORTS:
         pgccd.detect(scene, motion, report)
         assert pgccd.detect(scene, motion, report).stats.waits == 1
-    # In a fixed capacity not even one, and no copy to the host at all.
+    # In a fixed capacity there is no wait, and no copy to the host.
     capacity = Capacity.guess(scene.body_count)
     torch.cuda.set_sync_debug_mode("error")
     try:
@@ -229,7 +229,7 @@ def test_capacity_grows_until_a_step_fits(device: torch.device, report: Any) -> 
     query = Query(report, 0.0, None, False)
     for names in (("pairs", "contacts"), tuple(field.name for field in fields(Capacity) if field.type == "int")):
         assert expected.stats.needed is not None
-        # As if the last step had needed hardly anything.
+        # As if the last step had needed almost no capacity.
         little = replace(expected.stats.needed, **dict.fromkeys(names, 0))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(CapacityEstimate, "capacity", lambda *_, little=little: little)
@@ -237,7 +237,7 @@ def test_capacity_grows_until_a_step_fits(device: torch.device, report: Any) -> 
         assert found is not None and found.stats.waits > 1
         assert (found.stats.scratch_bytes > 0) == (device.type == "cuda")
         assert_same(found, expected)
-    # It is remembered; and a budget too small for it leaves the step to be streamed.
+    # The need is remembered; with a budget too small for it the step is streamed.
     bodies = pgccd.MovingBodies(scene, motion, wait=False)
     again = detect_at_once(bodies, query, "grid", None, None)
     assert again is not None and again.stats.waits == 1
@@ -254,7 +254,7 @@ def test_first_toi_alone(device: torch.device) -> None:
     assert hits.toi is not None
     expected = torch.full((scene.body_count,), torch.inf, dtype=torch.float64, device=device)
     expected.scatter_reduce_(0, hits.pairs.view(-1), hits.toi.repeat_interleave(2), "amin")
-    expected[0] = 0.0  # from before
+    expected[0] = 0.0  # from an earlier call
     padded = torch.cat([pairs, pairs.new_full((3, 2), -1)])
     count = torch.tensor([len(pairs)], device=device)
 
@@ -267,16 +267,16 @@ def test_first_toi_alone(device: torch.device) -> None:
         return first
 
     seen: Counts
-    for given in (capacity, replace(capacity, contacts=0)):  # of contacts there are none
+    for given in (capacity, replace(capacity, contacts=0)):  # no capacity for contacts
         assert torch.equal(lowered(given), expected)
         assert seen.contacts == len(hits) and not seen.overflow and seen.pairs_written == len(pairs)
         assert seen.broad_began <= seen.traverse_began <= seen.traverse_ended <= seen.narrow_ended
-    # Pairs beyond the count are not read.
+    # Pairs past the count are not read.
     for given in (padded, padded[:0]):
         first = lowered(capacity, given, torch.zeros_like(count))
         assert first.tolist() == [0.0, *[torch.inf] * (scene.body_count - 1)]
         assert seen.contacts == 0 and not seen.overflow
-    if device.type == "cuda":  # a CPU takes what it needs
+    if device.type == "cuda":  # a CPU allocates on demand
         for name in ("tasks", "leaf_pairs", "candidates", "open"):
             lowered(replace(capacity, **{name: 1}))
             assert seen.overflow, name

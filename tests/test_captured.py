@@ -1,4 +1,4 @@
-"""Detection captured once and replayed: what `detect` finds."""
+"""Detection captured once and replayed: the contacts of `detect`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ REPORTS = ["any", "first", "all", "earliest"]
 
 
 def crowd(device: torch.device) -> tuple[pgccd.Scene, list[pgccd.RigidMotion]]:
-    """A scene, and three steps of it."""
+    """A scene and three steps of motion."""
     given = crowds()["faster than cells"]
     rows = torch.arange(len(given.position))
     motion = given.motion(rows)
@@ -49,7 +49,7 @@ def test_same_contacts(device: torch.device, report: Any) -> None:
         assert len(expected) > 0 and not bool(hits.overflow)
         assert_same(hits.trim(), expected)
         kept.append((captured.contacts(), expected))
-    for found, expected in kept:  # in memory of their own
+    for found, expected in kept:  # in their own memory
         assert_same(found, expected)
 
 

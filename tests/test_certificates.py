@@ -1,4 +1,4 @@
-"""Certificates of the narrow phase against points that are off by as much as they may be, in the worst direction."""
+"""Certificates of the narrow phase against points perturbed by the allowed error in the worst direction."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from pathlib import Path
 
 from support.host_program import run_program
 
-# The coplanarity cubic r . (a x b) of features whose entries are near +-1, where lengths are sqrt(3) times the largest
-# entry; the exact one, in long double, at the end of the stretch that is said to be free.
+# The coplanarity cubic r . (a x b) of features with entries near +-1, whose lengths are sqrt(3) times the largest
+# entry; evaluated in long double at the end of the interval that the certificate declares free.
 PROGRAM = """
 #include <cstdio>
 #include <random>

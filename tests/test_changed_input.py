@@ -1,4 +1,4 @@
-"""Columns of motions and scenes that are written to or replaced after they were checked; inputs that want gradients."""
+"""Columns of motions and scenes that are written or replaced after validation; inputs that require gradients."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_columns_replaced_by_something_else(column: str) -> None:
     former = getattr(motion, column)
     more = torch.cat([former, former])
     other = [former.float(), former[:, :2], former[0], former.numpy(), None, former.half()]
-    # The others are held against the first column.
+    # All other columns are compared with the first.
     for value in other if column in ("position_t0", "x_t0") else [*other, more, former.to("meta")]:
         setattr(motion, column, value)
         with pytest.raises((TypeError, ValueError), match=f"^({column}|motion): "):
@@ -139,7 +139,7 @@ def test_trusted_columns_are_never_looked_at(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_verdict_on_what_is_not_kept_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    # As on a GPU, which is not waited for when the motion is made.
+    # As on a GPU, whose checks are not awaited when the motion is made.
     scene, _ = rigid()
     b = bodies()
     bad = b.orientation_t0.copy()
@@ -159,7 +159,7 @@ def test_verdict_on_what_is_not_kept_stays(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def sizes() -> tuple[pgccd.Scene, pgccd.RigidMotion, list[pgccd.Mesh]]:
-    """Two small bodies out of reach of each other, and a mesh so large that they would touch."""
+    """Two small bodies out of reach of each other, and a mesh large enough to make them touch."""
     b = bodies()
     small = pgccd.Mesh(1e-3 * b.meshes[0].vertices, b.meshes[0].faces)
     meshes = [small, b.meshes[0], pgccd.Mesh(10.0 * b.meshes[0].vertices, b.meshes[0].faces)]
@@ -215,7 +215,7 @@ def test_gradients_are_refused_by_name() -> None:
             assert torch.equal(pgccd.detect(b.scene(), motion).toi, expected.toi)
         assert not motion.rotation.requires_grad and not motion.position_t0.requires_grad
     motion = pgccd.RigidMotion(**poses)
-    motion.position_t0.requires_grad_()  # that the motion shares
+    motion.position_t0.requires_grad_()  # shared with the motion
     with pytest.raises(ValueError, match="^position_t0: requires grad"):
         pgccd.detect(b.scene(), motion)
     with pytest.raises(ValueError, match="^x_t1: requires grad"):

@@ -29,7 +29,7 @@ def meshes(tmp_path: Path) -> list[str]:
 
 @pytest.fixture
 def poses(tmp_path: Path) -> str:
-    """Two bodies that fly at each other along x, from 4 apart."""
+    """Two bodies flying at each other along x, initially 4 apart."""
     start = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
     turn = np.array([[1.0, 0.0, 0.0, 0.0]] * 2)
     path = tmp_path / "poses.npz"

@@ -1,4 +1,4 @@
-"""Numbers that Python and C++ share: enumerations and columns of counts, in the same order on both sides."""
+"""Numbers shared by Python and C++: enumerations and columns of counts, in the same order on both sides."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CSRC = Path(__file__).resolve().parents[1] / "csrc"
 
 
 def enumerators(header: str, name: str) -> dict[str, int]:
-    """Names in snake case, without their k, and values."""
+    """Names (snake case, without their k) and values of an enumeration."""
     text = (CSRC / header).read_text()
     found = re.search(rf"enum (?:class )?{name} : \w+ {{(.*?)}}", text, re.DOTALL)
     assert found is not None, f"{header}: no enum {name}"
@@ -49,7 +49,7 @@ def test_enumerations(header: str, name: str, expected: dict[str, int]) -> None:
 
 
 def test_columns_of_counts() -> None:
-    """In the order of `Counts`: those of the broad phase, the traversal and the narrow phase."""
+    """They follow the order of `Counts`: broad phase, traversal, narrow phase."""
     stages = [
         enumerators("kernels/padded_pairs.h", "PairCount"),
         enumerators("kernels/traverse/traverse.h", "TraverseCount"),
@@ -57,7 +57,7 @@ def test_columns_of_counts() -> None:
     ]
     names = []
     for stage in stages:
-        *columns, total = stage  # the last one is their number
+        *columns, total = stage  # the last enumerator is the number of columns
         assert total.endswith("_counts") and list(stage.values()) == list(range(len(stage)))
         names += columns
     expected = [re.sub("_needed$", "", name).replace("unresolved_written", "unresolved") for name in names]

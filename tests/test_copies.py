@@ -147,12 +147,12 @@ def test_orientations_turn() -> None:
     turn[0], turn[1] = 0.0, 1e-9
     turned = pgccd.integrate_orientation(orientation, turn)
     zero = torch.zeros(50, 3, dtype=torch.float64)
-    # The constructor takes the shorter way, and these turn by less than half a turn.
+    # The constructor takes the shorter way; these turn by less than half a turn.
     near = torch.linalg.vector_norm(turn, dim=1) < 3.0
     again = pgccd.RigidMotion(zero, orientation, zero, turned).rotation
     assert near.sum() > 40 and torch.allclose(again[near], turn[near], atol=1e-14)
     assert torch.allclose(turned.norm(dim=1), torch.ones(50, dtype=torch.float64), atol=1e-15)
-    # Two halves make the whole; float32 stays float32.
+    # Two half turns make the whole one; float32 stays float32.
     half = pgccd.integrate_orientation(pgccd.integrate_orientation(orientation, 0.5 * turn), 0.5 * turn)
     assert torch.allclose(half, turned, atol=1e-14)
     single = pgccd.integrate_orientation(orientation.float(), turn.float())

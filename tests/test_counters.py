@@ -1,4 +1,4 @@
-"""Counts of a device's lists beyond 32 bits never look like counts that fit."""
+"""Counts of device lists beyond 32 bits are never mistaken for counts that fit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
 
-# What decides on a device whether lists were long enough, as compiled for the host.
+# The device code that checks list lengths, compiled for the host.
 PROGRAM = """
 #include <cstdio>
 #include <cstdlib>
@@ -81,15 +81,16 @@ def test_counts_beyond_32_bits(tmp_path: Path) -> None:
 
 @pytest.mark.cuda
 def test_more_candidates_than_32_bits_count() -> None:
-    """A separation that keeps everything: so many feature pairs that a count of 32 bits would begin again, and end
-    below the capacity."""
+    """A separation that accepts every feature pair: so many that a 32-bit count would wrap to a value below the
+    capacity.
+    """
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
     rng = np.random.default_rng(0)
     mesh = bumpy(rng, 3)
     vertices, faces = mesh.vertices.shape[0], mesh.faces.shape[0]
     edges = vertices + faces - 2
-    each = 2 * vertices * faces + edges**2  # closed meshes
+    each = 2 * vertices * faces + edges**2  # feature pairs of two closed meshes
     pairs = 2**32 // each + 1
     count = 2 * pairs
     position = np.arange(count)[:, None] * np.array([1e-3, 0.0, 0.0])

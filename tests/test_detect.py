@@ -1,4 +1,4 @@
-"""detect() on rigid arcs and straight paths: it reports what happens, and its reports agree with one another."""
+"""detect() on rigid arcs and straight paths: it reports true contacts, and its reports agree with one another."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal",
 
 
 def same_bits(a: pgccd.Contacts, b: pgccd.Contacts) -> bool:
-    """All columns equal."""
+    """Are all columns equal?"""
     pairs = [(getattr(a, c), getattr(b, c)) for c in COLUMNS]
     return all((x is None and y is None) or torch.equal(x, y) for x, y in pairs)
 
@@ -34,7 +34,7 @@ def tolerance_of(bodies: Bodies, i: int = 0, j: int = 1) -> float:
 
 
 def check_rigid(bodies: Bodies, device: torch.device, separation: float = 0.0) -> int:
-    """Against brute force; returns the number of contacts."""
+    """Checks against brute force; returns the number of contacts."""
     hits = pgccd.detect(bodies.scene(device), bodies.motion(device=device), "all", separation)
     contacts = assert_rigid_pair_agrees(hits, bodies, separation=separation)
     assert hits.stats.unresolved == int((hits.status == pgccd.UNRESOLVED).sum())
@@ -65,7 +65,7 @@ def test_mixed_sizes_and_separation(device: torch.device) -> None:
 def test_all_contacts_of_straight_paths(device: torch.device, offset: float) -> None:
     for seed in range(2):
         bodies = approaching(np.random.default_rng([5, seed]), (0, 1), turn=1.5, closeness=0.8, offset=offset)
-        # Seen from the first body, so that the positions handed to the oracle are not rounded far from the origin.
+        # Relative to the first body, so that the positions given to the oracle are not rounded far from the origin.
         ends = [end_positions(bodies, b, seen_from=0) for b in (0, 1)]
         faces = [m.faces.long().numpy() for m in bodies.meshes]
         for separation in (0.0, 0.05):
@@ -74,7 +74,7 @@ def test_all_contacts_of_straight_paths(device: torch.device, offset: float) -> 
             assert len(truth.contacts) > 0
             assert_nothing_missed(rows, truth)
             assert_linear_rows_close(rows, ends, faces, separation + tolerance_of(bodies) + 1e-12)
-            # What is not true all the same is as near as rounding can tell.
+            # False contacts are within rounding of the separation.
             assert_linear_rows_close({k: rows[k] for k in rows.keys() - truth.keys()}, ends, faces, separation + 1e-12)
             assert hits.stats.unresolved == sum(row.status == pgccd.UNRESOLVED for row in rows.values())
 
@@ -86,7 +86,7 @@ def crowd(seed: int, count: int = 14, turn: float = 1.0) -> Bodies:
 
 
 def first_of(hits: pgccd.Contacts) -> dict[tuple[int, int], tuple[Any, ...]]:
-    """By pair the least (toi, kind, features), with the row."""
+    """The first row of each pair by (toi, kind, features)."""
     best: dict[tuple[int, int], tuple[Any, ...]] = {}
     for row, pair in enumerate(map(tuple, hits.pairs.tolist())):
         key = (float(hits.toi[row]), int(hits.kind[row]), *hits.features[row].tolist(), row)
@@ -130,7 +130,7 @@ def test_reports_agree(device: torch.device, path: Any, separation: float) -> No
 
 
 def test_ties_go_to_the_smallest(device: torch.device) -> None:
-    # Equal cubes in a row that touch from the start: every toi is 0.
+    # Equal cubes in a row that touch from the start: all toi are 0.
     trimesh = pytest.importorskip("trimesh")
     mesh = pgccd.Mesh.from_trimesh(trimesh.creation.box())
     count = 5
@@ -150,7 +150,7 @@ def test_ties_go_to_the_smallest(device: torch.device) -> None:
 
 
 def test_collision_free_fraction_of_the_step(device: torch.device) -> None:
-    """A step cut off just before the earliest toi has no contact; one cut off after it has."""
+    """A step cut off just before the earliest toi has no contact; one cut off after it has one."""
     for seed in range(4):
         bodies = crowd(seed, turn=0.3)
         apart, back = 3.0 * bodies.position_t0, -bodies.position_t0

@@ -21,14 +21,14 @@ Ends = list[list[np.ndarray]]
 
 
 def vertex_motion(ends: Ends, device: torch.device) -> pgccd.VertexMotion:
-    """From the ends (t0, t1) of each body."""
+    """A motion from the ends (t0, t1) of each body."""
     return pgccd.VertexMotion(*tensors(*(np.concatenate([e[t] for e in ends]) for t in (0, 1)), device=device))
 
 
 def check(
     meshes: list[pgccd.Mesh], ends: Ends, device: torch.device, separation: float = 0.0, tolerance: float = 1e-7
 ) -> int:
-    """Two bodies against brute force; returns the number of contacts."""
+    """Checks two bodies against brute force; returns the number of contacts."""
     scene = pgccd.Scene(meshes, device=device)
     hits = pgccd.detect(scene, vertex_motion(ends, device), "all", separation, tolerance=tolerance)
     faces = [m.faces.long().numpy() for m in meshes]
@@ -74,7 +74,7 @@ def test_extreme_scales_are_refused(device: torch.device, scale: float) -> None:
 
 
 def test_sheet_that_folds_and_a_ball(device: torch.device) -> None:
-    # A flat open sheet, in the plane exactly at t0; a body passes through it.
+    # A flat open sheet, exactly planar at t0; a body passes through it.
     n = 7
     x, y = np.meshgrid(np.linspace(-1.5, 1.5, n), np.linspace(-1.5, 1.5, n), indexing="ij")
     sheet = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
@@ -90,10 +90,10 @@ def test_sheet_that_folds_and_a_ball(device: torch.device) -> None:
 
 
 def test_shapes_that_collapse(device: torch.device) -> None:
-    """A body that shrinks to a point, and one that is a point throughout, still touch what they touch."""
+    """A body that shrinks to a point, and one that is a point throughout, still have contacts."""
     rng = np.random.default_rng(4)
     still, moving = bumpy(rng, 0), bumpy(rng, 0)
-    here = [np.round(1024 * still.vertices.numpy()) / 1024] * 2  # so that half way is half way exactly
+    here = [np.round(1024 * still.vertices.numpy()) / 1024] * 2  # so that midpoints are exact
     on_surface = here[0][3]
     shrinks = [moving.vertices.numpy() + 3.0, np.tile(on_surface, (12, 1))]
     assert check([still, moving], [here, shrinks], device) > 10
@@ -116,7 +116,7 @@ def test_agrees_with_rigid_bodies_on_straight_paths(device: torch.device) -> Non
         columns = torch.cat([hits.pairs, hits.kind[:, None].long(), hits.features.long()], dim=1).tolist()
         tables.append(dict(zip(map(tuple, columns), hits.toi.tolist(), strict=True)))
     assert len(tables[0]) > 200
-    # The same sets, but for those whose distance is a rounding away from the tolerance, where one may miss them.
+    # The same sets, except for distances within rounding of the tolerance, which one side may miss.
     different = tables[0].keys() ^ tables[1].keys()
     assert len(different) <= len(tables[0]) // 500
     assert max(abs(tables[0][k] - tables[1][k]) for k in tables[0].keys() & tables[1].keys()) < 1e-6
@@ -148,7 +148,7 @@ def test_many(device: torch.device) -> None:
 
 @pytest.mark.cuda
 def test_bounds_have_the_bits_of_the_cpu() -> None:
-    """Bodies of one block of nodes and of thousands, side by side."""
+    """Bodies of one block of nodes and of thousands, in one scene."""
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
     rng = np.random.default_rng(8)
@@ -159,5 +159,5 @@ def test_bounds_have_the_bits_of_the_cpu() -> None:
     for device in (torch.device("cpu"), torch.device("cuda")):
         scene = pgccd.Scene(meshes, torch.from_numpy(index).to(device), device)
         bounds.append(pgccd.MovingBodies(scene, vertex_motion(ends, device)).tensors)
-    for on_cpu, on_gpu in zip(*bounds, strict=True):  # empty slots hold NaN
+    for on_cpu, on_gpu in zip(*bounds, strict=True):  # compared as bytes: empty slots hold NaN
         assert torch.equal(on_cpu.view(torch.uint8), on_gpu.cpu().view(torch.uint8))

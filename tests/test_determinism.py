@@ -1,4 +1,4 @@
-"""Same input, same bits: whatever the number of threads, the chunks, the order of other bodies, or the repetition."""
+"""Same input, same bits: for any number of threads, chunks, order of other bodies, or repetition."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def crowd(count: int = 25) -> Bodies:
 
 
 def motions(bodies: Bodies, device: torch.device) -> dict[str, Any]:
-    """All three kinds."""
+    """A motion of each kind."""
     rng = np.random.default_rng(2)
     ends = [
         np.concatenate([m.vertices.numpy() + p for m, p in zip(bodies.meshes, x, strict=True)])
@@ -86,7 +86,7 @@ def test_stages_do_not_depend_on_threads(device: torch.device) -> None:
     shuffled = candidates[torch.randperm(len(candidates), device=candidates.device)]
     for report in REPORTS:
         rows = [pgccd.narrow.contacts(moved, pairs, c, report) for c in (candidates, shuffled)]
-        if report == "any":  # which contact proves a pair colliding depends on the order of work
+        if report == "any":  # which contact is found first depends on the order of work
             assert torch.equal(rows[0][0], rows[1][0])
         else:
             assert all(torch.equal(a, b) for a, b in zip(*rows, strict=True))
@@ -125,7 +125,7 @@ def test_one_mesh_shared_or_copied(device: torch.device) -> None:
 
 
 def test_order_of_a_pair_keeps_the_contacts(device: torch.device) -> None:
-    """Exchanging two bodies exchanges the names of what touches; the times agree to rounding."""
+    """Exchanging two bodies exchanges the features' columns; times agree to rounding."""
     bodies = crowd(2)
     turned = Bodies(
         bodies.meshes[::-1],

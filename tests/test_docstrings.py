@@ -1,4 +1,4 @@
-"""What docstrings and the README show runs as it stands, in a namespace that holds what it speaks of."""
+"""The examples in docstrings and the README run as written, in a namespace with the names they use."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pgccd import distributed, sim
 from pgccd.sim.step import FIRST_CONTACTS
 
 ROOT = Path(__file__).resolve().parents[1]
-# What needs ranks, a scheduler or a GPU's streams; tests of its own run it.
+# Modules whose examples need ranks, a scheduler or GPU streams; other tests run them.
 NOT_ALONE = (
     "pgccd.distributed.checkpoint.writing",
     "pgccd.distributed.guard.guard",
@@ -46,7 +46,7 @@ def modules() -> Iterator[str]:
 
 
 def examples_of(module: str) -> list[doctest.DocTest]:
-    """Read from the source, so that nothing need be imported to know them."""
+    """The examples of a module, read from its source without importing it."""
     path = ROOT / Path(*module.split("."))
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     parser, found = doctest.DocTestParser(), []
@@ -60,7 +60,7 @@ def examples_of(module: str) -> list[doctest.DocTest]:
 
 
 def two_bodies() -> dict[str, Any]:
-    """Names that examples of detection use."""
+    """Names used by the detection examples."""
     corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=torch.float64)
     mesh = pgccd.Mesh(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     x = torch.tensor([[0.0, 0, 0], [3, 0, 0]], dtype=torch.float64)
@@ -80,7 +80,7 @@ def two_bodies() -> dict[str, Any]:
 
 @functools.cache
 def of_robots() -> dict[str, Any]:
-    """Names that examples of the nanorobot world use."""
+    """Names used by the examples of the nanorobot world."""
     model = sim.Model(sim.ModelConfig(robots=50, speed=0.3))
     state, comm = model.start(), distributed.Alone()
     scene = model.scene(state.id)
@@ -95,7 +95,7 @@ def of_robots() -> dict[str, Any]:
 
 
 def namespace(module: str) -> dict[str, Any]:
-    """What the examples of a module may speak of."""
+    """Names that the examples of a module may use."""
     names: dict[str, Any] = {"pgccd": pgccd, "torch": torch, "np": np} | two_bodies()
     with contextlib.suppress(ImportError):
         names["trimesh"] = importlib.import_module("trimesh")
@@ -119,7 +119,7 @@ def namespace(module: str) -> dict[str, Any]:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the files that examples name, which is the current one."""
+    """The working directory, with the files that examples use."""
     trimesh = pytest.importorskip("trimesh")
     names = two_bodies()
     for name in ("rock.ply", "robot.ply"):
@@ -134,7 +134,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(example: doctest.Example, names: dict[str, Any]) -> str:
-    """Runs it; what it prints, or its value is printed as."""
+    """Runs an example; returns its output, or the printed value of its expression."""
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
         exec(compile(example.source, "<example>", "single"), names)

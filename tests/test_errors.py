@@ -1,4 +1,4 @@
-"""Bad input gets an exception that names the argument; odd but valid input does not."""
+"""Bad input raises an exception that names the argument; unusual but valid input does not."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ CASES: dict[str, tuple[Callable[[], Any], str]] = {}
 
 
 def case(name: str, call: Callable[[], Any], *words: str) -> None:
-    """An error whose message starts with the argument's name and mentions the other words, in that order."""
+    """An error whose message starts with the argument's name and contains the other words, in that order."""
     CASES[name] = call, "^" + ".*".join(words)
 
 
@@ -97,7 +97,7 @@ for _name in ("orientation_t0", "orientation_t1"):
 case("path", rigid(path="arc"), "path", "arc")
 for _name in ("linear_velocity", "angular_velocity"):
     for _value in (NAN, INF):
-        # An infinite velocity makes the position at t1 infinite, which may be what is named.
+        # An infinite velocity makes the position at t1 infinite, which may be the argument reported.
         case(f"{_name} {_value}", spinning(**{_name: one_bad(3, _value)}), f"(position_t1|{_name})", "body 1")
     case(f"{_name} shape", spinning(**{_name: torch.zeros(3)}), _name)
     case(f"{_name} dtype", spinning(**{_name: torch.zeros(3, 3).long()}), _name, "float64")
@@ -197,7 +197,7 @@ case("candidates", lambda: pgccd.narrow.contacts(moved(), PAIR, torch.zeros(1, 4
 
 
 def one_body_as_pair(kind: str) -> pgccd.Contacts:
-    """A pair (1, 1), which is none: only body 0 collides with itself, or nothing deforms."""
+    """Error for the pair (1, 1), which is invalid: only body 0 collides with itself, or nothing deforms."""
     b = bodies()
     ends = torch.cat([mesh.vertices for mesh in b.meshes])
     deforms = kind == "other body"
@@ -220,7 +220,7 @@ def test_message_names_the_argument(name: str) -> None:
 
 
 def test_candidates_out_of_range() -> None:
-    # In processes of their own: reading out of bounds would end this one.
+    # In separate processes: an out-of-bounds read would crash this one.
     program = """
 import os
 import torch, pgccd
@@ -279,7 +279,7 @@ def test_faces_that_repeat_a_vertex_are_dropped_from_files(tmp_path: Path) -> No
 @pytest.mark.parametrize("exponent", [100, 150, 154, 160, 200, 300])
 @pytest.mark.parametrize("path", ["rigid", "linear"])
 def test_far_beyond_sense_is_found_or_refused(exponent: int, path: Any) -> None:
-    # Two bodies in one place, of which one then leaves by an absurd way: they certainly touch.
+    # Two bodies in the same place, one of which leaves along an absurdly long path: they certainly touch.
     b = approaching(np.random.default_rng(1), (0, 0), closeness=0.3)
     velocity = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]) * 10.0**exponent / 4
     try:
@@ -309,7 +309,7 @@ def test_odd_but_valid(device: torch.device) -> None:
     none = pgccd.RigidMotion(*(torch.zeros(0, n, device=device) for n in (3, 4, 3, 4)))
     assert len(pgccd.detect(empty, none)) == 0 and empty.body_count == 0
     assert len(pgccd.detect(b.scene(device), b.motion(device=device), min_separation=1e6, report="any")) == 1
-    flat = pgccd.Mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 3]])  # a face without area
+    flat = pgccd.Mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 3]])  # one face of zero area
     assert len(flat.edges) == 5
     unused = pgccd.Mesh(
         np.concatenate([bumpy(np.random.default_rng(2), 0).vertices, [[9.0, 9, 9]]]),

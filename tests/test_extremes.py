@@ -1,4 +1,4 @@
-"""Bodies of no size, of tiny and huge distances; and what comes within the tolerance, for pairs found or given."""
+"""Bodies of zero size, at tiny and huge distances; and contacts within the tolerance, for found and given pairs."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def found(hits: pgccd.Contacts) -> list[list[int]]:
 
 @pytest.mark.parametrize("exponent", [0, -60, -126, -127, -130, -149, -150, -300, -450])
 def test_points_that_cross(device: torch.device, exponent: int) -> None:
-    """Two bodies collapsed to a point each."""
+    """Two bodies, each collapsed to a point."""
     size = 2.0**exponent
-    mesh = bumpy(np.random.default_rng(0), 0)  # of more than one leaf
+    mesh = bumpy(np.random.default_rng(0), 0)  # more than one leaf
     at = {t: np.repeat([[x * size, 0.0, 0.0], [0.0, 0.0, 0.0]], 12, axis=0) for t, x in ((0, -1.0), (1, 1.0))}
     scene = pgccd.Scene([mesh, mesh], device=device)
     motion = pgccd.VertexMotion(*tensors(at[0], at[1], device=device))
@@ -36,7 +36,7 @@ def test_points_that_cross(device: torch.device, exponent: int) -> None:
     for broad_phase in ("sweep", "grid", "lbvh"):
         assert found(pgccd.detect(scene, motion, "any", broad_phase=broad_phase)) == [[0, 1]]
     candidates, _ = pgccd.traverse.bvtt(bodies, torch.tensor([[0, 1]], device=device))
-    assert len(candidates) == 2 * 12 * 20 + 30**2  # every vertex and face, every edge and edge
+    assert len(candidates) == 2 * 12 * 20 + 30**2  # all vertex-face and edge-edge pairs
 
 
 @pytest.mark.parametrize("far", [1e6, 1e30, 1e38, 1e39, 1e42, 1e45, 1e100, 1e149])
@@ -68,7 +68,7 @@ def test_lengths_are_named() -> None:
 @pytest.mark.parametrize("separation", [0.0, 0.1])
 def test_broad_phases_keep_the_tolerance(device: torch.device, separation: float, tolerance: float) -> None:
     start, end, radius = scattered(np.random.default_rng(21), 300, 12.0)
-    if tolerance < 0.0:  # relative to the smaller radius: one for all
+    if tolerance < 0.0:  # relative to the smaller radius: equal radii make it one length
         radius = np.full(300, 0.8)
     length = tolerance if tolerance >= 0.0 else -tolerance * 0.8
     pairs = agreed(start, end, radius, separation, tolerance=tolerance, device=device)
@@ -79,7 +79,7 @@ def test_broad_phases_keep_the_tolerance(device: torch.device, separation: float
 @pytest.mark.parametrize("separation", [0.0, 0.125])
 @pytest.mark.parametrize("tolerance", [None, 0.0, 1e-3, 0.25])
 def test_given_pairs_change_nothing(device: torch.device, separation: float, tolerance: float | None) -> None:
-    """Corners of two bodies, where their spheres are nearest, pass each other within the tolerance."""
+    """Corners of two bodies pass each other within the tolerance where their spheres are nearest."""
     mesh = pgccd.Mesh(np.array(OCTAHEDRON[0]), OCTAHEDRON[1])
     scene = pgccd.Scene([mesh, mesh], device=device)
     turn = np.tile([1.0, 0, 0, 0], (2, 1))

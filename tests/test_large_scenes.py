@@ -1,4 +1,4 @@
-"""Scenes of many bodies that are hard to balance: a large mesh under many small ones, and sizes over many octaves."""
+"""Scenes that are hard to balance: a large mesh under many small ones, and sizes over many octaves."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal",
 
 
 class Crowd:
-    """Bodies of which many share a mesh."""
+    """Bodies that share a few meshes."""
 
     def __init__(self, kinds: list[pgccd.Mesh], kind: np.ndarray, columns: list[np.ndarray], **filters: Any) -> None:
         self.bodies = Bodies([kinds[k] for k in kind], *columns)
@@ -28,7 +28,7 @@ class Crowd:
 
 
 def pebbles_on_terrain(pebbles: int, terrain_body: int) -> Crowd:
-    """Body number `terrain_body` is a static mesh of 4,224 faces; the others fall from just above it."""
+    """Body `terrain_body` is a static mesh of 4,224 faces; the rest fall from just above it."""
     rng = np.random.default_rng(20)
     terrain = height_field(rng, 48, 44)
     count = 1 + pebbles
@@ -44,7 +44,7 @@ def pebbles_on_terrain(pebbles: int, terrain_body: int) -> Crowd:
 
 
 def sizes_over_octaves(large: int, small: int) -> Crowd:
-    """Bodies of sizes from 1 to 1/1000; all but the first `large` come by a corner of one of these in the step."""
+    """Bodies of sizes from 1 to 1/1000; all but the first `large` pass a corner of one of these in the step."""
     rng = np.random.default_rng(21)
     scales = np.geomspace(1e-3, 1.0, 16)
     kinds = [bumpy(rng, 1, size=scale) for scale in scales]
@@ -65,7 +65,7 @@ def sizes_over_octaves(large: int, small: int) -> Crowd:
 
 
 def plates(stacks: int) -> Crowd:
-    """Uneven plates in stacks of two, that meet nearly everywhere in the step."""
+    """Uneven plates in stacks of two that touch nearly everywhere during the step."""
     rng = np.random.default_rng(22)
     kinds = [height_field(rng, 40, 36) for _ in range(3)]
     count = 2 * stacks
@@ -79,7 +79,7 @@ def plates(stacks: int) -> Crowd:
 
 
 def dust(count: int) -> Crowd:
-    """Small meshes all over a box, with some five near each."""
+    """Small meshes spread over a box, each with about five neighbours."""
     rng = np.random.default_rng(23)
     kinds = [bumpy(rng, 0, size=0.5), bumpy(rng, 1, size=0.5)]
     position = rng.uniform(0, 1, (count, 3)) * (count / 1.4) ** (1 / 3)
@@ -88,7 +88,7 @@ def dust(count: int) -> Crowd:
 
 
 def assert_same_on_every_way(crowd: Crowd, device: torch.device) -> pgccd.Contacts:
-    """First contacts: those of the CPU, one pair after the other, whatever the device, broad phase and chunks."""
+    """Asserts first contacts equal to those of the CPU, pair by pair, for any device, broad phase and chunks."""
     found = crowd.detect(device, "all")
     reference = crowd.detect("cpu", memory_budget=1, broad_phase="sweep")
     assert reference.stats.chunks == reference.stats.pcs > 100
@@ -98,7 +98,7 @@ def assert_same_on_every_way(crowd: Crowd, device: torch.device) -> pgccd.Contac
             assert hits.stats.pcs == reference.stats.pcs
             for column in COLUMNS:
                 assert torch.equal(getattr(hits, column).cpu(), getattr(reference, column)), column
-    # Of all contacts, the earliest of each pair.
+    # The earliest of all contacts of each pair.
     pairs, row = found.pairs.cpu().unique(dim=0, return_inverse=True)
     first = torch.full((len(pairs),), torch.inf, dtype=torch.float64).scatter_reduce(0, row, found.toi.cpu(), "amin")
     assert torch.equal(pairs, reference.pairs) and torch.equal(first, reference.toi)
@@ -135,7 +135,7 @@ def test_sizes_from_one_to_a_thousand(device: torch.device) -> None:
 
 
 def test_more_pairs_than_threads(device: torch.device) -> None:
-    """None is left out where a device shares them out as it gets done."""
+    """No pair is lost when threads fetch pairs dynamically."""
     count = 20_000 if device.type == "cuda" else 2_000
     crowd = dust(count)
     found, reference = crowd.detect(device), crowd.detect("cpu", memory_budget=1 << 22)
@@ -145,7 +145,7 @@ def test_more_pairs_than_threads(device: torch.device) -> None:
 
 
 def test_more_contacts_than_threads(device: torch.device) -> None:
-    """Of the candidates of one pair nearly all touch, most of them later than the first."""
+    """Nearly all candidates of a pair touch, most of them later than the first."""
     crowd = plates(8)
     found, first = crowd.detect(device, "all"), crowd.detect(device)
     assert len(found) > 70_000 and len(first) == 8

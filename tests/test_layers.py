@@ -1,4 +1,4 @@
-"""Dependencies between layers, read from #include and import lines; and the lengths of files."""
+"""Dependencies between layers, read from #include and import lines; and file lengths."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CSRC, PACKAGE, TESTS = ROOT / "csrc", ROOT / "pgccd", ROOT / "tests"
-# Layers bottom to top; each may include those it names.
+# Layers bottom to top; each may include those listed.
 MAY_INCLUDE = {
     "core": {"core"},
     "kernels": {"core", "kernels"},
@@ -29,7 +29,7 @@ def sources() -> list[Path]:
 
 
 def includes(path: Path) -> list[tuple[bool, str]]:
-    """(in quotes, name) of each #include."""
+    """(is quoted, name) of each #include."""
     found = re.findall(r'^\s*#\s*include\s+(["<])([^">]+)[">]', path.read_text(), re.MULTILINE)
     return [(mark == '"', name) for mark, name in found]
 
@@ -39,7 +39,7 @@ def python_files(*folders: Path) -> list[Path]:
 
 
 def imports(path: Path, only_top_level: bool = False) -> set[str]:
-    """Dotted names of the modules a file imports; `from pgccd import x` counts as pgccd.x."""
+    """Dotted names of the modules that a file imports; `from pgccd import x` counts as pgccd.x."""
     tree = ast.parse(path.read_text())
     found = set()
     for node in tree.body if only_top_level else ast.walk(tree):
@@ -65,14 +65,14 @@ def test_layers_include_only_what_they_may() -> None:
             in_kernel = layer == "kernels" and path.suffix in {".cu", ".cuh"}
             if not quoted and name.startswith(CUDA_HEADERS) and not in_kernel and layer != "bind":
                 wrong.append(f"{path.relative_to(ROOT)} includes {name}")
-            # Standard headers have neither a folder nor a suffix, except the experimental ones and math.h-like ones.
+            # Standard headers have neither a folder nor a suffix, except experimental and math.h-like ones.
             if not quoted and layer == "core" and not re.fullmatch(r"[a-z_0-9]+", name):
                 wrong.append(f"{path.relative_to(ROOT)} includes <{name}>, which is not a standard header")
     assert wrong == []
 
 
 def test_stages_do_not_know_one_another() -> None:
-    """Only the pipeline knows them all, and none knows the pipeline."""
+    """Only the pipeline includes other stages, and no stage includes the pipeline."""
     wrong = []
     for path in sources():
         parts = path.relative_to(CSRC).parts
@@ -93,7 +93,7 @@ def test_only_ops_names_the_operators() -> None:
 def test_trimesh_is_imported_lazily_and_in_one_place() -> None:
     using = [p for p in python_files(PACKAGE) if any(n.split(".")[0] == "trimesh" for n in imports(p))]
     meshes = PACKAGE / "geometry" / "mesh_files.py"
-    allowed = {meshes} | set(python_files(PACKAGE / "viz"))  # viz draws its pages through it
+    allowed = {meshes} | set(python_files(PACKAGE / "viz"))  # viz loads meshes with it
     assert set(using) <= allowed and meshes in using
     for path in using:
         assert not any(n.split(".")[0] == "trimesh" for n in imports(path, only_top_level=True)), path
@@ -105,7 +105,8 @@ def test_single_device_modules_do_not_know_the_cluster() -> None:
     wrong = [
         (path.name, name)
         for path in [*PACKAGE.glob("*.py"), *python_files(*lower)]
-        if path.stem not in {"cli", "__main__", "__init__"}  # the last names them for type checkers: see test_package
+        if path.stem
+        not in {"cli", "__main__", "__init__"}  # __init__ imports them for type checkers only: see test_package
         for name in imports(path)
         if name.startswith(upper)
     ]
@@ -168,7 +169,7 @@ def test_few_files_know_what_carries_messages() -> None:
         "torch_comm.py",
         "nccl.py",
         "mpi_comm.py",
-        # Which begin with a store that all ranks share.
+        # These start from a store shared by all ranks.
         "connect.py",
         "rendezvous.py",
         "agreement.py",

@@ -22,7 +22,7 @@ def assert_same(a: pgccd.Contacts, b: pgccd.Contacts) -> None:
 
 
 class Heap:
-    """Bodies of a few kinds, some about joints, in a box."""
+    """Bodies of a few kinds, some with origins at joints, in a box."""
 
     def __init__(self, device: torch.device, count: int = 60, seed: int = 4) -> None:
         rng = np.random.default_rng(seed)
@@ -94,7 +94,7 @@ def test_ways_of_asking_agree(device: torch.device) -> None:
 
 
 def test_bodies_that_rest_within_their_margins(device: torch.device) -> None:
-    """Tips at a distance just below the sum of two margins, far outside of both SBVs."""
+    """Tips at a distance just below the sum of two margins, far outside both SBVs."""
     corners = tetrahedron().vertices.numpy()
     tip = corners[0]
     orientation = np.array([[1.0, 0.0, 0.0, 0.0]] * 2)

@@ -1,4 +1,4 @@
-"""Margins of the bounds: nodes that their vertices fill to the last digit, in exact arithmetic or nearly so."""
+"""Margins of the bounds: nodes completely filled by their vertices, in exact arithmetic or nearly so."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ import pgccd
 def refitted(
     mesh: pgccd.Mesh, ends: list[np.ndarray]
 ) -> tuple[pgccd.MovingBodies, list[np.ndarray], list[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """One body that deforms, its node blocks at both ends, its vertices there from its centre, triangles and links."""
+    """A deforming body, its node blocks at both ends, its vertices at both ends relative to its centre, triangles and
+    links.
+    """
     bodies = pgccd.MovingBodies(pgccd.Scene([mesh]), pgccd.VertexMotion(*tensors(*ends)))
     centres = (bodies.position_t0.numpy(), bodies.position_t1.numpy())
     triangles, _, links = prepared(mesh)
@@ -26,21 +28,21 @@ def refitted(
 
 
 def assert_refit_encloses(mesh: pgccd.Mesh, ends: list[np.ndarray]) -> None:
-    """At both ends, and by convexity between them."""
+    """Asserts enclosure at both ends, and so by convexity between them."""
     _, blocks, local, (triangles, links) = refitted(mesh, ends)
     for block, x in zip(blocks, local, strict=True):
         assert_encloses(block, links, triangles, x)
 
 
 def pointing(rng: np.random.Generator, mesh: pgccd.Mesh, along: np.ndarray) -> np.ndarray:
-    """Vertices with the x axis turned to a direction, rolled about it."""
+    """Vertices with the x axis turned to a direction, and rolled about it."""
     q = contacts.leading(along / np.linalg.norm(along), rng.uniform(0, 6))
     return turned(np.tile(q, (len(mesh.vertices), 1)), mesh.vertices.numpy())
 
 
 @pytest.mark.parametrize("level", [4, 5, 6])
 def test_refit_of_slender_spindles(level: int) -> None:
-    """Along an axis, or from corner to corner of their box: whichever bound of a large node is taken, it is filled."""
+    """Along an axis, or a diagonal of their box: each kind of bound of a large node is attained."""
     rng = np.random.default_rng([1, level])
     for along in ([1.0, 0, 0], [0, 1.0, 0], [1.0, 1.0, 1.0], [1.0, -1.0, 1.0], *directions(rng, 6)):
         for width in (1e-4, 0.01):
@@ -53,7 +55,7 @@ def test_refit_of_slender_spindles(level: int) -> None:
 
 
 def boxes(cells: int) -> pgccd.Mesh:
-    """A cube with `cells` squares a side: its corners are those of its box."""
+    """A cube with `cells` squares per side: its corners are those of its box."""
     sheet = contacts.plate(cells)
     face, count = sheet.vertices.numpy() + [1.0, 0.0, 0.0], len(sheet.vertices)
     turns = [np.eye(3)[list(order)] * way for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1)) for way in (1.0, -1.0)]
@@ -62,7 +64,7 @@ def boxes(cells: int) -> pgccd.Mesh:
 
 
 def test_refit_of_cubes() -> None:
-    """The box's corner is where the farthest vertices are."""
+    """The farthest vertices are at the box's corners."""
     mesh = boxes(4)
     x = mesh.vertices.numpy()
     assert_refit_encloses(mesh, [x, x])
@@ -78,7 +80,7 @@ def test_refit_at_random() -> None:
 
 
 def test_refit_of_single_triangles() -> None:
-    """Flat and tiny slabs, whose bounds are rounding and little else."""
+    """Flat and tiny slabs, whose bounds consist almost only of rounding."""
     rng = np.random.default_rng(3)
     for _ in range(1500):
         corners = rng.normal(size=(3, 3))
@@ -87,7 +89,7 @@ def test_refit_of_single_triangles() -> None:
 
 
 def test_radius_of_bodies_that_deform() -> None:
-    """Holds every vertex at both ends exactly."""
+    """The radius encloses every vertex at both ends exactly."""
     rng = np.random.default_rng(4)
     mesh = bumpy(rng, 0)
     for _ in range(100):
@@ -100,7 +102,7 @@ def test_radius_of_bodies_that_deform() -> None:
 
 
 def test_centres_are_summed_in_chunks() -> None:
-    """In one order on all devices, whatever number of threads: 256 faces at a time, and then these sums."""
+    """In one order on all devices and for any number of threads: 256 faces at a time, then these sums."""
     rng = np.random.default_rng(5)
     mesh = bumpy(rng, 3)
     x = rng.normal(size=mesh.vertices.shape) * 10.0 ** rng.uniform(-8, 8, mesh.vertices.shape)
@@ -136,7 +138,7 @@ def test_hierarchy_of_single_triangles() -> None:
 
 
 def test_radius_of_a_mesh() -> None:
-    """Holds every vertex exactly, as stored."""
+    """The radius encloses every vertex exactly, as stored."""
     rng = np.random.default_rng(8)
     for _ in range(200):
         mesh = pgccd.Mesh(torch.from_numpy(rng.normal(size=(4, 3))), [[0, 1, 2], [1, 2, 3]], "centroid")

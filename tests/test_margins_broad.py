@@ -1,4 +1,4 @@
-"""Margins of the broad phase: spheres that touch as exactly as float64 can say, or nearly do."""
+"""Margins of the broad phase: spheres that touch to float64 precision, or nearly so."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pgccd import ops
 
 
 def least_radius(start: np.ndarray, end: np.ndarray, other: float) -> float:
-    """The least radius with which a sphere meets another, centres (2, 3) at both ends: they touch, and no more."""
+    """The least radius with which a sphere just touches another, centres (2, 3) at both ends."""
     offset = [start[1] - start[0], end[1] - end[0]]
     travel = offset[1] - offset[0]
     square = float(travel @ travel)
@@ -32,7 +32,7 @@ def least_radius(start: np.ndarray, end: np.ndarray, other: float) -> float:
 
 @pytest.mark.parametrize("travel", [0.0, 1.0, 1e3, 1e6])
 def test_spheres_that_just_touch(device: torch.device, travel: float) -> None:
-    """Fast ones too, that pass each other far from where they come from. Every two are in a world of their own."""
+    """Also fast ones that pass each other far from where they start. Each pair is in its own world."""
     rng = np.random.default_rng([1, int(travel)])
     n = 100
     start = rng.normal(size=(n, 2, 3)) * max(travel, 1.0)
@@ -49,16 +49,16 @@ def test_spheres_that_just_touch(device: torch.device, travel: float) -> None:
 
 
 def test_boxes_hold_what_the_predicate_lets_in() -> None:
-    """The predicate has a margin for roundings, and boxes need more, lest the broad phases differ."""
+    """The predicate has a margin for rounding; boxes need a larger one, otherwise the broad phases would differ."""
     for axis in range(3):
         side = (axis + 1) % 3
         for k in range(6):
             radius = np.array([1.0, 1.0 + k / 8.0])
-            # At rest, further apart than both radii by less than the predicate's margin.
+            # At rest, their distance exceeds the sum of radii by less than the predicate's margin.
             start = np.zeros((2, 3))
             start[1, axis] = radius.sum() * (1.0 + 2.0**-49)
             overlap(start, start, radius, 0.0)
-            # Fast and small, side by side, further apart by less than the margin for their travel.
+            # Fast and small, side by side; the excess is less than the margin for their travel.
             start, end = np.zeros((2, 3)), np.zeros((2, 3))
             end[:, axis] = 2.0**20, -(2.0**20)
             small = radius * 2.0**-4
@@ -82,7 +82,7 @@ def overlap(start: np.ndarray, end: np.ndarray, radius: np.ndarray, separation: 
 
 
 def touching_pairs(rng: np.random.Generator, n: int, spread: float, along_axes: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Spheres (2 n) scattered over a scene, each two of which just touch."""
+    """Spheres (2 n) scattered over a scene; each pair just touches."""
     first = spread * rng.uniform(-1, 1, (n, 3))
     way = np.eye(3)[rng.integers(0, 3, n)] * rng.choice([-1.0, 1.0], (n, 1)) if along_axes else directions(rng, n)
     centre = np.stack([first, first + way * rng.uniform(0.5, 2.0, (n, 1))], axis=1)
@@ -96,7 +96,7 @@ def touching_pairs(rng: np.random.Generator, n: int, spread: float, along_axes: 
 @pytest.mark.parametrize("along_axes", [False, True])
 @pytest.mark.parametrize("spread", [1.0, 30.0, 1e3, 1e5])
 def test_touching_spheres_in_a_wide_scene(device: torch.device, spread: float, along_axes: bool) -> None:
-    """Float32, in which boxes and balls are compared first, holds their places less and less well."""
+    """Boxes and spheres are compared in float32 first, which resolves their positions less and less."""
     centre, radius = touching_pairs(np.random.default_rng([2, int(spread)]), 150, spread, along_axes)
     assert len(check(centre, centre, radius, device=device)) >= 150
 

@@ -1,5 +1,5 @@
-"""Margins of the narrow phase on rigid bodies, candidate by candidate: contacts that come exactly as near as they must
-to be reported, where they are, and which of equal ones is the first.
+"""Margins of the narrow phase on rigid bodies, candidate by candidate: contacts exactly at the limit of being reported,
+their positions, and which of several equal ones is the first.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import pgccd
 
 
 def specks(rng: np.random.Generator, n: int, turns: int, size: float, reach: float) -> Meetings:
-    """Bodies of unit size in one place, with a tiny triangle each, far from their centres. At the end of the step a
-    corner of the one triangle is nearest to the other, above its middle; a little earlier, and after `turns` whole
-    turns, it was further away by as much as the triangles are large. The bodies turn about points `reach` away.
+    """Bodies of unit size in one place, with a tiny triangle each, far from their centres. At the end of the step,
+    after `turns` whole turns, a corner of one triangle is nearest to the other, above its middle; at the start it was
+    further away by about the triangles' size. The bodies turn about points `reach` away.
     """
     frame = contacts.spindle(0.5, 1)
     tip = np.array([[0.0, 0.0, 0.0], [0.25, -1.0, -0.5], [-0.5, -1.0, 0.25]]) * size + [1.5, 0.0, 0.0]
@@ -51,7 +51,7 @@ def specks(rng: np.random.Generator, n: int, turns: int, size: float, reach: flo
 @pytest.mark.parametrize("reach", [0.0, 1e3])
 @pytest.mark.parametrize("turns", [0, 1000, 100_000])
 def test_tiny_features_far_from_their_origins(turns: int, reach: float) -> None:
-    """They are known as well as their distance from the origin and the angle allow."""
+    """Their precision is that of their distance from the origin and of the angle."""
     size = (1e-5 if turns else 1e-9) * max(1.0, reach)
     meetings = specks(np.random.default_rng([9, turns]), 30, turns, size, reach)
     moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion("linear"))
@@ -63,7 +63,7 @@ def test_tiny_features_far_from_their_origins(turns: int, reach: float) -> None:
 
 @pytest.mark.parametrize("turn", [(0.5, 0.5), (2.0, 0.0), (0.0, 2.0), (9.0, 5.0)])
 def test_tips_graze_on_arcs(turn: tuple[float, float]) -> None:
-    """At the moment when they are nearest, and at exactly the separation."""
+    """They touch when they are nearest, at exactly the separation."""
     meetings = contacts.tips(np.random.default_rng(10), 12, turn, gap=2.0**-6)
     moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion())
     for k in range(len(meetings)):
@@ -74,17 +74,18 @@ def test_tips_graze_on_arcs(turn: tuple[float, float]) -> None:
 
 
 def bulging(rng: np.random.Generator, n: int, which: int, size: float = 1e-3) -> Meetings:
-    """Crossed edges, of which one turns about an axis parallel to it and comes to the other head on, so fast that they
-    touch in the middle of the first window of time: there the arc strays from its chord by all that is allowed for.
+    """Crossed edges, one of which turns about an axis parallel to it and meets the other head on, so fast that they
+    touch in the middle of the first time window: there the arc deviates from its chord by the maximum that is allowed
+    for.
     """
     turn = 0.2
-    window = np.sqrt(2.0 * size) / turn  # over which a gap of that size is four deviations
+    window = np.sqrt(2.0 * size) / turn  # over it, a gap of that size is four deviations
     speed = 6.0 * (turn * window) ** 2 / 8.0 / window
     along = directions(rng, n)
     orientation = []
     for d in along:
         first = contacts.leading(d, rng.uniform(0, 6))
-        # The second one looks back at the first, and lies across it: half a turn about the bisector of y and z.
+        # The second faces the first and lies across it: half a turn about the bisector of y and z.
         orientation += [first, product(first, np.array([0.0, 0.0, 0.5**0.5, 0.5**0.5]))]
     rotation = np.zeros((n, 2, 3))
     for k in range(n):
@@ -106,7 +107,7 @@ def bulging(rng: np.random.Generator, n: int, which: int, size: float = 1e-3) ->
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_arcs_are_not_late(which: int) -> None:
-    """Where an arc leaves its chord by all that the window allows."""
+    """At the time when the arc deviates from its chord by the window's maximum."""
     meetings = bulging(np.random.default_rng(11), 12, which)
     moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion())
     for k in range(len(meetings)):
@@ -118,7 +119,7 @@ def test_arcs_are_not_late(which: int) -> None:
 
 
 def test_contacts_come_within_the_tolerance() -> None:
-    """On arcs coming near is a contact: within the tolerance, which is relative to the smaller body if not given."""
+    """On arcs, coming within the tolerance is a contact; by default it is relative to the smaller body."""
     rng = np.random.default_rng(12)
     for apart, tolerance, expected in ((0.5, 0.4, False), (0.5, 16.0, True), (2e-5, None, False), (2e-9, None, True)):
         meetings = contacts.tips(rng, 4, gap=apart, sizes=(1.0, 1024.0))
@@ -128,11 +129,11 @@ def test_contacts_come_within_the_tolerance() -> None:
             assert (found_contact(meetings, moving, k, key, 0.0, tolerance) is not None) == expected, (apart, tolerance)
 
 
-# Where a contact is.
+# Positions of contacts.
 
 
 def swapped(meetings: Meetings) -> Meetings:
-    """The second body of each pair first."""
+    """The pairs with their bodies exchanged."""
     b = meetings.bodies
     order = meetings.pairs[:, ::-1].ravel()
     columns = (c[order] for c in (b.position_t0, b.orientation_t0, b.velocity, b.rotation))
@@ -143,7 +144,7 @@ def swapped(meetings: Meetings) -> Meetings:
 @pytest.mark.parametrize("kind", ["face", "edges"])
 @pytest.mark.parametrize("is_swapped", [False, True])
 def test_normals_of_bodies_in_touch(kind: str, is_swapped: bool) -> None:
-    """Without a gap to go by, the normal leads from the first body to the second all the same."""
+    """Without a gap, the normal still points from the first body to the second."""
     rng = np.random.default_rng(13)
     for _ in range(12):
         meetings = contacts.resting(rng, kind, 0.0)
@@ -162,7 +163,7 @@ def test_normals_of_bodies_in_touch(kind: str, is_swapped: bool) -> None:
 
 @pytest.mark.parametrize("is_swapped", [False, True])
 def test_normals_where_rounding_makes_the_gap(is_swapped: bool) -> None:
-    """A gap of some roundings has no direction; the features have."""
+    """A gap of a few roundings has no direction; the normal is taken from the features."""
     rng = np.random.default_rng(14)
     n = 60
     along, weights = directions(rng, n), np.full(3, 1 / 3)
@@ -188,7 +189,7 @@ def test_normals_where_rounding_makes_the_gap(is_swapped: bool) -> None:
 
 
 def test_ties_in_a_lattice() -> None:
-    """Cubes in full contact: of contacts that are equally early, the first in order is reported."""
+    """Cubes in full contact: among equally early contacts the first in order is reported."""
     bodies = contacts.lattice(3)
     scene, motion = bodies.scene(), bodies.motion()
     every, first = (pgccd.detect(scene, motion, report) for report in ("all", "first"))

@@ -1,4 +1,4 @@
-"""Rotations: quaternions that are not quite unit are the rotations of their directions, exactly."""
+"""Rotations: a quaternion slightly off unit length is exactly the rotation of its direction."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pgccd
 
 
 def off_unit(meetings: Meetings, factor: float) -> Meetings:
-    """The same, to the oracle, which normalises: every second quaternion is too long or too short."""
+    """The same for the oracle, which normalises: every second quaternion is too long or too short."""
     orientation = meetings.bodies.orientation_t0.copy()
     orientation[::2] *= factor
     return replace(meetings, bodies=replace(meetings.bodies, orientation_t0=orientation))
@@ -26,7 +26,7 @@ def off_unit(meetings: Meetings, factor: float) -> Meetings:
 @pytest.mark.parametrize("factor", [1.0 - 9e-4, 1.0 + 9e-4])
 @pytest.mark.parametrize("path", ["rigid", "linear"])
 def test_quaternions_that_are_not_quite_unit(path: Literal["rigid", "linear"], factor: float) -> None:
-    """Tips that come together head on touch no later, and those that stop short of it do not touch."""
+    """Tips that meet head on are not reported late, and tips that stop short do not touch."""
     rng = np.random.default_rng(1)
     n = 20
     along = directions(rng, n)

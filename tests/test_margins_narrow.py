@@ -1,7 +1,7 @@
-"""Margins of the narrow phase: contacts that come exactly as near as they must to be reported, and some that do not.
+"""Margins of the narrow phase: contacts exactly at the limit of being reported, and some just beyond it.
 
-Queries are constructed and then measured exactly (or to 50 digits, on arcs); the separation asked for is the float64
-next to that distance. So a contact must be found that a bound short by a rounding would lose.
+Queries are constructed and then measured exactly (or to 50 digits, on arcs); the requested separation is the float64
+next to that distance. A bound that is one rounding too small would miss the contact.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ def ask(
     tolerance: float = 0.0,
     dtype: torch.dtype = torch.float64,
 ) -> pgccd.ElementaryResult:
-    """Elementary queries (n, 4, 3) or one (4, 3)."""
+    """Solves elementary queries (n, 4, 3) or one (4, 3)."""
     points = [torch.tensor(x.reshape(-1, 4, 3), dtype=dtype) for x in (start, end)]
     test = pgccd.narrow.vertex_face if is_face else pgccd.narrow.edge_edge
     return test(*points, min_separation, tolerance)
 
 
-# Straight paths, asked for at a distance of their own.
+# Straight paths, with each query's own distance as separation.
 
 
 def shapes(rng: np.random.Generator, n: int, is_face: bool, scale: float = 1.0) -> np.ndarray:
-    """(n, 4, 3): features apart, their nearest points inside both or on boundaries, in equal parts."""
+    """Disjoint features (n, 4, 3), half with nearest points inside both, half with nearest points on boundaries."""
     points = rng.normal(size=(n, 4, 3))
     inside = touching_points(rng, n, is_face, False)
     turn = unit_quaternions(rng, n)
@@ -56,7 +56,7 @@ def shapes(rng: np.random.Generator, n: int, is_face: bool, scale: float = 1.0) 
 
 
 def assert_found_at_its_own_distance(start: np.ndarray, end: np.ndarray, t: float, is_face: bool) -> None:
-    """Every query of (n, 4, 3) with the separation that it just comes down to at t."""
+    """Asserts that every query of (n, 4, 3) is found with its distance at t as separation."""
     for k in range(len(start)):
         least = contacts.separation_at(start[k], end[k], t, is_face)
         found = ask(start[k], end[k], is_face, least)
@@ -67,7 +67,7 @@ def assert_found_at_its_own_distance(start: np.ndarray, end: np.ndarray, t: floa
 @KINDS
 @pytest.mark.parametrize("scale", [0, -62, -64, -66, 41, 42, 43])
 def test_resting_features(is_face: bool, scale: int) -> None:
-    """At sizes that float32 holds well, nearly underflow or overflow when multiplied."""
+    """At sizes well within float32, and at sizes whose products nearly underflow or overflow."""
     n = 160 if scale == 0 else 60
     points = shapes(np.random.default_rng([1, abs(scale)]), n, is_face, 2.0**scale)
     assert_found_at_its_own_distance(points, points, 0.0, is_face)
@@ -76,7 +76,7 @@ def test_resting_features(is_face: bool, scale: int) -> None:
 @KINDS
 @pytest.mark.parametrize("separation", [2.0**-10, 0.25, 1.0, 64.0])
 def test_features_at_rest_along_an_axis(is_face: bool, separation: float) -> None:
-    """Where the sum of a direction's coordinates is its length, distances are compared as they are."""
+    """Where the sum of a direction's coordinates is its length, distances are compared without a margin."""
     rng = np.random.default_rng(8)
     points = touching_points(rng, 120, is_face, False)
     points[:, slice(0, 1) if is_face else slice(0, 2), 2] += separation
@@ -87,7 +87,7 @@ def test_features_at_rest_along_an_axis(is_face: bool, separation: float) -> Non
 
 @KINDS
 def test_features_that_come_to_rest(is_face: bool) -> None:
-    """They come straight towards each other and are there at the end of the step, not before."""
+    """Features approach each other along straight lines and meet at the end of the step, not before."""
     rng = np.random.default_rng(2)
     end = shapes(rng, 160, is_face)
     start = end.copy()
@@ -98,7 +98,7 @@ def test_features_that_come_to_rest(is_face: bool) -> None:
 
 @KINDS
 def test_growing_features(is_face: bool) -> None:
-    """The cubic is compared with the length of a normal that grows."""
+    """The cubic is compared with the length of a growing normal."""
     rng = np.random.default_rng(3)
     end = shapes(rng, 120, is_face)[1::2]
     middle = end.mean(axis=1, keepdims=True)
@@ -115,7 +115,7 @@ def test_growing_features(is_face: bool) -> None:
 
 @KINDS
 def test_corners_so_small_that_products_underflow(is_face: bool) -> None:
-    """Corners closer than the separation, of features whose sizes float32 holds, but not the squares of them."""
+    """Corners closer than the separation; float32 represents the features' sizes, but not their squares."""
     rng = np.random.default_rng(15)
     n = 300_000
     size, separation = (2.0**-74, 2.0**-74 * 0.1) if is_face else (2.0**-76, 2.0**-76)
@@ -132,7 +132,7 @@ def test_corners_so_small_that_products_underflow(is_face: bool) -> None:
 
 
 def four_squares(rng: np.random.Generator) -> tuple[np.ndarray, float]:
-    """An integer vector of 53 bits whose length is an integer too."""
+    """A 53-bit integer vector with integer length."""
     m, n, p, q = (int(x) for x in rng.integers(2**24, 2**25, 4))
     x = [m * m + n * n - p * p - q * q, 2 * (m * q + n * p), 2 * (n * q - m * p)]
     return np.array(x, dtype=np.float64), float(m * m + n * n + p * p + q * q)
@@ -140,12 +140,14 @@ def four_squares(rng: np.random.Generator) -> tuple[np.ndarray, float]:
 
 @KINDS
 def test_corners_at_distances_that_are_exact(is_face: bool) -> None:
-    """At rest at exactly the separation, along directions that no arithmetic holds: the last one must see it too."""
+    """At rest at exactly the separation, along directions that are inexact in every precision: the last one must find
+    it.
+    """
     rng = np.random.default_rng(4)
     for k in range(120):
         offset, length = four_squares(rng)
         points = np.zeros((4, 3))
-        # All else lies behind the two corners.
+        # The other vertices lie behind the two corners.
         points[2] = offset
         side = np.round(np.cross(offset, rng.normal(size=3)))
         points[1 if is_face else 3] = np.round(1.5 * offset + 0.25 * side)
@@ -157,18 +159,18 @@ def test_corners_at_distances_that_are_exact(is_face: bool) -> None:
         assert int(far.status) == pgccd.FREE, f"query {k} is further apart than the separation"
 
 
-# Proofs of touching.
+# Certificates of touching.
 
 
 def hardly(rng: np.random.Generator, n: int, is_face: bool, boundary: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Queries (n, 4, 3) that decide by roundings: a vertex or an edge that ends in the plane of the other, inside, or
-    that passes the plane right through a boundary; at random times and in random directions.
+    """Queries (n, 4, 3) decided by rounding: a vertex or an edge that ends in the other's plane, inside, or that
+    crosses the plane exactly at a boundary; at random times and in random directions.
     """
     flat = touching_points(rng, n, is_face, boundary)
     turn = unit_quaternions(rng, n)
     v, w = turn[:, None, 1:], turn[:, None, :1]
     flat = flat + 2 * np.cross(v, np.cross(v, flat) + w * flat)
-    # Half of them along the axis that the plane is seen along, so that what passes a boundary stays on it.
+    # Half of them along the projection axis of the plane, so that a crossing at a boundary stays on it.
     normal = turned(turn, np.tile([0.0, 0.0, 1.0], (n, 1)))
     axis = np.eye(3)[np.abs(normal).argmax(axis=1)][:, None]
     travel = np.where(rng.random((n, 1, 1)) < 0.5, rng.normal(size=(n, 1, 3)), axis)
@@ -184,7 +186,7 @@ def hardly(rng: np.random.Generator, n: int, is_face: bool, boundary: bool) -> t
 @pytest.mark.parametrize("boundary", [False, True])
 @pytest.mark.parametrize("tolerance", [1e-6, 0.0])
 def test_proofs_of_touching_are_right(is_face: bool, boundary: bool, tolerance: float) -> None:
-    """What float64 has proven to touch does; and what is free by less than that is free all the same."""
+    """Features certified in float64 as touching do touch; features that miss by less than the tolerance are free."""
     start, end = hardly(np.random.default_rng(5), 400, is_face, boundary)
     found = ask(start, end, is_face, tolerance=tolerance)
     hits = (linear.vertex_face_many if is_face else linear.edge_edge_many)(start, end)
@@ -213,7 +215,7 @@ def test_proofs_of_coming_within_the_separation_are_right(is_face: bool) -> None
 @KINDS
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_toi_is_rounded_down(is_face: bool, dtype: torch.dtype) -> None:
-    """Without a tolerance the time found is the true one to all digits of the last arithmetic."""
+    """Without a tolerance the toi is the true one to full precision of the last arithmetic."""
     rng = np.random.default_rng(7)
     start, end = hardly(rng, 400, is_face, True)
     if dtype == torch.float32:
@@ -227,7 +229,7 @@ def test_toi_is_rounded_down(is_face: bool, dtype: torch.dtype) -> None:
 @KINDS
 @pytest.mark.parametrize("speed", [2.0**10, 2.0**20, 2.0**30])
 def test_fast_features_are_not_late(is_face: bool, speed: float) -> None:
-    """From so far away that the digits of their place are few, and those of the time of contact too."""
+    """Starting so far away that their positions, and the time of contact, have few digits."""
     rng = np.random.default_rng(16)
     n = 200
     flat = touching_points(rng, n, is_face, False)
@@ -251,7 +253,7 @@ def test_fast_features_are_not_late(is_face: bool, speed: float) -> None:
 
 @KINDS
 def test_slender_features_are_measured_by_their_boundaries(is_face: bool) -> None:
-    """Corners nearly in one line, edges nearly parallel: rounding makes up their normal, which is not used."""
+    """Nearly collinear corners, nearly parallel edges: their normal is mostly rounding, and is not used."""
     rng = np.random.default_rng(8)
     n = 300
     points = rng.normal(size=(n, 4, 3))

@@ -1,7 +1,7 @@
-"""Margins of the traversal: features that touch, and no more than that, are candidates.
+"""Margins of the traversal: features that only just touch are candidates.
 
-Contacts are constructed (strategies.contacts): at the time chosen, the features named are within the separation by
-their exact positions, so that they must be listed, whatever else is.
+Contacts are constructed (strategies.contacts): at the chosen time the given features are within the separation by their
+exact positions, so they must be listed; others may be.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from support.shapes import Bodies, directions, tensors, turned
 
 import pgccd
 
-# Rounding of the poses handed over; the margins tested here are thousands of times as wide.
+# Rounding of the poses passed in; the margins tested here are thousands of times as wide.
 BARELY = 1e-12
 
 
 @pytest.mark.parametrize("turn", [(0.2, 0.2), (1.0, 0.7), (0.0, 1.0), (1.0, 0.0), (3.0, 2.0)])
 def test_tips_graze_on_arcs(device: torch.device, turn: tuple[float, float]) -> None:
-    """Each tip's arc bulges towards the other: between chords there is a gap."""
+    """Each tip's arc bulges towards the other; the chords stay apart."""
     meetings = contacts.tips(np.random.default_rng([1, int(10 * turn[0])]), 60, turn, speed=0.1)
     assert_touching(meetings, BARELY)
     assert missed(meetings, device, BARELY) == []
 
 
 def test_tips_graze_in_the_middle_of_the_only_segment(device: torch.device) -> None:
-    """Where the chords' deviation is used up, but for its fourth order."""
+    """Where the deviation from the chord reaches its bound up to fourth order."""
     for turn in (0.15, 0.2, 0.25):
         meetings = contacts.tips(np.random.default_rng(2), 20, (turn, turn), time=np.linspace(0.49, 0.51, 20))
         assert_touching(meetings, BARELY)
@@ -37,7 +37,7 @@ def test_tips_graze_in_the_middle_of_the_only_segment(device: torch.device) -> N
 
 
 def test_tips_graze_on_arcs_too_long_for_the_segments(device: torch.device) -> None:
-    """40 radians and a small partner: chords stray further than segments are meant to let them."""
+    """40 radians and a small partner: chords deviate further than segments are designed for."""
     for sizes in ((1.0, 1.0), (1.0, 0.125)):
         meetings = contacts.tips(np.random.default_rng(3), 60, (40.0, 3.0), sizes=sizes)
         assert_touching(meetings, BARELY)
@@ -46,7 +46,7 @@ def test_tips_graze_on_arcs_too_long_for_the_segments(device: torch.device) -> N
 
 @pytest.mark.parametrize("turn", [(0.0, 0.0), (1.0, 0.5), (9.0, 7.0)])
 def test_tips_graze_at_the_horizon(device: torch.device, turn: tuple[float, float]) -> None:
-    """And not before it: everything must have come as far as it has by then."""
+    """They touch at the horizon, not before: features must be at their positions at the horizon."""
     meetings = contacts.tips(np.random.default_rng(4), 60, turn, speed=2.0)
     assert_touching(meetings, BARELY)
     assert missed(meetings, device, BARELY, horizon=meetings.time) == []
@@ -54,19 +54,19 @@ def test_tips_graze_at_the_horizon(device: torch.device, turn: tuple[float, floa
 
 def tilting_plates(rng: np.random.Generator, n: int, turn: float, size: float, at_end: bool) -> Meetings:
     """A plate turns about an axis in its plane. When the step begins or ends, a corner of it touches the tip of a speck
-    that stands upright on the plate, on the side that the corner has come from or goes to.
+    that stands upright on the plate, on the side the corner comes from or goes to.
     """
     meshes, place, orientation, rotation = [], [], [], []
     for _ in range(n):
         sheet, speck = contacts.plate(8), contacts.spindle(0.125 * size, 3, length=size)
-        if rng.random() < 0.5:  # seen from behind: normals point the other way
+        if rng.random() < 0.5:  # reversed, so that normals point the other way
             sheet = pgccd.Mesh(sheet.vertices, sheet.faces.flip(1))
-        corner = int(rng.choice([4, 36, 44, 76]))  # middles of the sides
+        corner = int(rng.choice([4, 36, 44, 76]))  # midpoints of the sides
         side = 1.0 if rng.random() < 0.5 else -1.0
         pose = contacts.leading(directions(rng, 1)[0], rng.uniform(0, 6))
         normal = turned(pose[None], np.array([[side, 0.0, 0.0]]))[0]
         arm = turned(pose[None], sheet.vertices.numpy()[corner][None])[0]
-        # The corner moves away from the speck when the step begins, or comes to it when it ends.
+        # The corner leaves the speck when the step begins, or reaches it when it ends.
         axis = np.cross(arm, -normal if not at_end else normal)
         meshes += [sheet, speck]
         place.append(((corner,), (0,)))
@@ -87,14 +87,14 @@ def tilting_plates(rng: np.random.Generator, n: int, turn: float, size: float, a
 @pytest.mark.parametrize("at_end", [False, True])
 @pytest.mark.parametrize("turn", [0.1, 1.0, 3.0])
 def test_plates_tilt(device: torch.device, turn: float, at_end: bool) -> None:
-    """A slab stands still over a segment; the plate in it does not."""
+    """A slab is fixed over a segment; the plate in it moves."""
     meetings = tilting_plates(np.random.default_rng([5, int(10 * turn)]), 30, turn, 2.0**-7, at_end)
     assert_touching(meetings, BARELY)
     assert missed(meetings, device, BARELY) == []
 
 
 def deforming(meetings: Meetings, growth: float = 0.0, device: torch.device | str = "cpu") -> pgccd.MovingBodies:
-    """Resting bodies by their vertices, in axes of the world; at t1 the first of each pair is larger."""
+    """Bodies at rest as vertex streams in the world frame; at t1 the first of each pair is larger."""
     ends: list[list[np.ndarray]] = [[], []]
     for k, mesh in enumerate(meetings.bodies.meshes):
         x = mesh.vertices.numpy()
@@ -121,7 +121,7 @@ def test_bodies_rest_exactly_at_the_separation(device: torch.device, kind: str, 
 
 @pytest.mark.parametrize("kind", ["tips", "face", "edges"])
 def test_bodies_rest_exactly_at_separation_and_tolerance(device: torch.device, kind: str) -> None:
-    """What the narrow phase may report is within both."""
+    """Contacts within separation plus tolerance may be reported by the narrow phase, so they must be candidates."""
     rng = np.random.default_rng(7)
     for separation, tolerance in ((0.0, 0.5), (0.5, 0.25), (0.25, 2.0)):
         meetings = contacts.resting(rng, kind, separation + tolerance)
@@ -131,7 +131,7 @@ def test_bodies_rest_exactly_at_separation_and_tolerance(device: torch.device, k
 
 @pytest.mark.parametrize("level", [1, 2, 3, 4])
 def test_tips_of_cones_touch(device: torch.device, level: int) -> None:
-    """Whose spheres touch at their tips too, as the nodes that hold them do."""
+    """Their spheres touch at the tips too, as do the nodes that contain them."""
     rng = np.random.default_rng([8, level])
     for width in (0.001, 0.01, 0.05, 0.2):
         meetings = contacts.tips(rng, 20, width=width, level=level)
@@ -164,14 +164,14 @@ def test_tip_of_a_cone_on_a_pyramid(device: torch.device, separation: float, ins
 
 
 def test_rounding_in_the_local_frame(device: torch.device) -> None:
-    """Tips at random places touch, with no distance to keep: all that is left is the margin for float32."""
+    """Tips at random places touch at zero distance: only the float32 margin covers them."""
     rng = np.random.default_rng(10)
     meetings = contacts.tips(rng, 300, speed=0.5, sizes=(1.0, 0.7))
     assert_touching(meetings, 1e-15)
     assert missed(meetings, device, 1e-15) == []
     still = contacts.tips(rng, 300, sizes=(1.0, 0.7))
     assert missed(still, device, 1e-15, path="linear") == []
-    # The same shapes vertex by vertex; tips that are equal to the last bit.
+    # The same shapes vertex by vertex, with bitwise equal tips.
     bodies, world = still.bodies, []
     for k, mesh in enumerate(bodies.meshes):
         quaternions = np.tile(bodies.orientation_t0[k], (len(mesh.vertices), 1))
@@ -186,7 +186,7 @@ def test_rounding_in_the_local_frame(device: torch.device) -> None:
 @pytest.mark.parametrize("horizon", [0.25, 0.5, 0.75])
 @pytest.mark.parametrize("growth", [1.0, 7.0])
 def test_growing_bodies_touch_at_the_horizon(device: torch.device, horizon: float, growth: float) -> None:
-    """Dyadic numbers: the growing tip comes exactly to where the other one rests, exactly then."""
+    """Dyadic numbers: the growing tip reaches the other one exactly at the horizon."""
     rng = np.random.default_rng(11)
     for _ in range(20):
         meetings = contacts.resting(rng, "tips", growth * horizon)
@@ -210,7 +210,7 @@ def test_travelling_bodies_touch_at_the_horizon(device: torch.device, horizon: f
 
 
 def test_triangles_without_a_direction(device: torch.device) -> None:
-    """A triangle so small that the square of its normal vanishes has one all the same, but it proves nothing."""
+    """A triangle whose squared normal underflows to zero still has a normal, which certifies nothing."""
     size = 2.0**-44
     speck = size * np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     far = contacts.spindle(0.25, 1).vertices.numpy()

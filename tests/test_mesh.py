@@ -1,4 +1,4 @@
-"""Meshes: bounds, edges, representatives and hierarchy, on any triangles; and the files they come from."""
+"""Meshes: bounds, edges, representatives and hierarchy, on any triangles; and loading from files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from support.shapes import bumpy
 import pgccd
 from pgccd import ops
 
-# A mesh in one point has no extent, which is an error of its own.
+# A mesh with all vertices in one point raises its own error.
 SHAPES = strategies.meshes().filter(
     lambda shape: bool(np.ptp(shape.vertices[shape.faces].reshape(-1, 3), axis=0).any())
 )
@@ -27,13 +27,13 @@ WIDTH = 8
 
 
 def prepared(mesh: pgccd.Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Triangles (F, 8), node blocks (n, 4, 8) and links (n, 8, 2), as the operators read them."""
+    """Triangles (F, 8), node blocks (n, 4, 8) and links (n, 8, 2), as the operators take them."""
     tensors = pgccd.MeshSet([mesh]).tensors
     return tensors[3].numpy(), tensors[4].numpy(), tensors[5].numpy()
 
 
 def walk(links: np.ndarray) -> tuple[list[tuple[int, int, int]], int]:
-    """(node, first triangle, triangle count) of every node, in no order, and the depth."""
+    """(node, first triangle, triangle count) of every node, unordered, and the depth."""
     found, deepest = [], 0
 
     def visit(node: int, depth: int) -> tuple[int, int]:
@@ -44,7 +44,7 @@ def walk(links: np.ndarray) -> tuple[list[tuple[int, int, int]], int]:
             below = [
                 visit(first * WIDTH + slot, depth + 1)
                 for slot in range(WIDTH)
-                if links[first, slot, 1] >= 0  # else an empty slot
+                if links[first, slot, 1] >= 0  # otherwise an empty slot
             ]
             assert first > node // WIDTH and below, "blocks of parents precede those of their children"
             first, count = min(b[0] for b in below), sum(b[1] for b in below)
@@ -56,12 +56,12 @@ def walk(links: np.ndarray) -> tuple[list[tuple[int, int, int]], int]:
 
 
 def assert_encloses(blocks: np.ndarray, links: np.ndarray, triangles: np.ndarray, x: np.ndarray) -> None:
-    """Every node's volume holds all vertices of its triangles, in exact arithmetic up to the rounding of this test."""
+    """Asserts that each node's volume encloses its triangles' vertices, exactly up to this test's rounding."""
     for node, first, count in walk(links)[0]:
         volume = blocks[node // WIDTH, :, node % WIDTH].astype(np.longdouble)
         arms = x[triangles[first : first + count, :3]].reshape(-1, 3).astype(np.longdouble) - volume[:3]
         assert np.sqrt((arms**2).sum(axis=1)).max() <= volume[3] * np.longdouble(1 + 1e-17)
-        if len(volume) > 4:  # and a slab about the same centre
+        if len(volume) > 4:  # also a slab about the same centre
             along = arms @ volume[4:7]
             assert along.min() >= volume[7] and along.max() <= volume[8]
 
@@ -74,7 +74,7 @@ def test_sphere_bound_and_edges(shape: strategies.TriMesh) -> None:
     size = max(np.abs(shape.vertices).max(), truth.radius)
     assert np.abs(mesh.centre.numpy() - truth.center).max() <= 1e-14 * size
     assert mesh.radius == pytest.approx(truth.radius, rel=1e-14, abs=1e-14 * size)
-    # The radius holds every used vertex, as stored.
+    # The radius encloses every used vertex, as stored.
     used = mesh.vertices[used_vertices(shape.faces)].tolist()
     offset = mesh.centre_offset.tolist()
     local = [[Fraction(c) - Fraction(o) for c, o in zip(p, offset, strict=True)] for p in used]
@@ -121,13 +121,13 @@ def test_hierarchy(shape: strategies.TriMesh) -> None:
     assert covered == list(range(len(shape.faces))), "every triangle is in exactly one leaf"
     assert depth <= MOST_DEPTH
     assert np.isnan(blocks.transpose(0, 2, 1)[links[:, :, 1] < 0]).all(), "empty slots meet nothing"
-    # About the SBV centre.
+    # Relative to the SBV centre.
     assert_encloses(blocks, links, triangles, (mesh.vertices - mesh.centre_offset).numpy())
 
 
 @pytest.mark.parametrize("count", [3000])
 def test_depth_is_bounded_where_areas_halve(count: int) -> None:
-    # Each triangle half as large as the one before: a cost-driven split alone would peel them off one by one.
+    # Each triangle is half as large as the one before: a cost-driven split alone would separate them one by one.
     size = 0.9 ** np.arange(count)[:, None, None] + 1e-12
     vertices = (np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]) * size + size).reshape(-1, 3)
     mesh = pgccd.Mesh(vertices, np.arange(3 * count).reshape(-1, 3))
@@ -156,7 +156,7 @@ def test_refit_encloses_the_whole_step(shape: strategies.TriMesh, seed: int, sca
         x = (1 - s) * local[0] + s * local[1]
         assert np.sqrt((x[used] ** 2).sum(axis=1)).max() <= radius[0]
         blend = (1 - s) * blocks[0].astype(np.longdouble) + s * blocks[1].astype(np.longdouble)
-        blend[:, 3:] = blocks[0][:, 3:]  # one radius and one slab
+        blend[:, 3:] = blocks[0][:, 3:]  # one radius and one slab for both ends
         assert np.array_equal(blocks[0][:, 3:], blocks[1][:, 3:], equal_nan=True)
         assert_encloses(blend, links, triangles, x)
 
@@ -206,7 +206,7 @@ def test_load_any_file(tmp_path_factory: pytest.TempPathFactory, shape: strategi
     path = tmp_path_factory.mktemp("mesh") / f"shape.{suffix}"
     written = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
     written.export(path)
-    # Of stl files, which hold float32, corners are joined where they are equal: flattened faces fall out.
+    # stl files hold float32; equal corners are merged and faces degenerated by rounding are dropped.
     corners = shape.vertices.astype(np.float32)[shape.faces]
     is_whole = (corners != np.roll(corners, 1, axis=1)).any(axis=2).all(axis=1) | (suffix != "stl")
     if not is_whole.any():
@@ -240,7 +240,7 @@ def test_stl_corners_are_joined(tmp_path: Path) -> None:
 
 
 def split_box(trimesh: Any) -> Any:
-    """A box of 768 faces and 386 vertices, split wherever two faces meet, as at the seams of a texture."""
+    """A box of 768 faces and 386 vertices, split wherever two faces meet, as at texture seams."""
     box = trimesh.creation.box()
     for _ in range(3):
         box = box.subdivide()
@@ -346,7 +346,7 @@ def test_far_from_the_origin_keeps_digits() -> None:
     shifted = near.vertices.numpy() + 2.0**27
     mesh = pgccd.Mesh(shifted, near.faces, "centroid")
     truth = sphere_bound(shifted, near.faces)
-    # The centre itself is stored with the digits there are at 2^27; everything else is exact relative to it.
+    # The centre has only the precision available at 2^27; everything else is exact relative to it.
     assert np.abs(mesh.centre.numpy() - truth.center).max() <= 2.0**-25
     assert mesh.radius == pytest.approx(truth.radius, abs=2.0**-24)
     assert np.array_equal(mesh.vertices.numpy() + mesh.centre.numpy(), shifted)

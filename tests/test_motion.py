@@ -1,4 +1,4 @@
-"""Motions: rotation vectors, arcs and their trigonometry against mpmath; what one step of several turns looks like."""
+"""Motions: rotation vectors, arcs and their trigonometry against mpmath; steps of several turns."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ ROOT_HALF = 0.5**0.5
 
 
 def rotations(q0: np.ndarray, q1: np.ndarray, device: torch.device | str = "cpu") -> np.ndarray:
-    """By the constructor, (n, 3)."""
+    """Rotation vectors (n, 3) computed by the constructor."""
     zero = np.zeros((len(q0), 3))
     return pgccd.RigidMotion(*tensors(zero, q0, zero, q1, device=device)).rotation.cpu().numpy()
 
 
 def exact(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
-    """By the oracle, to the nearest few doubles."""
+    """Rotation vectors computed by the oracle, to a few ulps."""
     bounds = rigid.rotation_between(q0, q1)
     return 0.5 * (bounds.lo + bounds.hi)
 
@@ -40,13 +40,13 @@ def test_rotation_between_is_accurate(device: torch.device) -> None:
     q1 = np.array([strategies.motions.product(t, q) for t, q in zip(turn, q0, strict=True)])
     q1 *= rng.choice([-1.0, 1.0], (400, 1))  # the same orientations
     found = rotations(q0, q1, device)
-    # As good as the quaternions, whose entries are of order one: absolute, some units of rounding.
+    # Absolute error of a few ulps, as of the quaternions, whose entries are of order one.
     assert np.abs(found - exact(q0, q1)).max() <= 16 * U
     assert (np.linalg.norm(found, axis=1) <= np.pi * (1 + 4 * U)).all()
 
 
 def test_whole_range_of_the_arctangent(device: torch.device) -> None:
-    # About one axis the angle is the result: its error is that of the product's own arctangent.
+    # About one axis the error of the angle is that of the library's own arctangent.
     half = np.concatenate([np.linspace(0, np.pi / 2, 500, endpoint=False), 10.0 ** np.linspace(-300, 0, 200)])
     q1 = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
     q0 = np.tile([1.0, 0, 0, 0], (len(half), 1))
@@ -63,7 +63,7 @@ def test_half_turns() -> None:
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     q1 = np.concatenate([np.zeros((6, 1)), axes], axis=1)
     still = np.tile([1.0, 0, 0, 0], (6, 1))
-    # About the vector part of q1 conj(q0), its sign included.
+    # About the vector part of q1 conj(q0), including its sign.
     assert np.abs(rotations(still, q1) - np.pi * axes).max() <= 4 * U * np.pi
     assert np.abs(rotations(q1, still) + np.pi * axes).max() <= 4 * U * np.pi
     diagonal = np.array([[0.0, ROOT_HALF, ROOT_HALF, 0.0]])
@@ -75,7 +75,7 @@ def test_no_turn_and_lengths() -> None:
     assert np.abs(rotations(q, q)).max() <= 4 * U
     assert np.abs(rotations(q, -q)).max() <= 4 * U
     q1 = unit_quaternions(np.random.default_rng(2), 20)
-    # Nearly unit quaternions mean the orientation of the exact unit one.
+    # A nearly unit quaternion represents the orientation of the exact unit one.
     assert np.abs(rotations(q * (1 + 5e-4), q1 * (1 - 5e-4)) - rotations(q, q1)).max() <= 16 * U
     single = rotations(q.astype(np.float32), q1.astype(np.float32))
     assert np.abs(single - exact(q.astype(np.float32).astype(float), q1.astype(np.float32).astype(float))).max() < 1e-14
@@ -86,7 +86,7 @@ def test_no_turn_and_lengths() -> None:
 def test_any_pair_of_orientations(q0: np.ndarray, q1: np.ndarray) -> None:
     found = rotations(q0[None], q1[None])[0]
     truth = exact(q0, q1)
-    # At half a turn to rounding, both ways round are as short.
+    # At half a turn, to rounding, both directions are equally short.
     other = truth - 2 * np.pi * truth / max(float(np.linalg.norm(truth)), 1e-300)
     near_half = np.linalg.norm(truth) > np.pi - 64 * U
     assert min(np.abs(found - truth).max(), np.abs(found - other).max() if near_half else np.inf) <= 16 * U
@@ -110,7 +110,7 @@ def test_sine_and_cosine_over_many_turns() -> None:
             max(abs(mpmath.mpf(q[0]) - mpmath.cos(a)), abs(mpmath.mpf(q[3]) - mpmath.sin(mpmath.mpf(a))))
             for q, a in zip(turned.tolist(), angle.tolist(), strict=True)
         ]
-    assert max(error) <= 5 * U  # 2 units of the functions, and the length set to one
+    assert max(error) <= 5 * U  # 2 ulps of sine and cosine, and the normalisation
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-9, 0.3, 3.0, 12.0, 60.0])
@@ -118,12 +118,12 @@ def test_sine_and_cosine_over_many_turns() -> None:
 def test_positions_along_arcs_through_contacts(device: torch.device, turn: float, offset: float) -> None:
     for seed in range(3):
         bodies = approaching(np.random.default_rng([seed, int(turn)]), turn=turn, offset=offset, closeness=0.7)
-        # So tight that the reported places test the arcs themselves.
+        # Tight enough for the reported positions to test the arcs themselves.
         hits = pgccd.detect(bodies.scene(device), bodies.motion(device=device), report="all", tolerance=1e-12)
         rows = rows_of(hits)
         assert_rigid_rows_close(
             rows, bodies, 1e-12 + 1e-13 * (1 + turn) + 1e-15 * offset
-        )  # the oracle encloses less tightly far round
+        )  # the oracle's enclosures widen with the angle
         assert (hits.status == pgccd.UNRESOLVED).float().mean() < 0.05 or not rows
         if turn < 60:
             assert len(rows) > 0
@@ -144,7 +144,7 @@ def test_points_of_contact_against_mpmath(turn: float) -> None:
 
 
 def test_more_than_half_a_turn_sweeps_all_the_way_round() -> None:
-    # A long bar turning by 270 degrees hits a small body at 200 degrees; the shorter way would never come there.
+    # A long bar turning by 270 degrees hits a small body at 200 degrees; the shorter way would never reach it.
     bar = pgccd.Mesh(
         [[0, 0, 0.0], [3, 0.05, 0], [3, -0.05, 0], [3, 0, 0.05]],
         [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]],

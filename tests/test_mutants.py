@@ -1,4 +1,4 @@
-"""The list of mutants: every text that one replaces occurs exactly once, so that the list stays true to the code."""
+"""The list of mutants: every text to be replaced occurs exactly once, so that the list matches the code."""
 
 from __future__ import annotations
 

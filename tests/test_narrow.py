@@ -1,4 +1,4 @@
-"""The narrow phase on candidates of any origin: what the traversal leaves out would not have touched."""
+"""The narrow phase on arbitrary candidates: pairs culled by the traversal do not touch."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def moving(bodies: Bodies, device: torch.device, kind: str) -> pgccd.MovingBodie
 @pytest.mark.parametrize("kind", ["rigid", "linear", "deforming"])
 @pytest.mark.parametrize("separation", [0.0, 0.1])
 def test_culling_loses_nothing(device: torch.device, kind: str, separation: float) -> None:
-    """Reports on all feature pairs there are equal those on the traversal's candidates, to the bit."""
+    """Reports on all feature pairs equal those on the traversal's candidates, bitwise."""
     bodies = crowd(0)
     moved = moving(bodies, device, kind)
     pairs = pgccd.broad.sweep(moved, separation)
@@ -93,7 +93,7 @@ def test_brute_force_candidates_against_the_oracle(device: torch.device) -> None
 
 
 def test_deforming_rows_are_the_elementary_ones(device: torch.device) -> None:
-    """The same paths through the elementary test: the same bits."""
+    """Equal bits from the elementary test on the same paths."""
     bodies = crowd(3, 2)
     pairs = torch.tensor([[0, 1]], device=device)
     moved = moving(bodies, device, "deforming")

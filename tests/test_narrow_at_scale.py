@@ -54,7 +54,7 @@ def test_arcs_at_length(device: torch.device) -> None:
 
 
 def broken(fault: str, status: np.ndarray, toi: np.ndarray, coordinates: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Answers with one contact in ten spoilt."""
+    """Results with one contact in ten falsified."""
     some = (status == pgccd.TOUCH) & (np.arange(len(status)) % 10 == 0)
     if fault == "missed":
         status, toi = np.where(some, pgccd.FREE, status), np.where(some, np.inf, toi)

@@ -1,4 +1,4 @@
-"""Features so small, so slender, or so nearly parallel that normals and squares of lengths lose their digits."""
+"""Features so small, slender or nearly parallel that normals and squared lengths lose their digits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from support.bulk_arcs import FEATURES, solve_candidates
 
 import pgccd
 
-# Edges down to where squares of squares of their lengths underflow, and further.
+# Edges down to where the fourth power of their length underflows, and beyond.
 EDGES = {
     torch.float32: [1e-3, 1e-8, 1e-10, 5.2e-11, 1e-12, 1e-20, 1e-25, 1e-38],
     torch.float64: [1e-20, 1e-60, 1e-77, 1e-79, 1e-80, 1e-100, 1e-140, 1e-160],
@@ -21,7 +21,7 @@ EDGES = {
 @pytest.mark.parametrize("dtype", list(EDGES))
 @pytest.mark.parametrize("corner", [0, 1, 2])
 def test_tiny_face_at_a_separation(device: torch.device, dtype: torch.dtype, corner: int) -> None:
-    """A vertex comes down on a needle whose short side is e: within 1/2 at t = 10/11."""
+    """A vertex descends on a needle whose short side is e: within 1/2 at t = 10/11."""
     sizes = EDGES[dtype]
     faces = [[(-e / 2, 0, 0), (0, 1, -1), (e / 2, 0, 0)] for e in sizes]
     start, end = (
@@ -37,7 +37,7 @@ def test_tiny_face_at_a_separation(device: torch.device, dtype: torch.dtype, cor
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 3, 0, 1), (1, 0, 3, 2)])
 @pytest.mark.parametrize("separation", [0.0, 0.5])
 def test_tiny_edge(device: torch.device, dtype: torch.dtype, order: tuple[int, ...], separation: float) -> None:
-    """An edge of length e comes down across one of length 2, to the separation less a tenth."""
+    """An edge of length e descends across one of length 2, to 1/8 below the separation."""
     sizes, z = EDGES[dtype], separation - 0.125
     start, end = (
         torch.tensor(
@@ -53,7 +53,7 @@ def test_tiny_edge(device: torch.device, dtype: torch.dtype, order: tuple[int, .
 
 @pytest.mark.parametrize("dtype", list(EDGES))
 def test_tiny_features_that_pass(device: torch.device, dtype: torch.dtype) -> None:
-    """As the edge above, but it stays just out of reach: nothing is invented, nothing left open."""
+    """As the edge above, but it stays just out of reach: no contact, and none unresolved."""
     sizes = EDGES[dtype]
     start, end = (
         torch.tensor(
@@ -66,8 +66,9 @@ def test_tiny_features_that_pass(device: torch.device, dtype: torch.dtype) -> No
 
 
 def nearly_parallel(rng: np.random.Generator, count: int, angle: float, kind: int) -> list[pgccd.Mesh]:
-    """Two meshes of `count` triangles: the first edges of both (EE), or two sides of those of the second (VF_AB), make
-    that angle with one direction."""
+    """Two meshes of `count` triangles: the first edges of both (EE), or two sides of the second's triangles (VF_AB),
+    make that angle with one direction.
+    """
     along = rng.normal(size=3)
     along /= np.linalg.norm(along)
     aside = np.cross(along, rng.normal(size=3))
@@ -88,7 +89,7 @@ def nearly_parallel(rng: np.random.Generator, count: int, angle: float, kind: in
 @pytest.mark.parametrize("angle", [1e-14, 9e-11, 1e-6, 1e-3])
 @pytest.mark.parametrize("tolerance", [1e-10, 1e-6])
 def test_nearly_parallel_on_arcs(device: torch.device, kind: int, angle: float, tolerance: float) -> None:
-    """Touches lie within the tolerance, however small the angle that spans the features' plane."""
+    """Touches lie within the tolerance, for arbitrarily small angles spanning the features' plane."""
     rng = np.random.default_rng([int(kind), int(-np.log10(angle))])
     count = 40
     meshes = nearly_parallel(rng, count, angle, kind)
@@ -99,7 +100,7 @@ def test_nearly_parallel_on_arcs(device: torch.device, kind: int, angle: float, 
     first, second = (
         v[f] for v, f in zip(vertices, _corners(meshes, kind, features), strict=True)
     )  # (n, 1, 3) and (n, 3, 3), or (n, 2, 3) each
-    # In their own frames they meet at t, at a random place of both, unturned there.
+    # In their own frames they meet at t, at a random point of both, with the identity orientation at that time.
     t, weight = rng.uniform(0.1, 0.9, (count, 1)), rng.uniform(0.1, 0.4, (2, count, 1))
     on_first = first[:, 0] if kind == pgccd.VF_AB else first[:, 0] + weight[0] * (first[:, 1] - first[:, 0])
     on_second = second[:, 0] + weight[1] * (second[:, 1] - second[:, 0])
@@ -127,7 +128,7 @@ def test_nearly_parallel_on_arcs(device: torch.device, kind: int, angle: float, 
 
 
 def _corners(meshes: list[pgccd.Mesh], kind: int, features: np.ndarray) -> list[np.ndarray]:
-    """Vertices of the first and of the second feature."""
+    """Vertex indices of the first and of the second feature."""
     table = {"vertex": lambda m: np.arange(len(m.vertices))[:, None], "face": lambda m: m.faces.numpy()}
     table["edge"] = lambda m: m.edges.numpy()
     return [table[what](m)[features[:, k]] for k, (m, what) in enumerate(zip(meshes, FEATURES[kind], strict=True))]
@@ -136,7 +137,7 @@ def _corners(meshes: list[pgccd.Mesh], kind: int, features: np.ndarray) -> list[
 @pytest.mark.parametrize("dtype", list(EDGES))
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
 def test_what_is_not_a_finite_number_is_never_free(device: torch.device, dtype: torch.dtype, value: float) -> None:
-    """Wherever it stands: far apart otherwise, and still no proof that the features stay apart."""
+    """In any coordinate: the features are far apart otherwise, but that is no certificate."""
     apart = torch.tensor([[0, 0, 9], [1, 0, 9], [0, 0, 0], [0, 1, 0]], dtype=dtype, device=device)
     points = apart.repeat(24, 1, 1)
     ends = [points.clone(), points.clone()]

@@ -20,7 +20,7 @@ import pgccd
 
 KINDS = pytest.mark.parametrize("is_face", [True, False], ids=["vf", "ee"])
 ALL = pytest.mark.parametrize("generator", GENERATORS, ids=lambda g: g.__name__)
-# Share that may stay unresolved: where features touch over whole intervals or graze.
+# Allowed unresolved fraction where features touch over whole intervals or graze.
 HARD = {"graze": 0.4, "coplanar": 0.4, "near_miss": 0.6}
 
 
@@ -31,7 +31,7 @@ def run(generator: Generator, is_face: bool, count: int, seed: int, device: torc
     for tolerance in (1e-6, 1e-12):
         contacts = check(*points, is_face, tolerance=tolerance, most_unresolved=unresolved, device=device)
         assert contacts >= (queries.truth == TOUCH).sum()
-    # What misses by far more than the tolerance must not be reported.
+    # Queries that miss by far more than the tolerance must not be reported.
     status = solve(*points, is_face, tolerance=1e-20, device=device)[0]
     size = np.abs(np.concatenate(points, axis=1)).max(axis=(1, 2))
     clear = (queries.truth == FREE) & (generator.__name__ == "short_of_end") & (size < 2.0**40)
@@ -55,7 +55,7 @@ def test_adversarial_at_length(generator: Generator, is_face: bool, device: torc
 def run_separated(generator: Generator, is_face: bool, count: int, seed: int, device: torch.device) -> None:
     queries = generator(np.random.default_rng(seed), count, is_face)
     size = np.abs(queries.points_t0 - queries.points_t0[:, :1]).max(axis=(1, 2))
-    # One separation a call: queries of like size together, with separations from a billionth of it to its own size.
+    # One separation per call: queries of similar size together, with separations from a billionth of it to that size.
     exponents = np.round(np.log2(np.maximum(size, 1e-300)))
     for exponent in np.unique(exponents)[:12]:
         group = exponents == exponent
@@ -66,7 +66,7 @@ def run_separated(generator: Generator, is_face: bool, count: int, seed: int, de
 
 
 def to_float32(queries: np.ndarray) -> np.ndarray:
-    """The nearest numbers that float32 holds, at a scale where it holds the differences too."""
+    """The nearest float32 numbers, at a scale where their differences are representable too."""
     return queries.astype(np.float32).astype(np.float64)
 
 
@@ -96,7 +96,7 @@ def test_float32_settles_most_free_queries_itself(is_face: bool, device: torch.d
 
 @KINDS
 def test_near_misses_are_free(is_face: bool, device: torch.device) -> None:
-    """Whether features touch or pass within an ulp of each other is decided, whatever the tolerance."""
+    """Touching and passing within an ulp are distinguished, for any tolerance."""
     queries = next(g for g in GENERATORS if g.__name__ == "near_miss")(np.random.default_rng(10), 400, is_face)
     hits = truth(queries.points_t0, queries.points_t1, is_face)
     touching = np.array([hit is not None for hit in hits])
@@ -143,11 +143,11 @@ def test_any_numbers(is_face: bool, values: list[float]) -> None:
 @KINDS
 @pytest.mark.parametrize("name", ["near_miss", "coplanar", "graze"])
 def test_tight_tolerance_is_resolved(name: str, is_face: bool, device: torch.device) -> None:
-    """Features that pass one another a thousand tolerances apart are free, and a touch is called one."""
+    """Features that pass one another a thousand tolerances apart are free, and touches are reported as such."""
     generator = next(g for g in GENERATORS if g.__name__ == name)
     queries = generator(np.random.default_rng(1), 200, is_face)
     both = np.concatenate([queries.points_t0, queries.points_t1], axis=1)
-    unit = 2.0 ** -np.ceil(np.log2(np.ptp(both, axis=1).max(axis=1)))[:, None, None]  # exact: all of about unit size
+    unit = 2.0 ** -np.ceil(np.log2(np.ptp(both, axis=1).max(axis=1)))[:, None, None]  # exact scaling to about unit size
     status = solve(queries.points_t0 * unit, queries.points_t1 * unit, is_face, tolerance=1e-12, device=device)[0]
     assert (status == pgccd.UNRESOLVED).mean() <= 0.02
 

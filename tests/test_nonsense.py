@@ -1,4 +1,4 @@
-"""Nonsense for every argument of every public function: it is taken for what it may mean, or refused by name."""
+"""Nonsensical values for every argument of every public function: accepted where meaningful, or rejected by name."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ NONSENSE: dict[str, Callable[[], Any]] = {
 
 @dataclass
 class Call:
-    """A function with arguments that are good."""
+    """A function with valid arguments."""
 
     function: Callable[..., Any]
     arguments: dict[str, Any]
-    also: dict[str, tuple[str, ...]] = field(default_factory=dict)  #: by argument, others that it may disagree with
+    also: dict[str, tuple[str, ...]] = field(default_factory=dict)  #: per argument, others it may conflict with
 
 
 def bodies() -> Bodies:
@@ -220,7 +220,7 @@ def test_nonsense_is_refused_by_name(name: str, tmp_path: Path, monkeypatch: pyt
 
 
 def test_every_argument_is_tried(tmp_path: Path) -> None:
-    # Those left out: flags of the host's own, and `comm` and `balance`, which are objects of this package.
+    # Not tried: internal flags, and `comm` and `balance`, which are objects of this package.
     known = {"wait", "comm", "balance", "poses", "tasks", "leaf_pairs", "candidates", "open", "graph"}
     for name, call in calls(tmp_path).items():
         parameters = inspect.signature(call.function).parameters.values()

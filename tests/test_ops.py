@@ -1,4 +1,4 @@
-"""The operators as citizens of torch: schemas, fake kernels, opcheck, torch.compile."""
+"""The operators within torch: schemas, fake kernels, opcheck, torch.compile."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Call = tuple[str, tuple[Any, ...]]
 
 
 class Recorder:
-    """Stands in for torch.ops.pgccd and notes every call."""
+    """Replaces torch.ops.pgccd and records every call."""
 
     def __init__(self, real: Any) -> None:
         self.real, self.calls = real, []  # type: Any, list[Call]
@@ -36,7 +36,7 @@ class Recorder:
 
 
 def share_out(moving: pgccd.MovingBodies) -> None:
-    """Calls the operators by which ranks share bodies out, as one of two."""
+    """Calls the operators that distribute bodies over ranks, as one of two ranks."""
     partition = Cells.uniform((-1.0,) * 3, (1.0,) * 3, 2, cells=2, device=moving.device)
     centres = [moving.position_t0, moving.position_t1, moving.radius]
     subdomain = partition.subdomain(1)
@@ -74,7 +74,7 @@ def move_rows(device: torch.device) -> None:
 
 
 def stages_alone(bodies: pgccd.MovingBodies) -> None:
-    """What `detect` asks on one device in other ways than on another."""
+    """Calls the operators that `detect` uses on only one kind of device."""
     for find in (pgccd.broad.sweep, pgccd.broad.grid, pgccd.broad.lbvh):
         pairs = find(bodies)
     for leading in (False, True):
@@ -85,7 +85,7 @@ def stages_alone(bodies: pgccd.MovingBodies) -> None:
 
 @functools.cache
 def recorded(device: torch.device) -> list[Call]:
-    """Calls of the operators as the package itself makes them, with all that is optional there and not there."""
+    """The package's own operator calls, with and without all optional arguments."""
     recorder = Recorder(ops.library.operators)
     rng = np.random.default_rng(0)
     with pytest.MonkeyPatch.context() as patch:
@@ -100,7 +100,7 @@ def recorded(device: torch.device) -> list[Call]:
                 scene = pgccd.Scene(bodies.meshes, device=device, **options)
                 for report in ("any", "first", "all", "earliest"):
                     pgccd.detect(scene, bodies.motion(device=device), report, 0.01)  # type: ignore[arg-type]
-                for broad_phase in ("grid", "lbvh"):  # few bodies are swept
+                for broad_phase in ("grid", "lbvh"):  # with few bodies the default is the sweep
                     pgccd.detect(scene, bodies.motion(device=device), "any", broad_phase=broad_phase)
             pgccd.detect(scene, bodies.motion("linear", device))
             capacity = pgccd.Capacity.guess(scene.body_count)
@@ -144,12 +144,12 @@ def test_opcheck(device: torch.device) -> None:
         if seen[name] <= 4 or seen[name] % 5 == 0:
             operator = getattr(torch.ops.pgccd, name).default
             torch.library.opcheck(operator, arguments, test_utils=("test_schema", "test_faketensor"))
-    unequal = {"refit"}  # its empty slots hold NaN, which opcheck finds unequal to itself
-    unequal |= {"near_ghosts", "leaving_bodies"}  # the last places are not written
+    unequal = {"refit"}  # empty slots hold NaN, which opcheck finds unequal
+    unequal |= {"near_ghosts", "leaving_bodies"}  # the trailing rows are uninitialised
     unequal |= {name for name in names if "padded" in name}  # times differ
-    unequal |= {"detect_rigid", "lower_first_toi_rigid"}  # here, too
+    unequal |= {"detect_rigid", "lower_first_toi_rigid"}  # likewise
     if device.type == "cuda":
-        unequal |= {"traverse_rigid", "traverse_deforming"}  # the order of their candidates is not specified
+        unequal |= {"traverse_rigid", "traverse_deforming"}  # the order of candidates is unspecified
     for name in names - unequal:
         arguments = next(a for n, a in calls if n == name)
         torch.library.opcheck(getattr(torch.ops.pgccd, name).default, arguments)

@@ -1,6 +1,6 @@
-"""Operators called directly with arguments that make no sense: an error, or an answer, but never memory of others.
+"""Operators called directly with nonsensical arguments: an error or a result, never an out-of-bounds access.
 
-In a process of its own, so that a crash is a failure.
+Run in a separate process, so that a crash is a test failure.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import torch
 
 TESTS = Path(__file__).resolve().parent
 
-# Operator, argument (and element of a list), what its error names: indices that must be looked at.
+# Operator, argument (and list element), name in the error message: indices that must be validated.
 INDICES = [
     ("refit", (1,), "mesh_index"),
     ("refit", (4,), "vertex_begin"),
@@ -63,7 +63,7 @@ PROGRAM = "import sys; sys.path.insert(0, {tests!r}); import test_ops_bounds; te
 
 
 def calls() -> dict[str, tuple[Any, ...]]:
-    """One call of each operator, that with the most data."""
+    """The call with the most data, for each operator."""
     from test_ops import Recorder, recorded
 
     from pgccd import ops, sim
@@ -95,7 +95,7 @@ def calls() -> dict[str, tuple[Any, ...]]:
 
 
 def attempt(name: str, arguments: tuple[Any, ...]) -> str | None:
-    """The error that a call ends with. It works on copies."""
+    """The error raised by a call on copies of the arguments, or None."""
     copies = torch.utils._pytree.tree_map_only(torch.Tensor, torch.clone, arguments)
     sys.stderr.write(f"{name}\n")
     try:
@@ -116,14 +116,16 @@ def with_changed(arguments: tuple[Any, ...], at: tuple[int, ...], value: Any) ->
 
 
 def replacements(value: Any) -> Iterator[Any]:
-    """For one argument: other types, shapes, dtypes and numbers."""
+    """Replacements for one argument: other types, shapes, dtypes and numbers."""
     if isinstance(value, torch.Tensor):
         yield from (value[:0], value.reshape(-1)[:0], value.reshape(-1), value.unsqueeze(0), value[:-1])
         yield torch.cat([value, value])
         yield value.to(torch.float32 if value.dtype == torch.float64 else torch.float64)
         yield torch.empty((), dtype=value.dtype)
         if value.is_floating_point():
-            yield from (torch.full_like(value, x) for x in (-1.0, 0.0))  # others are long searches without result
+            yield from (
+                torch.full_like(value, x) for x in (-1.0, 0.0)
+            )  # other values cause long searches without result
         elif value.dtype != torch.bool:
             info = torch.iinfo(value.dtype)
             yield from (torch.full_like(value, x) for x in (info.min, info.max, 2, info.max // 2, 100))
@@ -139,14 +141,14 @@ def replacements(value: Any) -> Iterator[Any]:
 
 
 def change_everything() -> None:
-    """Each argument of each operator, and each element of lists."""
+    """Changes each argument of each operator, and each element of lists."""
     for name, arguments in calls().items():
         schema = getattr(torch.ops.pgccd, name).default._schema.arguments
         for k, value in enumerate(arguments):
             for other in replacements(value):
                 attempt(name, with_changed(arguments, (k,), other))
             for m, element in enumerate(value if isinstance(value, list) else []):
-                # Mesh sets and node blocks are made by the package: of these shapes are looked at, and the offsets.
+                # Mesh sets and node blocks come from the package: only their shapes and offsets are validated.
                 is_blocks = isinstance(element, torch.Tensor) and element.dtype == torch.float32
                 is_content = is_blocks or (schema[k].name == "mesh_set" and m != 8)
                 for other in replacements(element):
@@ -157,7 +159,7 @@ def change_everything() -> None:
 
 
 def change_indices() -> None:
-    """Errors name the argument whose indices are out of range, or whose length is none."""
+    """Errors name the argument whose indices are out of range or whose length is zero."""
     known = calls()
     wrong = []
     for name, at, named in INDICES:

@@ -1,4 +1,4 @@
-"""Origins of meshes: where a pose puts a body, what it turns about, and that no bound is too small for it."""
+"""Origins of meshes: placement by a pose, centre of rotation, and bounds that are never too small."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_link_about_its_joint_meets_the_ball_in_its_way(distance: float, devic
     # The face is 0.05 from the joint's axis, the ball's centre 0.07 from the face.
     truth = 45.0 - np.degrees(np.arcsin(0.12 / distance))  # 40.4 degrees, at 1.5
     assert 90.0 * float(hits["joint"].toi[0]) == pytest.approx(truth, abs=0.03)
-    # About its SBV centre the same link, between the same two poses, cuts the corner: another path.
+    # About its SBV centre the same link, between the same poses, takes another path and cuts the corner.
     if distance > 1.8:
         assert len(hits["centroid"]) == 0
     else:
@@ -82,7 +82,7 @@ def test_a_spinning_box_meets_the_same_balls_however_it_is_meshed(device: torch.
     ball = bumpy(rng, 1, height=0.0, size=0.02)
     count = 300
     place = np.concatenate([np.zeros((1, 3)), rng.uniform(-0.6, 0.6, (count, 3)) * [1.0, 1.0, 0.1]])
-    place[1:, 1] += np.copysign(0.08, place[1:, 1])  # clear of the box at t0
+    place[1:, 1] += np.copysign(0.08, place[1:, 1])  # outside the box at t0
     spin = np.zeros((count + 1, 3))
     spin[0, 2] = 2.0
     turn, still = tensors(spin, np.zeros_like(spin), device=device)
@@ -101,9 +101,10 @@ def test_a_spinning_box_meets_the_same_balls_however_it_is_meshed(device: torch.
 
 
 def _pair(rng: np.random.Generator, reach: float, turn: float, along: bool) -> Bodies:
-    """Two bodies that come near each other at t = 1/2, with origins `reach` radii away; screws turn about an axis
-    through origin and body, others at most so fast that they move by a few radii."""
-    # Far away the oracle takes long.
+    """Two bodies that come near each other at t = 1/2, with origins `reach` radii away; with `along` they turn about an
+    axis through origin and body, otherwise at a speed that moves them by a few radii at most.
+    """
+    # At large distances the oracle is slow; use small meshes.
     meshes = [bumpy(rng, 0), bumpy(rng, 0)] if reach < 1e6 else [tetrahedron(), tetrahedron(0.8)]
     radii = [mesh.radius for mesh in meshes]
     away = directions(rng, 2)
@@ -111,7 +112,7 @@ def _pair(rng: np.random.Generator, reach: float, turn: float, along: bool) -> B
     if along:
         axis = turned(orientation, away)
         rotation = turn * axis
-        # They turn about themselves, and go along.
+        # Screw motions: they turn about their axes and move along them.
         orientation = np.array([product(turn_of(-0.5 * w), q) for w, q in zip(rotation, orientation, strict=True)])
         travel = axis * rng.uniform(-1.5, 1.5, (2, 1))
     else:
@@ -131,7 +132,7 @@ def test_arcs_about_any_origin_agree_with_the_oracle(
     bodies = _pair(np.random.default_rng([int(reach), int(turn), along]), reach, turn, along)
     rows, truth = rows_of(all_contacts(bodies, device)), rigid_truth(bodies)
     assert_nothing_missed(rows, truth)
-    # 4 errors of a point on each of two bodies, and 64 units of the extent, in place of the tolerance.
+    # 4 errors of a point on each of two bodies, and 64 units of the extent, instead of the tolerance.
     noise = (8 * (256 + 8 * turn) + 64 * 18) * 2.0**-53 * max(mesh.reach for mesh in bodies.meshes)
     within = max(1e-6 * min(mesh.radius for mesh in bodies.meshes), 1.1 * noise)
     assert_rigid_rows_close(rows, bodies, within + 1e-12 * (reach + 10.0))
@@ -192,7 +193,7 @@ def test_all_broad_phases_and_no_broad_phase_agree(path: str, device: torch.devi
 
 
 def test_straight_vertex_paths_are_those_of_the_end_poses(device: torch.device) -> None:
-    """With path="linear" a rigid body is the deforming one with its end positions, whatever the origins."""
+    """With path="linear" a rigid body equals the deforming one with its end positions, for any origin."""
     rng = np.random.default_rng(12)
     total = 0
     for reach in (0.0, 2.0, 100.0):
@@ -218,11 +219,11 @@ def test_straight_vertex_paths_are_those_of_the_end_poses(device: torch.device) 
 
 
 def test_the_normal_of_a_touch_leads_from_body_to_body(device: torch.device) -> None:
-    """Wherever the origins are: here beyond the other body."""
+    """For any origin: here each lies beyond the other body."""
     shape = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
     upper = pgccd.Mesh(shape, faces, [0.0, 0.0, -8.0])
-    lower = pgccd.Mesh(-shape, faces, [0.0, 0.0, 8.0])  # their bases are on one another
+    lower = pgccd.Mesh(-shape, faces, [0.0, 0.0, 8.0])  # their bases coincide
     start, orientation, turn = tensors(
         np.array([[0.0, 0.0, -8.0], [0.0, 0.0, 8.0]]),
         np.stack([STILL, STILL]),

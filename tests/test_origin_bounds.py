@@ -19,8 +19,9 @@ import pgccd
 def _grazing_spheres(
     reach: float, angle: float, when: float, gap: float, device: torch.device, path: str = "rigid"
 ) -> torch.Tensor:
-    """Pairs of the broad phase: a body on an arc of radius `reach` about the z axis, and one that rests where the first
-    one's SBV is at time `when`, beyond it by `gap` as seen from the axis."""
+    """Pairs found by the broad phase: a body on an arc of radius `reach` about the z axis, and one at rest at the first
+    one's SBV position at time `when`, `gap` further from the axis.
+    """
     turning = recentred(tetrahedron(), np.array([-reach, 0.0, 0.0]))
     resting = pgccd.Mesh(tetrahedron().vertices, tetrahedron().faces, "centroid")
     assert abs(turning.radius - 1.0) < 1e-12
@@ -43,17 +44,18 @@ def _grazing_spheres(
 @pytest.mark.parametrize("reach", [10.0, 1e3])
 def test_swept_spheres_grow_by_the_sagitta(angle: float, reach: float, device: torch.device) -> None:
     """In the middle of the step the centre is angle^2 / 8 of the arc's radius (less angle^2 / 48 of that) from its
-    chord, so a growth by 0.999 of it misses."""
+    chord, so a growth of 0.999 of it is too small.
+    """
     sagitta = reach * 0.125 * angle**2
     assert len(_grazing_spheres(reach, angle, 0.5, -1e-6 * sagitta, device)) == 1
     assert len(_grazing_spheres(reach, angle, 0.5, 0.01 * sagitta, device)) == 0
-    # On straight paths nothing strays from the chord.
+    # On straight paths there is no deviation from the chord.
     assert len(_grazing_spheres(reach, angle, 0.5, -1e-6 * sagitta, device, "linear")) == 0
 
 
 @pytest.mark.parametrize("reach", [10.0, 1e3])
 def test_swept_spheres_grow_by_the_diameter_at_most(reach: float, device: torch.device) -> None:
-    """Half-way round the centre is as far from where it starts and ends as it can be."""
+    """After half a turn the centre is as far from its start and end as possible."""
     assert len(_grazing_spheres(reach, 2.0 * np.pi, 0.5, -1e-9, device)) == 1
     assert len(_grazing_spheres(reach, 2.0 * np.pi, 0.5, 1e-9, device)) == 0
     assert len(_grazing_spheres(reach, 40.0, np.pi / 40.0, -1e-9, device)) == 1
@@ -85,7 +87,7 @@ def test_swept_spheres_cover_the_rounding_of_positions(device: torch.device) -> 
 
 
 def _exact_point(position: np.ndarray, quaternion: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Where a body point is, as Fractions."""
+    """Position of a body point, as Fractions."""
     p, q, r = ([Fraction(float(c)) for c in row] for row in (position, quaternion, point))
     w, u = q[0], q[1:]
     size = w * w + sum(c * c for c in u)
@@ -99,8 +101,9 @@ def _exact_point(position: np.ndarray, quaternion: np.ndarray, point: np.ndarray
 
 
 def test_swept_spheres_cover_the_rounding_of_centres(device: torch.device) -> None:
-    """Spheres that touch by their exact centres, where those computed are three units of their distance from the
-    origin further apart."""
+    """Spheres that touch by their exact centres; the computed centres are three ulps of their distance from the origin
+    further apart.
+    """
     rng = np.random.default_rng(6)
     link = recentred(tetrahedron(), -1e9 * directions(rng, 1)[0])
     ball = pgccd.Mesh(tetrahedron().vertices, tetrahedron().faces, "centroid")
@@ -132,7 +135,7 @@ def test_swept_spheres_cover_the_rounding_of_centres(device: torch.device) -> No
 @pytest.mark.parametrize("reach", [1e6, 1e9, 9e11])
 @pytest.mark.parametrize("along", [False, True], ids=["resting", "screw"])
 def test_nothing_is_missed_however_far_origins_are(reach: float, along: bool, device: torch.device) -> None:
-    """Tips that face each other at a distance below the separation by no more than coordinates are rounded by."""
+    """Opposite tips at a distance below the separation by no more than the rounding of coordinates."""
     rng = np.random.default_rng([int(reach) % 1000, along])
     separation, count = 1e-3, 120
     tip = tetrahedron().vertices.numpy()[0]
@@ -173,7 +176,7 @@ def test_nothing_is_missed_however_far_origins_are(reach: float, along: bool, de
 @pytest.mark.parametrize("turn", [0.2, 1.0, 6.0, 20.0, 40.0])
 def test_segments_of_a_fast_spin_follow_the_arc_about_the_origin(turn: float, device: torch.device) -> None:
     """Tips that pass within the separation half-way along one of the 64 segments, where the tip is furthest from its
-    chord. The arc is so large that deviations of the body's own radius are far too small for it.
+    chord. The arc is so large that deviations computed from the body's own radius are far too small.
     """
     reach, separation = 1e5, 1e-2
     tip = tetrahedron().vertices.numpy()[0]
@@ -201,8 +204,9 @@ def test_segments_of_a_fast_spin_follow_the_arc_about_the_origin(turn: float, de
 
 @pytest.mark.parametrize("reach", [10.0, 1e3, 1e5])
 def test_tips_graze_where_large_arcs_have_used_up_their_deviation(reach: float, device: torch.device) -> None:
-    """Spindles that turn about points `reach` behind them, but travel back as fast: near t = 1/2 their tips only bulge
-    towards each other, by just less than chords of a single segment may stray."""
+    """Spindles that turn about points `reach` behind them, but travel back equally fast: near t = 1/2 their tips only
+    bulge towards each other, by just less than a single segment's chord may deviate.
+    """
     turn = np.sqrt(0.0798 / (reach + 1.0))
     meetings = contacts.tips(np.random.default_rng(5), 30, (turn, turn), time=np.full(30, 0.5))
     behind = [-reach * mesh.vertices.numpy()[0] for mesh in meetings.bodies.meshes]

@@ -1,4 +1,4 @@
-"""The package as programs and editors meet it: what importing it brings along, and what type checkers see."""
+"""The package as seen by programs and editors: which modules importing it loads, and what type checkers see."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_type_checkers_see_what_is_imported_later() -> None:
 
 @pytest.mark.parametrize("name", ["bootstrap.py", "README.md"])
 def test_installed_in_place_by_a_path(name: str) -> None:
-    # Import hooks, the other way to install in place, are invisible to type checkers and editors.
+    # Import hooks, the alternative for in-place installs, are invisible to type checkers and editors.
     installing = [line for line in (ROOT / name).read_text().splitlines() if "--no-build-isolation" in line]
     assert installing and all("--config-settings=editable_mode=compat" in line for line in installing)
 

@@ -1,4 +1,4 @@
-"""A step searched in parts: the contacts of the whole, whatever the rows of the bodies and whatever the capacity."""
+"""A step searched in parts: the contacts of the whole, for any order of rows and any capacity."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal",
 
 
 class Divided:
-    """A step, its contacts, and two parts of it: of the second the bodies are in another order, some of them missing.
+    """A step, its contacts, and two parts of it; the second has the bodies in another order, with some missing.
 
     Args:
-        padded: whether rows of -1 follow the pairs, whose number only the device knows.
+        padded: whether rows of -1 follow the pairs, so that only the device has their number.
         estimates: of the parts of an earlier step.
     """
 
@@ -109,7 +109,7 @@ def test_too_little_capacity(device: torch.device, monkeypatch: pytest.MonkeyPat
         patch.setattr(CapacityEstimate, "capacity", lambda *_: little)
         counts = [part.start().read() for part in divided.parts]
     assert all(each.overflow for each in counts)
-    divided.parts[0].learn(counts[0])  # or not
+    divided.parts[0].learn(counts[0])  # calling learn is optional
     divided.check()
 
 
@@ -130,7 +130,7 @@ def test_a_part_gets_the_capacity_that_it_needed(device: torch.device) -> None:
 
 
 def test_what_is_learnt_of_steps() -> None:
-    """In proportion to pairs where they are given, else to bodies."""
+    """In proportion to pairs where they are given, otherwise to bodies."""
     divided = Divided(torch.device("cpu"), "first", padded=False)
     scene, query, pairs = divided.parts[0].bodies.scene, divided.query, divided.pairs
     needed = replace(Capacity.guess(100_000), launches=9)
@@ -138,12 +138,12 @@ def test_what_is_learnt_of_steps() -> None:
     assert of_bodies.capacity(scene, None) == Capacity.guess(scene.body_count)
     of_bodies.learn(scene.body_count, needed)
     of_pairs.learn(len(pairs), replace(needed, launches=10))
-    of_bodies.learn(0, Capacity(0, 0))  # nothing can be learnt from no bodies
+    of_bodies.learn(0, Capacity(0, 0))  # zero bodies change nothing
     assert of_bodies.capacity(scene, None) == needed.times(1.25)
     assert of_bodies.capacity(scene, None, slack=2.0) == needed.times(2.0)
     half = pairs[: len(pairs) // 2]
     assert of_pairs.capacity(scene, half).candidates == needed.times(1.25 * len(half) / len(pairs)).candidates
-    # A scene has an estimate for each report, and for each octave of numbers of given pairs.
+    # A scene has an estimate per report, and per octave of the number of given pairs.
     assert estimate_of(scene, query, None) is estimate_of(scene, query, None)
     assert estimate_of(scene, query, pairs) is not estimate_of(scene, query, None)
     assert estimate_of(scene, query, half) is not estimate_of(scene, query, pairs)
@@ -159,7 +159,7 @@ def test_pairs_found_in_a_fixed_capacity(device: torch.device, capacity: str, mo
     monkeypatch.setattr(parts_module, "expected_capacity", lambda *_, slack: capacity)
 
     def even(pairs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Those whose first body is one of even row, in the first places."""
+        """Pairs whose first body is in an even row, compacted to the front."""
         chosen = (pairs[:, 0] % 2 == 0) & (pairs[:, 0] >= 0)
         kept = torch.full_like(pairs, -1)
         kept[: int(chosen.sum())] = pairs[chosen]
@@ -170,7 +170,7 @@ def test_pairs_found_in_a_fixed_capacity(device: torch.device, capacity: str, mo
             discard = None if flag is None else torch.tensor([flag], device=device)
             part = find_part(bodies, whole.query, select=select, discard=discard)
             part.start()
-            if flag == 1:  # no pairs, and so nothing to search
+            if flag == 1:  # no pairs, so nothing to search
                 assert bool((part.pairs < 0).all()) and part.start().read().pairs_written == 0
                 continue
             found = part.find()

@@ -1,6 +1,7 @@
-"""Public ground truth (Wang et al. 2021; Belgrod et al. 2023): 0 missed, and no more false positives than on record.
+"""Public ground truth (Wang et al. 2021; Belgrod et al. 2023): 0 missed, and no more false positives than recorded
+here.
 
-Runs where the environment variable PGCCD_CCD_DATA names a folder with `queries/NAME.{vf,ee}.npz` (points (n, 8, 3): the
+Runs if the environment variable PGCCD_CCD_DATA names a folder with `queries/NAME.{vf,ee}.npz` (points (n, 8, 3): the
 four points at t0, then at t1; collides (n,)) and `scenes/NAME.npz` (vertices_t0, vertices_t1, faces, edges, vf_pairs,
 ee_pairs, vf_collides, ee_collides).
 """
@@ -27,7 +28,7 @@ def names(pattern: str) -> list[str]:
     return found or ["none"]
 
 
-# False positives at tolerance 1e-6 that there are today; more of them is a step back.
+# Present false positives at tolerance 1e-6; more is a regression.
 QUERY_FALSE_POSITIVES = {"erleben-cube-cliff-edges.vf.npz": 1}
 SCENE_FALSE_POSITIVES: dict[str, int] = {}
 
@@ -50,7 +51,7 @@ def load_scene(name: str) -> dict[str, np.ndarray]:
 
 
 def pair_points(scene: dict[str, np.ndarray], is_face: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points at both ends and the truth of a scene's list of pairs."""
+    """Points at both ends, and truth, of a scene's list of pairs."""
     key = "vf" if is_face else "ee"
     first, second = scene[f"{key}_pairs"].T
     index = [first[:, None] if is_face else scene["edges"][first], scene["faces" if is_face else "edges"][second]]
@@ -87,7 +88,7 @@ def components(faces: np.ndarray, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", names("scenes/*.npz"))
 def test_contacts_between_components(name: str) -> None:
-    """The scene's connected components as bodies that deform: every true contact between two of them is found."""
+    """The scene's connected components as deforming bodies: every true contact between two of them is found."""
     scene = load_scene(name)
     faces, edges = scene["faces"].astype(np.int64), scene["edges"].astype(np.int64)
     label = components(faces, len(scene["vertices_t0"]))
@@ -106,7 +107,7 @@ def test_contacts_between_components(name: str) -> None:
     motion = pgccd.VertexMotion(*(torch.from_numpy(scene[key][order]) for key in ("vertices_t0", "vertices_t1")))
     hits = pgccd.detect(pgccd.Scene(meshes), motion, "all", tolerance=1e-6)
 
-    # Global names of what was found: (kind, first, second), the vertex first, edges by their two vertices.
+    # Contacts in the scene's numbering: (kind, first, second), vertex first, edges by their two vertices.
     found = set()
     global_edges = [rows[k][m.edges.numpy()] for k, m in enumerate(meshes)]
     for (i, j), kind, (a, b) in zip(hits.pairs.tolist(), hits.kind.tolist(), hits.features.tolist(), strict=True):
@@ -137,14 +138,14 @@ def test_contacts_between_components(name: str) -> None:
 
 @pytest.mark.parametrize("name", names("scenes/*.npz"))
 def test_contacts_of_one_body(name: str, device: torch.device) -> None:
-    """The whole scene as one body that collides with itself: the true contacts of the list, and no others."""
+    """The whole scene as one body that collides with itself: exactly the true contacts of the list."""
     scene = load_scene(name)
     mesh = pgccd.Mesh(scene["vertices_t0"], scene["faces"])
     ends = [torch.from_numpy(scene[key]).to(device) for key in ("vertices_t0", "vertices_t1")]
     bodies = pgccd.Scene([mesh], device=device, self_collision=True)
     hits = pgccd.detect(bodies, pgccd.VertexMotion(*ends), "all", tolerance=1e-6)
 
-    # One number a row: kind, first, second. The scene's edges are numbered otherwise than the mesh's.
+    # One number per row from kind, first, second. The scene numbers edges differently from the mesh.
     vertices = len(scene["vertices_t0"])
     of_mesh, of_scene = (
         np.sort(e, axis=1) @ np.array([vertices, 1]) for e in (mesh.edges.long().numpy(), scene["edges"])

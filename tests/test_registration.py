@@ -1,6 +1,4 @@
-"""Every operator has its kernels, the CUDA ones too; they are looked at where they are compiled, so that no GPU is
-needed.
-"""
+"""Every operator has its kernels, CUDA included; they are looked up in the compiled library, so no GPU is needed."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from pgccd import _C, ops
 from pgccd.about import describe_installation
 
 CSRC = Path(__file__).resolve().parents[1] / "csrc"
-# The baseline that pgccd is compared with runs on CPUs.
+# The baseline runs on CPUs only.
 ON_CPU_ALONE = {"pgccd::voxels_touched", "pgccd::voxel_boxes", "pgccd::voxel_pairs"}
 OPERATORS = sorted(name for name in torch._C._dispatch_get_all_op_names() if name.startswith("pgccd::"))
 
@@ -29,9 +27,9 @@ def built_with_cuda() -> bool:
 
 
 def kernels_of(path: Path) -> list[str]:
-    """Names of the functions a file declares __global__."""
+    """Names of a file's __global__ functions."""
     return [
-        re.sub(r"__\w+__\([^)]*\)", "", text).split("(")[0].split()[-1]  # without __launch_bounds__(...)
+        re.sub(r"__\w+__\([^)]*\)", "", text).split("(")[0].split()[-1]  # drops __launch_bounds__(...)
         for text in re.split(r"^\s*__global__", path.read_text(), flags=re.MULTILINE)[1:]
     ]
 
@@ -62,7 +60,7 @@ def test_code_for_the_device_is_inside() -> None:
     assert len(kernels) > 10
     binary = Path(_C.__file__).read_bytes()
     assert b".nv_fatbin" in binary
-    # The CUDA runtime finds kernels by name.
+    # The CUDA runtime looks up kernels by name.
     assert [name for name in sorted(kernels) if name.encode() not in binary] == []
 
 
@@ -73,6 +71,6 @@ def test_cuda_kernels_are_built_where_there_is_a_compiler() -> None:
     toolkit = cuda_toolkit.find_cuda_toolkit(torch.version.cuda)
     if toolkit is None:
         pytest.skip(f"no nvcc fits CUDA {torch.version.cuda} of torch")
-    # A build with PGCCD_CUDA=0 is tested with that setting too.
+    # A build with PGCCD_CUDA=0 is tested with that setting.
     assert built_with_cuda(), f"nvcc {toolkit.version} in {toolkit.home}, but the extension has no CUDA kernels"
     assert describe_installation()["CUDA architectures"] != "none"

@@ -1,5 +1,5 @@
-"""Scenes in which other libraries were publicly reported to miss a continuous collision or to answer wrongly, rebuilt
-from the reports' texts: docs/reported_failures.md.
+"""Scenes of public reports that other libraries miss a continuous collision or return a wrong result, rebuilt from the
+reports' texts: docs/reported_failures.md.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def box(size: tuple[float, float, float], centre: tuple[float, float, float] = (
 
 
 def cone(radius: float, height: float, sides: int = 32) -> pgccd.Mesh:
-    """Along z, its base at -height / 2, with a corner of the base at -x."""
+    """A cone along z, its base at -height / 2, with a corner of the base at -x."""
     angle = math.pi + 2.0 * math.pi * np.arange(sides) / sides
     rim = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(sides, -0.5 * height)], axis=1)
     rim[0] = [-radius, 0.0, -0.5 * height]
@@ -37,7 +37,7 @@ def cone(radius: float, height: float, sides: int = 32) -> pgccd.Mesh:
 
 
 def quads(*corners: list[list[float]]) -> pgccd.Mesh:
-    """Each of four corners in a row around."""
+    """A mesh of quads, each given by its four corners in order."""
     faces = [[4 * k + a for a in triangle] for k in range(len(corners)) for triangle in ([0, 1, 2], [0, 2, 3])]
     return pgccd.Mesh(torch.tensor(corners, dtype=torch.float64).reshape(-1, 3), torch.tensor(faces))
 
@@ -72,14 +72,14 @@ def detect(
 
 
 def require_toi(hits: pgccd.Contacts, expected: Fraction, speed: float) -> None:
-    """Not late, and early by no more than the tolerance takes."""
+    """Asserts that toi is not late, and early by no more than the tolerance."""
     assert len(hits) == 1
     assert 0 <= expected - Fraction(float(hits.toi[0])) <= 3e-6 / speed
 
 
 @pytest.mark.parametrize("moving", ["first", "second", "both"])
 def test_fcl_555_two_boxes_moving_towards_each_other(moving: str, device: torch.device) -> None:
-    """Meshes away from the points that their poses refer to."""
+    """Meshes away from their origins."""
     meshes = [box((2.0, 2.0, 2.0), (0.0, 0.0, 4.0)), box((2.0, 2.0, 2.0), (0.0, 0.0, -4.0))]
     end = [[0.0, 0.0, -8.0 if moving != "second" else 0.0], [0.0, 0.0, 8.0 if moving != "first" else 0.0]]
     speed = abs(end[0][2] - end[1][2])
@@ -87,7 +87,7 @@ def test_fcl_555_two_boxes_moving_towards_each_other(moving: str, device: torch.
 
 
 def test_python_fcl_11_a_box_that_passes_a_cone(device: torch.device) -> None:
-    """The answer taken for the right one there, 0.4316, is late too."""
+    """The report's reference answer, 0.4316, is late too."""
     hits = detect(
         [box((1.0, 2.0, 3.0)), cone(1.0, 3.0)], [[-10.0, 0.0, 0.0], [0.0] * 3], [[10.0, 0.0, 0.0], [0.0] * 3], device
     )
@@ -95,8 +95,9 @@ def test_python_fcl_11_a_box_that_passes_a_cone(device: torch.device) -> None:
 
 
 def test_physx_505_a_wall_behind_a_grazed_edge(device: torch.device) -> None:
-    """A ball, as a speck with a separation of its radius, grazes the edge of one surface of a mesh before it meets
-    another one of the same mesh."""
+    """A ball, modelled as a speck with its radius as separation, grazes the edge of one surface of a mesh before it
+    hits another surface of the same mesh.
+    """
     level = [[-4.0, 0.0, -2.0], [0.0, 0.0, -2.0], [0.0, 0.0, 2.0], [-4.0, 0.0, 2.0]]
     wall = [[1.0, -2.0, -2.0], [1.0, 2.0, -2.0], [1.0, 2.0, 2.0], [1.0, -2.0, 2.0]]
     start, way, radius = np.array([-0.78131, 0.3092001, 0.0]), np.array([4.0, -0.3, 0.0]), 0.25
@@ -114,8 +115,9 @@ def test_physx_505_a_wall_behind_a_grazed_edge(device: torch.device) -> None:
 
 
 def test_physx_509_contact_points_lie_on_both_bodies(device: torch.device) -> None:
-    """A box slides over a corner, 2e-5 above it at the end. It touches nothing; with a separation of 1e-4 it does, at
-    points on both surfaces, not in its centre."""
+    """A box slides over a corner, 2e-5 above it at the end, without touching. With a separation of 1e-4 it touches, at
+    points on both surfaces, not at its centre.
+    """
     slider = box((0.9, 1.42552, 1.0))
     wall = [[7.0, 2.0, -0.5], [7.0, 3.0, -0.5], [7.0, 3.0, 0.5], [7.0, 2.0, 0.5]]
     level = [[3.0, 3.0, -0.5], [7.0, 3.0, -0.5], [7.0, 3.0, 0.5], [3.0, 3.0, 0.5]]
@@ -154,7 +156,7 @@ def test_isaaclab_5020_boxes_without_margin_on_meshes(device: torch.device) -> N
 
 
 def test_newton_3188_a_nut_pushed_through_the_thread_of_its_bolt(device: torch.device) -> None:
-    """One pitch along the axis: it ends as it began, clear of the bolt. Screwed on, it stays clear."""
+    """One pitch along the axis: start and end are clear of the bolt. When screwed on, the nut stays clear."""
     pitch, sides, rows = 0.3, 32, 8
     bolt, nut = thread(1.0, 0.2, pitch, 6, sides, rows), thread(1.03, 0.2, pitch, 2, sides, rows)
     start = [[0.0] * 3, [0.0, 0.0, 2.0 * pitch]]

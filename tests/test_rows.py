@@ -1,4 +1,4 @@
-"""Rows of columns on their way, against torch's own indexing: any type, any width, on every device."""
+"""Row copies against torch's own indexing: any type, any width, on every device."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from pgccd import ops
 
 Kind = tuple[torch.dtype, tuple[int, ...]]
-# Whole words, halves of them, odd bytes, and none at all.
+# Whole words, half words, odd bytes, and zero bytes.
 KINDS: list[Kind] = [
     (torch.int64, ()),
     (torch.bool, ()),
@@ -27,12 +27,12 @@ KINDS: list[Kind] = [
 ]
 kinds = st.lists(st.sampled_from(KINDS), max_size=40)
 seeds = st.integers(0, 2**31)
-# A device is the same for all examples.
+# All examples use the same device.
 same_device = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
 def columns_of(kinds: list[Kind], count: int, generator: torch.Generator) -> list[Tensor]:
-    """Of any bytes that are numbers."""
+    """Columns of random bytes that are valid numbers."""
     columns = []
     for dtype, width in kinds:
         shape = (count, *width)
@@ -91,7 +91,7 @@ def test_taking(
 
 @st.composite
 def changes(draw: st.DrawFn) -> tuple[list[int], list[int], list[int]]:
-    """Ids, rows removed, ids added: few numbers, so that anything may be before, between, after, or the same again."""
+    """Ids, rows removed, ids added: from a small range, so that ids may precede, interleave, follow or repeat."""
     all_ids = draw(st.sets(st.integers(-20, 20))) | draw(st.just(set()) | st.just(set(range(100, 250))))
     former = sorted(id for id in all_ids if draw(st.booleans()))
     removed = [row for row in range(len(former)) if draw(st.booleans())]
@@ -166,7 +166,7 @@ def test_columns_need_not_be_contiguous(device: torch.device) -> None:
 
 
 def test_data_that_are_not_aligned(device: torch.device) -> None:
-    """Words may only be copied whole where they lie at a multiple of their length."""
+    """Whole words may only be copied at addresses that are multiples of their length."""
     shifted = torch.arange(90, dtype=torch.int32, device=device)[1:81].view(-1, 2)
     rows = torch.arange(39, -1, -1, device=device)
     assert shifted.is_contiguous() and shifted.data_ptr() % 8

@@ -1,4 +1,4 @@
-"""A search that is handed from phase to phase, as on a device, ends as one that goes through: bit for bit."""
+"""A search passed from phase to phase, as on a device, ends bit for bit as one run in a single call."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from support.host_program import run_program
 
-# The phases of devices, as compiled for the host. Most features are slender, and many touch or nearly do at once.
+# The device phases, compiled for the host. Most features are slender, and many touch or nearly touch at once.
 PROGRAM = """
 #include <cstdio>
 #include <cstring>

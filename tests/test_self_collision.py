@@ -1,4 +1,4 @@
-"""Bodies that deform and collide with themselves: against exact arithmetic over all feature pairs, and properties."""
+"""Deforming bodies that collide with themselves: against exact arithmetic over all feature pairs, and properties."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def own_hits(
 
 
 def assert_canonical(mesh: pgccd.Mesh, kinds: torch.Tensor, features: torch.Tensor) -> None:
-    """Only VF_AB, and EE with the smaller edge first; none twice, and no two features that share a vertex."""
+    """Asserts only VF_AB, and EE with the smaller edge first; no duplicates, and no features that share a vertex."""
     rows = torch.cat([kinds.long()[:, None], features.long()], dim=1).cpu()
     assert len(torch.unique(rows, dim=0)) == len(rows), "listed twice"
     is_edges = rows[:, 0] == pgccd.EE
@@ -45,7 +45,7 @@ def assert_canonical(mesh: pgccd.Mesh, kinds: torch.Tensor, features: torch.Tens
 
 
 def check(mesh: pgccd.Mesh, ends: Ends, device: torch.device, separation: float = 0.0, tolerance: float = 1e-7) -> int:
-    """One body against brute force; returns the number of contacts."""
+    """Checks one body against brute force; returns the number of contacts."""
     hits = own_hits(mesh, ends, device, "all", separation, tolerance=tolerance)
     faces = mesh.faces.long().numpy()
     rows, truth = rows_of(hits, 0, 0), self_truth(ends, faces, separation)
@@ -69,14 +69,14 @@ def sheet(columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rolled(vertices: np.ndarray, angle: float) -> np.ndarray:
-    """A sheet bent about the y axis, `angle` radians a unit of x."""
+    """A sheet bent about the y axis, by `angle` radians per unit of x."""
     x = vertices[:, 0]
     return np.stack([np.sin(angle * x) / angle, vertices[:, 1], (1.0 - np.cos(angle * x)) / angle], axis=1)
 
 
 @pytest.mark.parametrize("bend", [0.1, 0.9])
 def test_sheet_that_rolls_up(device: torch.device, bend: float) -> None:
-    """Bent further than once round, it runs through itself."""
+    """Bent by more than a full turn, it passes through itself."""
     rng = np.random.default_rng(1)
     flat, faces = sheet(10, 5)
     ends = [noisy(rng, flat, 0.02), noisy(rng, rolled(flat, bend), 0.02)]
@@ -86,7 +86,7 @@ def test_sheet_that_rolls_up(device: torch.device, bend: float) -> None:
 
 @pytest.mark.parametrize("depth", [0.0, 1e-9, 0.3])
 def test_sheet_that_folds_onto_itself(device: torch.device, depth: float) -> None:
-    """One half comes to lie on the other, or goes through it by `depth`."""
+    """One half is folded onto the other, or through it by `depth`."""
     flat, faces = sheet(8, 3)
     folded = flat.copy()
     right = flat[:, 0] > 4
@@ -99,7 +99,7 @@ def test_sheet_that_folds_onto_itself(device: torch.device, depth: float) -> Non
 
 
 def test_waves_through_one_another(device: torch.device) -> None:
-    """A sheet with two layers that pass: everything meets nearly everything near it."""
+    """A sheet with two layers that cross: nearly all nearby features touch."""
     rng = np.random.default_rng(2)
     flat, faces = sheet(12, 6)
     layer = np.where(flat[:, 0] < 6, 1.0, -1.0)[:, None] * np.array([[0.0, 0.0, 1.0]])
@@ -119,7 +119,7 @@ def test_blobs(device: torch.device, shake: float, separation: float) -> None:
 
 
 def test_deep_hierarchy(device: torch.device) -> None:
-    """Many leaves, of which most never come near one another."""
+    """Many leaves, most of which never come near one another."""
     rng = np.random.default_rng(4)
     mesh = bumpy(rng, 3, height=0.02)
     inside_out = mesh.vertices.numpy() * np.array([1.0, 1.0, -0.1])
@@ -147,7 +147,7 @@ def test_small_triangles_in_a_large_body(device: torch.device) -> None:
 
 
 def test_shapes_that_collapse(device: torch.device) -> None:
-    """To a point at t1, or a point throughout: all feature pairs touch, each of which is listed once."""
+    """Collapsed to a point at t1 or throughout: all feature pairs touch, and each is listed once."""
     mesh = bumpy(np.random.default_rng(7), 1)
     vertices, faces, edges = (x.numpy() for x in (mesh.vertices, mesh.faces, mesh.edges))
     point = np.tile(vertices[:1], (len(vertices), 1))
@@ -171,13 +171,13 @@ def test_degenerate_faces(device: torch.device, separation: float) -> None:
 @settings(max_examples=40)
 @given(shape=meshes(), seed=st.integers(0, 2**32 - 1), shake=st.sampled_from([0.0, 0.01, 0.3]))
 def test_any_mesh(shape: TriMesh, seed: int, shake: float) -> None:
-    """Open, non-manifold, in pieces, with doubled faces; every candidate once, and none that touches is missed."""
+    """Open, non-manifold, disconnected, duplicate faces: no duplicate candidates, and none that touches is missed."""
     rng = np.random.default_rng(seed)
     try:
         mesh = pgccd.Mesh(shape.vertices, shape.faces)
-    except ValueError:  # all in one point
+    except ValueError:  # all vertices in one point
         return
-    chosen = rng.permutation(len(shape.faces))[:60]  # exact arithmetic takes its time
+    chosen = rng.permutation(len(shape.faces))[:60]  # exact arithmetic is slow
     mesh = pgccd.Mesh(shape.vertices + 1e-9 * rng.normal(size=shape.vertices.shape), shape.faces[chosen])
     ends = [noisy(rng, shape.vertices, shake) for _ in range(2)]
     bodies = pgccd.MovingBodies(pgccd.Scene([mesh], self_collision=True), motion_of(ends, device=torch.device("cpu")))
@@ -189,7 +189,7 @@ def test_any_mesh(shape: TriMesh, seed: int, shake: float) -> None:
 
 @pytest.mark.parametrize("report", list(narrow.REPORTS))
 def test_among_other_bodies(device: torch.device, report: narrow.Report) -> None:
-    """Pairs of two bodies do not change; each body's own contacts are those it has alone; chunks change nothing."""
+    """Contacts between bodies, and each body's own contacts, are unaffected by the other bodies and by chunks."""
     shapes, ends = crumpled(6)
     chosen = [True, False, True, True, False, True]
     motion = motion_of(*ends, device=device)
@@ -246,7 +246,7 @@ def test_threads(device: torch.device) -> None:
 
 
 def test_nonzero_toi(device: torch.device) -> None:
-    """Two layers that start at a distance above the separation, by less than the tolerance."""
+    """Two layers that start further apart than the separation by less than the tolerance."""
     flat, faces = sheet(4, 2)
     layers, closer = (np.concatenate([flat, flat + [0.3, 0.1, z]]) for z in (1e-3, -1e-3))
     mesh = pgccd.Mesh(layers, np.concatenate([faces, faces + len(flat)]))

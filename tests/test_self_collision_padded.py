@@ -1,4 +1,4 @@
-"""Self-collision in a fixed capacity: self pairs need capacity too, and nothing waits for them."""
+"""Self-collision in a fixed capacity: self pairs use capacity too, without a host wait."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def test_in_a_fixed_capacity(device: torch.device, report: narrow.Report) -> Non
     expected = pgccd.detect(scene, motion, report)
     needed = expected.stats.needed
     assert needed is not None and needed.pairs == expected.stats.pcs > 3
-    # A CPU that bounds its search by a first guess meets fewer candidates.
+    # A CPU that bounds its search by a first guess has fewer candidates.
     capacity = replace(needed.times(1.5), candidates=100_000)
     for broad_phase in ("sweep", "grid", "lbvh"):
         hits = pgccd.detect(scene, motion, report, broad_phase=broad_phase, capacity=capacity)
         assert not bool(hits.overflow)
         assert hits.trim().stats.pcs == needed.pairs
         assert_same(hits.trim(), expected)
-    # Just enough, one too few, fewer than bodies that collide with themselves, and none.
+    # Just enough, one too few, fewer than the self-colliding bodies, and none.
     for pairs in (needed.pairs, needed.pairs - 1, 2, 0):
         hits = pgccd.detect(scene, motion, report, capacity=replace(capacity, pairs=pairs))
         assert bool(hits.overflow) == (pairs < needed.pairs)
@@ -51,7 +51,7 @@ def test_in_a_fixed_capacity(device: torch.device, report: narrow.Report) -> Non
 def test_invalid_vertices(device: torch.device) -> None:
     scene, ends, capacity = crumpled_capacity(device)
     ends[1][1][3, 2] = np.nan
-    with pytest.MonkeyPatch.context() as patch:  # a CPU would tell at once
+    with pytest.MonkeyPatch.context() as patch:  # a CPU would report it at once
         patch.setattr(torch.compiler, "is_compiling", lambda: True)
         motion = motion_of(*ends, device=device)
     hits = pgccd.detect(scene, motion, capacity=capacity)
@@ -82,7 +82,7 @@ def test_capture_in_a_graph() -> None:
     scene, ends, capacity = crumpled_capacity(torch.device("cuda"))
     motion = motion_of(*ends, device=torch.device("cuda"))
     start, end = motion.x_t0.clone(), motion.x_t1.clone()
-    torch.cuda.set_sync_debug_mode("error")  # nothing waits, nothing is copied to the host
+    torch.cuda.set_sync_debug_mode("error")  # no host wait, no copy to the host
     try:
         pgccd.detect(scene, pgccd.VertexMotion(start, end), "all", capacity=capacity)
     finally:
@@ -104,7 +104,7 @@ def test_capture_in_a_graph() -> None:
 
 
 def test_capacity_expected_of_a_first_step(device: torch.device) -> None:
-    """More for bodies that collide with themselves, and more launches even after a step without."""
+    """More for self-colliding bodies, and more launches even after a step without them."""
     shapes, _ = crumpled(2)
     meshes = pgccd.MeshSet(shapes, device)
     plain, own = (pgccd.Scene(meshes, self_collision=wanted) for wanted in (False, True))

@@ -1,4 +1,4 @@
-"""Bodies that turn many times in a step, beside what they nearly or just touch."""
+"""Bodies that turn many times in a step, next to obstacles that they nearly or just touch."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ def spinning(
     device: torch.device,
     travel: float = 0.0,
 ) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
-    """The mesh turns about the zero of its coordinates, which travels against x; the obstacle's coordinates are as
-    given."""
+    """The mesh turns about the zero of its coordinates, which travels along -x; the obstacle's coordinates are used as
+    given.
+    """
     position = torch.zeros(2, 3, dtype=torch.float64, device=device)
     end = position.clone()
     end[0, 0] = -travel
@@ -44,7 +45,7 @@ def spinning(
 @pytest.mark.parametrize("gap", [0.01, 0.5])
 @pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (1, 2, -1)])
 def test_beside_a_wall(device: torch.device, angle: float, gap: float, axis: tuple[int, int, int]) -> None:
-    """Whatever the axis, the wall stays out of reach: no contact, and none left open."""
+    """For any axis the wall stays out of reach: no contact, and none unresolved."""
     mesh = bumpy(np.random.default_rng(3), 1, 0.2)
     reach = float(mesh.vertices.norm(dim=1).max())
     unit = np.array(axis) / np.linalg.norm(axis)
@@ -56,7 +57,7 @@ def test_beside_a_wall(device: torch.device, angle: float, gap: float, axis: tup
 @pytest.mark.parametrize("angle", TURNS)
 @pytest.mark.parametrize("gap", [0.002, 0.1])
 def test_flat_side_to_the_wall(device: torch.device, angle: float, gap: float) -> None:
-    """A square that turns in its own plane, close to a parallel wall: much closer than its corners reach sideways."""
+    """A square that turns in its own plane, close to a parallel wall: much closer than its corners' radius."""
     plate = pgccd.Mesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
     scene, motion = spinning(plate, wall(gap, (0, 0, 1)), (0.0, 0.0, angle), device)
     found = pgccd.detect(scene, motion, "all", pairs=torch.tensor([[0, 1]], device=device))
@@ -66,7 +67,7 @@ def test_flat_side_to_the_wall(device: torch.device, angle: float, gap: float) -
 @pytest.mark.parametrize("angle", TURNS)
 @pytest.mark.parametrize("depth", [1e-5, 1e-2])
 def test_tip_just_reaches_the_wall(device: torch.device, angle: float, depth: float) -> None:
-    """A long spike turns from pointing away; its tip passes the wall's plane by `depth` once a turn."""
+    """A long spike, initially pointing away; its tip crosses the wall's plane by `depth` once per turn."""
     spike = pgccd.Mesh(
         [[0, 0, 0], [0.1, 0.02, 0.01], [0.1, -0.02, 0.01], [1, 0, 0]], [[0, 2, 1], [1, 2, 3], [0, 1, 3], [0, 3, 2]]
     )
@@ -84,8 +85,9 @@ def test_tip_just_reaches_the_wall(device: torch.device, angle: float, depth: fl
 
 @pytest.mark.parametrize("depth", [1e-3, 1e-2])
 def test_arc_that_bulges_into_the_circle(device: torch.device, depth: float) -> None:
-    """The tip of a second body, which turns slowly, comes into reach of the spinning one only in the middle of its
-    arc: both ends of the chord are out of reach."""
+    """The tip of a second, slowly turning body comes into reach of the spinning one only in the middle of its arc: both
+    ends of the chord are out of reach.
+    """
     needle = pgccd.Mesh([[1, 0, 0], [-1, 0, 0], [0, 0.01, 0.01], [0, 0.01, -0.01]], [[0, 1, 2], [0, 3, 1]])
     # Smaller than the needle: along a fixed direction the needle's circle recedes less than the tip's arc bulges.
     corners = 0.2 * np.array([[-1.0, 0, 0], [0.5, 0.1, 0.4], [0.5, 0.1, -0.4]])
@@ -101,7 +103,7 @@ def test_arc_that_bulges_into_the_circle(device: torch.device, depth: float) -> 
     motion = pgccd.RigidMotion.from_rotation(position, columns[0], position, columns[1])
     found = pgccd.detect(pgccd.Scene([needle, hook], device=device), motion, "first")
     assert len(found) == 1
-    # The needle sweeps over the tip at the latest half a turn after that is within its circle.
+    # The needle sweeps over the tip at the latest half a turn after the tip enters its circle.
     away = np.linspace(0.0, 0.5, 100_001)
     reach = np.sqrt(arm**2 + (arm + 1 - depth) ** 2 - 2 * arm * (arm + 1 - depth) * np.cos(2 * half * away))
     entry = 0.5 - float(away[reach < 1.0].max())
@@ -110,7 +112,7 @@ def test_arc_that_bulges_into_the_circle(device: torch.device, depth: float) -> 
 
 @pytest.mark.parametrize("separation", [0.0, 0.25])
 def test_tip_comes_within_reach_after_many_turns(device: torch.device, separation: float) -> None:
-    """A spike drifts towards a wall; from t = 1/2 on its tip comes within the separation once a turn."""
+    """A spike drifts towards a wall; from t = 1/2 its tip comes within the separation once per turn."""
     spike = pgccd.Mesh(
         [[0, 0, 0], [0.1, 0.02, 0.01], [0.1, -0.02, 0.01], [1, 0, 0]], [[0, 2, 1], [1, 2, 3], [0, 1, 3], [0, 3, 2]]
     )
@@ -121,14 +123,14 @@ def test_tip_comes_within_reach_after_many_turns(device: torch.device, separatio
     found = pgccd.detect(scene, motion, "first", separation, pairs=torch.tensor([[0, 1]], device=device))
     nearest = (math.pi - start + 2 * math.pi * np.arange(100)) / 300.0
     first = float(nearest[nearest > 0.5].min())
-    assert 0.5 - first + 2 * math.pi / 300.0 > 2e-3  # a turn earlier it is out of the tolerance too
+    assert 0.5 - first + 2 * math.pi / 300.0 > 2e-3  # a turn earlier it is outside the tolerance too
     assert len(found) == 1 and found.status.tolist() == [pgccd.TOUCH]
     assert first - 1e-4 < float(found.toi) <= first
 
 
 @pytest.mark.parametrize("depth", [-1e-4, 1e-4])
 def test_tip_at_a_separation(device: torch.device, depth: float) -> None:
-    """A spinning spike keeps a distance of 1/4 from a wall, or just not."""
+    """A spinning spike keeps a distance of 1/4 from a wall, or falls just below it."""
     spike = pgccd.Mesh(
         [[0, 0, 0], [0.1, 0.02, 0.01], [0.1, -0.02, 0.01], [1, 0, 0]], [[0, 2, 1], [1, 2, 3], [0, 1, 3], [0, 3, 2]]
     )

@@ -1,4 +1,4 @@
-"""Where the time of a step goes: on the host by its clock, on a GPU by events that are read when asked for."""
+"""Stage times of a step: host clock on a CPU, events on a GPU, read only on request."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pgccd.runtime.stages import StageClock
 
 
 class Event:
-    """Stands in for an event on a GPU's stream, a second after the one before."""
+    """Replaces an event on a GPU stream; one second after the one before."""
 
     made: list[Event] = []
 
@@ -48,7 +48,7 @@ def test_stages_add_up_on_the_host() -> None:
 
 
 def test_what_was_begun_before_counts_as_a_stage_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Made at 0, in a stage from 1 to 4, restarted at 10, stopped at 12.
+    # Created at 0, in a stage from 1 to 4, restarted at 10, stopped at 12.
     now = iter([0.0, 1.0, 4.0, 10.0, 12.0])
     monkeypatch.setattr(stages, "time", SimpleNamespace(perf_counter=lambda: next(now)))
     monkeypatch.setattr(torch.cuda, "is_initialized", lambda: False)
@@ -72,6 +72,6 @@ def test_on_a_gpu_events_tell_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     with clock.stage("plan"):
         pass
     assert not any(event.waited_for for event in Event.made)
-    assert clock.work == 4.0  # of the plan alone: from the 1st event to the 4th and from the 5th to the 6th
+    assert clock.work == 4.0  # of the plan only: from event 1 to 4 and from event 5 to 6
     assert not Event.made[2].waited_for
     assert clock.seconds == {"plan": 4.0, "gather": 1.0} == clock.seconds

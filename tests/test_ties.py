@@ -1,5 +1,6 @@
-"""Contacts of equal toi: the first of a pair is the least row of all its contacts, in every column, in whatever order
-candidates are solved and on whatever device."""
+"""Contacts of equal toi: the first of a pair is the least row of all its contacts, in every column, for any order of
+candidates and on any device.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ PATHS = ("vertices", "rigid", "linear")
 
 
 def least_rows(found: pgccd.Contacts) -> list[torch.Tensor]:
-    """Of each pair the row with the least (toi, kind, features)."""
+    """The row with the least (toi, kind, features) of each pair."""
     keys = (found.features[:, 1], found.features[:, 0], found.kind, found.toi, found.pairs[:, 1], found.pairs[:, 0])
     order = torch.from_numpy(np.lexsort([key.cpu().numpy() for key in keys]).copy())
     pairs = found.pairs.cpu()[order]
@@ -25,17 +26,17 @@ def least_rows(found: pgccd.Contacts) -> list[torch.Tensor]:
 
 
 def columns(found: pgccd.Contacts) -> list[torch.Tensor]:
-    """On the CPU."""
+    """All columns, on the CPU."""
     return [getattr(found, name).cpu() for name in COLUMNS]
 
 
 def are_equal(a: list[torch.Tensor], b: list[torch.Tensor]) -> bool:
-    """Bit by bit."""
+    """Are all columns bitwise equal?"""
     return all(torch.equal(x, y) for x, y in zip(a, b, strict=True))
 
 
 def test_smallest_case(device: torch.device) -> None:
-    """Vertex and face, and several edges, touch at one time that only a finer arithmetic distinguishes."""
+    """A vertex and a face, and several edges, touch at times that only higher precision distinguishes."""
     d = np.array([-4 / 7, 1.0, 5 / 7])
     scene = meetings(np.random.default_rng(0), 1)
     still = np.zeros(3)

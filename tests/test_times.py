@@ -56,7 +56,7 @@ def test_times_broadcast_against_bodies(device: torch.device) -> None:
     assert motion.at(torch.zeros(0, 1))[0].shape == (0, 5, 3)
     with pytest.raises(ValueError, match=r"^t: .*\(5,\).*got \(3,\); for T times of all, pass t\[:, None\]"):
         motion.at(torch.zeros(3))
-    if device.type == "cpu":  # a GPU asserts
+    if device.type == "cpu":  # a GPU uses a device assertion
         with pytest.raises(ValueError, match="^t: expected times in"):
             motion.at(1.5)
     linear = pgccd.RigidMotion.from_rotation(

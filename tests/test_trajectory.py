@@ -1,4 +1,4 @@
-"""Trajectories: all segments in one call, with the bits of one call each."""
+"""Trajectories: all segments in one call, bitwise equal to one call per segment."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def filters_of(count: int) -> dict[str, torch.Tensor]:
 
 
 def assert_same_rows(found: pgccd.TrajectoryContacts, singles: list[pgccd.Contacts]) -> None:
-    """Of report="all", or of any other within one segment."""
+    """For report="all", or any other report within one segment."""
     segment = [np.full(len(hits), k) for k, hits in enumerate(singles)]
     assert found.segment.tolist() == np.concatenate(segment).tolist()
     for name in ("pairs", *COLUMNS):
@@ -71,7 +71,7 @@ def test_one_call_finds_what_single_calls_find(
     streamed = pgccd.detect(scene, trajectory, "all", memory_budget=1, **options)  # type: ignore[call-overload]
     assert_same_rows(streamed, singles)
 
-    # The first of each pair: of the first segment in which it collides.
+    # The first of each pair, in the first segment in which it collides.
     first: dict[tuple[int, ...], tuple[object, ...]] = {}
     for k in range(trajectory.segment_count):
         hits = pgccd.detect(scene, trajectory.segment(k), **options)  # type: ignore[call-overload]
@@ -85,7 +85,7 @@ def test_one_call_finds_what_single_calls_find(
     colliding = pgccd.detect(scene, trajectory, "any", **options)  # type: ignore[call-overload]
     assert torch.equal(colliding.pairs, found.pairs) and colliding.segment is None and colliding.time is None
 
-    # The first of all.
+    # The earliest of all pairs.
     earliest = pgccd.detect(scene, trajectory, "earliest", **options)  # type: ignore[call-overload]
     segment = next(k for k, hits in enumerate(singles) if len(hits))
     single = pgccd.detect(scene, trajectory.segment(segment), "earliest", **options)  # type: ignore[call-overload]
@@ -93,7 +93,7 @@ def test_one_call_finds_what_single_calls_find(
     for name in ("pairs", *COLUMNS):
         assert torch.equal(getattr(earliest, name), getattr(single, name)), name
 
-    # First times run along the whole.
+    # First times cover the whole trajectory.
     body = torch.full((40,), torch.inf, dtype=torch.float64)
     for pair, time in zip(found.pairs.tolist(), found.time.tolist(), strict=True):
         for k in pair:

@@ -1,4 +1,4 @@
-"""Traversal: every feature pair that touches is a candidate, and none is listed twice."""
+"""Traversal: every feature pair that touches is a candidate, without duplicates."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def candidates(
     horizon: list[float] | None = None,
     leading: bool = False,
 ) -> list[list[Key]]:
-    """(kind, feature of i, feature of j) of each pair; fails on a repeated one."""
+    """(kind, feature of i, feature of j) of each pair; fails on duplicates."""
     if pairs is None:
         pairs = torch.tensor([[0, 1]], device=bodies.device)
     until = None if horizon is None else torch.tensor(horizon, dtype=torch.float64, device=bodies.device)
@@ -152,7 +152,7 @@ def test_leading_candidates_are_some_of_all(device: torch.device) -> None:
 
 
 def test_bodies_in_one_place(device: torch.device) -> None:
-    # Two equal bodies that do not move apart: everything touches at once.
+    # Two equal bodies in one place: all features touch at once.
     bodies = approaching(np.random.default_rng(14), (0, 0), closeness=0.0, turn=0.0)
     same = Bodies(
         [bodies.meshes[0]] * 2,

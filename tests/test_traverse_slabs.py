@@ -1,4 +1,4 @@
-"""Slabs of straight vertex paths up to a horizon: how thick they must be for a sheet that turns over in the step.
+"""Slabs of straight vertex paths up to a horizon: required thickness for a sheet that turns over in the step.
 
 A flat sheet with normal n is turned by about pi about an axis k at a small angle to n. Halfway through straight paths
 shrink it; up to a small horizon h its far end rises by up to 3 h |k.n| |k x n| times its distance from a node's centre,
@@ -23,7 +23,7 @@ TINY = 2e-4
 
 
 def sheet(squares: int = 24) -> pgccd.Mesh:
-    """Flat, from x = -1 to 1, and narrow: its nodes stand in a row."""
+    """Flat and narrow, from x = -1 to 1: its nodes form a row."""
     x = np.linspace(-1.0, 1.0, squares + 1)
     vertices = np.array([[a, b, 0.0] for a in x for b in (-0.02, 0.02)])
     corner = 2 * np.arange(squares)[:, None]
@@ -39,7 +39,7 @@ def turning(rng: np.random.Generator, other: pgccd.Mesh) -> Bodies:
 
 
 def sheet_ends(bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
-    """The sheet's vertices (V, 3) at both ends of the step, in floats."""
+    """The sheet's vertices (V, 3) at both ends of the step, float64."""
     start, spin = bodies.meshes[0].vertices.numpy(), bodies.rotation[0]
     angle = np.linalg.norm(spin)
     axis = spin / angle
@@ -66,11 +66,11 @@ def test_a_turning_sheet_meets_a_speck_before_the_horizon(device: torch.device) 
 
 
 def with_floor(speck: np.ndarray, height: float) -> pgccd.Mesh:
-    """A speck, and a floor below the sheet's other end: the search for a likely first contact goes for the floor."""
+    """A speck, and a floor below the sheet's other end: the search for a likely first contact starts with the floor."""
     tetra = tetrahedron(TINY)
     corners = np.array([[x, y, height] for x in (-1.2, -0.2) for y in (-0.4, 0.4)])
     vertices = np.concatenate([tetra.vertices.numpy() + speck, corners])
-    # Far below, so that speck and floor come to stand in different leaves.
+    # Far below, so that speck and floor are in different leaves.
     cellar = np.array([[0.01 * k, 0.0, -3.0 - 0.1 * k] for k in range(3)])
     faces = np.concatenate([tetra.faces.numpy(), [[4, 5, 6], [5, 7, 6]], np.tile([[8, 9, 10]], (8, 1))])
     return pgccd.Mesh(np.concatenate([vertices, cellar]), faces)

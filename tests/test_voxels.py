@@ -1,4 +1,4 @@
-"""Boxes of triangles' sweeps, and the pairs of them that overlap, each found once over all voxels."""
+"""Boxes of triangles' sweeps, and their overlapping pairs, each found once over all voxels."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_each_pair_is_found_once(size: float) -> None:
     moving = crowd(np.random.default_rng(0), 12)
     *whole, packed = boxes_of(moving, 1e4)
     every = packed.numpy().view(BOX)[:, 0]
-    every = np.unique(every, axis=0)  # the origin is in the corner of eight voxels
+    every = np.unique(every, axis=0)  # the origin is the corner of eight voxels
     overlap = (every["lower"][:, None] <= every["upper"]) & (every["lower"] <= every["upper"][:, None])
     a, b = np.nonzero(overlap.all(axis=2) & (every["body"][:, None] < every["body"]))
     expected = np.stack(
@@ -53,7 +53,7 @@ def test_each_pair_is_found_once(size: float) -> None:
 
 
 def test_boxes_whose_faces_lie_in_planes_of_the_grid() -> None:
-    """Cubes at whole numbers that do not move: boxes touch, or share a face, in planes of the grid."""
+    """Cubes at rest at integer coordinates: boxes touch, or share a face, in grid planes."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
     faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
     faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
@@ -86,7 +86,9 @@ def test_bodies_about_joints_outside_of_them() -> None:
 @pytest.mark.parametrize("scale", [1.0, 1e4])
 @pytest.mark.parametrize("turn", [0.1, 3.0, 30.0])
 def test_boxes_hold_triangles_all_along(turn: float, scale: float) -> None:
-    """And half of separation and tolerance around them, and no more than the bulge of their arcs and float32 need."""
+    """Boxes enclose the triangles grown by half of separation and tolerance throughout the step, and are not larger
+    than the bulge of the arcs and float32 rounding require.
+    """
     rng = np.random.default_rng(1)
     mesh, count, separation, tolerance = bumpy(rng, 1), 6, 0.02, 0.01
     x0 = scale * rng.uniform(-1.0, 1.0, size=(count, 3))
@@ -116,7 +118,7 @@ def test_boxes_hold_triangles_all_along(turn: float, scale: float) -> None:
 
 
 def test_boxes_of_bodies_that_do_not_turn_fit_to_float32() -> None:
-    """Boxes end where the triangles do: without the separation they would not reach those of bodies as far apart."""
+    """Boxes end where the triangles do: without the separation they would not overlap those of bodies as far apart."""
     rng = np.random.default_rng(2)
     mesh = bumpy(rng, 1)
     turn = unit_quaternions(rng, 1)

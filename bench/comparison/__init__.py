@@ -1,1 +1,3 @@
-"""pgccd beside other programs: one module a question, each with a function that measures all programs on one scene."""
+"""Comparison of pgccd with other programs: one module per question, each with a function that measures all programs on
+one scene.
+"""

@@ -1,4 +1,4 @@
-"""Which of many robots collide in a step of the standard world, in full swing."""
+"""Which of many robots collide in a step of the standard world, after it has left the lattice."""
 
 from __future__ import annotations
 
@@ -17,22 +17,24 @@ from pgccd import sim
 
 
 class BodiesProgram(Protocol):
-    """A world in the form of one program."""
+    """A world in a program's own data structures."""
 
     program: Program
 
     def load(self, state: sim.RobotState) -> None:
-        """Takes the poses and velocities at the start of a step; not timed."""
+        """Sets the poses and velocities at the start of a step; not timed."""
 
     def find(self) -> Any:
-        """Finds what collides in the step; timed."""
+        """Finds the collisions of the step; timed."""
 
     def pairs(self) -> np.ndarray | None:
-        """(k, 2) bodies found by the last call, any order, repeated or not; not timed. None: it names no pairs."""
+        """Pairs (k, 2) found by the last call, in any order, possibly repeated; not timed. None: the program returns no
+        pairs.
+        """
 
 
 def measure(robots: int, device: str, rounds: int, seed: int = 0) -> list[dict[str, Any]]:
-    """Rows of all programs that are installed. What pgccd finds is exact: others are compared with it."""
+    """Rows of all installed programs. pgccd's result is exact and serves as the reference."""
     world = MixedWorld(robots, 40, device, seed)
     programs: list[BodiesProgram] = [Detection(world, report, device) for report in ("first", "any")]
     programs += bodies_peers.available(world, device)
@@ -67,7 +69,7 @@ def measure(robots: int, device: str, rounds: int, seed: int = 0) -> list[dict[s
 
 
 def keys(pairs: np.ndarray, bodies: int) -> np.ndarray:
-    """One number a pair, sorted, each once."""
+    """One number per pair, sorted, without duplicates."""
     return np.unique(np.sort(np.asarray(pairs, dtype=np.int64).reshape(-1, 2), axis=1) @ np.array([bodies, 1]))
 
 

@@ -17,7 +17,7 @@ _SPECULATIVE = "speculative contacts (no toi)"
 
 
 def available(world: MixedWorld, device: str) -> list[Any]:
-    """Those installed. On a GPU only what runs there."""
+    """The installed programs; on a GPU only those that run there."""
     programs: list[Any] = []
     newton = peers.load("newton")
     if newton is not None:
@@ -35,13 +35,13 @@ def available(world: MixedWorld, device: str) -> list[Any]:
 
 
 def _mesh(world: MixedWorld) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) about the origin of motion, faces (F, 3)."""
+    """Vertices (V, 3) relative to the origin, faces (F, 3)."""
     mesh = world.model.meshes.meshes[0]
     return (mesh.vertices - mesh.origin).numpy(), mesh.faces.numpy().astype(np.int32)
 
 
 def _columns(state: sim.RobotState) -> tuple[np.ndarray, ...]:
-    """Position, orientation (w, x, y, z), velocity and angular velocity, all of the world's frame."""
+    """Position, orientation (w, x, y, z), velocity and angular velocity, all in the world frame."""
     columns = (state.position, state.orientation, state.velocity, state.angular_velocity)
     return tuple(column.cpu().numpy() for column in columns)
 
@@ -74,7 +74,7 @@ class Newton:
             add(body=builder.add_body(), mesh=mesh)
         self._model = builder.finalize(device=device)
         self._state = self._model.state()
-        # Several times what such a world needs; the pipeline warns when it is too small.
+        # Several times the need of such a world; the pipeline warns on overflow.
         capacity = {"rigid_contact_max": 100 * robots, "shape_pairs_max": 100 * robots}
         self._pipeline = newton.CollisionPipeline(
             self._model, broad_phase="sap", reduce_contacts=False, speculative_contact_gap_max=1e9, **capacity
@@ -94,7 +94,7 @@ class Newton:
 
     def find(self) -> None:
         self._pipeline.collide(self._state, self._contacts, dt=1.0)
-        # A program that uses the contacts reads their count, which ends the measured time on a GPU too.
+        # A program that uses the contacts reads their count; on a GPU this also synchronises.
         self._count = int(self._contacts.rigid_contact_count.numpy()[0])
 
     def pairs(self) -> np.ndarray:
@@ -103,7 +103,7 @@ class Newton:
 
 
 class MuJoCo:
-    """MuJoCo's collision detection with its speculative contacts, which a conservative advancement finds."""
+    """MuJoCo's collision detection with speculative contacts, found by conservative advancement."""
 
     program = Program("MuJoCo, speculative", "mujoco", f"{_SPECULATIVE}; convex hulls", "toi; proof; concave meshes")
 
@@ -124,7 +124,7 @@ class MuJoCo:
     def load(self, state: sim.RobotState) -> None:
         position, orientation, velocity, spin = _columns(state)
         inverse = torch.from_numpy(orientation * [1.0, -1.0, -1.0, -1.0])
-        # Angular velocities of free joints are in the body's frame.
+        # Angular velocities of free joints are in the body frame.
         local = np.stack([rotate(q, torch.from_numpy(s)[None])[0] for q, s in zip(inverse, spin, strict=True)])
         self._data.qpos[:] = np.hstack([position, orientation]).ravel()
         self._data.qvel[:] = np.hstack([velocity, local]).ravel()
@@ -139,7 +139,7 @@ class MuJoCo:
 
 
 class PyBullet:
-    """A whole step of PyBullet without gravity, friction and damping: it does not offer detection apart."""
+    """A whole step of PyBullet without gravity, friction and damping: separate detection is not offered."""
 
     program = Program(
         "PyBullet, a whole step", "pybullet", "discrete contacts and response; convex hulls", "toi; motion; meshes"
@@ -153,7 +153,7 @@ class PyBullet:
         shape = pybullet.createCollisionShape(pybullet.GEOM_MESH, vertices=_mesh(world)[0].tolist())
         self._bodies = []
         for position in world.state.position.tolist():
-            # Maximal coordinates: plain rigid bodies, which are faster here than articulations of one link.
+            # Maximal coordinates: plain rigid bodies, faster here than one-link articulations.
             body = pybullet.createMultiBody(1.0, shape, basePosition=position, useMaximalCoordinates=True)
             pybullet.changeDynamics(
                 body, -1, linearDamping=0.0, angularDamping=0.0, restitution=1.0, lateralFriction=0.0
@@ -212,13 +212,13 @@ class Fcl:
         self._found = found
 
     def pairs(self) -> np.ndarray:
-        # The callback is given copies of the objects: their positions identify them.
+        # The callback gets copies of the objects: identify them by position.
         number = {position.tobytes(): index for index, position in enumerate(self._ends[0])}
         return np.array([(number[first], number[second]) for first, second in self._found], dtype=int)
 
 
 class Ipctk:
-    """IPC Toolkit's step for the whole scene: how far all may move along straight lines."""
+    """IPC Toolkit's collision-free step for the whole scene, along straight lines."""
 
     program = Program(
         "ipctk, LBVH + Additive CCD", "ipctk", "one step for all bodies; meshes, straight paths", "which pairs; arcs"
@@ -248,4 +248,4 @@ class Ipctk:
         return ipctk.compute_collision_free_stepsize(self._mesh, *self._ends, 0.0, ipctk.LBVH(), ipctk.AdditiveCCD())
 
     def pairs(self) -> None:
-        """It names none."""
+        """None: it returns no pairs."""

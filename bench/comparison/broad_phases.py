@@ -1,9 +1,9 @@
-"""Broad phases on swept spheres, about one true pair a body.
+"""Broad phases on swept spheres, about one true pair per body.
 
-Every round has its own scene; all programs find its pairs in turn, and their answers are compared with all that any
-of them found. pgccd answers with the sorted pairs of spheres that meet. Other programs' volumes are boxes, or spheres
-around whole paths: what they find in excess is removed by a NumPy test, whose time is given apart. Arrays are in each
-one's own form before the clock starts.
+Every round has its own scene; all programs find its pairs in turn, and each result is compared with the union of all.
+pgccd returns the sorted pairs of spheres that meet. Other programs use boxes, or spheres around whole paths: their
+excess pairs are removed by a NumPy test, whose time is listed separately. Arrays are converted to each program's own
+form before timing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from comparison.broad_phases_peers import FindPairs, Prepare, ReadPairs
 from comparison.program import Program, row
 
 METHODS = ("sweep", "grid", "lbvh")
-# Squared distances of about 4 are computed with errors of this order; pairs nearer to touching may be seen either way.
+# Squared distances of about 4 are computed with errors of this order; pairs closer to touching are undecided.
 _ROUNDING = 1e-11
 
 
@@ -33,7 +33,7 @@ def measure(
     make: Callable[[int, int], MovingSpheres] = random_spheres,
     with_peers: bool = True,
 ) -> list[dict[str, Any]]:
-    """Rows of all programs on one kind of scene; the first two rounds are not counted."""
+    """Rows of all programs on one kind of scene; the first two rounds are warm-up."""
     programs = ours(device) | (broad_phases_peers.available(device) if with_peers else {})
     spent: dict[Program, list[float]] = {program: [] for program in programs}
     removing: dict[Program, list[float]] = {program: [] for program in programs}
@@ -80,7 +80,7 @@ def ours(device: str) -> dict[Program, Prepare]:
 
 
 def _pgccd(broad_phase: str, device: str) -> Prepare:
-    # Any mesh will do: only its bounding sphere is looked at.
+    # Any mesh will do: only its bounding sphere is used.
     tip = 3.0**-0.5
     corners = np.array([[tip, tip, tip], [tip, -tip, -tip], [-tip, tip, -tip], [-tip, -tip, tip]])
     faces = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]

@@ -1,8 +1,7 @@
 """Other broad phases for swept spheres.
 
-A peer is given one scene in its own form; the call that this returns finds pairs (timed) and hands back how to read
-them as an array (not timed). Pairs in excess, whose boxes overlap but whose spheres do not meet, are for the caller
-to remove.
+A peer prepares a scene in its own form and returns a function that finds the pairs (timed) and returns a function to
+read them as an array (not timed). The caller removes excess pairs, whose boxes overlap but whose spheres do not meet.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ Prepare = Callable[[MovingSpheres], FindPairs]
 
 
 def available(device: str) -> dict[Program, Prepare]:
-    """The broad phases that can be used here. On a GPU only what runs there."""
+    """The available broad phases; on a GPU only those that run there."""
     found: dict[Program, Prepare] = {}
     if peers.load("warp") is not None:
         from comparison import warp_spheres
@@ -38,7 +37,7 @@ def available(device: str) -> dict[Program, Prepare]:
         return found
     ipctk = peers.load_ipctk()
     if ipctk is not None:
-        # BruteForce is quadratic and left out.
+        # BruteForce is quadratic and omitted.
         for name in ("LBVH", "HashGrid", "SpatialHash", "SweepAndPrune"):
             program = Program(f"ipctk {name}", "ipctk", "pairs of boxes", "radii of several sizes")
             found[program] = lambda scene, name=name: _ipctk(ipctk, getattr(ipctk, name), scene)
@@ -53,7 +52,7 @@ def available(device: str) -> dict[Program, Prepare]:
 
 def _kd_tree(spatial: Any, scene: MovingSpheres) -> Callable[[], ReadPairs]:
     def find() -> ReadPairs:
-        # At the middle of the step, centres are further apart than at their nearest by no more than half of both paths.
+        # At mid-step, centres are further apart than their minimum by at most half of both paths.
         travel = scene.position_t1 - scene.position_t0
         reach = 2.0 * scene.radius + np.sqrt((travel * travel).sum(1).max())
         tree = spatial.cKDTree(scene.position_t0 + 0.5 * travel)

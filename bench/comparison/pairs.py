@@ -1,12 +1,12 @@
 """First toi of two near bodies of 700 triangles each, one CPU thread.
 
-The pairs come from the standard world in full swing: bodies whose spheres meet, half of them with meshes that stay
-apart and half with meshes that collide (the mixture is by choice; in the world about one in twenty collides). Every
-program answers every pair once, in turn, after warm-up. pgccd is timed twice: one pair a call, where the calls through
-Python are most of the time, and all pairs in one call.
+The pairs come from the standard world after it has left the lattice: bodies whose spheres meet, half of them with
+meshes that stay apart and half with meshes that collide (a chosen ratio; in the world about one in twenty collides).
+Every program solves every pair once, in turn, after warm-up. pgccd is timed twice: one pair per call, dominated by the
+Python call, and all pairs in one call.
 
-Programs that move bodies as pgccd does (rigid paths) are compared with its answers; those that know straight paths of
-vertices only, with its answers on these.
+Programs with rigid paths are compared with pgccd's results on those; programs with straight vertex paths only, with its
+results on straight paths.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from comparison import pairs_peers
 from comparison.pairs_peers import PairsProgram
 from comparison.program import Program, row
 
-# Tois further apart than this part of the step are counted as different.
+# Tois that differ by more than this fraction of the step are counted as different.
 _DIFFERENT_TOI = 1e-3
 _WARM_UP = 5
 
 
 def measure(free: int, colliding: int, tolerance: float, seed: int = 0) -> list[dict[str, Any]]:
-    """Rows of all programs that are installed. `tolerance` is in SBV radii."""
+    """Rows of all installed programs. `tolerance` is in SBV radii."""
     torch.set_num_threads(1)
     pairs = near_pairs.collect(free + _WARM_UP, colliding + _WARM_UP, seed)
     tolerance *= pairs.mesh.radius
-    # Warm-up pairs first, then both sorts mixed.
+    # Warm-up pairs first, then both kinds mixed.
     sorts = (torch.arange(free + _WARM_UP), free + _WARM_UP + torch.arange(colliding + _WARM_UP))
     measured = torch.cat([sort[_WARM_UP:] for sort in sorts])
     measured = measured[torch.randperm(len(measured), generator=torch.Generator().manual_seed(seed))]
@@ -55,7 +55,7 @@ def measure(free: int, colliding: int, tolerance: float, seed: int = 0) -> list[
 
 
 def _run(programs: list[PairsProgram], count: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Tois (inf: no collision) and seconds of all programs on all pairs but those of the warm-up."""
+    """Tois (inf: no collision) and seconds of all programs on all pairs except warm-up."""
     answers = {each.program.name: np.full(count, np.inf) for each in programs}
     spent = {each.program.name: np.zeros(count) for each in programs}
     for pair in range(count):
@@ -84,7 +84,7 @@ def _pgccd(pairs: near_pairs.Pairs, path: str, tolerance: float) -> PairsProgram
 
 
 def _together(pairs: near_pairs.Pairs, path: str, tolerance: float) -> dict[str, Any]:
-    """All pairs in one call, its time divided by their number."""
+    """All pairs in one call; time per pair."""
     seconds: list[float] = []
     random = torch.Generator().manual_seed(0)
     for index in range(23):
@@ -105,7 +105,7 @@ def _described(path: str, how: str) -> Program:
 
 
 def _errors(toi: np.ndarray, exact: np.ndarray) -> dict[str, int]:
-    """How answers differ from pgccd's on the same paths. Programs without a toi answer 0 or nothing."""
+    """Differences from pgccd's results on the same paths. Programs without a toi return 0 or None."""
     both = np.isfinite(toi) & np.isfinite(exact)
     later = toi[both] - exact[both]
     return {

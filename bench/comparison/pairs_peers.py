@@ -1,5 +1,5 @@
-"""Other programs for the first toi of two moving meshes. A peer is given a pair in its own form (not timed); the call
-returned answers with the toi, or None if it finds no collision.
+"""Other programs for the first toi of two moving meshes. A peer prepares a pair in its own form (not timed); the
+function returned gives the toi, or None without a collision.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _TIME_SAMPLES = 10
 
 @dataclass(frozen=True)
 class PairsProgram:
-    """A program ready for pairs."""
+    """A program ready to solve pairs."""
 
     program: Program
     path: str  #: "rigid" or "linear"
@@ -31,11 +31,11 @@ class PairsProgram:
 
 
 def available(pairs: Pairs, tolerance: float) -> list[PairsProgram]:
-    """The programs that can be used here."""
+    """The available programs."""
     found: list[PairsProgram] = []
     ipctk = peers.load_ipctk()
     if ipctk is not None:
-        # Without rescaling the question is the same: do they touch?
+        # Without rescaling the query is the same: do they touch?
         methods = {
             "Tight-Inclusion": ipctk.TightInclusionCCD(tolerance=tolerance, conservative_rescaling=1.0),
             "Additive CCD": ipctk.AdditiveCCD(),
@@ -113,7 +113,7 @@ def _fcl(fcl: Any, pairs: Pairs, request: Any) -> Prepare:
 
 
 def _coal(coal: Any, pairs: Pairs) -> Prepare:
-    """It has no continuous test: poses along the step are asked one after the other, as its users do."""
+    """It has no continuous test: poses along the step are tested one by one, as its users do."""
     model = coal.BVHModelOBBRSS()
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     points.extend(pairs.mesh.vertices.numpy())

@@ -1,4 +1,4 @@
-"""What is said of every program in a comparison."""
+"""Description of a program in a comparison."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ import pgccd
 
 @dataclass(frozen=True)
 class Program:
-    """One way of answering a question."""
+    """A program as used for one question."""
 
     name: str
     package: str  #: on PyPI
-    answers: str  #: what comes out, and of which shapes
-    cannot: str = ""  #: what of the question it leaves open
+    answers: str  #: its result, and for which shapes
+    cannot: str = ""  #: the parts of the question that it cannot answer
     device: str = "CPU, 1 thread"
 
 
 def row(question: str, program: Program, seconds: list[float], **counts: Any) -> dict[str, Any]:
-    """One line of the comparison. `seconds` are those of each call (or of each pair)."""
+    """One row of the comparison. `seconds` are per call (or per pair)."""
     return {
         "question": question,
         "program": program.name,
@@ -37,5 +37,5 @@ def row(question: str, program: Program, seconds: list[float], **counts: Any) ->
 
 
 def version(package: str) -> str:
-    """The one that is installed."""
+    """The installed version."""
     return pgccd.__version__ if package == "pgccd" else importlib.metadata.version(package)

@@ -1,5 +1,5 @@
-"""How far a deforming scene may move along a direction before anything touches: the question of line searches in
-contact solvers. All programs move vertices on straight lines; one thread on a CPU.
+"""How far a deforming scene may move along a direction before a touch: the line search of contact solvers. All programs
+move vertices along straight lines; one CPU thread.
 """
 
 from __future__ import annotations
@@ -16,16 +16,17 @@ import pgccd
 from comparison.program import Program, row
 from pgccd import sim
 
-# Steps that differ by more than this part of the direction are counted as different.
+# Steps that differ by more than this fraction of the direction are counted as different.
 _DIFFERENT = 1e-3
 
-#: vertices at both ends -> how far along
+#: vertices at both ends -> function that returns the step
 FindStep = Callable[[np.ndarray, np.ndarray], Callable[[], float]]
 
 
 def line_search(robots: int, directions: int, device: str, seed: int = 0) -> list[dict[str, Any]]:
-    """Robots as soft bodies that stand on a lattice, apart: each direction is a rigid motion and a smooth deformation
-    of each. They keep a distance of a thousandth of their radius, also each from itself."""
+    """Robots as soft bodies on a lattice, initially apart: each direction is a rigid motion plus a smooth deformation
+    of each. They keep a distance of a thousandth of their radius, also from themselves.
+    """
     model = sim.Model(sim.ModelConfig(robots=robots, seed=seed))
     mesh, state = model.meshes.meshes[0], model.start()
     start = rotate(state.orientation, mesh.vertices) + state.position[:, None]
@@ -48,7 +49,7 @@ def line_search(robots: int, directions: int, device: str, seed: int = 0) -> lis
 
 
 def of_frames(pair: frame_pairs.FramePair, rounds: int, device: str) -> list[dict[str, Any]]:
-    """The step from one frame of a public simulation to the next; and all contacts in it, which pgccd alone offers."""
+    """The step from one frame of a public simulation to the next; and all its contacts, which only pgccd reports."""
     question = f"frame pair {pair.name}"
     scene, motion = pair.scene(device), pair.motion(device)
     spent = []
@@ -81,7 +82,7 @@ def _measure(
     device: str,
     **facts: Any,
 ) -> list[dict[str, Any]]:
-    """Rows of all programs on the same directions. The first direction is not counted."""
+    """Rows of all programs on the same directions. The first direction is warm-up."""
     spent: dict[Program, list[float]] = {program: [] for program in programs}
     steps: dict[Program, list[float]] = {program: [] for program in programs}
     for index, (start, end) in enumerate(ends):

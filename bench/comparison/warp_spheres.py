@@ -1,8 +1,8 @@
-"""Swept spheres by NVIDIA Warp's hash grid and by its bounding volume hierarchy: count, scan, fill, with the exact test
-inside the kernel. (Needs warp-lang.)
+"""Swept spheres by NVIDIA Warp's hash grid and bounding volume hierarchy: count, scan, fill, with the exact test in the
+kernel. (Needs warp-lang.)
 """
 
-# No postponed annotations here: Warp reads the kernels' argument types from them.
+# No postponed annotations here: Warp reads kernel argument types from annotations.
 from collections.abc import Callable
 
 import numpy as np
@@ -11,7 +11,7 @@ from support.scenes import MovingSpheres
 
 wp.config.log_level = wp.LOG_ERROR
 
-# The grid and the hierarchy hold float32: a little further out is asked for, so that no pair is lost.
+# The grid and the hierarchy use float32: queries are enlarged slightly so that no pair is lost.
 _SLACK = 1e-4
 
 
@@ -83,7 +83,7 @@ def _find_in_hierarchy(
 
 
 class _Spheres:
-    """A scene in Warp's arrays."""
+    """A scene in Warp arrays."""
 
     def __init__(self, scene: MovingSpheres, device: str) -> None:
         self.device = device
@@ -95,7 +95,7 @@ class _Spheres:
         ]
 
     def find(self, kernel: wp.Kernel, volumes: list[object]) -> wp.array:
-        """(P, 2) pairs that meet."""
+        """Pairs (P, 2) that meet."""
         first = wp.empty(self.count, dtype=wp.int32, device=self.device)
         counts = wp.empty(self.count, dtype=wp.int32, device=self.device)
         none = wp.empty((0, 2), dtype=wp.int32, device=self.device)
@@ -109,7 +109,7 @@ class _Spheres:
 
 
 def hash_grid(scene: MovingSpheres, device: str) -> Callable[[], wp.array]:
-    """The returned call builds the grid, of the middles of all paths, and finds the pairs."""
+    """Returns a function that builds the grid of the paths' midpoints and finds the pairs."""
     spheres = _Spheres(scene, device)
     travel = scene.position_t1 - scene.position_t0
     middle = wp.array((scene.position_t0 + 0.5 * travel).astype(np.float32), dtype=wp.vec3, device=device)
@@ -126,7 +126,7 @@ def hash_grid(scene: MovingSpheres, device: str) -> Callable[[], wp.array]:
 
 
 def bvh(scene: MovingSpheres, device: str) -> Callable[[], wp.array]:
-    """The returned call builds a hierarchy of the boxes of all paths, and finds the pairs."""
+    """Returns a function that builds a hierarchy of the paths' boxes and finds the pairs."""
     spheres = _Spheres(scene, device)
     radius = np.broadcast_to(scene.radius, spheres.count)[:, None] + _SLACK
     ends = (scene.position_t0, scene.position_t1)

@@ -18,7 +18,7 @@ _SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
 def scaling(result: Result) -> Figure:
-    """Where the time of a step goes, by number of ranks; and speed beside one process."""
+    """Time of a step by stage and number of ranks; and speedup over one process."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), width_ratios=(2, 1))
     rows = [row for row in result["rows"] if row["pattern"] == "random" and row["overlap"] and "disturbed" not in row]
     _stack(left, rows)
@@ -36,7 +36,7 @@ def _stack(axes: Axes, rows: list[dict[str, Any]]) -> None:
     names = [f"{_size(row)}\non {row['ranks']}" + (f"\n{row['transport']}" if row["ranks"] > 1 else "") for row in rows]
     below = [0.0] * len(rows)
     for part, colour in _PARTS.items():
-        # What goes on at the same time adds up to more than the whole step.
+        # Overlapping work adds up to more than the whole step.
         heights = [max(0.0, row["mean_of_ranks_ms"].get(part, 0.0)) for row in rows]
         axes.bar(range(len(rows)), heights, bottom=below, color=colour, label=part, width=0.7)
         below = [base + height for base, height in zip(below, heights, strict=True)]
@@ -50,7 +50,7 @@ def _stack(axes: Axes, rows: list[dict[str, Any]]) -> None:
 
 
 def _series(rows: list[dict[str, Any]]) -> list[tuple[str, list[tuple[int, float]]]]:
-    """Speeds by number of ranks beside one process, for each size of world and each way of sending messages."""
+    """Speedups over one process by number of ranks, for each world size and transport."""
     series = []
     for base in (row for row in rows if row["ranks"] == 1):
         is_weak, single = base["scaling"] == "weak", base["single_process_ms"]["median"]

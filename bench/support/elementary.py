@@ -1,15 +1,14 @@
-"""Elementary queries (vertex-face, edge-edge) put to pgccd and to ipctk's methods: answers and single-thread times.
+"""Elementary queries (vertex-face, edge-edge) with pgccd and with ipctk's methods: results and single-thread times.
 
-Mean times come from whole batches of one sort. Times of single queries, for percentiles, come from calls with one
-query, the fastest of three, less the cost of a call without work; calls through Python make the processor forget much
-between queries, so they are pessimistic.
+Mean times are from whole batches of one kind. Times of single queries, for percentiles, are from calls with one query,
+the fastest of three, less the cost of an empty call; Python code between the queries evicts caches, so they are
+pessimistic.
 
-pgccd is asked twice: in float64, and in float32 after the points are rounded to it. What is then true is what the
-float64 tests say of the rounded points, which float64 holds exactly: a miss in float32 is a contact that float64 finds
-at the very same points.
+pgccd runs twice: in float64, and in float32 on rounded points. The float32 reference is the float64 result on the
+rounded points, which are exact in float64: a miss in float32 is a contact that float64 finds at the same points.
 
-ipctk is called query by query to learn its answers and the times of colliding queries (less the cost of a call with a
-query that does not move). Its mean for free queries comes from one call that tests all those it finds free, in C++.
+ipctk is called query by query for its results and the times of colliding queries (less the cost of a call with a query
+at rest). Its mean for free queries is from one C++ call over all queries that it finds free.
 """
 
 from __future__ import annotations
@@ -29,22 +28,22 @@ from support import timing
 #: Points (n, 8, 3): the four points at t0, then at t1.
 Queries = np.ndarray
 
-#: Of the arithmetics that may decide a query: float32, float64 and pairs of float64.
+#: Of the arithmetics that may decide a query: float32, float64 and double-double.
 SIGNIFICANT_BITS = (24, 53, 106)
 
 
 @dataclass
 class Answers:
-    """Of n queries."""
+    """Results of n queries."""
 
     collides: np.ndarray  #: (n,) bool
     unresolved: int
-    seconds: np.ndarray  #: (n,) each one's own time
+    seconds: np.ndarray  #: (n,) per query
 
 
 @dataclass
 class Batch:
-    """pgccd's answers to n queries in one call."""
+    """pgccd's results for n queries in one call."""
 
     status: np.ndarray  #: (n,) int8
     significant_bits: np.ndarray  #: (n,) int8
@@ -52,12 +51,12 @@ class Batch:
 
     @property
     def collides(self) -> np.ndarray:
-        """(n,) bool: unresolved ones count."""
+        """Colliding queries (n,) bool; unresolved ones count."""
         return self.status != pgccd.FREE
 
 
 class Pgccd:
-    """pgccd's elementary tests on points that are rounded to `dtype` first."""
+    """pgccd's elementary tests on points rounded to `dtype`."""
 
     def __init__(self, kind: str, tolerance: float, dtype: type[np.floating] = np.float64) -> None:
         self.name = "pgccd" if dtype is np.float64 else f"pgccd {np.dtype(dtype).name}"
@@ -67,20 +66,20 @@ class Pgccd:
         self._dtype = dtype
 
     def batch(self, points: Queries) -> Batch:
-        """All in one call."""
+        """All queries in one call."""
         ends = _ends(points, self._dtype)
         seconds, found = timing.seconds(lambda: self._operator(*ends, 0.0, self._tolerance, False))
         status, _, _, significant_bits = (column.numpy() for column in found)
         return Batch(status, significant_bits, seconds)
 
     def truth(self, points: Queries, known: np.ndarray) -> np.ndarray:
-        """(n,) bool, which collide once rounded, where `known` is what holds of the points as given."""
+        """Which queries (n,) bool collide after rounding; `known` is the truth for the points as given."""
         if self._dtype is np.float64:
             return known
         return Pgccd(self._kind, self._tolerance).batch(points.astype(self._dtype)).collides
 
     def mean_seconds(self, points: Queries, rounds: int = 20) -> float | None:
-        """Median over rounds, every one in another order, of the time a query."""
+        """Seconds per query: median over rounds, each in another order."""
         if len(points) == 0:
             return None
         random = np.random.default_rng(0)
@@ -88,7 +87,7 @@ class Pgccd:
         return max(0.0, float(np.median(spent)) - self.overhead()) / len(points)
 
     def overhead(self) -> float:
-        """Seconds of a call without queries."""
+        """Seconds of an empty call."""
         nothing = np.empty((0, 8, 3))
         return float(np.median([self.batch(nothing).seconds for _ in range(200)]))
 
@@ -120,12 +119,12 @@ class Ipctk:
         self._call: Callable[..., tuple[bool, float]] = (
             method.point_triangle_ccd if kind == "vf" else method.edge_edge_ccd
         )
-        # A query that does not move is answered at once by this method, so that only the call is left.
+        # This method returns at once for a query at rest, so only the call is timed.
         at_rest = ipctk.AdditiveCCD()
         self._empty = at_rest.point_triangle_ccd if kind == "vf" else at_rest.edge_edge_ccd
 
     def ask(self, points: Queries) -> Answers:
-        """Query by query."""
+        """Results and times query by query."""
         rows = [list(query) for query in points]
         still = [row[:4] + row[:4] for row in rows[:2000]]
         overhead = float(np.median([_timed_call(self._empty, row)[0] for row in still])) if still else 0.0
@@ -134,7 +133,7 @@ class Ipctk:
         return Answers(np.array([hit for _, (hit, _) in answered], dtype=bool), 0, np.maximum(seconds, 0.0))
 
     def mean_seconds_free(self, points: Queries, rounds: int = 5) -> float | None:
-        """Of queries that this method finds free, in one call."""
+        """Seconds per query over queries that this method finds free, in one call."""
         count = len(points)
         if count == 0:
             return None
@@ -165,11 +164,11 @@ def pgccd_methods(kind: str, tolerance: float) -> list[Pgccd]:
 
 
 def peers_of(ipctk: Any | None, kind: str, tolerance: float) -> list[Ipctk]:
-    """ipctk's methods that bound the motion; none if it is missing."""
+    """ipctk's methods that bound the motion; none if it is not installed."""
     if ipctk is None:
         return []
-    # Without rescaling Tight-Inclusion answers what is asked, "do they touch?". Additive CCD cannot do without; it has
-    # its default.
+    # Without rescaling Tight-Inclusion answers the query "do they touch?". Additive CCD requires rescaling; it uses the
+    # default.
     tight = ipctk.TightInclusionCCD(tolerance=tolerance, conservative_rescaling=1.0)
     return [
         Ipctk(ipctk, "Tight-Inclusion", tight, kind),

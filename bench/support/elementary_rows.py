@@ -1,6 +1,4 @@
-"""Rows and totals of the elementary benchmark: wrong answers, the arithmetic that decided queries, times of single
-queries.
-"""
+"""Rows and totals of the elementary benchmark: errors, deciding arithmetic and times of single queries."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ _COUNTS = ("asked", "true", "missed", "false_positives")
 
 
 class Tally:
-    """Counts over batches of pgccd's answers, and the seconds they took."""
+    """Counts and seconds over batches of pgccd's results."""
 
     def __init__(self) -> None:
         self._counts = dict.fromkeys((*_COUNTS, "unresolved"), 0)
@@ -25,7 +23,7 @@ class Tally:
         self._seconds = 0.0
 
     def add(self, batch: Batch, truth: np.ndarray) -> None:
-        """One more batch, with the right answers."""
+        """Adds a batch and its truth."""
         for key, count in errors(batch.collides, truth).items():
             self._counts[key] += count
         self._counts["unresolved"] += int((batch.status == pgccd.UNRESOLVED).sum())
@@ -34,30 +32,30 @@ class Tally:
 
     @property
     def true(self) -> int:
-        """How many collide."""
+        """Number of colliding queries."""
         return self._counts["true"]
 
     @property
     def mean_us(self) -> float | None:
-        """Microseconds a query over all batches."""
+        """Microseconds per query over all batches."""
         return microseconds(self._seconds / self._counts["asked"]) if self._counts["asked"] else None
 
     def row(self) -> dict[str, Any]:
-        """Counts, and the share of queries that each arithmetic decided."""
+        """Counts, and the fraction of queries that each arithmetic decided."""
         share = self._settled / max(1, self._counts["asked"])
         settled = {str(bits): timing.rounded(part) for bits, part in zip(SIGNIFICANT_BITS, share, strict=True)}
         return self._counts | {"settled_by_bits": settled}
 
 
 def errors(collides: np.ndarray, truth: np.ndarray) -> dict[str, int]:
-    """Counts of wrong answers."""
+    """Counts of queries, true contacts, misses and false positives."""
     counts = (len(truth), truth.sum(), (truth & ~collides).sum(), (~truth & collides).sum())
     return dict(zip(_COUNTS, map(int, counts), strict=True))
 
 
 def percentiles(seconds: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
-    """Median and 99th percentile, in microseconds, of single colliding and free queries, and of all; for these also
-    the ratio of the two.
+    """Median and 99th percentile, in microseconds, of single colliding and free queries, and of all; for the latter
+    also their ratio.
     """
     row: dict[str, Any] = {}
     for sort, chosen in (("colliding", truth), ("free", ~truth), ("all", np.ones_like(truth))):
@@ -70,7 +68,7 @@ def percentiles(seconds: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
 
 
 def slowest(seconds: np.ndarray, batch: Batch, names: np.ndarray) -> dict[str, Any]:
-    """The query that took longest: its microseconds, what it is called in its file, and how it was answered."""
+    """The slowest query: its microseconds, its name in the file, and its result."""
     k = int(np.argmax(seconds))
     return {
         "us": microseconds(float(seconds[k])),
@@ -81,7 +79,7 @@ def slowest(seconds: np.ndarray, batch: Batch, names: np.ndarray) -> dict[str, A
 
 
 def total(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Sums, and means weighted by the number of queries, over files: one row for each sort and method."""
+    """Sums over files, and means weighted by number of queries: one row per kind and method."""
     groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for row in rows:
         groups.setdefault((row["rows"], row["method"]), []).append(row)
@@ -89,7 +87,7 @@ def total(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def slowest_of_all(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of each of pgccd's methods, the query that took longest in all rows."""
+    """The slowest query of all rows, for each of pgccd's methods."""
     found: dict[str, dict[str, Any]] = {}
     for row in rows:
         if "slowest" in row and row["slowest"]["us"] > found.get(row["method"], {"us": -1.0})["us"]:
@@ -98,7 +96,7 @@ def slowest_of_all(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def microseconds(seconds: float | None) -> float | None:
-    """Rounded; None stays None."""
+    """Seconds as rounded microseconds; None stays None."""
     return None if seconds is None else timing.rounded(seconds * _MICRO)
 
 

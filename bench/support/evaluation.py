@@ -1,8 +1,8 @@
-"""The evaluation of Du, Liu & Suzumura (2017) run again: cases, and the ranks that measure them.
+"""The evaluation of Du, Liu & Suzumura (2017) repeated: cases, and the ranks that measure them.
 
-A world is first moved on by one process. From there ranks make the same steps again: those of the simulation (PGCCD,
-with or without load balancing), and those of the voxel-based baseline (PCCCD), which detects the collisions of the same
-planned motions. Both must find the contacts of the one process, by their hashes.
+One process first advances a world. From there ranks repeat the same steps: the simulation (PGCCD, with or without load
+balancing), and the voxel-based baseline (PCCCD), which detects the collisions of the same planned motions. Both must
+find the contacts of the single process, compared by hash.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ _RANKS_PROGRAM = Path(__file__).resolve().parents[1] / "evaluation_ranks.py"
 
 @dataclass(frozen=True)
 class Space:
-    """A model, and how space is cut for its ranks."""
+    """A model, and the partition of its space."""
 
     pattern: str
-    axes: int = 3  #: that space is cut along: 3 gives boxes, 1 slabs
-    stretch: float = 1.0  #: length of the space that is cut, along x, over the world's, which fills its lower part
+    axes: int = 3  #: along which space is cut: 3 gives boxes, 1 slabs
+    stretch: float = 1.0  #: length along x of the partitioned space over that of the world, which fills its lower part
 
 
-# What figures compare. The skewed world's robots gather in the eight corners. Of 2 x 2 x 1 boxes each has two of them;
-# of four slabs the two in the middle have none. Where the world does not fill the space that was cut, the first ranks
-# begin with more than their share, as where robots drift away from where they were expected.
+# The worlds of the figures. The skewed world's robots gather in the eight corners. Of 2 x 2 x 1 boxes each has two
+# corners; of four slabs the two in the middle have none. Where the world does not fill the partitioned space, the first
+# ranks start with more than their share, as if robots had drifted.
 WORLDS = {
     "random": Space("random"),
     "skewed": Space("skewed"),
@@ -47,18 +47,18 @@ WORLDS = {
 
 
 def world_of(row: dict[str, Any]) -> str:
-    """Its name."""
+    """The name of a row's world."""
     return next(name for name, space in WORLDS.items() if space == Space(row["pattern"], row["axes"], row["stretch"]))
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Which steps of a world are made, and measured."""
+    """Numbers of steps to make and to measure."""
 
     before: int  #: by one process
-    settling: int  #: by ranks, while cells change hands, before those that are timed
+    settling: int  #: by ranks, while cells migrate, before timing
     timed: int
-    baseline: int  #: of these, by PCCCD
+    baseline: int  #: of the timed ones, by PCCCD
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Case:
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
-    """A parser with what the figures share."""
+    """A parser with the arguments common to the figures."""
     shared = results.parser(description)
     shared.add_argument("--device", choices=("cpu", "cuda"), default="cuda" if gpus() else "cpu")
     shared.add_argument("--steps-before", type=int, default=120, help="made by one process first")
@@ -88,7 +88,7 @@ def parser(description: str | None) -> argparse.ArgumentParser:
 
 
 def measure(cases: Iterable[Case], steps: Steps, seed: int = 0) -> list[dict[str, Any]]:
-    """A row for each case: the case, milliseconds a step, and more by system."""
+    """One row per case: the case, milliseconds per step, and columns that depend on the system."""
     cases = list(cases)
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as name:
@@ -96,7 +96,7 @@ def measure(cases: Iterable[Case], steps: Steps, seed: int = 0) -> list[dict[str
         for robots, pattern in dict.fromkeys((case.robots, case.pattern) for case in cases):
             device = "cuda" if any(case.device == "cuda" for case in cases) else "cpu"
             prepare(folder, sim.ModelConfig(robots=robots, pattern=pattern, seed=seed), steps, device)
-        # Starting ranks takes longer than most cases: those of as many ranks share them.
+        # Starting ranks takes longer than most cases: cases with equal numbers of ranks share them.
         for ranks, device in dict.fromkeys((case.ranks, case.device) for case in cases):
             shared = [case for case in cases if (case.ranks, case.device) == (ranks, device)]
             rows += _on_ranks(folder, shared, steps, ranks, device)
@@ -104,13 +104,14 @@ def measure(cases: Iterable[Case], steps: Steps, seed: int = 0) -> list[dict[str
 
 
 def world_file(folder: Path, robots: int, pattern: str) -> Path:
-    """Where `prepare` leaves a world."""
+    """The file in which `prepare` stores a world."""
     return folder / f"{robots}-{pattern}.pt"
 
 
 def prepare(folder: Path, config: sim.ModelConfig, steps: Steps, device: str) -> None:
-    """Moves a world on: the state from which ranks start, the states in which PCCCD detects, and the hashes of the
-    contacts of all steps from there."""
+    """Advances a world; stores the state from which ranks start, the states in which PCCCD detects, and the contact
+    hashes of all later steps.
+    """
     model = sim.Model(config, device=device)
     state = model.start()
     scene, plan = model.scene(state.id), sim.StepPlan()
@@ -143,5 +144,5 @@ def _on_ranks(folder: Path, cases: list[Case], steps: Steps, ranks: int, device:
 
 
 def gpus() -> int:
-    """Those there are."""
+    """Number of GPUs."""
     return torch.cuda.device_count() if torch.cuda.is_available() else 0

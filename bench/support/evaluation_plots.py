@@ -1,4 +1,4 @@
-"""Figures 4, 5 and 6 of Du, Liu & Suzumura (2017), drawn again."""
+"""Figures 4, 5 and 6 of Du, Liu & Suzumura (2017), redrawn."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _BY_SIZE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 
 
 def figure4(result: Result) -> Figure:
-    """How many times as fast as PCCCD, by number of robots; and times."""
+    """Speedup over PCCCD by number of robots; and times."""
     figure, panels = plt.subplots(2, len(WORLDS), figsize=(15, 6.4), sharex=True)
     for (above, below), (world, space) in zip(panels.T, WORLDS.items(), strict=True):
         for system in ("PGCCD", "PGCCD+LB", "PCCCD"):
-            # How space is cut is nothing to PCCCD. Of its numbers of ranks the best has a speedup of 1.
+            # PCCCD does not depend on the partition. Its best number of ranks has a speedup of 1.
             same = [row for row in result["rows"] if (row["system"], row["pattern"]) == (system, space.pattern)]
             rows = [row for row in same if (row["speedup"] == 1 if system == "PCCCD" else world_of(row) == world)]
             robots = [row["robots"] for row in rows]
@@ -70,7 +70,7 @@ def figure5(result: Result) -> Figure:
 
 
 def figure6(result: Result) -> Figure:
-    """Time of a step relative to that without balancing, and imbalance, by the threshold of load balancing."""
+    """Time of a step relative to no balancing, and imbalance, by threshold of load balancing."""
     figure, panels = plt.subplots(2, len(WORLDS), figsize=(15, 6.0), sharex=True)
     sizes = sorted({row["robots"] for row in result["rows"]})
     for (above, below), world in zip(panels.T, WORLDS, strict=True):

@@ -1,7 +1,7 @@
-"""Two frames of a public simulation (Belgrod et al. 2023), and what truly collides between them, in NumPy files:
+"""Two frames of a public simulation (Belgrod et al. 2023), and the true collisions between them, in NumPy files:
 
 scenes/NAME.npz  vertices_t0, vertices_t1 (V, 3), faces (F, 3), edges (E, 2); vf_pairs, ee_pairs (k, 2) and
-                 *_collides (k,): all truly colliding pairs, and some others
+                 *_collides (k,): all truly colliding pairs, and some free ones
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import pgccd
 
 @dataclass
 class FramePair:
-    """One mesh that deforms and collides with itself."""
+    """One deforming mesh that collides with itself."""
 
     name: str
     arrays: dict[str, np.ndarray]
@@ -27,18 +27,18 @@ class FramePair:
         self.mesh = pgccd.Mesh(self.arrays["vertices_t0"], self.arrays["faces"])
 
     def scene(self, device: str) -> pgccd.Scene:
-        """The mesh and the shape of its hierarchy, which last for all frames of a simulation."""
+        """The mesh and the topology of its hierarchy, constant over a simulation."""
         return pgccd.Scene([self.mesh], device=device, self_collision=True)
 
     def motion(self, device: str) -> pgccd.VertexMotion:
-        """Its vertices in both frames, in the device's memory."""
+        """Its vertices in both frames, in device memory."""
         return pgccd.VertexMotion(
             *(torch.from_numpy(self.arrays[f"vertices_{end}"]).to(device) for end in ("t0", "t1"))
         )
 
     def errors(self, hits: pgccd.Contacts) -> dict[str, int]:
-        """What contacts of report "all" lack of the truly colliding pairs, and what they have beside them."""
-        # Scenes number edges otherwise than meshes do.
+        """Numbers of truly colliding pairs missing from contacts with report "all", and of contacts not among them."""
+        # Scenes number edges differently from meshes.
         weights = np.array([len(self.arrays["vertices_t0"]), 1])
         both = (self.mesh.edges.long().numpy(), self.arrays["edges"])
         of_mesh, of_scene = (np.sort(edges, axis=1) @ weights for edges in both)
@@ -51,13 +51,13 @@ class FramePair:
 
 
 def load(data: Path) -> Iterator[FramePair]:
-    """All frame pairs of a folder that holds scenes/."""
+    """All frame pairs in the subfolder scenes/."""
     for path in sorted(data.glob("scenes/*.npz")):
         with np.load(path) as file:
             yield FramePair(path.stem, dict(file))
 
 
 def _keys(kind: int | np.ndarray, features: np.ndarray) -> np.ndarray:
-    """(k,) int64, one number a feature pair (k, 2)."""
+    """One int64 key (k,) per feature pair (k, 2)."""
     first, second = features.astype(np.int64).T
     return (np.int64(1) << 60) * kind + (first << 30) + second

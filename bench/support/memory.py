@@ -12,10 +12,9 @@ import torch
 
 
 class PeakMemory:
-    """`bytes`: how far memory rose above where it stood on entry. On a GPU what torch allocated, on a CPU resident
-    pages.
+    """`bytes`: peak memory above that on entry: torch's allocations on a GPU, resident pages on a CPU.
 
-    On a CPU this is meant for all of a piece of work, from its first allocation on. `bytes_before`: where it stood.
+    On a CPU, enter it before the first allocation of the work. `bytes_before`: memory on entry.
     """
 
     def __init__(self, device: torch.device | str) -> None:
@@ -39,13 +38,13 @@ class PeakMemory:
 
 
 def bytes_in_use(device: torch.device | str) -> int:
-    """What torch has allocated on a GPU, or the resident pages."""
+    """Bytes allocated by torch on a GPU, or resident bytes."""
     device = torch.device(device)
     if device.type == "cuda":
         return torch.cuda.memory_allocated(device)
-    # What earlier work has freed must go back to the system, or it would be used again unseen.
+    # Freed memory must be returned to the system, otherwise its reuse would not be counted.
     gc.collect()
-    with contextlib.suppress(AttributeError, OSError):  # GNU's C library has it
+    with contextlib.suppress(AttributeError, OSError):  # glibc only
         ctypes.CDLL(None).malloc_trim(0)
     return _status("VmRSS")
 

@@ -1,6 +1,4 @@
-"""Pairs of bodies that come near each other, taken out of the standard world, each ready for the programs that test
-it.
-"""
+"""Pairs of nearby bodies from the standard world, in the forms that the compared programs need."""
 
 from __future__ import annotations
 
@@ -17,13 +15,13 @@ from support.scenes import MixedWorld
 
 @dataclass
 class Pairs:
-    """P pairs of bodies: columns (P, 2, ...), the robot mesh for all of them."""
+    """P pairs of bodies: columns (P, 2, ...), with the robot mesh for all."""
 
     mesh: pgccd.Mesh
     position: Tensor  #: (P, 2, 3) float64 at t0, relative to the middle of the pair
     orientation: Tensor  #: (P, 2, 4)
-    velocity: Tensor  #: (P, 2, 3) a step
-    spin: Tensor  #: (P, 2, 3) rotation vector of the step
+    velocity: Tensor  #: (P, 2, 3) per step
+    spin: Tensor  #: (P, 2, 3) rotation vector over the step
 
     def __len__(self) -> int:
         return len(self.position)
@@ -33,12 +31,12 @@ class Pairs:
         return Pairs(self.mesh, *(column[rows] for column in columns))
 
     def motion(self, path: str) -> pgccd.RigidMotion:
-        """Bodies 2 p and 2 p + 1 are pair p."""
+        """The motion of all bodies; 2 p and 2 p + 1 are pair p."""
         columns = (self.position, self.orientation, self.velocity, self.spin)
         return pgccd.RigidMotion.from_velocity(*(column.flatten(0, 1) for column in columns), dt=1.0, path=path)
 
     def scene(self) -> pgccd.Scene:
-        """Every pair is in a world of its own."""
+        """The scene of all pairs, each in its own world."""
         count = len(self)
         return pgccd.Scene(
             [self.mesh],
@@ -47,13 +45,13 @@ class Pairs:
         )
 
     def vertices(self) -> tuple[np.ndarray, np.ndarray]:
-        """(P, 2, V, 3) positions of all vertices at t0 and at t1."""
+        """Positions (P, 2, V, 3) of all vertices at t0 and at t1."""
         start = rotate(self.orientation, self.mesh.vertices) + self.position[:, :, None]
         end = rotate(self.orientation_t1(), self.mesh.vertices) + (self.position + self.velocity)[:, :, None]
         return start.numpy(), end.numpy()
 
     def orientation_t1(self) -> Tensor:
-        """(P, 2, 4) unit quaternions."""
+        """Unit quaternions (P, 2, 4) at t1."""
         angle = torch.linalg.vector_norm(self.spin, dim=-1, keepdim=True)
         turn = torch.cat([torch.cos(0.5 * angle), 0.5 * torch.sinc(0.5 * angle / torch.pi) * self.spin], dim=-1)
         after = _product(turn, self.orientation)
@@ -61,9 +59,9 @@ class Pairs:
 
 
 def collect(free: int, colliding: int, seed: int, robots: int = 4000) -> Pairs:
-    """So many pairs of the PCS (spheres that meet) of which the meshes stay apart, then so many that collide.
+    """`free` pairs of the PCS (spheres that meet) with meshes that stay apart, then `colliding` pairs that collide.
 
-    They come from successive steps of a world in full swing, at most a quarter of what is wanted from one step.
+    They come from successive steps of a world after it has left the lattice, at most a quarter of each from one step.
     """
     parts: dict[bool, list[Pairs]] = {False: [], True: []}
     wanted = {False: free, True: colliding}

@@ -1,4 +1,4 @@
-"""All pairs of features whose swept axis-aligned boxes overlap, by sorting along one axis, in bounded chunks."""
+"""All pairs of features with overlapping swept axis-aligned boxes, by sorting along one axis, in bounded chunks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Pairs that overlap along the sorted axis, looked at in one go.
+# Pairs per chunk that overlap along the sorted axis.
 _CHUNK = 4_000_000
 
 
@@ -21,7 +21,7 @@ class Boxes:
 
     @classmethod
     def swept(cls, x_t0: np.ndarray, x_t1: np.ndarray, vertices: np.ndarray) -> Boxes:
-        """Around the features' vertices at both ends."""
+        """Boxes around the features' vertices at both ends."""
         points = np.concatenate([x_t0[vertices], x_t1[vertices]], axis=1)
         return cls(points.min(axis=1), points.max(axis=1), vertices)
 
@@ -30,13 +30,13 @@ class Boxes:
 
 
 def between(first: Boxes, second: Boxes) -> Iterator[np.ndarray]:
-    """Pairs (p, 2): rows of `first` and `second` whose boxes overlap (touching counts) and that share no vertex."""
+    """Pairs (p, 2) of rows of `first` and `second` with overlapping boxes (touching counts) and no common vertex."""
     axis = min(range(3), key=lambda axis: _count(first, second, axis))
-    # Of two intervals that overlap, the lower end of one lies in the other.
+    # If two intervals overlap, the lower end of one lies in the other.
     for a, b, swapped in ((first, second, False), (second, first, True)):
         order = np.argsort(b.lower[:, axis], kind="stable")
         ends = b.lower[order, axis]
-        # Equal lower ends must be seen once.
+        # Equal lower ends must be counted once.
         begin = np.searchsorted(ends, a.lower[:, axis], side="right" if swapped else "left")
         end = np.searchsorted(ends, a.upper[:, axis], side="right")
         for rows, positions in _expand(begin, np.maximum(end - begin, 0)):
@@ -45,7 +45,7 @@ def between(first: Boxes, second: Boxes) -> Iterator[np.ndarray]:
 
 
 def within(boxes: Boxes) -> Iterator[np.ndarray]:
-    """Pairs (p, 2), first < second, of overlapping boxes that share no vertex."""
+    """Pairs (p, 2), first < second, of overlapping boxes without a common vertex."""
     axis = min(range(3), key=lambda axis: _count(boxes, boxes, axis))
     order = np.argsort(boxes.lower[:, axis], kind="stable")
     ends = boxes.lower[order, axis]
@@ -62,7 +62,7 @@ def _count(first: Boxes, second: Boxes, axis: int) -> int:
 
 
 def _expand(begin: np.ndarray, count: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Row k paired with each of begin[k] .. begin[k] + count[k]."""
+    """Row k paired with each index from begin[k] to begin[k] + count[k] (exclusive)."""
     total = np.concatenate([[0], np.cumsum(count)])
     first = 0
     while first < len(count):

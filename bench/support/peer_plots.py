@@ -1,4 +1,4 @@
-"""pgccd beside other programs, a panel a question."""
+"""pgccd compared with other programs, one panel per question."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ERRORS = ("missed", "extra", "longer", "shorter")
 
 
 def peers(result: Result) -> Figure:
-    """Median times on a logarithmic axis; beside each bar its number and what was wrong or missing."""
+    """Median times on a logarithmic axis; next to each bar its time and the errors or omissions."""
     questions: dict[str, list[Row]] = {}
     for row in result["rows"]:
         questions.setdefault(row["question"], []).append(row)

@@ -1,4 +1,4 @@
-"""Other people's programs that pgccd is compared with. Each may be missing."""
+"""Loading of the other programs that pgccd is compared with. Each may be missing."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 
 
 def load(name: str) -> Any | None:
-    """The module, or None after saying so."""
+    """The module, or None with a message."""
     try:
-        with _quiet():  # some greet on import
+        with _quiet():  # some print on import
             return importlib.import_module(name)
     except ImportError:
         print(f"{name}: not installed")

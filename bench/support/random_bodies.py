@@ -1,4 +1,4 @@
-"""Bodies at random places in a box, free to overlap, with as many potentially colliding pairs a body as asked for."""
+"""Bodies at random places in a box, free to overlap, with a given number of potentially colliding pairs per body."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ import pgccd
 
 
 class RandomBodies:
-    """Bodies of kinds chosen at random in every step: places, orientations, directions.
+    """Bodies of random meshes; places, orientations and directions are drawn anew in every step.
 
-    Each moves by `displacement` of its radius and turns by `turn` radians. The box is as large as makes the spheres
-    of `pairs_a_body` pairs a body meet, on average.
+    Each moves by `displacement` of its radius and turns by `turn` radians. The box is sized so that on average the
+    spheres of `pairs_a_body` pairs per body meet.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class RandomBodies:
         self.side = box_side(bodies, radius, pairs_a_body, displacement)
 
     def motions(self) -> Iterator[pgccd.RigidMotion]:
-        """Step after step, without end."""
+        """Motions of successive steps, without end."""
         count, device = self.scene.body_count, self.scene.device
         radius = self.scene.radius[:, None]
         while True:
@@ -50,14 +50,14 @@ class RandomBodies:
 
 
 def scaled_copies(mesh: pgccd.Mesh, size_ratio: float, kinds: int) -> list[pgccd.Mesh]:
-    """A mesh in so many sizes, from 1 / `size_ratio` of its own to its own, uniform in their logarithm."""
+    """`kinds` copies of a mesh scaled by 1 / `size_ratio` to 1, uniform in their logarithm."""
     sizes = np.geomspace(1.0 / size_ratio, 1.0, kinds)
     return [pgccd.Mesh(size * mesh.vertices.numpy(), mesh.faces, origin="centroid") for size in sizes]
 
 
 def box_side(bodies: int, radius: np.ndarray, pairs_a_body: float, displacement: float) -> float:
-    """Edge of a box in which, with places uniform and sizes drawn from `radius` (K,), so many pairs of spheres a body
-    meet while each moves by `displacement` of its radius in a random direction.
+    """Edge of a box in which `pairs_a_body` pairs of spheres per body meet, with uniform places, sizes drawn from
+    `radius` (K,), and displacements of `displacement` radii in random directions.
     """
     reach = np.add.outer(radius, radius)
     longer, shorter = (displacement * choose.outer(radius, radius) for choose in (np.maximum, np.minimum))
@@ -66,13 +66,13 @@ def box_side(bodies: int, radius: np.ndarray, pairs_a_body: float, displacement:
     volume = 4.0 / 3.0 * math.pi * reach**3 + math.pi * reach**2 * approach
     side = math.inf
     for _ in range(30):
-        # Of a ball around a place in the box, this part lies outside, to first order.
+        # Fraction of a ball around a place in the box that lies inside it, to first order.
         inside = 1.0 - 1.125 * reach / side
         side = (0.5 * (bodies - 1) * float(np.mean(volume * inside)) / pairs_a_body) ** (1.0 / 3.0)
     return side
 
 
 def unit_vectors(random: torch.Generator, count: int, width: int) -> Tensor:
-    """(count, width) float64, uniform in direction; of width 4, uniform rotations."""
+    """Unit vectors (count, width) float64, uniform in direction; for width 4, uniform rotations."""
     vectors = torch.randn((count, width), generator=random, dtype=torch.float64)
     return vectors / torch.linalg.vector_norm(vectors, dim=1, keepdim=True)

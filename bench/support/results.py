@@ -1,4 +1,4 @@
-"""Results: JSON with the machine, the versions and the command they came from, and a short table on stdout."""
+"""Results: JSON with machine, versions and command, and a short table on stdout."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _busy_seconds() -> float:
 
 
 def _own_seconds() -> float:
-    """Processor time of this process and of those it started and waited for."""
+    """Processor time of this process and of its child processes that have ended."""
     return sum(os.times()[:4])
 
 
@@ -44,15 +44,13 @@ _busy_before = _busy_seconds() - _own_seconds()
 
 
 def cores_busy_with_others() -> float:
-    """How many cores other processes kept busy on average since this one started: above 0.1 or so, times are
-    doubtful.
-    """
+    """Mean number of cores used by other processes since this one started: above about 0.1, times are doubtful."""
     others = _busy_seconds() - _own_seconds() - _busy_before
     return round(max(0.0, others / (time.perf_counter() - _begin)), 2)
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
-    """A parser with what all scripts share."""
+    """A parser with the arguments common to all scripts."""
     shared = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )
@@ -61,7 +59,7 @@ def parser(description: str | None) -> argparse.ArgumentParser:
 
 
 def write(name: str, device: torch.device | str, content: dict[str, Any], out: Path | None = None) -> Path:
-    """Writes `content` with where it came from. The file is named after the script and the device."""
+    """Writes `content` with its provenance. The default file name is made of the script and the device."""
     device_name = "cpu" if torch.device(device).type == "cpu" else torch.cuda.get_device_name(device)
     path = out or FOLDER / f"{name}-{re.sub('[^a-z0-9]+', '-', device_name.lower()).strip('-')}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -83,7 +81,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def command_line() -> str:
-    """The command, without the folders of the machine it ran on, nor where the result went."""
+    """The command, without machine-specific folders and without --out."""
     words = [str(Path(word).resolve().relative_to(ROOT)) if _is_inside(word) else word for word in sys.argv[:1]]
     for before, word in itertools.pairwise(sys.argv):
         if "--out" not in (before, word):
@@ -112,13 +110,13 @@ def _cpu_model() -> str:
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         key, _, value = line.partition(":")
         fields.setdefault(key.strip(), value.strip())
-    # Virtual machines may shorten the name, but the numbers identify it.
+    # Virtual machines may shorten the name, but these numbers identify the model.
     numbers = [f"{key} {fields[key]}" for key in ("cpu family", "model", "stepping") if key in fields]
     return ", ".join([fields.get("model name", platform.machine()), *numbers])
 
 
 def versions() -> dict[str, str]:
-    """pgccd's commit, torch, and the peers that are installed."""
+    """Versions of pgccd (with commit), torch, and the installed peers."""
     found = {
         "pgccd": pgccd.__version__,
         "commit": _commit(),
@@ -136,10 +134,10 @@ def versions() -> dict[str, str]:
 
 def _commit() -> str:
     try:
-        # Of the package that was measured, wherever it was imported from.
+        # The repository of the imported package.
         git = ["git", "-C", str(Path(pgccd.__file__).parents[1])]
         commit = subprocess.run([*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
-        # Only what is compiled or imported: results may be written while a page is being edited.
+        # Only compiled or imported files: results may be written while documentation is being edited.
         status = [*git, "status", "--porcelain", "--", "csrc", "pgccd", "setup.py"]
         changed = subprocess.run(status, capture_output=True, text=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError):

@@ -1,4 +1,4 @@
-"""Scenes: the standard nanorobot world in full swing, and moving spheres."""
+"""Scenes: the standard nanorobot world after it has left the lattice, and moving spheres."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pgccd import sim
 
 
 class MixedWorld:
-    """The standard world after `steps_before` steps, when nothing is left of the lattice it starts from.
+    """The standard world after `steps_before` steps, enough to leave the lattice of its start.
 
-    Iterating makes further steps: each gives the state as planned, before that step.
+    Iterating makes further steps and yields each planned state, before its step.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class MixedWorld:
 
     @classmethod
     def from_checkpoint(cls, checkpoint: sim.Checkpoint, device: torch.device | str = "cpu") -> MixedWorld:
-        """The world of a run of the standard robot, where its checkpoint left it."""
+        """The world of a checkpoint of the standard robot."""
         mixed = cls.__new__(cls)
         model = sim.Model(checkpoint.config, device=device)
         mixed._set(model, checkpoint.state.to(model.device), checkpoint.steps_made)
@@ -56,18 +56,18 @@ class MixedWorld:
 
 @dataclass
 class MovingSpheres:
-    """Spheres whose centres move straight."""
+    """Spheres whose centres move along straight lines."""
 
     position_t0: np.ndarray  #: (N, 3) float64
     position_t1: np.ndarray
     radius: float | np.ndarray = 1.0  #: of all, or (N,)
 
     def meet(self, pairs: np.ndarray) -> np.ndarray:
-        """(P,) bool: do the two come within the sum of their radii at some time of the step?"""
+        """Do the spheres of each pair meet at some time of the step? (P,) bool."""
         return self.gap(pairs) <= 0.0
 
     def gap(self, pairs: np.ndarray) -> np.ndarray:
-        """(P,) least squared distance over the step, less the squared sum of radii."""
+        """Least squared distance over the step less the squared sum of radii, (P,)."""
         start = self.position_t0[pairs[:, 1]] - self.position_t0[pairs[:, 0]]
         end = self.position_t1[pairs[:, 1]] - self.position_t1[pairs[:, 0]]
         travel = end - start
@@ -82,10 +82,11 @@ class MovingSpheres:
 def random_spheres(
     count: int, seed: int, speed: float = 0.1, fraction: float = 0.25, size_ratio: float = 1.0
 ) -> MovingSpheres:
-    """Centres uniform in a box that the spheres would fill to `fraction`, free to overlap; steps as in the standard
-    model, in proportion to the radii. These are 1, or lie between 1 / `size_ratio` and 1, uniform in their logarithm.
+    """Centres uniform in a box whose volume times `fraction` is that of the spheres, free to overlap; steps as in the
+    standard model, in proportion to the radii. Radii are 1, or between 1 / `size_ratio` and 1, uniform in their
+    logarithm.
 
-    On average 4 x `fraction` spheres of one size overlap pairwise at rest for each sphere: about one pair a body.
+    For equal sizes at rest, on average 4 x `fraction` pairs overlap per sphere: about one pair per body.
     """
     random = np.random.default_rng(seed)
     sizes = np.geomspace(1.0 / size_ratio, 1.0, 31)
@@ -96,8 +97,7 @@ def random_spheres(
 
 
 def spheres_on_a_huge_one(count: int, seed: int, speed: float = 0.1) -> MovingSpheres:
-    """Pebbles of radius 1 in a layer on one sphere that is as large as the whole scene, about one pair among pebbles a
-    body."""
+    """Pebbles of radius 1 in a layer on a sphere as large as the scene, with about one pair of pebbles per body."""
     random = np.random.default_rng(seed)
     width = math.sqrt(count * 4.0 / 3.0 * math.pi)
     huge = 4.0 * width
@@ -124,6 +124,6 @@ def _stirred(
     count = len(position)
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    # The standard world's speeds: uniform from half the mean to half as much again.
+    # The standard world's speeds: uniform from 0.5 to 1.5 times the mean.
     length = speed * radius * random.uniform(0.5, 1.5, count)
     return MovingSpheres(position, position + length[:, None] * direction, radius)

@@ -1,4 +1,4 @@
-"""Pebbles that fall on a terrain: one static mesh of very many triangles among very many small bodies."""
+"""Pebbles falling on a terrain: one static mesh of very many triangles among very many small bodies."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import pgccd
 from support.random_bodies import unit_vectors
 
 _RADIUS = 0.5  # of a pebble, in edges of the terrain's cells
-_FALL = 0.2  # of its radius a step
+_FALL = 0.2  # in radii per step
 _HIGHEST = 0.5  # above the ground, in radii
-_TURN = 0.1  # radians a step
+_TURN = 0.1  # radians per step
 _KINDS = 8
-# Waves of the ground: lengths in cells, and height as part of the length.
+# Waves of the ground: lengths in cells, and height relative to the length.
 _WAVE_LENGTHS = (400.0, 90.0, 21.0, 6.0)
 _STEEPNESS = 0.02
 
 
 class PebblesOnTerrain:
-    """Body 0 is the terrain, about `triangles` in number; the others are pebbles of 80 triangles, dropped again each
-    step, each from close above the ground. Some touch it, and some one another.
+    """Body 0 is the terrain, with about `triangles` triangles; the rest are pebbles of 80 triangles, dropped anew in
+    each step from just above the ground. Some touch the ground, and some one another.
     """
 
     def __init__(self, triangles: int, pebbles: int, device: torch.device | str = "cpu", seed: int = 0) -> None:
@@ -39,7 +39,7 @@ class PebblesOnTerrain:
         self.triangle_count = len(terrain.faces)
 
     def motions(self) -> Iterator[pgccd.RigidMotion]:
-        """Step after step, without end."""
+        """Motions of successive steps, without end."""
         count = self.scene.body_count
         while True:
             place, height = (
@@ -69,7 +69,7 @@ class Ground:
         self._phase = random.uniform(0.0, 2.0 * math.pi, len(_WAVE_LENGTHS))
 
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Of the ground at these places."""
+        """Height of the ground at these places."""
         total = np.zeros_like(x)
         for length, heading, phase in zip(_WAVE_LENGTHS, self._heading, self._phase, strict=True):
             along = (math.cos(heading) * x + math.sin(heading) * y) / length
@@ -77,7 +77,7 @@ class Ground:
         return total
 
     def mesh(self) -> pgccd.Mesh:
-        """Two triangles a cell."""
+        """Two triangles per cell."""
         columns, rows = self.cells
         x, y = np.meshgrid(np.arange(columns + 1.0), np.arange(rows + 1.0))
         vertices = np.stack([x, y, self.height(x, y)], axis=-1).reshape(-1, 3)
@@ -88,7 +88,9 @@ class Ground:
 
 
 def pebble_mesh(random: np.random.Generator, rings: int = 4, ring_size: int = 10) -> pgccd.Mesh:
-    """A closed mesh of 42 vertices and 80 triangles: a sphere of rings, each turned by half a step, with bumps."""
+    """A closed mesh of 42 vertices and 80 triangles: a sphere of rings, each rotated by half a vertex spacing, with
+    bumps.
+    """
     polar = math.pi * np.arange(1, rings + 1) / (rings + 1)
     azimuth = 2.0 * math.pi * (np.arange(ring_size) + 0.5 * np.arange(rings)[:, None]) / ring_size
     sine = np.sin(polar)[:, None]

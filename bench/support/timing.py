@@ -1,4 +1,4 @@
-"""Timing of calls, and how durations are summed up."""
+"""Timing of calls, and summaries of durations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ import torch
 
 
 def seconds(work: Callable[[], Any], device: torch.device | str = "cpu") -> tuple[float, Any]:
-    """Duration of one call and its result: device events on a GPU (the call's own work only), else the wall clock."""
+    """Duration of one call and its result: device events on a GPU (the call's own work only), otherwise wall-clock
+    time.
+    """
     if torch.device(device).type != "cuda":
         start = time.perf_counter()
         result = work()
@@ -26,8 +28,7 @@ def seconds(work: Callable[[], Any], device: torch.device | str = "cpu") -> tupl
 
 
 def host_loop() -> float:
-    """Seconds that this core takes to add up 400,000 numbers, one by one: whether it is as fast as it was another
-    time, or is shared with other programs."""
+    """Seconds to add up 400,000 numbers in plain Python: shows whether the core is slower than before or shared."""
     start, total = time.perf_counter(), 0
     for _ in range(20):
         for number in range(20_000):

@@ -1,5 +1,5 @@
-// From tensors to the views the kernels read, with every assumption checked. Tensor lists keep the schemas readable;
-// their order is the order of the fields in core/mesh_set.h and core/bodies.h.
+// From tensors to the views that the kernels read, with all checks. Tensor lists keep the schemas readable; their order
+// is that of the fields in core/mesh_set.h and core/bodies.h.
 #pragma once
 
 #include <torch/csrc/stable/library.h>
@@ -49,7 +49,7 @@ constexpr ScalarType scalar_type_of<uint8_t>() {
   return ScalarType::Byte;
 }
 
-// Data of a contiguous tensor of that element type and shape, seen as rows of `Row`.
+// Data of a contiguous tensor with this element type and shape, as rows of `Row`.
 template <class Element, class Row = Element>
 const Row* rows(const Tensor& tensor, const char* name, std::initializer_list<int64_t> shape) {
   check_device(tensor, name);
@@ -71,8 +71,8 @@ const Element* optional_column(const std::optional<Tensor>& tensor, const char* 
   return tensor ? rows<Element>(*tensor, name, {count}) : nullptr;
 }
 
-// Rows of meshes follow one another and end within the columns. What else the columns say (corners of faces, children
-// of nodes) is taken as the mesh set was made: looking at all of it would cost more than most operators do.
+// Checks that rows of meshes are consecutive and within the columns. Other contents (corners of faces, children of
+// nodes) are not checked: that would cost more than most operators.
 inline void check_offsets(const MeshSetView& view, const MeshOffsets& sizes) {
   for (int64_t mesh = 0; mesh <= view.mesh_count; ++mesh) {
     const MeshOffsets from = mesh == 0 ? MeshOffsets{} : view.offsets[mesh - 1], at = view.offsets[mesh];
@@ -105,7 +105,7 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   view.mesh_count = t[8].size(0) - 1;
   STD_TORCH_CHECK(view.mesh_count >= 0, "mesh_set.offsets: expected at least one row");
   if (!t[8].is_cuda()) check_offsets(view, {t[0].size(0), t[1].size(0), t[2].size(0), t[4].size(0), t[6].size(0)});
-  // No rows where every mesh has its SBV centre at its origin.
+  // Empty if every mesh has its SBV centre at its origin.
   const int64_t centres = t[9].size(0) == 0 ? 0 : t[8].size(0) - 1;
   view.centres = rows<double>(t[9], "mesh_set.centres", {centres, 3});
   view.reaches = rows<double>(t[10], "mesh_set.reaches", {centres});
@@ -150,7 +150,7 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
   return view;
 }
 
-// Lengths that a caller gave. Larger ones would overflow when they are squared.
+// Squares of larger lengths overflow.
 constexpr double kLargestLength = 1e150;
 
 inline void check_separation(double separation) {
@@ -161,7 +161,7 @@ inline void check_separation(double separation) {
 // A negative tolerance is relative to a radius.
 inline void check_tolerance(double tolerance) {
   STD_TORCH_CHECK(tolerance >= -1.0 && tolerance <= kLargestLength,
-                  "tolerance: expected a length in [0, 1e150], or a part of a radius in [-1, 0), got ", tolerance);
+                  "tolerance: expected a length in [0, 1e150], or a fraction of a radius in [-1, 0), got ", tolerance);
 }
 
 // The distance up to which a pair may be reported.

@@ -1,4 +1,4 @@
-// The operators of poses on a path and of the spheres that the broad phase takes, written once for both backends.
+// The operators of poses on a path and of the broad phase's spheres, written once for both backends.
 #pragma once
 
 #include <tuple>

@@ -1,4 +1,4 @@
-// Boxes of swept spheres: what shares bodies out among ranks.
+// Boxes of swept spheres, used to distribute bodies over ranks.
 #include <torch/csrc/stable/library.h>
 
 STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {

@@ -1,4 +1,4 @@
-// From tensors to what broad phases read.
+// From tensors to the inputs of broad phases.
 #pragma once
 
 #include "bind/arguments.h"

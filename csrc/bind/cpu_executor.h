@@ -16,7 +16,7 @@ class TorchExecutor final : public Executor {
 
   void run(int workers, const std::function<void(int)>& work) const override {
     if (workers == 1) return work(0);
-    // An exception inside parallel_for loses its message, so it is carried around it.
+    // An exception inside parallel_for would lose its message, so it is rethrown outside.
     std::exception_ptr failure;
     std::mutex failure_mutex;
     torch::stable::parallel_for(0, workers, 1, [&](int64_t begin, int64_t end) {

@@ -1,5 +1,4 @@
-// What every operator on a CUDA device needs from torch: its device made current, its stream, and memory from its
-// allocator.
+// CUDA operators' interface to torch: current device, stream, and memory from its allocator.
 #pragma once
 
 #include <torch/csrc/inductor/aoti_torch/c/shim.h>
@@ -16,12 +15,13 @@
 
 namespace pgccd::bind {
 
-// Freed with the operator: torch's allocator is ordered by stream, so kernels still in flight keep what they use.
+// Freed with the operator: torch's allocator is stream-ordered, so memory used by kernels in flight is not reused
+// before they end.
 class TorchMemory final : public DeviceMemory {
  public:
   explicit TorchMemory(const torch::stable::Tensor& like) : like_(like) {}
 
-  // Small pieces share a block: asking torch takes as long as launching a kernel.
+  // Small allocations share a block: a call of torch's allocator takes as long as a kernel launch.
   void* allocate_bytes(int64_t bytes) override {
     const int64_t aligned = (std::max<int64_t>(bytes, 1) + kAlignment - 1) / kAlignment * kAlignment;
     if (aligned > kBlockBytes / 4) return static_cast<void*>(new_block(aligned));

@@ -1,5 +1,5 @@
 // The detection operators, written once for both backends: views in, kernels, tensors out. A backend runs the kernels;
-// outputs whose size only the kernel knows are allocated when it requests them.
+// outputs whose size only the kernel determines are allocated by a callback.
 #pragma once
 
 #include <functional>
@@ -21,7 +21,7 @@ struct DetectOps {
   static Tensor first_faults(const TensorList& columns, const std::vector<int64_t>& checks,
                              const std::vector<double>& limits) {
     STD_TORCH_CHECK(!columns.empty() && checks.size() == columns.size() && limits.size() == columns.size(),
-                    "columns: expected as many checks and limits, and one at least");
+                    "columns: expected equal numbers of checks and limits, at least one");
     std::vector<RowColumn> views;
     for (size_t k = 0; k < columns.size(); ++k) {
       const double* values = rows<double>(columns[k], "columns", {kAnySize, kAnySize});

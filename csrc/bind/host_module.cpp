@@ -1,4 +1,4 @@
-// pgccd._host: work on numpy arrays that needs no torch (mesh preparation), and what this build is.
+// pgccd._host: mesh preparation on NumPy arrays, without torch, and information about this build.
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
@@ -17,7 +17,7 @@ using pgccd::Face;
 template <class T>
 using Array = py::array_t<T, py::array::c_style | py::array::forcecast>;
 
-// Rows of `Row`, seen as a numpy matrix of its `Element`s.
+// Rows of `Row` as a NumPy matrix of their `Element`s.
 template <class Element, class Row>
 py::array_t<Element> to_matrix(const std::vector<Row>& rows) {
   static_assert(sizeof(Row) % sizeof(Element) == 0);

@@ -1,4 +1,4 @@
-// All tensors of one call lie on one device: kernels would read what is not theirs.
+// Checks that all tensors of a call are on one device.
 #pragma once
 
 #include <torch/csrc/stable/tensor.h>
@@ -20,7 +20,8 @@ struct DeviceOf {
   int32_t index;
 };
 
-// The device of the operator that runs on this thread: that of its first tensor, which may be moved from.
+// The device of the operator that runs on this thread: that of its first tensor, recorded since the tensor may be moved
+// from.
 class DeviceScope {
  public:
   explicit DeviceScope(const torch::stable::Tensor* first)
@@ -59,7 +60,7 @@ const torch::stable::Tensor* first_in(const T&) {
 
 }  // namespace one_device_detail
 
-// The operator, with its tensors compared to the first of them as they are looked at.
+// Wraps an operator: compares the device of each tensor with that of the first when it is viewed.
 template <auto kOperator>
 struct OnOneDevice;
 template <class Result, class... Arguments, Result (*kOperator)(Arguments...)>

@@ -1,4 +1,4 @@
-// Making tensors for results.
+// Allocation of result tensors.
 #pragma once
 
 #include <torch/csrc/inductor/aoti_torch/c/shim.h>
@@ -11,7 +11,7 @@
 
 namespace pgccd::bind {
 
-// Contiguous, on the device of `like`. Straight from the allocator: torch::stable::new_empty goes through the
+// Contiguous, on the device of `like`. Calls the allocator directly: torch::stable::new_empty goes through the
 // dispatcher, which takes as long again.
 inline Tensor new_empty(const Tensor& like, const std::vector<int64_t>& sizes, ScalarType type, int64_t bytes) {
   int32_t device_type = 0, device_index = 0;
@@ -23,7 +23,7 @@ inline Tensor new_empty(const Tensor& like, const std::vector<int64_t>& sizes, S
   AtenTensorHandle made = nullptr;
   const AOTITorchError result = aoti_torch_empty_strided(static_cast<int64_t>(sizes.size()), sizes.data(),
                                                          strides.data(), dtype, device_type, device_index, &made);
-  // The stable ABI drops the message of torch's allocator, so the error says how much was requested and what helps.
+  // The stable ABI drops the message of torch's allocator, so the error states the requested size and a remedy.
   if (result != AOTI_TORCH_SUCCESS) {
     throw std::runtime_error("out of memory: no room for " + std::to_string(bytes) +
                              " more bytes; a smaller memory_budget or capacity, or fewer bodies at a time, take less");

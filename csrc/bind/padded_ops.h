@@ -1,5 +1,5 @@
-// The detection operators in given capacities, so that the host does not wait for the device: what does not fit is
-// counted. Written once for both backends.
+// The detection operators in given capacities, which do not synchronise: rows beyond a capacity are counted. Written
+// once for both backends.
 #pragma once
 
 #include <tuple>
@@ -13,7 +13,7 @@ namespace pgccd::bind {
 
 template <class Backend>
 struct PaddedOps {
-  // Columns of contacts, with body pairs (rows, 2) first; and all counts.
+  // Columns of contacts, body pairs (rows, 2) first; and all counts.
   using Found = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
   static std::tuple<Tensor, Tensor> pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
@@ -89,7 +89,7 @@ struct PaddedOps {
                     {min_separation, tolerance, nonzero_toi}, report, capacity);
   }
 
-  // Of each pair only the first toi, to which that of its owners is lowered.
+  // Lowers the first toi of the owners of each pair; computes no other column.
   static Tensor lower_first_toi_rigid(Tensor first, const Tensor& owners, const std::vector<Tensor>& mesh_set,
                                       const std::vector<Tensor>& bodies, bool linear_path, const Tensor& pairs,
                                       const Tensor& pair_counts, double min_separation, double tolerance,
@@ -108,7 +108,7 @@ struct PaddedOps {
   }
 
  private:
-  // Of the pairs, without capacities and counts.
+  // The search of these pairs, without capacities and counts.
   static ContactSearch search_of(const Tensor& pairs, const Tensor& pair_counts, const NarrowSettings& settings,
                                  Report report) {
     const KeptDistance kept(settings.separation, settings.tolerance);
@@ -123,7 +123,7 @@ struct PaddedOps {
     return search;
   }
 
-  // All counts of a step, those of its pairs first, and `more` numbers handed on after them.
+  // All counts of a step, those of its pairs first, followed by `more_count` values copied from `more`.
   static Tensor begin_counts(const Backend& backend, ContactSearch& search, const Tensor& pairs,
                              const Tensor& pair_counts, const int64_t* more, int64_t more_count) {
     constexpr int64_t kCounts = kPairCounts + int64_t{kTraverseCounts} + int64_t{kContactCounts};
@@ -141,7 +141,7 @@ struct PaddedOps {
     return {capacity[0], capacity[1], capacity[2], capacity[3], capacity[4]};
   }
 
-  // Rows are numbered by 32 bits.
+  // Rows have 32-bit numbers.
   static void check_capacity(const std::vector<int64_t>& capacity, size_t count) {
     STD_TORCH_CHECK(capacity.size() == count, "capacity: expected ", count, " numbers, got ", capacity.size());
     constexpr size_t kWithContacts = 7;
@@ -156,7 +156,7 @@ struct PaddedOps {
   static Found contacts(const Bodies& bodies, const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
                         const NarrowSettings& settings, int64_t report, const std::vector<int64_t>& capacity) {
     check_capacity(capacity, 7);
-    constexpr int64_t kOnlyEarliest = 3;  // the first contacts, of which only the earliest of all is wanted
+    constexpr int64_t kOnlyEarliest = 3;  // first contacts, pruned by the earliest of the scene
     ContactSearch search =
         search_of(pairs, pair_counts, settings,
                   report_of(report == kOnlyEarliest ? static_cast<int64_t>(Report::kFirst) : report));

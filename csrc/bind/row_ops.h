@@ -1,5 +1,5 @@
 // The operators that move rows of columns, written once for both backends. Columns are tensors of any type and width
-// with a row for each body; only their bytes matter.
+// with one row per body, copied as bytes.
 #pragma once
 
 #include "bind/outputs.h"
@@ -9,14 +9,14 @@ namespace pgccd::bind {
 
 using TensorList = std::vector<Tensor>;
 
-// Longer rows could not be counted in 32 bits a tile.
+// Bytes of a tile are counted in 32 bits.
 constexpr int64_t kMostRowBytes = int64_t{1} << 26;
 
 inline bool on_same_device(const Tensor& a, const Tensor& b) {
   return a.is_cuda() == b.is_cuda() && a.get_device_index() == b.get_device_index();
 }
 
-// Layout of columns; those that only describe the layout of others have no `data`.
+// Layout of columns; `data` is null for columns that only describe a layout.
 class ColumnViews {
  public:
   // All on the device of `like`.
@@ -34,7 +34,7 @@ class ColumnViews {
                     kMostRowBytes);
   }
 
-  // Contiguous, with as many rows each, which are counted.
+  // Number of rows; requires contiguous columns of equal length.
   int64_t require_rows() const {
     const int64_t count = columns_.empty() ? 0 : columns_[0].size(0);
     for (size_t k = 0; k < columns_.size(); ++k) {
@@ -59,7 +59,7 @@ class ColumnViews {
   int64_t row_bytes() const { return row_bytes_; }
   const uint8_t* data(size_t k) const { return static_cast<const uint8_t*>(columns_[k].data_ptr()); }
 
-  // Columns of the same kinds with so many rows.
+  // New columns of the same types and widths with `count` rows.
   TensorList new_columns(int64_t count) const {
     TensorList made;
     for (size_t k = 0; k < size(); ++k) {
@@ -78,7 +78,7 @@ class ColumnViews {
   int64_t row_bytes_ = 0;
 };
 
-// Copies of all columns that have bytes; make(k, bytes of a row before column k) says from where to where.
+// Copies of all columns with a nonzero width; make(k, bytes of a row before column k) returns source and target.
 template <class Make>
 std::vector<ColumnCopy> column_copies(const ColumnViews& views, const Make& make) {
   std::vector<ColumnCopy> copies;

@@ -1,6 +1,6 @@
-// That move rows of columns: tensors of any type and width, with as many rows each.
+// Operators that move rows of columns: tensors of any type and width with equal numbers of rows.
 //
-// packed (rows, bytes) u8: a row's bytes in all columns, in their order; rows, removed (rows,) i64
+// packed (rows, bytes) u8: a row's bytes in all columns, in order; rows, removed (rows,) i64
 #include <torch/csrc/stable/library.h>
 
 STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {

@@ -9,12 +9,12 @@
 //                 rotation (N, 3)]
 // deforming bodies = [mesh_index (N,) i32, position_t0, position_t1, radius, vertices_t0 (X, 3), vertices_t1 (X, 3),
 //                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64]
-//                     see core/bodies.h; after either list perhaps margin (N,)
+//                     see core/bodies.h; either list may be followed by margin (N,)
 // All arguments are checked: shapes, dtypes, devices, lengths, and rows that name other rows. On a CPU a wrong one
 // raises an error that names it. On a GPU the host does not wait for checks of values: traversals count no pairs and
-// overflow
-// (`contacts_padded_*`), or raise (`traverse_*`, `narrow_*`, which wait anyway); other launches fail, as torch's own do
-// for an index out of range. The contents of mesh sets and of node blocks are not checked: the package makes them.
+// overflow (`contacts_padded_*`), or raise (`traverse_*`, `narrow_*`, which wait anyway); other launches fail, as
+// torch's own do for an index out of range. The contents of mesh sets and of node blocks are not checked: the package
+// makes them.
 //
 // contact rows = (pair i32, kind i8, features (., 2) i32, status i8, toi f64, coordinates (., 2), point (., 3), normal
 // (., 3))
@@ -26,7 +26,7 @@
 #include "bind/scratch_peak.h"
 
 STABLE_TORCH_LIBRARY(pgccd, library) {
-  // Checks of columns (., width): 0 each number's magnitude, 1 length 1 within the limit, 2 length.
+  // Checks of columns (., width): 0 magnitude of each number, 1 |length - 1| within the limit, 2 length.
   library.def("first_faults(Tensor[] columns, int[] checks, float[] limits) -> Tensor");
   library.def("rotations_between(Tensor orientation_t0, Tensor orientation_t1) -> Tensor");
   library.def(
@@ -40,7 +40,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def(
       "moving_spheres(Tensor[] mesh_set, Tensor[] bodies, bool linear_path) -> (Tensor centre_t0, Tensor centre_t1, "
       "Tensor reach)");
-  // broad_phase: see kernels/broad/broad_phase.h; axis: of a sweep
+  // broad_phase: see kernels/broad/broad_phase.h; axis: used by the sweep only
   library.def(
       "broad_pairs(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, float min_separation, float tolerance, int broad_phase, int axis) -> Tensor");
@@ -60,14 +60,14 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "narrow_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor candidates, "
       "float min_separation, float tolerance, bool nonzero_toi, int report) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor)");
-  // Without waiting for a size: capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h.
+  // Does not synchronise. capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h.
   library.def(
       "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, Tensor? is_invalid, float min_separation, float tolerance, int broad_phase, int[] capacity) "
       "-> (Tensor pairs, Tensor counts)");
-  // Columns of contacts, of which the first is body pairs (., 2) i64; all counts together, and the faults after them.
-  // capacity = [poses, tasks, leaf_pairs, candidates, launches, open, contacts], see kernels/traverse/traverse.h and
-  // kernels/narrow/narrow.h, where the counts are too.
+  // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by the faults. capacity = [poses, tasks,
+  // leaf_pairs, candidates, launches, open, contacts]; capacities and counts: see kernels/traverse/traverse.h and
+  // kernels/narrow/narrow.h.
   library.def(
       "contacts_padded_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_counts, "
       "Tensor faults, "
@@ -77,17 +77,17 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "contacts_padded_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, Tensor faults, "
       "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
-  // All of a step: pairs_padded of the spheres = [position_t0, position_t1, radius], those of the bodies if there are
-  // none (which must then be centred, without margins); and contacts_padded_rigid. Faults of the poses, bodies[1, 2, 4,
-  // 5], are looked for as by first_faults, unless they are given. Where capacity.contacts is -1 there are as many pairs
-  // as are found, but none if these are more than pair_capacity.pairs.
+  // A whole step: pairs_padded of the spheres = [position_t0, position_t1, radius], then contacts_padded_rigid. If
+  // `spheres` is empty, the bodies' own spheres are used; the bodies must then be centred, without margins. The poses,
+  // bodies[1, 2, 4, 5], are checked as by first_faults, unless `faults` is given. If capacity.contacts is -1, all pairs
+  // found are returned, or none if there are more than pair_capacity.pairs.
   library.def(
       "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, Tensor? "
       "mask, "
       "Tensor? world, Tensor? is_static, Tensor? faults, int[] checks, float[] limits, float min_separation, "
       "float tolerance, bool nonzero_toi, int report, int broad_phase, int[] pair_capacity, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
-  // Lowers first (N,) f64 of the owners (P, 2) i64 of each pair; capacity without contacts, counts without faults.
+  // Lowers first (N,) f64 at the owners (P, 2) i64 of each pair; capacity without contacts, counts without faults.
   library.def(
       "lower_first_toi_rigid(Tensor(a!) first, Tensor owners, Tensor[] mesh_set, Tensor[] bodies, bool linear_path, "
       "Tensor pairs, Tensor pair_counts, float min_separation, float tolerance, bool nonzero_toi, int[] capacity) -> "

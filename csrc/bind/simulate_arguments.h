@@ -1,4 +1,4 @@
-// From the simulate operators' arguments to the views their kernels read; shared by the backends.
+// From the arguments of the simulate operators to the views that their kernels read; shared by the backends.
 #pragma once
 
 #include <cstring>
@@ -25,10 +25,10 @@ inline World world_view(const std::vector<int64_t>& integers, const std::vector<
   const auto n = fields_of<WorldIntegers>(integers, "integers");
   const auto s = fields_of<WorldScales>(scales, "scales");
   STD_TORCH_CHECK(n.robot_count > 0 && n.cells_x > 0 && n.cells_y > 0 && n.cells_z > 0,
-                  "integers: expected at least one robot and one cell an axis");
-  // So that products of them do not overflow.
+                  "integers: expected at least one robot and one cell per axis");
+  // So that products do not overflow.
   STD_TORCH_CHECK(larger(larger(n.cells_x, n.cells_y), n.cells_z) <= 1 << 20 && n.robot_count < int64_t{1} << 31,
-                  "integers: expected less than 2^31 robots and at most 2^20 cells an axis");
+                  "integers: expected less than 2^31 robots and at most 2^20 cells per axis");
   STD_TORCH_CHECK(n.pattern == 0 || n.pattern == 1, "integers: unknown movement pattern ", n.pattern);
   return {n.robot_count,
           {n.cells_x, n.cells_y, n.cells_z},

@@ -1,4 +1,4 @@
-// The operators of the nanorobot world, written once for both backends.
+// The operators of the nanorobot simulation, written once for both backends.
 #pragma once
 
 #include "bind/detect_ops.h"
@@ -62,7 +62,7 @@ struct SimulateOps {
     return {position, orientation, velocity, angular_velocity};
   }
 
-  // In place: the step that was planned, unless it is to be discarded.
+  // Applies the planned step in place, unless `discard` is nonzero.
   static void simulate_commit(const TensorList& state, const TensorList& planned, const Tensor& fraction,
                               const Tensor& discard) {
     RobotColumns robots = robot_columns(state);
@@ -107,7 +107,7 @@ struct SimulateOps {
     Backend(first).first_toi(input, data<double>(first));
   }
 
-  // Pairs, what `MovingBodies.tensors` are of their robots, counts.
+  // Pairs, the `MovingBodies.tensors` of their robots, counts.
   using PairsAndMotion = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
   static PairsAndMotion simulate_affected_motion(const TensorList& own, const TensorList& ghosts,

@@ -1,4 +1,4 @@
-// The nanorobot world's operators on the CPU.
+// The operators of the nanorobot simulation on the CPU.
 #include "bind/cpu_executor.h"
 #include "bind/simulate_ops.h"
 #include "kernels/simulate/simulate.h"

@@ -1,4 +1,4 @@
-// The nanorobot world's operators on a CUDA device.
+// The operators of the nanorobot simulation on a CUDA device.
 #if defined(PGCCD_WITH_CUDA)
 
 #include "bind/cuda_backend.h"

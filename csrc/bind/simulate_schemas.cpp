@@ -1,4 +1,4 @@
-// The nanorobot world's operators.
+// The operators of the nanorobot simulation.
 //
 // state = [id (N,) i64, position (N, 3), orientation (N, 4), velocity (N, 3), angular_velocity (N, 3), target (N,) i64,
 //          stay_until (N,) i64], see kernels/simulate/robot.h
@@ -27,7 +27,8 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "mesh_radius, int capacity) -> (Tensor affected, Tensor mesh_index, Tensor position_t0, Tensor position_t1, "
       "Tensor "
       "radius, Tensor orientation, Tensor rotation, Tensor counts)");
-  // Robots, hash of contacts, hash of states, robots that stopped, contacts at the start, hash of ids.
+  // Number of robots, hash of contacts, hash of states, number of robots that stopped, number of contacts at the start,
+  // hash of ids.
   library.def("simulate_tally(Tensor[] state, Tensor fraction, Tensor id, Tensor pairs, Tensor toi) -> Tensor");
   library.def("simulate_hash(Tensor[] columns) -> Tensor");
   library.def("random_uniforms(Tensor id, int seed, int step, int stream) -> Tensor");

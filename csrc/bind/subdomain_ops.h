@@ -1,4 +1,4 @@
-// The operators by which ranks share bodies out, written once for both backends.
+// The operators that distribute bodies over ranks, written once for both backends.
 #pragma once
 
 #include <numeric>
@@ -10,7 +10,7 @@ namespace pgccd::bind {
 
 constexpr int64_t kMostCells = int64_t{1} << 31;
 
-// frame: lower corner, cells a length unit, number of cells; along x, y, z each. owner: (cells,) int64, the rank of
+// frame: lower corner, cells per length unit, number of cells; each along x, y, z. owner: (cells,) int64, the rank of
 // each; or (planes, 4) float64, see BisectionPlane.
 inline Subdomain subdomain_view(const std::vector<double>& frame, const Tensor& owner, int64_t rank) {
   STD_TORCH_CHECK(frame.size() == 9, "frame: expected 9 numbers, got ", frame.size());

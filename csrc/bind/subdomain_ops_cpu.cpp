@@ -1,4 +1,4 @@
-// Whose cells bodies reach, on the CPU.
+// Ranks whose parts of space bodies reach, on the CPU.
 #include "bind/cpu_executor.h"
 #include "bind/subdomain_ops.h"
 

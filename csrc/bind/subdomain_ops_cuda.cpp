@@ -1,4 +1,4 @@
-// Whose cells bodies reach, on a CUDA device.
+// Ranks whose parts of space bodies reach, on a CUDA device.
 #if defined(PGCCD_WITH_CUDA)
 
 #include "bind/cuda_backend.h"

@@ -1,7 +1,7 @@
-// By which ranks share bodies out.
+// Operators that distribute bodies over ranks.
 //
 // centres, ghosts = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
-// frame = lower corner, cells a length unit, number of cells; along x, y, z each; owner (cells,) i64, or (planes, 4)
+// frame = lower corner, cells per length unit, number of cells; each along x, y, z; owner (cells,) i64, or (planes, 4)
 // f64
 #include <torch/csrc/stable/library.h>
 

@@ -33,7 +33,7 @@ std::tuple<Tensor, Tensor> voxels_touched(const TensorList& mesh_set, const Tens
   return *out;
 }
 
-// Voxel coordinates are looked up as bits of a key.
+// Voxel coordinates are packed into a key.
 const Voxel* voxel_rows(const Tensor& voxels, int64_t count) {
   const Voxel* view = rows<int32_t, Voxel>(voxels, "voxels", {count, 3});
   const auto is_sound = [](int32_t place) { return place > -kVoxelLimit && place < kVoxelLimit; };

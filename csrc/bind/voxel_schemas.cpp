@@ -1,4 +1,4 @@
-// The voxel-based baseline.
+// Operators of the voxel-based baseline.
 #include <torch/csrc/stable/library.h>
 
 STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {

@@ -1,4 +1,4 @@
-// Bits of integers: the standard library's functions are not translated by every device compiler.
+// Bit operations on integers: not every device compiler supports those of the standard library.
 #pragma once
 
 #include <bit>
@@ -8,7 +8,7 @@
 
 namespace pgccd {
 
-// Of the smallest field that holds x; 0 for 0.
+// Number of bits needed for x; 0 for 0.
 PGCCD_HD int bit_width(uint64_t x) {
 #if defined(__CUDA_ARCH__)
   return 64 - __clzll(static_cast<long long>(x));
@@ -17,7 +17,7 @@ PGCCD_HD int bit_width(uint64_t x) {
 #endif
 }
 
-// Position of the lowest bit of x, which is not 0.
+// Position of the lowest set bit of x, which must not be 0.
 PGCCD_HD int lowest_bit(uint64_t x) {
 #if defined(__CUDA_ARCH__)
   return __ffsll(static_cast<long long>(x)) - 1;

@@ -1,6 +1,6 @@
-// Where bodies are during one step. Two models, one interface: a body's reference point (the origin of a rigid body,
-// the SBV centre of a deforming one) moves on the straight line from position_t0 to position_t1; around it, a point has
-// an offset that turns at a constant rate (rigid arcs) or is the blend of two end offsets (linear paths).
+// Motion of bodies during one step. Two models with one interface: a body's reference point (the origin of a rigid
+// body, the SBV centre of a deforming one) moves on the straight line from position_t0 to position_t1; a point's offset
+// from it rotates at a constant rate (rigid arcs) or is the interpolation of two end offsets (linear paths).
 #pragma once
 
 #include <cstdint>
@@ -16,7 +16,7 @@ struct BodyCentres {
   const double* position_t1;       // (bodies, 3), world
   const double* radius;            // (bodies,) SBV radius
   int64_t count;                   // bodies
-  const double* margin = nullptr;  // (bodies,) thickness, or null: none
+  const double* margin = nullptr;  // (bodies,) thickness, or null for none
 };
 
 struct RigidBodies {
@@ -25,10 +25,10 @@ struct RigidBodies {
   BodyCentres centres;
   const double* orientation;  // (bodies, 4) unit quaternions at t0
   const double* rotation;     // (bodies, 3) rotation vector of the step, world frame, radians
-  bool linear_path;           // vertices on straight lines between their end positions instead of arcs
+  bool linear_path;           // vertices move on straight lines instead of arcs
 };
 
-// Every body brings its own vertices and hierarchy volumes: rows of body b start at vertex_begin[b] and block_begin[b].
+// Every body has its own vertices and node volumes: rows of body b start at vertex_begin[b] and block_begin[b].
 struct DeformingBodies {
   MeshSetView meshes;  // topology; `vertices` and `node_blocks` are not read
   const int32_t* mesh_index;
@@ -43,14 +43,14 @@ struct DeformingBodies {
   int64_t block_count;          // of all bodies
 };
 
-// Is that a body, whose mesh and rows are there? The mesh set itself is taken as it was made.
+// True if the body exists and its mesh and rows are in range. The mesh set itself is not checked.
 PGCCD_HD bool is_within(int64_t row, int64_t count) { return row >= 0 && row < count; }
 template <class Bodies>
 PGCCD_HD bool names_mesh(const Bodies& bodies, int64_t body) {
   return is_within(body, bodies.centres.count) && is_within(bodies.mesh_index[body], bodies.meshes.mesh_count);
 }
 PGCCD_HD bool is_sound(const RigidBodies& bodies, int64_t body) { return names_mesh(bodies, body); }
-// Rows [begin, begin + size) of `count`.
+// True if rows [begin, begin + size) are within `count`.
 PGCCD_HD bool are_within(int64_t begin, int64_t size, int64_t count) { return begin >= 0 && begin <= count - size; }
 PGCCD_HD bool is_sound(const DeformingBodies& bodies, int64_t body) {
   if (!names_mesh(bodies, body)) return false;
@@ -64,13 +64,14 @@ PGCCD_HD double pair_tolerance(const BodyCentres& centres, int64_t i, int64_t j,
   return tolerance < 0.0 ? -tolerance * smaller(centres.radius[i], centres.radius[j]) : tolerance;
 }
 
-// What counts as touching for a pair, rounded up so that nothing is missed. A body and itself: twice its margin.
+// The separation of a pair including margins, rounded up so that no contact is missed. For a body and itself, twice its
+// margin.
 PGCCD_HD double pair_separation(const BodyCentres& centres, int64_t i, int64_t j, double separation) {
   if (centres.margin == nullptr) return separation;
   return add_up(separation, add_up(centres.margin[i], centres.margin[j]));
 }
 
-// Offset of body j's reference point from body i's: exact up to one rounding each, however far the pair is from the
+// Offset of body j's reference point from body i's: one rounding per coordinate, however far the pair is from the
 // world's origin.
 struct RelativeCentre {
   Vec3<double> at_t0;

@@ -6,7 +6,8 @@
 
 namespace pgccd {
 
-// How many of [0, count) fulfil a condition that none does after the first that does not.
+// Number of leading items of [0, count) that fulfil a condition that is false for all items after the first for which
+// it is false.
 template <class Condition>
 PGCCD_HD int64_t count_leading(int64_t count, const Condition& condition) {
   int64_t begin = 0;

@@ -1,4 +1,4 @@
-// How devices count what may not fit.
+// Counters of lists with a capacity.
 #pragma once
 
 #include <cstdint>
@@ -7,19 +7,19 @@
 
 namespace pgccd {
 
-// Lists have fewer than 2^31 rows, but what would have been put into them is counted on: there may be any number of it.
-// 64 bits: a 32-bit count could wrap around and seem to fit.
-using Counter = unsigned long long;  // the name that device atomics know
+// Lists have fewer than 2^31 rows, but rows beyond the capacity are counted without limit. 64 bits: a 32-bit count
+// could wrap around and appear to fit.
+using Counter = unsigned long long;  // the type of device atomics
 
-constexpr int64_t kMostRows = 0x7fffff00;  // so that the sum of a row and a launch's threads has 32 bits
+constexpr int64_t kMostRows = 0x7fffff00;  // so that the sum of a row and a launch's threads fits 32 bits
 
-// Is `at`, returned by a counter, a valid place of a list of that capacity?
+// True if `at`, returned by a counter, is a valid index of a list with this capacity.
 PGCCD_HD bool has_place(Counter at, int64_t capacity) { return at < static_cast<Counter>(capacity); }
 
-// Did everything that was counted fit?
+// True if all counted rows fit.
 PGCCD_HD bool fits(Counter count, int64_t capacity) { return count <= static_cast<Counter>(capacity); }
 
-// A requested number of rows, clamped to what can be numbered.
+// A requested number of rows, clamped to [0, kMostRows].
 PGCCD_HD uint32_t rows_of(int64_t wanted) {
   return static_cast<uint32_t>(wanted < 0 ? 0 : (wanted < kMostRows ? wanted : kMostRows));
 }

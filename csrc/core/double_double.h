@@ -11,7 +11,7 @@
 namespace pgccd {
 
 struct DoubleDouble {
-  double high, low;  // high is their sum, rounded
+  double high, low;  // high is the rounded sum
 
   DoubleDouble() = default;
   PGCCD_HD constexpr DoubleDouble(double x) : high(x), low(0.0) {}
@@ -28,7 +28,7 @@ PGCCD_HD DoubleDouble two_sum(double a, double b) {
   const double b_part = sum - a;
   return {sum, (a - (sum - b_part)) + (b - b_part)};
 }
-// The same where |a| >= |b|.
+// As two_sum, for |a| >= |b|.
 PGCCD_HD DoubleDouble ordered_two_sum(double a, double b) {
   const double sum = a + b;
   return {sum, b - (sum - a)};

@@ -1,8 +1,8 @@
-// Do a few fixed directions show that two primitives stay apart while they move straight? In float, with its rounding
-// allowed for; on the host, eight pairs at a time. Most of the pairs that overlapping bounds propose end here.
+// A test whether a few directions show that two primitives stay apart on straight paths. In float32, rounding included;
+// on the host, eight pairs at a time. It rejects most of the pairs with overlapping bounds.
 //
-// The first directions are guesses. Then Frank & Wolfe (1956): steps towards the point nearest to the origin of the
-// hull of all differences of two corners at both ends, along the direction to the point reached so far.
+// The first directions are fixed. Then a search by Frank & Wolfe (1956): steps towards the point nearest to the origin
+// in the convex hull of all differences of two corners, at both ends; each direction is that of the current point.
 #pragma once
 
 #include <bit>
@@ -22,7 +22,7 @@ PGCCD_HD T largest_coordinate(Vec3<T> v) {
   return larger(larger(larger(v.x, -v.x), larger(v.y, -v.y)), larger(v.z, -v.z));
 }
 
-// Sum of magnitudes: at least the length.
+// Sum of magnitudes: an upper bound of the length.
 template <class T>
 PGCCD_HD T length_bound(Vec3<T> v) {
   return (larger(v.x, -v.x) + larger(v.y, -v.y)) + larger(v.z, -v.z);
@@ -36,7 +36,7 @@ PGCCD_HD T sum_of_coordinates(const FeaturePair<T>& p) {
 
 template <class T>
 struct Gaps {
-  T ahead, behind;  // the least of direction . (second - first) over all pairs of corners, and of the reverse
+  T ahead, behind;  // minimum of direction . (second - first) over all pairs of corners, and of the reverse
 };
 
 template <class T>
@@ -47,7 +47,7 @@ PGCCD_HD Gaps<T> gaps(const FeaturePair<T>& p, Vec3<T> direction, bool is_edge_e
   return {r + smaller(smaller(a, b), zero), -(r + larger(larger(a, b), zero))};
 }
 
-// From the middle of the first primitive to the middle of the second, times 2 or 3.
+// Vector from the midpoint of the first primitive to that of the second, times 2 or 3.
 template <class T>
 PGCCD_HD Vec3<T> between_middles(const FeaturePair<T>& p, bool is_edge_edge) {
   return is_edge_edge ? 2.0f * p.r + (p.b - p.a) : 3.0f * p.r + (p.a + p.b);
@@ -126,8 +126,8 @@ class CornerDifferences {
 
 }  // namespace fixed_directions_detail
 
-// True where the primitives certainly stay further apart than `distance`; T is float or lanes of it. The gap along a
-// fixed direction is concave in time, so both ends of the step decide.
+// True if the primitives certainly stay further apart than `distance`; T is float or lanes of it. The gap along a fixed
+// direction is concave in time, so it suffices to test both ends of the step.
 template <class T>
 PGCCD_HD auto stays_apart(const FeaturePair<T>& start, const FeaturePair<T>& end, float distance, bool is_edge_edge) {
   using namespace fixed_directions_detail;

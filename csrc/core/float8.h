@@ -1,5 +1,5 @@
-// Eight floats at a time, on the host: one of the compiler's vector types, with the operations on numbers of
-// core/scalar.h. Templates written for a plain float take it too, lane by lane with the same bits.
+// Eight floats at a time, on the host: a compiler vector type with the operations of core/scalar.h. Templates written
+// for float accept it, with the same bits in each lane.
 #pragma once
 
 #include <cstdint>

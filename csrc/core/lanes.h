@@ -1,4 +1,4 @@
-// Loading lanes, and asking about all of them. Devices run the versions for a plain float.
+// Loading of lanes, and reductions over them. Devices use the versions for float.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,6 @@
-// Read-only views of meshes that bodies share. Rows of all meshes concatenated; indices are local to a mesh. The body
-// frame has its origin where the mesh's is; what is in float32 is relative to the SBV centre instead, so that it keeps
-// its digits however far that is from the origin.
+// Read-only views of the meshes that bodies share. Rows of all meshes are concatenated; indices are local to a mesh.
+// The body frame has its origin at the mesh's origin; float32 data are relative to the SBV centre instead, to preserve
+// precision however far that is from the origin.
 #pragma once
 
 #include <cstdint>
@@ -24,9 +24,9 @@ struct Triangle {
 // children.
 constexpr int kBlockWidth = 8;
 
-// What bounds all vertices of each node's triangles: a sphere, and a slab low <= normal . (vertex - centre) <= high
-// about the same centre. Neighbouring triangles of a surface make a thin slab, and two surfaces that face each other
-// are told apart by it. Empty slots hold NaN: what has such a radius meets nothing.
+// Bounds of all vertices of each node's triangles: a sphere, and a slab low <= normal . (vertex - centre) <= high about
+// the same centre. Neighbouring triangles of a surface have a thin slab, which separates two surfaces that face each
+// other. Empty slots hold NaN, with which nothing overlaps.
 struct NodeBlock {
   float x[kBlockWidth], y[kBlockWidth], z[kBlockWidth], radius[kBlockWidth];
   float normal_x[kBlockWidth], normal_y[kBlockWidth], normal_z[kBlockWidth];  // unit, to within float32 rounding
@@ -52,7 +52,7 @@ struct MeshOffsets {
 };
 
 // Corners of the triangles in float32, as nine columns (corner 0 x, y, z, corner 1 x, ...) of `stride` values, so that
-// eight neighbouring triangles load as lanes; the columns are padded to allow that at their end.
+// eight neighbouring triangles load as lanes; the columns are padded at their end for that.
 struct CornerColumns {
   const float* first;
   int64_t stride;
@@ -67,18 +67,17 @@ struct MeshSetView {
   const NodeLink* node_links;    // (blocks, 8)
   const LeafPoints* leaf_points;
   CornerColumns corners;       // (9, stride), column entries in the order of `triangles`
-  const MeshOffsets* offsets;  // (meshes + 1): the next row ends a mesh's rows
+  const MeshOffsets* offsets;  // (meshes + 1): the next row is the end of a mesh's rows
   int64_t mesh_count;
-  // Both null where the SBV centre of every mesh is its origin.
+  // Both null if the SBV centre of every mesh is its origin.
   const double* centres;  // (meshes, 3) SBV centres, body frame
-  const double* reaches;  // (meshes,) no vertex is further from the origin; the SBV radius where the centre is there
+  const double* reaches;  // (meshes,) bound of the vertices' distance from the origin; the radius if centred
 };
 
-// Triangles a leaf holds at most: as many as there are lanes.
+// Maximum number of triangles per leaf: the number of lanes.
 constexpr int kMaxLeafTriangles = 8;
 
-// The hierarchy builder keeps every path from the root within this many nodes, so a fixed traversal stack cannot
-// overflow.
+// The hierarchy builder limits every path from the root to this many nodes, so a fixed traversal stack cannot overflow.
 constexpr int kMaxTreeDepth = 48;
 
 }  // namespace pgccd

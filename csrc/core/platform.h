@@ -1,7 +1,7 @@
-// Marks code that both the host compiler and nvcc translate, so that one source yields both backends.
+// Macros for code compiled by both the host compiler and nvcc.
 #pragma once
 
-// PGCCD_HD: inlined. PGCCD_HD_RARE: for templates that are rare and large, kept out of the code that calls them.
+// PGCCD_HD: inlined. PGCCD_HD_RARE: not inlined, for large, rarely executed templates.
 #if defined(__CUDACC__)
 #define PGCCD_HD __host__ __device__ __forceinline__
 #define PGCCD_HD_RARE __host__ __device__ __noinline__
@@ -10,7 +10,7 @@
 #define PGCCD_HD_RARE [[gnu::noinline]]
 #endif
 
-// Before a loop with a long body, not to be unrolled on devices: their instruction caches are small.
+// Placed before a loop with a long body to prevent unrolling on devices, whose instruction caches are small.
 #if defined(__CUDA_ARCH__)
 #define PGCCD_KEEP_LOOP _Pragma("unroll 1")
 #define PGCCD_UNROLL _Pragma("unroll")

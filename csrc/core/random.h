@@ -1,4 +1,4 @@
-// Counter-based random numbers: a pure function of a key and a counter, so that a body draws the same numbers on every
+// Counter-based random numbers: a pure function of a key and a counter, so that a body's numbers are the same on every
 // device, thread and rank. Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011, doi:10.1145/2063384.2063405).
 #pragma once
 
@@ -34,7 +34,7 @@ PGCCD_HD RandomBits random_bits(uint64_t seed, RandomCounter counter) {
 }
 
 struct Uniforms {
-  double u[4];  // in (0, 1), multiples of 2^-33
+  double u[4];  // in (0, 1), odd multiples of 2^-33
 };
 
 PGCCD_HD Uniforms random_uniforms(uint64_t seed, RandomCounter counter) {

@@ -43,8 +43,8 @@ PGCCD_HD Quaternion exponential(Vec3<double> rotation) {
   return {half.cosine, (half.sine / angle) * rotation};
 }
 
-// World-frame rotation vector of the turn from q0 to q1, the shorter way; at exactly half a turn, about the vector part
-// of q1 * conj(q0) as computed.
+// World-frame rotation vector from q0 to q1, the shorter way; at exactly half a turn, about the vector part of q1 *
+// conj(q0) as computed.
 PGCCD_HD Vec3<double> rotation_between(Quaternion q0, Quaternion q1) {
   Quaternion turn = normalized(q1) * conjugate(normalized(q0));
   if (turn.w < 0.0) turn = {-turn.w, -turn.v};

@@ -9,8 +9,8 @@
 
 namespace pgccd {
 
-// `unit`: relative rounding of one operation. `smallest_square`: sums of squares above it are as accurate as that,
-// since what underflowed in them is far below one rounding.
+// `unit`: relative rounding error of one operation. `smallest_square`: sums of squares above it have that accuracy,
+// since terms that underflow are far below one rounding.
 template <class T>
 struct Precision;
 template <>
@@ -29,14 +29,14 @@ struct Precision<DoubleDouble> {
   static constexpr double smallest_square = 0x1p-900;
 };
 
-// Computed offsets of mesh points from their body's centre differ from the exact path by at most this many units of the
-// SBV radius: rotation matrix of a quaternion (8 units an entry), one product (5), axis (3), two cross products and the
-// Rodrigues sum (60 in all at worst, versine <= 2), sine and versine (4 each), and a rotation vector taken from two
-// orientations (16). Another 36 cover arcs whose radius is computed 18 units too small: they stray from their chords by
-// twice their radius at most.
+// Error bound of computed offsets of mesh points from their body's origin, in units of the mesh's reach: rotation
+// matrix of a quaternion (8 units an entry), one product (5), axis (3), two cross products and the Rodrigues sum (at
+// most 60, versine <= 2), sine and versine (4 each), and a rotation vector computed from two orientations (16). Another
+// 36 cover arcs whose radius is computed 18 units too small: they deviate from their chords by at most twice their
+// radius.
 constexpr double kRigidPointUnits = 256.0;
 
-// Largest power of two not above 1 / x, for x > 0: scaling by it is exact.
+// Largest power of two not above 1 / x, for x > 0; scaling by it is exact.
 PGCCD_HD double inverse_power_of_two(double x) {
   int exponent = 0;
   std::frexp(x, &exponent);
@@ -58,7 +58,7 @@ PGCCD_HD DoubleDouble add_down(DoubleDouble a, DoubleDouble b) {
 
 PGCCD_HD double add_up(double a, double b) { return -add_down(-a, -b); }
 
-// The number of another kind that is next to x, from below or above; x itself where the kind is a finer one.
+// x rounded down or up to another type; x itself for a type of higher precision.
 template <class To>
 PGCCD_HD To round_down(double x) {
   if constexpr (!std::is_same_v<To, float>) return To(x);

@@ -1,6 +1,6 @@
-// Own sine, cosine and arctangent: the C and CUDA libraries differ in the last bit, which would break equality between
-// CPU and GPU. Plain polynomials (Taylor, coefficients exact reciprocal factorials) after a three-part Cody & Waite
-// 1980 reduction. Absolute error below 2 units of 2^-53 for |angle| <= 1e6 (tests compare with mpmath).
+// Sine, cosine and arctangent, since the C and CUDA libraries differ in the last bit, which would break equality
+// between CPU and GPU. Polynomials (Taylor, coefficients exact reciprocal factorials) after a three-part Cody & Waite
+// 1980 reduction. Absolute error below 2 units of 2^-53 for |angle| <= 1e6 (tested against mpmath).
 #pragma once
 
 #include <cmath>
@@ -59,8 +59,8 @@ PGCCD_HD SineCosine sine_cosine(double angle) {
   }
 }
 
-// Angle in [0, pi/2] of the point (x, y), x >= 0, y >= 0, not both zero. A coarse start, then two steps of
-// angle += (y cos - x sin) / r, whose error is cubed each time (4e-3 -> 1e-8 -> 1e-24).
+// Angle in [0, pi/2] of the point (x, y), x >= 0, y >= 0, not both zero. An initial approximation, then two steps of
+// angle += (y cos - x sin) / r, each of which cubes the error (4e-3 -> 1e-8 -> 1e-24).
 PGCCD_HD double first_quadrant_angle(double y, double x) {
   constexpr double quarter_pi = 0x1.921fb54442d18p-1;
   const bool steep = y > x;

@@ -1,4 +1,4 @@
-// Three-component vectors and 3 x 3 matrices. Evaluation order is part of the contract: the same bits on every backend.
+// Three-component vectors and 3 x 3 matrices. The order of evaluation is fixed, for equal bits on every backend.
 #pragma once
 
 #include <type_traits>
@@ -28,7 +28,7 @@ template <class T>
 PGCCD_HD Vec3<T> operator*(T s, Vec3<T> a) {
   return {s * a.x, s * a.y, s * a.z};
 }
-// Scaling lanes of vectors by one number.
+// Scales lanes of vectors by one number.
 template <class T, class S>
   requires(!std::is_same_v<T, S>)
 PGCCD_HD Vec3<T> operator*(S s, Vec3<T> a) {

@@ -1,4 +1,4 @@
-// The counts of a padded step start with those of the stage before it.
+// Initialises the counts of a padded step with those of the previous stage.
 #pragma once
 
 #include <cstdint>
@@ -7,14 +7,14 @@ namespace pgccd {
 
 struct DeviceContext;
 
-// `count` numbers on their way within a device.
+// A copy of `count` values within a device.
 struct CountSpan {
   const int64_t* from;
   int64_t count;
   int64_t* to;
 };
 
-// Copies both and notes the time.
+// Copies both spans and records the time.
 void begin_counts_cuda(const DeviceContext& context, const CountSpan& first, const CountSpan& second, int64_t* time);
 
 }  // namespace pgccd

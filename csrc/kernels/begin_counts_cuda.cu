@@ -4,7 +4,7 @@
 namespace pgccd {
 
 void begin_counts_cuda(const DeviceContext& context, const CountSpan& first, const CountSpan& second, int64_t* time) {
-  // One launch: a copy of its own takes the host as long.
+  // A single launch: a separate copy would take the host as long.
   for_each_item(context, first.count + second.count + 1, [=] __device__(int64_t k) {
     if (k == 0) *time = nanoseconds();
     if (k < first.count) first.to[k] = first.from[k];

@@ -1,4 +1,4 @@
-// What CUDA launches share: every call's result checked, one stream, few waits.
+// Utilities of CUDA launches: checked calls, one stream, few synchronisations.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -13,7 +13,7 @@
 #include "core/scalar.h"
 #include "kernels/device_context.h"
 
-#if defined(NDEBUG)  // else <cassert> declares it
+#if defined(NDEBUG)  // otherwise declared by <cassert>
 extern "C" {
 #if defined(__CUDA_ARCH__)
 __host__ __device__
@@ -31,12 +31,12 @@ inline void check_cuda(cudaError_t result, const char* what) {
 
 template <class T>
 void copy(const DeviceContext& context, const T* source, int64_t count, T* target) {
-  if (count == 0) return;  // no node of a CUDA graph
+  if (count == 0) return;  // adds no node to a CUDA graph
   check_cuda(cudaMemcpyAsync(target, source, count * sizeof(T), cudaMemcpyDeviceToDevice, context.stream),
              "cudaMemcpyAsync");
 }
 
-// Waits for the stream: only where a size must be known on the host.
+// Reads a value. Synchronises the stream: only for sizes needed on the host.
 template <class T>
 T read(const DeviceContext& context, const T* source) {
   T value;
@@ -45,7 +45,7 @@ T read(const DeviceContext& context, const T* source) {
   return value;
 }
 
-// cub's two-call protocol: ask for the scratch size, then run.
+// cub's two-call protocol: query the scratch size, then run.
 template <class Call>
 void run_cub(const DeviceContext& context, Call&& call) {
   size_t bytes = 0;
@@ -54,8 +54,8 @@ void run_cub(const DeviceContext& context, Call&& call) {
   check_cuda(call(scratch, bytes), "cub");
 }
 
-// An assertion that stays in release builds, for indices that the host never reads: the launch fails, as torch's
-// own do, before anything is read by them.
+// An assertion that stays in release builds, for indices that the host never reads: the kernel fails, as torch's own
+// do, before it reads through them.
 __device__ inline void require_on_device(bool is_so, const char* what) {
   if (!is_so) __assert_fail(what, __FILE__, __LINE__, "pgccd");
 }
@@ -93,7 +93,7 @@ void fill_bytes(const DeviceContext& context, T* target, int value, int64_t coun
   // In a CUDA graph a small memset takes 7 us, a kernel less than 2.
   constexpr int64_t kFewBytes = 4096;
   const int64_t bytes = count * static_cast<int64_t>(sizeof(T));
-  if (bytes == 0) return;  // no node of a CUDA graph
+  if (bytes == 0) return;  // adds no node to a CUDA graph
   if constexpr (sizeof(T) % sizeof(uint32_t) == 0 && alignof(T) % alignof(uint32_t) == 0) {
     if (bytes <= kFewBytes) {
       auto* const words = reinterpret_cast<uint32_t*>(target);
@@ -118,10 +118,10 @@ inline int resident_blocks(int blocks_a_multiprocessor) {
   return multiprocessors * blocks_a_multiprocessor;
 }
 
-// As many blocks as the device holds at once; for kernels that find out on the device how much there is to do.
+// The number of blocks that the device holds at once; for kernels whose amount of work is only known on the device.
 template <class Kernel>
 int resident_blocks_of(Kernel kernel, int block_threads = kBlockThreads) {
-  // The driver takes longer to find out than to launch.
+  // Cached: the query takes longer than a launch.
   thread_local std::map<std::pair<Kernel, int>, int> known;
   int& found = known[{kernel, current_device()}];
   if (found > 0) return found;
@@ -142,7 +142,7 @@ __global__ void __launch_bounds__(kBlockThreads) for_each_counted_kernel(const C
 
 }  // namespace device_detail
 
-// Runs fn(item) for every item in [0, *count), a count in device memory, but for no more than `most`.
+// Runs fn(item) for every item in [0, *count), a count in device memory, but at most `most` items.
 template <class Count, class Fn>
 void for_each_counted(const DeviceContext& context, const Count* count, int64_t most, Fn fn) {
   if (most <= 0) return;
@@ -158,12 +158,13 @@ __device__ inline int64_t nanoseconds() {
   return now;
 }
 
-// Notes when the stream has come here.
+// Records the time at this point of the stream.
 inline void note_time(const DeviceContext& context, int64_t* time) {
   for_each_item(context, 1, [=] __device__(int64_t) { *time = nanoseconds(); });
 }
 
-// Whether all other blocks of the launch have come here too. For one thread of each, after the block's last barrier.
+// Whether all other blocks of the launch have also called this. Called by one thread of each block, after its last
+// barrier.
 __device__ inline bool is_last_block(uint32_t* blocks_done) {
   __threadfence();
   return atomicAdd(blocks_done, 1u) + 1 == gridDim.x;
@@ -171,7 +172,7 @@ __device__ inline bool is_last_block(uint32_t* blocks_done) {
 
 __device__ inline uint32_t lanes_below(int lane) { return (1u << lane) - 1u; }
 
-// Threads of a warp that append to one list share one atomic. Returns this thread's position.
+// Threads of a warp that append to one list share one atomic. Returns this thread's index.
 template <class Count>
 __device__ Count warp_append(Count* counter, uint32_t count) {
   const unsigned active = __activemask();

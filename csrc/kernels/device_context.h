@@ -1,4 +1,4 @@
-// What the caller lends to a CUDA kernel: its stream, and memory. No CUDA header, so that the binding needs none.
+// Resources of CUDA kernels provided by the caller: stream and memory. No CUDA header, so that the binding needs none.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +7,7 @@ struct CUstream_st;  // what cudaStream_t points to
 
 namespace pgccd {
 
-// Device memory that lives until the operator's work on the stream is done. The binding takes it from torch's
+// Device memory that is valid until the operator's work on the stream is done. The binding implements it by torch's
 // allocator.
 class DeviceMemory {
  public:

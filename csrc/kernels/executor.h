@@ -1,4 +1,4 @@
-// How CPU kernels get their threads. The kernels know no threading library; the binding lends them torch's pool.
+// Threads of CPU kernels. The kernels depend on no threading library; the binding provides torch's pool.
 #pragma once
 
 #include <algorithm>
@@ -14,13 +14,13 @@ class Executor {
  public:
   virtual ~Executor() = default;
   virtual int worker_count() const = 0;
-  // Calls work(worker) once for every worker in [0, workers), workers <= worker_count(), perhaps concurrently; returns
+  // Calls work(worker) once for every worker in [0, workers), workers <= worker_count(), possibly concurrently; returns
   // when all are done.
   virtual void run(int workers, const std::function<void(int)>& work) const = 0;
 };
 
-// Calls fn(worker, begin, end) on chunks of [0, count). Workers draw the next chunk when they are free, so items may
-// differ in cost by orders of magnitude. Which worker gets which chunk must not matter to the caller.
+// Calls fn(worker, begin, end) on chunks of [0, count). Workers take the next chunk when they are free, so items may
+// differ in cost by orders of magnitude. The assignment of chunks to workers is not specified.
 template <class Fn>
 void parallel_chunks(const Executor& executor, int64_t count, int64_t grain, Fn&& fn) {
   if (count <= 0) return;
@@ -34,7 +34,7 @@ void parallel_chunks(const Executor& executor, int64_t count, int64_t grain, Fn&
   });
 }
 
-// Throws an error that names the argument and its first row for which `is_sound` is false.
+// Throws an error that names the argument and the first row for which `is_sound` is false.
 template <class IsSound>
 void require_rows(const Executor& executor, int64_t count, const char* name, const char* expected, IsSound&& is_sound) {
   std::atomic<int64_t> first{count};
@@ -52,7 +52,7 @@ void require_rows(const Executor& executor, int64_t count, const char* name, con
                               expected);
 }
 
-// Adds to a counter that other workers may add to at the same time, unless there are none; returns what it was.
+// Adds to a counter, atomically unless `alone`; returns its previous value.
 template <class T>
 T add_shared(T& counter, T amount, bool alone) {
   if (!alone) return std::atomic_ref<T>(counter).fetch_add(amount, std::memory_order_relaxed);

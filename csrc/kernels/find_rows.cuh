@@ -1,4 +1,4 @@
-// Rows that fulfil a condition, in order, their number left on the device.
+// Rows that fulfil a condition, in order, with their number on the device.
 #pragma once
 
 #include <thrust/iterator/counting_iterator.h>
@@ -9,7 +9,7 @@
 
 namespace pgccd {
 
-// rows (count,): those found come first; found (1,) is their number.
+// rows (count,): the rows found come first; found (1,) is their number.
 template <class IsWanted>
 void find_rows(const DeviceContext& context, int64_t count, int64_t* rows, int64_t* found, const IsWanted& is_wanted) {
   if (count == 0) return fill_bytes(context, found, 0, 1);

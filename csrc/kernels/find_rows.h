@@ -7,7 +7,7 @@
 
 namespace pgccd {
 
-// rows (count,): those found come first; found (1,) is their number.
+// rows (count,): the rows found come first; found (1,) is their number.
 template <class IsWanted>
 void find_rows(const Executor& executor, int64_t count, int64_t* rows, int64_t* found, IsWanted&& is_wanted) {
   std::vector<uint8_t> wanted(static_cast<size_t>(count));

@@ -1,19 +1,19 @@
-// Body pairs in a buffer of fixed capacity; their number stays on the device.
+// Body pairs in a buffer of fixed capacity; their number is on the device.
 #pragma once
 
 #include <cstdint>
 
 namespace pgccd {
 
-// Capacity of a PCS whose size the host does not wait for.
+// Capacity of a PCS whose size is not read by the host.
 struct PairCapacity {
   int64_t pairs;
-  int64_t overlaps;  // of boxes, which are then looked at more closely
-  bool long_rows;    // may one body have more partners than one thread sorts quickly?
+  int64_t overlaps;  // overlapping boxes, tested by the predicate
+  bool long_rows;    // whether one body may have more partners than one thread sorts
 };
 
-// What a broad phase counted. The first three are the capacities it needed; the number of pairs may be too small where
-// the overlaps did not fit. Times are nanoseconds of the device's clock.
+// Counts of a broad phase. The first three are the capacities needed; the number of pairs may be too small if the
+// overlaps did not fit. Times are nanoseconds of the device's clock.
 enum PairCount : int {
   kPairsNeeded,
   kOverlapsNeeded,
@@ -25,7 +25,7 @@ enum PairCount : int {
   kPairCounts
 };
 
-// Rows after the last pair written are filled with -1.
+// Rows after the last pair are filled with -1.
 struct PaddedPairs {
   PairCapacity capacity;
   int64_t* rows;    // (capacity.pairs, 2)

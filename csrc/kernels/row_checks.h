@@ -1,4 +1,4 @@
-// Rows that name other rows: are those there? What operators are given is looked at before anything is read by it.
+// Validation of rows that index other rows, before they are used.
 #pragma once
 
 #include "core/bodies.h"
@@ -11,7 +11,7 @@ struct NamedPairs {
   int64_t count;
 };
 
-// Does a candidate name a pair, a kind, and features of the pair's bodies?
+// True if a candidate has a valid pair, kind, and features of the pair's bodies.
 template <class Bodies>
 PGCCD_HD bool names_features(const Bodies& bodies, const NamedPairs& pairs, const Candidate& candidate) {
   if (!is_within(candidate.pair, pairs.count)) return false;

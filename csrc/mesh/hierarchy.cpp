@@ -63,7 +63,7 @@ class Builder {
  private:
   struct BinaryNode {
     int32_t begin, end;                          // triangles
-    int32_t child;                               // first of two neighbours, or -1
+    int32_t child;                               // first of two consecutive nodes, or -1
     int32_t first_points = 0, points_count = 0;  // of leaves
     NodeVolume volume{};
   };
@@ -76,8 +76,8 @@ class Builder {
   // A node of the binary tree that has no volume yet.
   struct Task {
     int32_t node, depth;
-    const std::vector<int32_t>* order;  // that its triangles are in
-    std::vector<int32_t> vertices;      // of its parent, ascending
+    const std::vector<int32_t>* order;  // order of its triangles
+    std::vector<int32_t> vertices;      // vertices of its parent, ascending
   };
 
   struct PendingVolume {
@@ -118,7 +118,7 @@ class Builder {
     set_pending_volumes();
   }
 
-  // Each block takes the grandchildren of its largest nodes until it is full.
+  // Each block takes the children of its largest nodes until it is full.
   void fold() {
     struct Task {
       std::vector<int32_t> nodes;  // of the binary tree
@@ -179,10 +179,10 @@ class Builder {
     b.high[slot] = v.high;
   }
 
-  // Below this depth the tree halves: 31-bit counts then need at most kMaxTreeDepth levels in all.
+  // Below this depth nodes are split in the middle: 31-bit counts then need at most kMaxTreeDepth levels in total.
   static constexpr int kFreeDepth = kMaxTreeDepth - 32;
 
-  // Triangles by the middles of their boxes, then by their numbers. Children keep this order.
+  // Sorts triangles by the middles of their boxes, then by index. Children keep this order.
   void sort_along(int axis) {
     std::vector<std::pair<double, int32_t>> keys(faces_.size());
     for (size_t f = 0; f < faces_.size(); ++f) {
@@ -218,7 +218,7 @@ class Builder {
     return best;
   }
 
-  // In each order the left triangles of a node first, then the right ones.
+  // Partitions each order: the left triangles of a node first, then the right ones.
   void partition_orders(int32_t begin, int32_t end, const Split& split) {
     const std::vector<int32_t>& chosen = along_[split.axis];
     for (int32_t k = begin; k < end; ++k) is_left_[chosen[k]] = k < split.middle;
@@ -239,7 +239,7 @@ class Builder {
     }
   }
 
-  // Of the parent's vertices those of the node's own triangles, still ascending.
+  // Keeps the parent's vertices that belong to the node's own triangles, in ascending order.
   void keep_vertices_of_node(Task& task) {
     for (int32_t k = binary_[task.node].begin; k < binary_[task.node].end; ++k) {
       for (const int32_t v : faces_[(*task.order)[k]]) node_of_vertex_[v] = task.node;
@@ -265,7 +265,7 @@ class Builder {
     node.points_count = static_cast<int32_t>(tree_.leaf_points.size()) - node.first_points;
   }
 
-  // Area-weighted mean of the triangles' normals, or any direction where that vanishes.
+  // Area-weighted mean of the triangles' normals, or any direction if it vanishes.
   Vec3<float> mean_normal(const std::vector<int32_t>& order, int32_t begin, int32_t end) const {
     Vec3<double> sum{0.0, 0.0, 0.0};
     for (int32_t k = begin; k < end; ++k) {
@@ -278,7 +278,7 @@ class Builder {
     return length > 0.0 ? cast<float>((1.0 / length) * sum) : Vec3<float>{0.0f, 0.0f, 1.0f};
   }
 
-  // Of a node, which gets it with the next few others, or at the end.
+  // Schedules a node's volume, which is computed together with the next few.
   void add_volume(const Task& task) {
     const int steps = task.vertices.size() > 1000 ? 24 : 96;
     if (pending_count_ == kVolumesAtOnce || (pending_count_ > 0 && steps != steps_)) set_pending_volumes();
@@ -289,10 +289,10 @@ class Builder {
     pending.points.load(vertices_, task.vertices);
   }
 
-  // Several at once: each step waits for the one before it, but not for those of other nodes.
+  // Computes several volumes at once: each step depends on the previous one, but not on those of other nodes.
   void set_pending_volumes() {
-    // Towards the smallest enclosing sphere: step k moves 1/(k+1) of the way to the farthest point (Badoiu & Clarkson
-    // 2003).
+    // Approximates the smallest enclosing sphere: step k moves 1/(k+1) of the way to the farthest point (Badoiu &
+    // Clarkson 2003).
     std::array<Vec3<double>, kVolumesAtOnce> centres;
     for (int k = 0; k < pending_count_; ++k) centres[k] = pending_[k].points.point(0);
     for (int step = 1; step <= steps_; ++step) {
@@ -320,9 +320,9 @@ class Builder {
   const std::vector<Face>& faces_;
   int leaf_size_;
   std::vector<Box> boxes_;
-  std::array<std::vector<int32_t>, 3> along_;  // triangles in order along each axis, within each node
-  std::vector<int32_t> node_of_vertex_;        // that was made last of those with the vertex
-  std::vector<char> is_left_;                  // of each triangle, in the split that is made
+  std::array<std::vector<int32_t>, 3> along_;  // triangles sorted along each axis, within each node
+  std::vector<int32_t> node_of_vertex_;        // latest node made that contains the vertex
+  std::vector<char> is_left_;                  // for each triangle, in the current split
   std::vector<int32_t> right_side_;
   std::vector<double> right_area_;
   std::array<PendingVolume, kVolumesAtOnce> pending_;

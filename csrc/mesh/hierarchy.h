@@ -1,4 +1,4 @@
-// Bounding volume hierarchy of a mesh: a tree of spheres, eight siblings to a block, over its triangles; built once, in
+// Bounding volume hierarchy of a mesh: a tree of spheres in blocks of eight siblings over its triangles; built once, in
 // the body frame.
 #pragma once
 
@@ -18,8 +18,8 @@ struct Hierarchy {
   std::vector<LeafPoints> leaf_points;
 };
 
-// `vertices`: x, y, z rows. Splits where the surface area heuristic (Goldsmith & Salmon 1987) is least; in the middle
-// once the tree grows deep, so that depth stays within kMaxTreeDepth.
+// `vertices`: x, y, z rows. Splits at the minimum of the surface area heuristic (Goldsmith & Salmon 1987); in the
+// middle once the tree is deep, so that its depth stays within kMaxTreeDepth.
 Hierarchy build_hierarchy(const double* vertices, int64_t vertex_count, const std::vector<Face>& faces, int leaf_size);
 
 }  // namespace pgccd

@@ -1,4 +1,4 @@
-// The points of a mesh's node in columns, so that vector units take four at a time.
+// The points of a node in columns, so that vector units process four at a time.
 #pragma once
 
 #include <array>
@@ -11,7 +11,7 @@
 
 namespace pgccd {
 
-// Four numbers at a time; coordinates are the first three. Both g++ and clang++ know these types.
+// Four numbers at a time; the first three lanes hold coordinates. g++ and clang++ support these types.
 using Double4 = double __attribute__((vector_size(32)));
 using Mask4 = int64_t __attribute__((vector_size(32)));
 constexpr int64_t kDoubleLanes = 4;
@@ -35,13 +35,13 @@ class PointColumns {
     }
   }
 
-  // The point farthest from the centre, the first of equally far ones, and its squared distance.
+  // The point farthest from the centre (the first of equal ones), and its squared distance.
   std::pair<double, Vec3<double>> farthest(Vec3<double> centre) const {
     Double4 most{-1.0, -1.0, -1.0, -1.0};
     Mask4 at{0, 0, 0, 0};
     for (int64_t k = 0; k < count_; ++k) {
       const Double4 x = columns_[0][k] - centre.x, y = columns_[1][k] - centre.y, z = columns_[2][k] - centre.z;
-      const Double4 squared = multiply_add(z, z, multiply_add(y, y, x * x));  // rounded as `dot` is
+      const Double4 squared = multiply_add(z, z, multiply_add(y, y, x * x));  // same rounding as `dot`
       const Mask4 is_farther = squared > most;
       most = is_farther ? squared : most;
       at = is_farther ? Mask4{k, k, k, k} : at;
@@ -63,7 +63,7 @@ class PointColumns {
     return {columns_[0][k][lane], columns_[1][k][lane], columns_[2][k][lane]};
   }
 
-  // Least and largest projection of points, relative to the centre, on a direction.
+  // Smallest and largest projection of the points, relative to the centre, on a direction.
   std::pair<double, double> extent(Vec3<double> centre, Vec3<double> direction) const {
     Double4 low{HUGE_VAL, HUGE_VAL, HUGE_VAL, HUGE_VAL}, high = -low;
     const Double4 zero{0.0, 0.0, 0.0, 0.0}, dx = zero + direction.x, dy = zero + direction.y, dz = zero + direction.z;

@@ -5,7 +5,7 @@
 namespace pgccd {
 
 Topology make_topology(const std::vector<Face>& faces) {
-  // Both ends of an edge in one number, which sorts faster than two.
+  // Both ends of an edge in one number, which sorts faster.
   struct HalfEdge {
     uint64_t ends;
     int64_t face;

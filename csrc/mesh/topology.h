@@ -1,4 +1,4 @@
-// What a face list implies: its edges, and which triangle stands for each vertex and edge.
+// Topology of a face list: its edges, and the triangle that represents each vertex and edge.
 #pragma once
 
 #include <array>
@@ -17,8 +17,7 @@ struct Topology {
 
 Topology make_topology(const std::vector<Face>& faces);
 
-// For faces taken in `order`, six bits each: which of its vertices (bits 0-2) and edges (bits 3-5) it is the first to
-// have.
+// For faces in `order`, six bits each: the vertices (bits 0-2) and edges (bits 3-5) for which it is the first face.
 std::vector<int32_t> representatives(const std::vector<Face>& faces, const Topology& topology,
                                      const std::vector<int32_t>& order, int64_t vertex_count);
 

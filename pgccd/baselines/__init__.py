@@ -1,4 +1,4 @@
-"""Systems that pgccd is compared with."""
+"""Baseline systems for comparison."""
 
 from pgccd.baselines.pcccd import PCCCD, VoxelStats
 

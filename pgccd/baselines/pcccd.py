@@ -1,9 +1,9 @@
 """PCCCD: voxel-based parallel collision detection on CPUs, extended to continuous collision detection.
 
 The algorithm of Lawlor & Kale, "A voxel-based parallel collision detection algorithm" (ICS 2002), which Du, Liu &
-Suzumura (2017) compare with under this name: bodies stay on the ranks that brought them; a sparse regular grid of
-voxels carries the work instead. What is different here: boxes are those of triangles' sweeps over a step, and the pairs
-found are solved by pgccd's own certified tests. All voxels' boxes for one rank travel in one message.
+Suzumura (2017) compare with under this name: bodies are not migrated; the voxels of a sparse regular grid distribute
+the work. Differences from the original: boxes enclose triangles swept over a step, pgccd's certified tests solve the
+pairs found, and all boxes for one rank are sent in one message.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from pgccd.runtime.stages import StageClock
 
 _COLUMNS = ("kind", "features", "status", "toi", "coordinates", "point", "normal")
 
-# Of the nanorobots; from 6 to 9 the time is within a tenth of the least, and twice that at 15.
+# For the nanorobots; from 6 to 9 edges the time is within a tenth of the minimum, at 15 twice the minimum.
 _EDGES_A_VOXEL = 8.0
 
 
 @dataclass(frozen=True)
 class VoxelStats:
-    """What one rank did in one call of `PCCCD.detect`."""
+    """Statistics of one rank in one call of `PCCCD.detect`."""
 
-    boxes: int  #: sent, one for each voxel that a triangle's sweep touches
-    voxels: int  #: that live here and had boxes
-    box_pairs: int  #: pairs of triangles' boxes accepted here
-    body_pairs: int  #: they are of
-    candidates: int  #: feature pairs solved here
-    unresolved: int  #: of them
+    boxes: int  #: boxes sent: one per voxel that a swept triangle touches
+    voxels: int  #: voxels of this rank with boxes
+    box_pairs: int  #: pairs of triangle boxes accepted on this rank
+    body_pairs: int  #: body pairs of these
+    candidates: int  #: feature pairs solved on this rank
+    unresolved: int  #: contacts reported because the iteration budget was spent
     #: By stage: contribute, locate, exchange, synchronize, bisect, fetch, narrow, report.
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -57,7 +57,7 @@ class PCCCD:
     """Finds the collisions of rigid bodies on any number of CPU ranks.
 
     Args:
-        meshes: alike on all ranks.
+        meshes: equal on all ranks.
         voxel_size: length of a voxel's edge. Default: 8 mean edges of the meshes' triangles.
         comm: between the ranks. Default: one rank.
         report: "first": the earliest contact of each pair of bodies; "all": every touching feature pair.
@@ -102,12 +102,12 @@ class PCCCD:
         """Finds the collisions of one step.
 
         Args:
-            motion: of the bodies that this rank brings, on the CPU; of the same path on all ranks.
-            id: (N,) int64 global ids >= 0, no two alike on any ranks. Default: counted through, rank by rank.
-            mesh_index: (N,) integers: which mesh each body is. Default: all the first.
+            motion: of this rank's bodies, on the CPU; with the same kind of path on all ranks.
+            id: (N,) int64 global ids >= 0, unique over all ranks. Default: consecutive, rank by rank.
+            mesh_index: (N,) integers: mesh of each body. Default: the first.
 
         Returns:
-            All contacts of bodies that this rank brought (with any others), `pairs` in global ids i < j, sorted.
+            All contacts of this rank's bodies, `pairs` in global ids i < j, sorted.
 
         Raises:
             TypeError, ValueError: naming the argument.
@@ -175,8 +175,8 @@ class PCCCD:
         return Contacts(**received, stats=stats)
 
     def balance(self) -> None:
-        """Moves voxels between ranks so that each has as many boxes as the others, by the last call of `detect`: the
-        largest voxels first, each to the rank that has least so far. All ranks must call this.
+        """Balances the number of boxes per rank in the last call of `detect` by moving voxels: the largest first, each
+        to the least loaded rank. All ranks must call this.
 
         Raises:
             RuntimeError: nothing has been detected yet.
@@ -190,27 +190,27 @@ class PCCCD:
         self._directory.move(received["key"], greedy_ranks(received["boxes"], self.comm.size))
 
     def _bodies_before(self, count: int) -> Tensor:
-        """(ranks + 1,) int64: bodies on ranks before each; all."""
+        """(ranks + 1,) int64: number of bodies on the ranks before each rank, and in total."""
         counts = self.comm.all_gather(torch.tensor([count]))[:, 0]
         return torch.cat([torch.zeros(1, dtype=torch.int64), counts.cumsum(0)])
 
     def _fetch(self, own: Columns, bodies_before: Tensor, triangle_pairs: Tensor) -> tuple[Columns, Tensor, Tensor]:
-        """Brings the bodies of pairs here.
+        """Fetches the bodies of pairs from their ranks.
 
         Args:
-            own: columns of the bodies of this rank.
+            own: columns of this rank's bodies.
             bodies_before: see `_bodies_before`.
             triangle_pairs: (K, 4) int64 from `ops.voxel_pairs`: bodies are numbered over all ranks.
 
         Returns:
-            Columns of these bodies (M,), by ascending id; the ranks (M,) that brought them; and triangle_pairs with
-            rows of these as bodies, i < j.
+            Columns of these bodies (M,), by ascending id; their ranks (M,); and triangle_pairs with bodies as rows of
+            these columns, i < j.
         """
         wanted, body = torch.unique(triangle_pairs[:, ::2], return_inverse=True)
         owner = torch.searchsorted(bodies_before, wanted, right=True) - 1
         route = make_route(self.comm, torch.arange(len(wanted)), owner)
         asked = route.forward({"row": wanted - bodies_before[owner]}).wait()["row"]
-        # They come back in the order of `wanted`: by rank.
+        # Returned in the order of `wanted`: by rank.
         columns = route.back(take_rows(own, asked)).wait()
         order = torch.argsort(columns["id"])
         place = torch.empty_like(order)
@@ -223,7 +223,8 @@ class PCCCD:
 
     def _report(self, contacts: Columns, owner: Tensor) -> Columns:
         """Sends contacts to the ranks `owner` (K, 2) of their bodies; returns those received, sorted. With
-        report="first" voxels of different ranks may each have found a first contact of the same pair."""
+        report="first", voxels on different ranks may each have found a first contact of the same pair.
+        """
         everything = torch.arange(len(owner))
         second = everything[owner[:, 0] != owner[:, 1]]
         rows, destination = torch.cat([everything, second]), torch.cat([owner[:, 0], owner[second, 1]])

@@ -15,12 +15,12 @@ _VERTEX, _EDGE, _FACE, _REPRESENTED = slice(0, 3), slice(3, 6), 6, 7
 def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor) -> tuple[Tensor, Tensor]:
     """Body pairs (P, 2) int64, ascending, and candidates (C, 4) int32 as from `pgccd.traverse.bvtt`.
 
-    Every vertex and edge is represented by one triangle of its mesh (Curtis, Tamstorf & Manocha 2008): a feature pair
-    is listed once, by the two triangles that represent it.
+    Every vertex and edge is represented by one triangle of its mesh (Curtis, Tamstorf & Manocha 2008), so the two
+    representing triangles list a feature pair exactly once.
 
     Args:
-        bodies: in motion.
-        triangle_pairs: (K, 4) int64: body i, triangle of i, body j, triangle of j; i < j; each row once.
+        bodies: the moving bodies.
+        triangle_pairs: (K, 4) int64: body i, triangle of i, body j, triangle of j; i < j; unique rows.
     """
     body_i, triangle_i, body_j, triangle_j = triangle_pairs.unbind(dim=1)
     count = bodies.scene.body_count
@@ -45,6 +45,6 @@ def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor) -> tuple[Te
 
 
 def _rows(bodies: MovingBodies, body: Tensor, triangle: Tensor) -> Tensor:
-    """(K, 8) int32 rows of triangles of bodies' meshes."""
+    """(K, 8) int32 triangle rows of the bodies' meshes."""
     triangles, offsets = bodies.mesh_set[3], bodies.mesh_set[8]
     return triangles[offsets[bodies.scene.mesh_index[body].long(), 1] + triangle]

@@ -1,4 +1,4 @@
-"""Boxes of triangles' sweeps on their way to the ranks of the voxels that they touch."""
+"""Exchange of the boxes of swept triangles: sent to the ranks of the voxels that they touch."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from pgccd.runtime.stages import StageClock
 
 @dataclass(frozen=True)
 class VoxelContents:
-    """The voxels of one rank that have boxes, and these; as `ops.voxel_pairs` takes them."""
+    """The non-empty voxels of one rank and their boxes, as input of `ops.voxel_pairs`."""
 
     boxes: Tensor  #: (B, 32) uint8, packed
-    segments: Tensor  #: (S, 3) int64: first box, number of boxes, first body of their sender
+    segments: Tensor  #: (S, 3) int64: first box, number of boxes, first body of the sender
     voxels: Tensor  #: (V, 3) int32, ascending
     first_segment: Tensor  #: (V + 1,) int64
 
     @property
     def counts(self) -> Tensor:
-        """(V,) int64: boxes of each voxel."""
+        """(V,) int64: number of boxes of each voxel."""
         ends = torch.cat([self.segments.new_zeros(1), self.segments[:, 1].cumsum(0)])[self.first_segment]
         return ends[1:] - ends[:-1]
 
@@ -40,17 +40,17 @@ def send_boxes(
     settings: tuple[float, float],
     clock: StageClock,
 ) -> tuple[VoxelContents, int]:
-    """Sends the box of each triangle's sweep to all voxels that it touches; returns what this rank's voxels have been
-    sent, and how many boxes this rank sent.
+    """Sends the box of each swept triangle to all voxels that it touches. Returns the contents of this rank's voxels,
+    and the number of boxes that this rank sent.
 
     Args:
         comm: between the ranks.
-        directory: where voxels live.
-        bodies: of this rank, in motion.
-        first_body: (ranks,) int64: numbers all bodies of all ranks.
+        directory: of the voxels' ranks.
+        bodies: the moving bodies of this rank.
+        first_body: (ranks,) int64: number of the first body of each rank, over all ranks.
         voxel_size: length units.
         settings: separation and tolerance, as for the operators.
-        clock: stages are timed here.
+        clock: records stage times.
     """
     given = (bodies.mesh_set, bodies.tensors, bodies.linear_path, voxel_size, *settings)
     with clock.stage("contribute"):
@@ -62,7 +62,7 @@ def send_boxes(
     with clock.stage("contribute"):
         boxes = ops.voxel_boxes(*given, voxels, counts)
     with clock.stage("exchange"):
-        route = make_route(comm, torch.arange(len(rank)), rank)  # of voxels, which are in its order already
+        route = make_route(comm, torch.arange(len(rank)), rank)  # voxels are already sorted by rank
         boxes_to = torch.zeros(comm.size, dtype=torch.int64).index_add_(0, rank, counts)
         boxes_from = comm.exchange_counts(boxes_to)
         headers = route.forward({"voxels": voxels, "counts": counts})
@@ -73,7 +73,7 @@ def send_boxes(
 
 
 def _by_voxel(boxes: Tensor, voxels: Tensor, counts: Tensor, first_body: Tensor) -> VoxelContents:
-    """Groups segments (S,) of boxes, one for each sender and voxel, by voxel."""
+    """Groups segments (S,) of boxes, one per sender and voxel, by voxel."""
     segments = torch.stack([counts.cumsum(0) - counts, counts, first_body], dim=1)
     keys = voxel_keys(voxels)
     order = torch.argsort(keys, stable=True)

@@ -1,4 +1,4 @@
-"""Which rank each voxel of a sparse, distributed grid lives on."""
+"""Assignment of the voxels of a sparse, distributed grid to ranks."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ from torch import Tensor
 from pgccd.distributed.comm.exchange import make_route
 from pgccd.distributed.comm.interface import Comm
 
-# 21 bits an axis, as in csrc/kernels/voxel/voxel_table.h.
+# 21 bits per axis, as in csrc/kernels/voxel/voxel_table.h.
 _BITS = 21
 _LIMIT = 1 << 20
 
 
 def voxel_keys(voxels: Tensor) -> Tensor:
-    """(V,) int64 of voxels (V, 3) int32, in the same order."""
+    """(V,) int64 keys of voxels (V, 3) int32, in the same order."""
     x, y, z = (voxels.long() + _LIMIT).unbind(dim=1)
     return (x << (2 * _BITS)) | (y << _BITS) | z
 
 
 class VoxelDirectory:
-    """Where voxels live: on the rank that first sent something to them, until they are moved.
+    """Maps voxels to ranks: the first rank that sends to a voxel owns it, until it is moved.
 
-    A voxel's home rank, which follows from its coordinates, keeps its location; other ranks ask there once and remember
-    the answer. Of ranks that first send to a voxel in the same step, the lowest gets it.
+    A voxel's home rank (a hash of its coordinates) stores its owner; other ranks query it once and cache the answer. If
+    several ranks first send to a voxel in the same step, the lowest owns it.
     """
 
     def __init__(self, comm: Comm) -> None:
         self._comm = comm
-        # At home: what is known for all ranks. Keys ascend.
+        # Entries of voxels whose home is this rank, keys ascending; then the cache of known owners.
         self._keys = torch.empty(0, dtype=torch.int64)
         self._ranks = torch.empty(0, dtype=torch.int64)
         self._known_keys, self._known_ranks = self._keys, self._ranks
 
     def locate(self, keys: Tensor) -> Tensor:
-        """(V,) int64: the ranks of voxels (V,), each key given once. All ranks must call this."""
+        """(V,) int64: the ranks of voxels (V,), unique keys. All ranks must call this."""
         if self._comm.size == 1:
             return torch.zeros_like(keys)
         row, is_known = _find(self._known_keys, keys)
@@ -56,11 +56,11 @@ class VoxelDirectory:
         self._known_keys, self._known_ranks = self._known_keys[:0], self._known_ranks[:0]
 
     def _home_of(self, keys: Tensor) -> Tensor:
-        mixed = keys * 0x5851F42D4C957F2D  # (a multiplier of Knuth's MMIX generator)
+        mixed = keys * 0x5851F42D4C957F2D  # multiplier of Knuth's MMIX generator
         return ((mixed >> 33) & 0x7FFFFFFF) % self._comm.size
 
     def _answer(self, keys: Tensor, source: Tensor) -> Tensor:
-        """Where the voxels (V,) are of which the ranks `source` (V,) ascending ask."""
+        """The ranks of the voxels (V,) queried by the ranks `source` (V,), ascending."""
         _, is_here = _find(self._keys, keys)
         first_asked, first_by = _first_of_each(keys[~is_here], source[~is_here])
         self._keys, self._ranks = _merge(self._keys, self._ranks, first_asked, first_by)
@@ -69,7 +69,7 @@ class VoxelDirectory:
 
 
 def run_starts(values: Tensor) -> Tensor:
-    """(K,) bool: which of the sorted values (K,) or rows (K, n) differ from the one before them."""
+    """(K,) bool: whether each of the sorted values (K,) or rows (K, n) differs from the previous one."""
     starts = torch.ones(len(values), dtype=torch.bool)
     differ = values[1:] != values[:-1]
     starts[1:] = differ if differ.dim() == 1 else differ.any(dim=1)
@@ -77,7 +77,7 @@ def run_starts(values: Tensor) -> Tensor:
 
 
 def _find(sorted_keys: Tensor, keys: Tensor) -> tuple[Tensor, Tensor]:
-    """Row of each key among sorted ones, and whether it is there."""
+    """Index of each key among sorted ones, and whether it is there."""
     if not len(sorted_keys):
         return torch.zeros_like(keys), torch.zeros_like(keys, dtype=torch.bool)
     row = torch.searchsorted(sorted_keys, keys).clamp_(max=len(sorted_keys) - 1)
@@ -85,14 +85,14 @@ def _find(sorted_keys: Tensor, keys: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _first_of_each(keys: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
-    """Each key once, with the value that came with it first."""
+    """Unique keys, each with its first value."""
     order = torch.argsort(keys, stable=True)
     is_first = run_starts(keys[order])
     return keys[order][is_first], values[order][is_first]
 
 
 def _merge(keys: Tensor, values: Tensor, more_keys: Tensor, more_values: Tensor) -> tuple[Tensor, Tensor]:
-    """Both, by ascending key."""
+    """Both tables, by ascending key."""
     if not len(more_keys):
         return keys, values
     all_keys, order = torch.sort(torch.cat([keys, more_keys]))
@@ -100,8 +100,9 @@ def _merge(keys: Tensor, values: Tensor, more_keys: Tensor, more_values: Tensor)
 
 
 def greedy_ranks(loads: Tensor, ranks: int) -> Tensor:
-    """(V,) int64: a rank for each of the loads (V,) int64, so that their sums are about equal: the largest first, each
-    to the rank that has least so far; the same on all ranks."""
+    """(V,) int64: a rank for each of the loads (V,) int64 such that their sums are about equal: the largest load first,
+    each to the least loaded rank; the same on all ranks.
+    """
     totals = [(0, rank) for rank in range(ranks)]
     chosen = torch.empty_like(loads)
     for row in torch.argsort(loads, descending=True, stable=True).tolist():

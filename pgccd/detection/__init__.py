@@ -1,1 +1,1 @@
-"""From a scene in motion to its contacts: broad phase, traversal, narrow phase, and the pipeline of these stages."""
+"""From a moving scene to its contacts: broad phase, traversal, narrow phase, and the pipeline of these stages."""

@@ -1,4 +1,4 @@
-"""A scene in motion: what the stages work on."""
+"""A scene and its motion, as input of the stages."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 
 
 class MovingBodies:
-    """The bodies of `scene` during one step of `motion`, in the form the operators read.
+    """The bodies of `scene` during one step of `motion`, as the operators read them.
 
-    For deforming bodies this computes each body's bounds (refit of its hierarchy), once for all stages: where vertices
-    are written to later, construct them again.
+    For deforming bodies the constructor refits each body's hierarchy once for all stages; if vertices change later,
+    construct a new object.
 
     Args:
-        wait: raise for an invalid pose now. Otherwise nothing waits: `first_faults` holds them on the device, and the
-            stages take `invalid`, or must not be called.
+        wait: whether to raise for an invalid pose now. Otherwise the constructor does not synchronise: `first_faults`
+            stays on the device, and stages must be passed it as `invalid`.
 
     Raises:
         TypeError, ValueError: if scene and motion disagree in number or device, or a pose is invalid.
@@ -47,14 +47,14 @@ class MovingBodies:
         self.linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
         #: True for explicit vertex streams.
         self.deforming = isinstance(motion, VertexMotion)
-        #: Whether the poses are known to be valid.
+        #: Whether the poses have been validated.
         self.checked = wait
         self._faults: Tensor | None = None
         of_motion = motion.first_faults(self._columns) if wait and not motion.is_trusted else None
         if of_motion is not None:
             motion.raise_faults(of_motion.tolist())
-        #: The operators' `bodies` argument; rows 1 to 3 are positions at t0 and t1 (N, 3), of the origins or of the SBV
-        #: centres of bodies that deform, and SBV radius (N,).
+        #: The operators' `bodies` argument. Entries 1 to 3: positions at t0 and t1 (N, 3), of the origins or, for
+        #: deforming bodies, of the SBV centres; and SBV radius (N,).
         self.tensors = (_deforming if self.deforming else _rigid)(scene, self._columns)
         if scene.margin is not None:
             self.tensors.append(scene.margin)
@@ -62,8 +62,8 @@ class MovingBodies:
             spheres = self.position_t0, self.position_t1, self.radius
         else:
             spheres = ops.moving_spheres(self.mesh_set, self.tensors, self.linear_path)
-        #: (N, 3), (N, 3), (N,): at every time the body and its margin are within `reach` of the point as far along from
-        #: `centre_t0` to `centre_t1`, its SBV centres at the two ends. What broad phases test.
+        #: (N, 3), (N, 3), (N,): the swept spheres that broad phases test. At every t the body and its margin are within
+        #: `reach` of the point at fraction t of the way from `centre_t0` to `centre_t1`, its SBV centres at t0 and t1.
         self.centre_t0, self.centre_t1, self.reach = spheres
         if scene.margin is not None:
             self.reach = (self.reach + scene.margin) * (1.0 + 2.0**-50)
@@ -73,8 +73,9 @@ class MovingBodies:
                 self.raise_faults(self._faults.tolist())
 
     def first_faults(self) -> Tensor:
-        """(F,) int64: the first faulty row of each thing checked, or a number past the last one; and 1 if there is any
-        such row, else 0. Looked for once: each call of `pgccd.detect` makes bodies of its own."""
+        """(F,) int64: for each check the first faulty row, or a number past the last row; then 1 if any row is faulty,
+        else 0. Computed once and cached.
+        """
         if self._faults is None:
             self._faults = self._look(self.motion.first_faults(self._columns))
         return self._faults
@@ -84,7 +85,7 @@ class MovingBodies:
         return self.first_faults() if self.motion.has_verdict else self._faults
 
     def check(self) -> None:
-        """Looks again, for a stage that is called alone: columns may have been written to. Waits for a GPU.
+        """Validates the poses again, for a stage called alone: columns may have changed. Synchronises with a GPU.
 
         Raises:
             ValueError: a pose is invalid.
@@ -100,13 +101,13 @@ class MovingBodies:
 
     @property
     def faults(self) -> Faults:
-        """What the values of `first_faults` mean."""
+        """The meaning of the values of `first_faults`."""
         faults = self.motion.faults
         faults.radius = self.radius if self.deforming else None
         return faults
 
     def raise_faults(self, first: Sequence[int]) -> None:
-        """Raises ValueError for the values of `first_faults`, if any names a row."""
+        """Raises ValueError if the values of `first_faults` include a faulty row."""
         if first[-1]:
             self.faults.raise_from(first)
 
@@ -133,9 +134,9 @@ class MovingBodies:
 
     @property
     def self_colliding(self) -> Tensor:
-        """(S,) int64, ascending: the bodies that are tested against themselves. None unless they deform: distances
-        within a rigid body stay, and on straight paths it changes by an affine map, which joins nothing that is apart
-        (but for the moment in the middle of exactly half a turn).
+        """(S,) int64, ascending: the bodies tested against themselves. Empty unless the bodies deform: within a rigid
+        body distances are constant, and on straight paths it changes by an affine map, which keeps separate points
+        apart (except midway through exactly half a turn).
         """
         rows = self.scene.self_colliding
         return rows if self.deforming else rows[:0]

@@ -15,12 +15,12 @@ from pgccd.detection.checks import check_separation, operator_tolerance, require
 
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
-#: As operators number them (enum BroadPhase of csrc/kernels/broad/broad_phase.h).
+#: The operators' numbers (enum BroadPhase of csrc/kernels/broad/broad_phase.h).
 BROAD_PHASE_NUMBERS: dict[str, int] = {name: number for number, name in enumerate(BROAD_PHASES[1:])}
 
-# Where "auto" goes from one to another, as measured (bench/bench_broad_phase.py): fewer bodies are swept faster than
-# sorted into cells. On a CPU every octave of sizes is a level of the grid, searched one after the other for each body,
-# and a sweep's work grows with the power 5/3 of the bodies; a GPU does best with the grid whatever the sizes.
+# Limits used by "auto", as measured (bench/bench_broad_phase.py): a sweep is fastest for few bodies. On a CPU every
+# octave of sizes is a level of the grid, and each body searches all levels one by one; a sweep's work grows with the
+# power 5/3 of the number of bodies; on a GPU the grid is fastest for any sizes.
 _FEW_BODIES = 2_000
 _GRID_OCTAVES = 3
 _MANY_BODIES = 150_000
@@ -39,15 +39,16 @@ def sweep(
 
     Args:
         bodies: the scene in motion.
-        min_separation: length; bodies this close count as colliding.
-        axis: the axis swept; "auto" takes that with the largest variance of centres. The result does not depend on it.
+        min_separation: length; bodies at most this far apart count as colliding.
+        axis: the sweep axis; "auto" selects the one with the largest variance of centres. The result does not depend on
+            it.
         tolerance: length; contacts up to min_separation + tolerance may be reported. Default: 1e-6 of the smaller SBV
             radius of each pair.
 
     Returns:
-        (P, 2) int64: every pair i < j that the scene's filters allow and whose swept spheres come within
-        min_separation + tolerance (and, by rounding outward, perhaps a few that miss it by some 1e-13 of their size),
-        and (i, i) for every body that collides with itself; sorted.
+        (P, 2) int64: every pair i < j that the scene's filters allow and whose swept spheres come within min_separation
+        + tolerance (rounded outward by some 1e-13 of their size), and (i, i) for every body tested against itself;
+        sorted.
 
     Example:
         >>> pairs = pgccd.broad.sweep(bodies)
@@ -60,7 +61,7 @@ def grid(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
     """A hashed uniform grid with a level for each octave of body sizes (Ericson 2005, Real-Time Collision Detection,
     7.2), then the same test as `sweep`.
 
-    Fastest where bodies are of a few sizes. Memory is proportional to their number, wherever they are.
+    Fastest for bodies of few different sizes. Memory is proportional to the number of bodies, whatever their positions.
 
     Args:
         bodies: the scene in motion.
@@ -79,7 +80,7 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
     """A bounding volume hierarchy over the bodies in Morton order (Karras 2012, Maximizing parallelism in the
     construction of BVHs, octrees, and k-d trees), then the same test as `sweep`.
 
-    For bodies of very many sizes.
+    Suited to bodies of very different sizes.
 
     Args:
         bodies: the scene in motion.
@@ -95,12 +96,12 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
 
 
 def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase:
-    """The broad phase meant: what "auto" stands for in this scene, else the one named.
+    """The broad phase to run: the given one, or for "auto" the one expected to be fastest.
 
-    Uses only what is known on the host: the number of bodies and the sizes of the meshes.
+    Depends only on host data: the number of bodies and the sizes of the meshes.
 
     Raises:
-        ValueError: there is no such broad phase.
+        ValueError: unknown broad phase.
 
     Example:
         >>> pgccd.broad.choose(bodies)  # two bodies
@@ -128,16 +129,16 @@ def find_pairs_padded(
     invalid: Tensor,
     tolerance: float | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """The PCS without waiting for its size.
+    """The PCS in a given capacity, without synchronising.
 
     Args:
         bodies, min_separation, broad_phase, tolerance: as for `find_pairs`.
-        capacity: of the lists of pairs and of what the broad phase needs.
-        invalid: (1,) int64; unless it is 0, there are none.
+        capacity: of the pairs and of the broad phase's buffers.
+        invalid: (1,) int64; if nonzero, no pairs are returned.
 
     Returns:
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
-        `pgccd.detection.capacity.Counts`. On overflow any pairs may be missing.
+        `pgccd.detection.capacity.Counts`. After overflow, pairs may be missing.
     """
     number = BROAD_PHASE_NUMBERS[choose(bodies, broad_phase)]
     own = 0 if bodies.scene.self_collision is None else len(bodies.self_colliding)
@@ -164,8 +165,8 @@ def find_pairs(
     broad_phase: BroadPhase = "auto",
     tolerance: float | None = None,
 ) -> Tensor:
-    """The PCS by the broad phase named, or by the one that `choose` thinks fastest. All of them give the same pairs;
-    the other arguments are those of `sweep`.
+    """The PCS by the given broad phase, or by the one that `choose` selects. All broad phases return the same pairs;
+    other arguments as for `sweep`.
 
     Example:
         >>> pairs = pgccd.broad.find_pairs(bodies, min_separation=0.01)
@@ -176,24 +177,24 @@ def find_pairs(
 def find_pairs_of_checked(
     bodies: MovingBodies, min_separation: float, chosen: str, tolerance: float | None = None, axis: int = -1
 ) -> Tensor:
-    """As `find_pairs`, by the broad phase that `choose` has named, of bodies whose faults have been looked for."""
+    """As `find_pairs`, without checks; `chosen` comes from `choose`."""
     number = BROAD_PHASE_NUMBERS[chosen]
     return with_self_pairs(bodies, ops.broad_pairs(*_columns(bodies), *_kept(min_separation, tolerance), number, axis))
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
-    """Sorted pairs (P, 2), perhaps with rows of -1 after them, and among them (i, i) for every body that collides with
-    itself. How many they are is known, so that nothing waits for a device.
+    """Merges (i, i) for every body tested against itself into sorted pairs (P, 2), which may end with rows of -1. The
+    number of such bodies is known on the host, so this does not synchronise.
     """
     if bodies.scene.self_collision is None:
         return pairs
     own = bodies.self_colliding
     if not len(own):
         return pairs
-    if bodies.scene.body_count == 1:  # which has no other partner
+    if bodies.scene.body_count == 1:  # the body has no other partner
         return pairs.new_zeros((1, 2))
     first = torch.where(pairs[:, 0] < 0, bodies.scene.body_count, pairs[:, 0])
-    # A row moves on by the bodies up to its own, and a new row comes before those of its body.
+    # A row moves down by the number of self pairs up to its own body; a self pair precedes the other rows of its body.
     row_of_pair = torch.arange(len(pairs), device=pairs.device) + torch.searchsorted(own, first, right=True)
     row_of_own = torch.arange(len(own), device=pairs.device) + torch.searchsorted(first, own)
     merged = pairs.new_empty((len(pairs) + len(own), 2))

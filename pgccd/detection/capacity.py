@@ -1,4 +1,4 @@
-"""Fixed capacities of a detection step that runs without the host waiting for counts from the device."""
+"""Fixed capacities of a detection step that does not synchronise with the host."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pgccd import arguments
 
-# Bytes of GPU memory for each unit of capacity, over all buffers of the operators.
+# Bytes of GPU memory per unit of capacity, over all buffers of the operators.
 _BYTES = {
     "pairs": 184,
     "overlaps": 8,
@@ -23,17 +23,17 @@ _BYTES = {
     "open": 80,
     "contacts": 102,
 }
-# Kept free beyond what was needed, so that small scenes need not repeat a step when they change.
+# Added to every capacity, so that small scenes rarely overflow when they change.
 _SMALLEST = 4096
-_MOST = 2**31 - 1  # rows are numbered by 32 bits
-_EXACT = -1  # number of contacts that stands for as many as there are
+_MOST = 2**31 - 1  # rows have 32-bit numbers
+_EXACT = -1  # number of contacts that stands for "as many as found"
 
 
 @dataclass(frozen=True)
 class Capacity:
-    """Capacity for one step of `detect`, or what a step needed of it (`Stats.needed`).
+    """Buffer sizes for one step of `detect`, or those that a step needed (`Stats.needed`).
 
-    On a CPU only pairs and contacts can run out; the rest is scratch memory of a GPU.
+    On a CPU only pairs and contacts can overflow; the rest is scratch memory of a GPU.
 
     Example:
         >>> capacity = pgccd.detect(scene, motion).stats.needed.times(1.5)
@@ -43,19 +43,19 @@ class Capacity:
     pairs: int  #: body pairs of the PCS
     contacts: int  #: rows of the result
     overlaps: int = 0  #: body pairs whose boxes overlap
-    poses: int = 0  #: of body pairs at the ends of their time segments
+    poses: int = 0  #: poses of body pairs at the ends of their time segments
     tasks: int = 0  #: node pairs that one launch of the traversal leaves to the next
     leaf_pairs: int = 0  #: pairs of leaves
     candidates: int = 0  #: feature pairs
-    open: int = 0  #: feature pairs that quick rejection leaves
-    launches: int = 4  #: of the traversal, after the first
-    long_rows: bool = False  #: may one body have more than 32 partners of larger index?
+    open: int = 0  #: feature pairs left by quick rejection
+    launches: int = 4  #: traversal launches after the first
+    long_rows: bool = False  #: whether one body may have more than 32 partners of larger index
 
     def __post_init__(self) -> None:
         for name, number in vars(self).items():
             if name == "long_rows":
                 arguments.flag(number, "long_rows")
-            elif type(number) is not int or number < 0:  # as it hardly ever is
+            elif type(number) is not int or number < 0:  # the rare case
                 arguments.integer(number, name, _EXACT if name == "contacts" else 0, "a number of rows >= 0")
 
     @classmethod
@@ -67,12 +67,12 @@ class Capacity:
 
     @classmethod
     def guess(cls, body_count: int, pair_count: int | None = None, self_vertex_count: int = 0) -> Capacity:
-        """Capacity for a scene like the nanorobot world, nearly twice over, and for folded cloth.
+        """Nearly twice the capacity that the nanorobot simulation and folded cloth need.
 
         Args:
             body_count: bodies of the scene.
-            pair_count: body pairs, where they are given.
-            self_vertex_count: vertices of bodies that collide with themselves.
+            pair_count: number of body pairs, if they are given.
+            self_vertex_count: number of vertices of bodies tested against themselves.
 
         Example:
             >>> capacity = pgccd.Capacity.guess(scene.body_count)
@@ -91,11 +91,11 @@ class Capacity:
             leaf_pairs=12 * pairs + 12 * self_vertex_count,
             candidates=8 * pairs + 20 * self_vertex_count,
             open=3 * pairs + 8 * self_vertex_count,
-            launches=12 if self_vertex_count else 4,  # a few parts of such a body hold most of the work
+            launches=12 if self_vertex_count else 4,  # most of the work is in a few parts of such a body
         ).times(1.0)
 
     def times(self, factor: float) -> Capacity:
-        """This capacity, each part at least `factor` times as large and not tiny."""
+        """This capacity, each part at least `factor` times as large, plus a minimum."""
         factor = arguments.length(factor, "factor")
         scaled: dict[str, Any] = {
             name: min(_MOST, _round_up(math.ceil(factor * getattr(self, name)) + _SMALLEST))
@@ -105,8 +105,8 @@ class Capacity:
         return replace(self, **scaled)
 
     def grown(self, needed: Capacity) -> Capacity:
-        """Capacity for a step that needed at least `needed` and stopped at the first part that did not fit."""
-        # What came after that saw only a part.
+        """A capacity for a step that needed at least `needed` and stopped at the first overflow."""
+        # Later stages saw only part of the pairs, so their counts are scaled up.
         more = max(1.0, needed.pairs / max(1, self.pairs), needed.overlaps / max(1, self.overlaps))
         enough = replace(
             needed,
@@ -118,17 +118,17 @@ class Capacity:
 
     @property
     def bytes(self) -> int:
-        """GPU memory that buffers of this capacity take, roughly."""
+        """Approximate GPU memory of buffers of this capacity, in bytes."""
         return sum(size * getattr(self, name) for name, size in _BYTES.items())
 
     @property
     def of_pairs(self) -> list[int]:
-        """As `ops.pairs_padded` takes it."""
+        """The `capacity` argument of `ops.pairs_padded`."""
         return [self.pairs, self.overlaps, int(self.long_rows)]
 
     @property
     def of_contacts(self) -> list[int]:
-        """As `ops.contacts_padded_*` take it."""
+        """The `capacity` argument of `ops.contacts_padded_*`."""
         return [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches, self.open, self.contacts]
 
 
@@ -136,7 +136,7 @@ _NAMES = tuple(field.name for field in fields(Capacity))
 
 
 def check_capacity(capacity: Capacity) -> None:
-    """Raises TypeError or ValueError unless this is a capacity whose rows fit 32-bit numbers."""
+    """Raises TypeError or ValueError unless this is a Capacity whose rows fit 32-bit numbers."""
     if not isinstance(capacity, Capacity):
         hint = ": see Capacity.guess and Stats.needed" if isinstance(capacity, int) else ""
         raise TypeError(f"capacity: expected a pgccd.Capacity, got {arguments.describe(capacity)}{hint}")
@@ -147,13 +147,14 @@ def check_capacity(capacity: Capacity) -> None:
 
 
 def _round_up(number: int) -> int:
-    """To a number of four significant binary digits: steps that need about as much as one another then ask a GPU's
-    allocator for pieces of the same sizes, which it has at hand."""
+    """Rounds up to four significant binary digits, so that similar steps request equal sizes and the caching allocator
+    reuses its blocks.
+    """
     unit = 1 << max(0, number.bit_length() - 4)
     return -(-number // unit) * unit
 
 
-#: On a CPU: as many rows as there are contacts.
+#: On a CPU: as many rows as contacts are found.
 EXACTLY = Capacity(pairs=0, contacts=_EXACT)
 
 
@@ -175,7 +176,7 @@ class CapacityError(RuntimeError):
 
 
 class Counts(NamedTuple):
-    """What the operators counted in one step, in their order; times in nanoseconds of the device's clock."""
+    """Counts of one step, in the operators' order; times in nanoseconds of the device's clock."""
 
     pairs: int  # found
     overlaps: int
@@ -201,7 +202,7 @@ class Counts(NamedTuple):
 
     @classmethod
     def of(cls, values: Sequence[int]) -> Counts:
-        """From the operators' two columns, one after the other."""
+        """From the counts of both operators, concatenated."""
         return cls._make(values)
 
     @property
@@ -226,7 +227,7 @@ class Counts(NamedTuple):
 
     @property
     def seconds(self) -> dict[str, float]:
-        """By stage."""
+        """Seconds per stage."""
         return {
             "broad": 1e-9 * (self.broad_ended - self.broad_began),
             "traverse": 1e-9 * (self.traverse_ended - self.traverse_began),
@@ -234,16 +235,16 @@ class Counts(NamedTuple):
         }
 
 
-#: Where each of the counts is.
+#: Index of each count.
 COUNT_ROWS: dict[str, int] = {name: row for row, name in enumerate(Counts._fields)}
-#: How many of them are the broad phase's.
+#: Number of counts of the broad phase.
 COUNTS_OF_PAIRS = COUNT_ROWS["poses"]
-#: Those that tell that a capacity was exceeded.
+#: Indices of the overflow flags.
 OVERFLOWS = [COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts")]
 
 
 def busy_nanoseconds(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(ranks,): how long any of the parts was traversed or solved: a GPU may work on several at once.
+    """(ranks,): nanoseconds in which at least one part was being searched; parts may overlap in time on a GPU.
 
     Args:
         counts: (ranks, parts, 21): `Counts` of each part of a step.

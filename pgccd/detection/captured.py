@@ -1,4 +1,4 @@
-"""Detection as one CUDA graph, for loops in which the host must not be what the GPU waits for."""
+"""Detection as one CUDA graph, for loops that must not be limited by kernel launches from the host."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.runtime.graph import capture
 
-# Capacity over what the motion given needed.
+# Initial capacity, relative to what the first motion needs.
 _SLACK = 1.5
 
 
 class CapturedDetection:
     """`pgccd.detect` for the steps of a loop: poses are loaded into fixed memory, one CUDA graph is replayed, and
-    contacts are read from fixed memory. The result is that of `detect`, to the bit.
+    contacts are read from fixed memory. The result is bitwise equal to that of `detect`.
 
-    On a CPU there are no graphs: each replay is then a call of `detect` in the same capacity (`is_graph` tells).
+    On a CPU there is no graph: each replay calls `detect` with the same capacity (`is_graph` is False).
 
     Args:
-        scene: the bodies. Its columns are read at each replay; it may be changed in place.
-        motion: a step like those to come: of the same kind, with as many bodies or vertices.
+        scene: the bodies. Its columns are read at each replay and may be changed in place.
+        motion: a step of the same kind as later ones, with the same number of bodies or vertices.
         report, min_separation, tolerance, nonzero_toi, broad_phase: as for `detect`.
-        capacity: of the result and of all intermediate lists. Default: half as much again as `motion` needs.
+        capacity: of the result and of all intermediate lists. Default: 1.5 times what `motion` needs.
 
     Raises:
         TypeError, ValueError: naming the argument.
 
     Example:
         >>> captured = pgccd.CapturedDetection(scene, motion)
-        >>> hits = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedContacts; waits for nothing
+        >>> hits = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedContacts; does not synchronise
         >>> safe = hits.first_toi().clamp(max=1.0)
-        >>> contacts = captured.contacts()  # exact and of its own memory; waits
+        >>> contacts = captured.contacts()  # trimmed copy; synchronises
     """
 
     def __init__(
@@ -62,18 +62,18 @@ class CapturedDetection:
         if capacity is None:
             needed = detect(scene, motion, **self._options).stats.needed
             if needed is None:
-                raise ValueError("motion: this step needs more memory than there is at once; use pgccd.detect")
+                raise ValueError("motion: this step does not fit in memory in one pass; use pgccd.detect")
             capacity = needed.times(_SLACK)
         check_capacity(capacity)
-        #: The motion of each replay, in fixed memory: `load` writes to it, and so may kernels of one's own.
+        #: The motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
         self.motion = _copy_of(motion)
         self._capture(capacity)
 
     def load(self, motion: RigidMotion | VertexMotion) -> None:
-        """Copies a step's motion to where replays read it. Waits for nothing on a GPU.
+        """Copies a motion into `self.motion`. Does not synchronise.
 
         Raises:
-            TypeError, ValueError: it is of another kind, size or path.
+            TypeError, ValueError: the motion has another kind, size or path.
         """
         if type(motion) is not type(self.motion):
             raise TypeError(f"motion: expected a {type(self.motion).__name__}, got {arguments.describe(motion)}")
@@ -89,8 +89,7 @@ class CapturedDetection:
             column.copy_(given[name])
 
     def replay(self) -> PaddedContacts:
-        """Detects the collisions of the motion loaded. Waits for nothing on a GPU; the next replay overwrites the
-        result."""
+        """Detects the collisions of the loaded motion. Does not synchronise; the next replay overwrites the result."""
         if self._graph is None:
             self._found = self._detect()
         else:
@@ -103,8 +102,8 @@ class CapturedDetection:
         return self.replay()
 
     def contacts(self) -> Contacts:
-        """The contacts of the last replay in memory of their own. Waits for them. If a capacity was exceeded, the step
-        is captured again in a larger one, and replayed.
+        """A copy of the contacts of the last replay. Synchronises. If a capacity was exceeded, the step is captured
+        again with a larger one, and replayed.
 
         Raises:
             ValueError: the motion is invalid.
@@ -120,14 +119,14 @@ class CapturedDetection:
 
     @property
     def is_graph(self) -> bool:
-        """Whether replays are those of a CUDA graph."""
+        """Whether replays use a CUDA graph."""
         return self._graph is not None
 
     def _detect(self) -> PaddedContacts:
         return detect(self.scene, self.motion, capacity=self.capacity, **self._options)
 
     def _capture(self, capacity: Capacity) -> None:
-        #: Of the result and of all intermediate lists.
+        #: Capacity of the result and of all intermediate lists.
         self.capacity = capacity
         self._graph: torch.cuda.CUDAGraph | None = None
         if self.scene.device.type == "cuda":

@@ -1,4 +1,4 @@
-"""Checks of arguments that several stages share."""
+"""Argument checks shared by several stages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ RELATIVE_TOLERANCE = 1e-6
 
 
 def require_bodies(bodies: MovingBodies) -> None:
-    """Raises unless these are bodies in motion."""
+    """Raises TypeError unless `bodies` is a MovingBodies."""
     if not isinstance(bodies, MovingBodies):
         raise TypeError(f"bodies: expected a pgccd.MovingBodies, got {arguments.describe(bodies)}")
 
@@ -24,15 +24,15 @@ def check_separation(min_separation: float) -> float:
 
 
 def operator_tolerance(tolerance: float | None) -> float:
-    """The operators take a negative tolerance as relative to the smaller radius of each pair."""
+    """The tolerance for the operators, where a negative value is relative to the smaller radius of each pair."""
     return -RELATIVE_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
 
 
 def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) -> Tensor:
-    """`pairs`, if it has the right dtype, shape and device, and names bodies of the scene.
+    """Validates dtype, shape, device and body indices of `pairs`, and returns it.
 
     Args:
-        ascending: whether rows must be sorted, and no two of them alike.
+        ascending: whether rows must be sorted and unique.
     """
     if not isinstance(pairs, Tensor) or pairs.dtype != torch.int64:
         raise TypeError(f"pairs: expected an int64 tensor, got {arguments.describe(pairs)}")

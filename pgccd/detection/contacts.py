@@ -1,4 +1,4 @@
-"""The result of `detect`."""
+"""Contacts: the result of `detect`."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from pgccd.motion.faults import Faults
 if TYPE_CHECKING:
     from pgccd.geometry.scene import Scene
 
-#: Columns of contacts as the operators give them: row of the pairs (K,), kind (K,), features (K, 2), status (K,), toi
-#: (K,), coordinates (K, 2), point (K, 3), normal (K, 3).
+#: Columns of contacts from the operators: index into the pairs (K,), kind (K,), features (K, 2), status (K,), toi (K,),
+#: coordinates (K, 2), point (K, 3), normal (K, 3).
 ContactRows = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
 def earliest_row(toi: Tensor, *ties: Tensor) -> Tensor:
-    """(1,) int64: the row with the least toi (K,); of equal ones that with the least of the first of `ties` (K,), then
-    of the next one, then the first row. (0,) if K is 0. Waits for nothing."""
+    """(1,) int64: the row with the smallest toi (K,); ties are broken by the first of `ties` (K,), then by the next,
+    then by row. (0,) if K is 0. Does not synchronise.
+    """
     rows = torch.arange(len(toi), device=toi.device)
     is_least = torch.ones_like(rows, dtype=torch.bool)
     for column in (toi, *ties, rows) if len(rows) else ():
@@ -34,7 +35,7 @@ def earliest_row(toi: Tensor, *ties: Tensor) -> Tensor:
 
 
 def take_earliest(rows: ContactRows) -> ContactRows:
-    """Of rows in canonical order, perhaps padded, the one with the least toi, the first of equal ones."""
+    """The row with the smallest toi, the first of equal ones, from rows in canonical order, which may be padded."""
     toi = rows[4]
     if len(toi) <= 1:
         return rows
@@ -47,32 +48,32 @@ def take_earliest(rows: ContactRows) -> ContactRows:
 
 @dataclass
 class Stats:
-    """What one call of `detect` did.
+    """Statistics of one call of `detect`.
 
-    `seconds` has one entry a stage: bounds, broad, traverse, narrow. On a GPU these are times of the device, but for
-    the host's time in bounds and in whatever is streamed.
+    `seconds` has one entry per stage: bounds, broad, traverse, narrow. On a GPU they are device times, except for
+    bounds and for streamed steps, where they are host times.
     """
 
     bodies: int = 0
     pcs: int = 0  #: potentially colliding body pairs
-    node_tests: int = 0  #: node pairs tested while traversing
-    candidates: int = 0  #: feature pairs that survived it
+    node_tests: int = 0  #: node pairs tested in the traversal
+    candidates: int = 0  #: feature pairs left by the traversal
     contacts: int = 0  #: rows reported
     unresolved: int = 0  #: rows reported because the iteration budget was spent
-    broad_phase: str = ""  #: "sweep", "grid" or "lbvh"; "given" if the pairs were
-    chunks: int = 0  #: pieces in which the PCS was streamed
-    waits: int = 0  #: times the host waited for a GPU
-    scratch_bytes: int = 0  #: most scratch memory that one operator on a GPU held
+    broad_phase: str = ""  #: "sweep", "grid" or "lbvh"; "given" if the caller passed the pairs
+    chunks: int = 0  #: chunks in which the PCS was streamed
+    waits: int = 0  #: number of times the host waited for a GPU
+    scratch_bytes: int = 0  #: peak scratch memory of one GPU operator
     needed: Capacity | None = None  #: capacity the step needed; on a GPU None if it was streamed
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-#: Of what first times are asked for.
+#: The grouping of first times.
 By = Literal["scene", "world", "body"]
 
 
 def first_time(pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By) -> Tensor:
-    """The least `time` (K,) of rows of `pairs` (K, 2), perhaps padded with -1; see `Contacts.first_toi`."""
+    """The smallest `time` (K,) of rows of `pairs` (K, 2), which may be padded with -1; see `Contacts.first_toi`."""
     if by not in ("scene", "world", "body"):
         raise ValueError(f'by: expected "scene", "world" or "body", got {by!r}')
     if time is None:
@@ -82,7 +83,7 @@ def first_time(pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By) 
     if scene is None:
         raise ValueError(f"by: {by!r} needs the result of `pgccd.detect`; on many ranks see `World.first_toi`")
     count = scene.body_count
-    # One more, for padding.
+    # One extra row for padding.
     owner = torch.where(pairs < 0, count, pairs).reshape(-1)
     if by == "world":
         count = scene.world_count
@@ -98,45 +99,42 @@ def first_time(pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By) 
 class Contacts:
     """K contacts, sorted by pair, then kind and features.
 
-    With report="any" only `pairs` is meaningful (which contact proves a pair colliding depends on the order of work),
-    and all other fields are None.
+    With report="any" only `pairs` is meaningful and all other fields are None.
     """
 
     pairs: Tensor  #: (K, 2) int64 body indices, i < j; i, i where a body touches itself
-    toi: (
-        Tensor | None
-    )  #: (K,) float64 in [0, 1]: no contact of these features happens before it; 0: touching at t0 already
+    toi: Tensor | None  #: (K,) float64 in [0, 1]: these features do not touch before it; 0 if they touch at t0
     kind: Tensor | None  #: (K,) int8, see `Kind`
-    features: Tensor | None  #: (K, 2) int32: vertex or face or edge of i, then of j, as numbered in their meshes
+    features: Tensor | None  #: (K, 2) int32: vertex, face or edge index of i, then of j, in their meshes
     coordinates: (
         Tensor | None
     )  #: (K, 2): face point f0 + u (f1 - f0) + v (f2 - f0), or parameters along i's and j's edge
     point: Tensor | None  #: (K, 3) world: halfway between the nearest points at toi
     normal: (
         Tensor | None
-    )  #: (K, 3) unit vector from i (or the first feature) towards j at toi (zero if degenerate features coincide)
+    )  #: (K, 3) unit vector from i (or the first feature) towards j at toi; zero if degenerate features coincide
     status: Tensor | None  #: (K,) int8, see `Status`
     stats: Stats
-    #: What the bodies are of; None where `pairs` are not rows of one scene.
+    #: The scene of the bodies; None where `pairs` are not rows of one scene.
     scene: Scene | None = field(default=None, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
         return self.pairs.shape[0]
 
     def first_toi(self, by: By = "scene") -> Tensor:
-        """The first toi, float64, inf where nothing collides: () of the "scene", (W,) of each "world" (W is one more
-        than the largest in the scene), or (N,) of each "body".
+        """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
+        largest world index), or (N,) per "body".
 
         Raises:
-            ValueError: report: it was "any".
+            ValueError: the report was "any", or `by` is unknown or needs a scene.
 
         Example:
-            >>> x0 + hits.first_toi("scene").clamp(max=1.0) * (x1 - x0)  # as far as all may go
+            >>> x0 + hits.first_toi("scene").clamp(max=1.0) * (x1 - x0)  # the collision-free part of the step
         """
         return first_time(self.pairs, self.toi, self.scene, by)
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Contacts:
-        """The contacts of some rows: a mask (K,), row numbers or a slice. `stats` stay those of the whole call.
+        """A subset of the contacts: a mask (K,), row numbers or a slice. `stats` remain those of the whole call.
 
         Example:
             >>> early = hits[hits.toi < 0.5]
@@ -145,13 +143,13 @@ class Contacts:
         return self._with({name: column[picked] for name, column in _columns(self).items()})
 
     def earliest(self, *ties: Tensor) -> Contacts:
-        """The one with the least toi; of equal ones see `earliest_row`. None of none."""
+        """The contact with the smallest toi (see `earliest_row` for ties), or none if there are no contacts."""
         assert self.toi is not None
         found = self[earliest_row(self.toi, *ties)]
         return replace(found, stats=replace(found.stats, contacts=len(found)))
 
     def to(self, device: torch.device | str) -> Contacts:
-        """The same on another device.
+        """A copy on another device.
 
         Example:
             >>> hits = hits.to("cpu")
@@ -160,7 +158,7 @@ class Contacts:
         return self._with({name: column.to(device) for name, column in _columns(self).items()})
 
     def clone(self) -> Contacts:
-        """The same in memory of its own.
+        """A copy of all columns.
 
         Example:
             >>> kept = hits.clone()
@@ -178,10 +176,10 @@ class Contacts:
 
 @dataclass
 class PaddedContacts:
-    """Contacts in a fixed number of rows, from `detect(capacity=...)`: nothing has waited for the device yet.
+    """Contacts in a fixed number of rows, from `detect(capacity=...)`: the host has not synchronised yet.
 
     The first `count` rows are contacts as in `Contacts`. The rest is padding: pairs and features -1, toi inf, status
-    FREE, all else 0; so that `toi.min()` needs no mask. Columns are None where those of `Contacts` are.
+    FREE, all else 0, so `toi.min()` needs no mask. With report="any" the same columns are None as in `Contacts`.
     """
 
     pairs: Tensor  #: (capacity.contacts, 2) int64
@@ -193,22 +191,21 @@ class PaddedContacts:
     normal: Tensor | None
     status: Tensor | None
     count: Tensor  #: (1,) int64: number of contacts
-    #: (1,) bool: a capacity was exceeded, or the input is invalid, and contacts may be missing. `trim` raises and says
-    #: which.
+    #: (1,) bool: a capacity was exceeded or the input is invalid, so contacts may be missing. `trim` raises the error.
     overflow: Tensor
     counts: Tensor  #: (21 + F,) int64: `pgccd.detection.capacity.Counts`, then `pgccd.MovingBodies.first_faults`
     capacity: Capacity
     broad_phase: str  #: as in `Stats`
     bodies: int  #: number of bodies
-    faults: Faults  #: what the last of `counts` mean
+    faults: Faults  #: meaning of the last values of `counts`
     scene: Scene | None = field(default=None, init=False, repr=False, compare=False)
 
     def first_toi(self, by: By = "scene") -> Tensor:
-        """As `Contacts.first_toi`; waits for nothing. On overflow some may be missing."""
+        """As `Contacts.first_toi`, without synchronising. After overflow, contacts may be missing."""
         return first_time(self.pairs, self.toi, self.scene, by)
 
     def trim(self) -> Contacts:
-        """The contacts alone, with stats. Waits for the device.
+        """The contacts without padding, with stats. Synchronises.
 
         Raises:
             CapacityError: a capacity was exceeded.
@@ -222,7 +219,7 @@ class PaddedContacts:
         counts = Counts.of(values[: len(COUNT_ROWS)])
         if counts.overflow:
             raise CapacityError(self.capacity, counts.needed(self.capacity))
-        count = min(counts.contacts, len(self.pairs))  # of the earliest there is one row
+        count = min(counts.contacts, len(self.pairs))  # "earliest" has one row
         columns = {name: None if column is None else column[:count] for name, column in _all_columns(self).items()}
         stats = stats_of(counts, self.capacity, self.bodies, count, self.broad_phase, waits=int(self.counts.is_cuda))
         contacts = Contacts(**columns, stats=stats)  # type: ignore[arg-type]
@@ -234,7 +231,7 @@ class PaddedContacts:
 
 
 def stats_of(counts: Counts, capacity: Capacity, bodies: int, contacts: int, broad_phase: str, waits: int) -> Stats:
-    """What a step did that was made at once, within `capacity`."""
+    """Statistics of a step that was run at once, in `capacity`."""
     return Stats(
         bodies=bodies,
         pcs=counts.pairs_written,

@@ -1,4 +1,4 @@
-"""How much memory a step may take, and how much it is expected to."""
+"""Memory limits and estimates of a step."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from pgccd.detection.query import Query
 from pgccd.geometry.scene import Scene
 
 _DEFAULT_BUDGET = 1 << 30
-# Times what the last step needed.
+# Capacity relative to what the last step needed.
 _SLACK = 1.25
-# Memory of one pair of the PCS in traversal and narrow phase, on the standard scene with a margin.
+# Memory per pair of the PCS in traversal and narrow phase, in the standard scene, with a safety factor.
 _BYTES_PER_PAIR = 1536
 
 
 def memory_limit(budget: int | None, wanted: int, device: torch.device) -> int:
-    """Bytes of scratch memory to aim at. What a GPU has free is only asked where it matters: asking takes time.
+    """Target size of scratch memory in bytes. Free GPU memory is queried only above the default budget, because the
+    query is slow.
 
     Args:
-        budget: the user's.
-        wanted: what would be used.
-        device: where.
+        budget: the user's limit, or None.
+        wanted: the number of bytes that would be used.
+        device: the device of the memory.
     """
     if budget is not None:
         return budget
@@ -36,7 +37,7 @@ def memory_limit(budget: int | None, wanted: int, device: torch.device) -> int:
 
 
 class CapacityEstimate:
-    """The capacity of a step, estimated from what the last one of its kind needed. It changes how often a step is
+    """An estimate of a step's capacity from what the last step of its kind needed. It changes how often a step is
     repeated, never its result.
 
     Example:
@@ -45,22 +46,22 @@ class CapacityEstimate:
     """
 
     def __init__(self) -> None:
-        self._size = 0  # of the last step: bodies, or pairs where they were given
-        #: What the last step needed; None before the first.
+        self._size = 0  # number of bodies of the last step, or of pairs if they were given
+        #: The capacity that the last step needed; None before the first.
         self.needed: Capacity | None = None
 
     def learn(self, size: int, needed: Capacity) -> None:
-        """Takes note of a step of so many bodies, or of so many pairs where these were given."""
+        """Records what a step of `size` bodies (or given pairs) needed."""
         if size > 0:
             self._size, self.needed = size, needed
 
     def capacity(self, scene: Scene, pairs: Tensor | None, slack: float = _SLACK) -> Capacity:
-        """For a step like the last one, or like one of the standard scene if there was none.
+        """The expected capacity, from the last step or, before the first, from the standard scene.
 
         Args:
             scene: the bodies.
             pairs: (P, 2), if they are given.
-            slack: times what the last step needed.
+            slack: factor over what the last step needed.
         """
         size, given = (scene.body_count, None) if pairs is None else (len(pairs), len(pairs))
         guess = Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
@@ -71,8 +72,9 @@ class CapacityEstimate:
 
 
 def estimate_of(scene: Scene, query: Query, pairs: Tensor | None) -> CapacityEstimate:
-    """That of the scene's steps with this report. A whole step and a repetition of a part of it may need very different
-    memory a pair: where pairs are given, octaves of their number have estimates of their own."""
+    """The scene's estimate for this report. Searches of given pairs have one estimate per octave of their number, since
+    repeating part of a step may need very different memory per pair than the whole step.
+    """
     octave = None if pairs is None else len(pairs).bit_length()
     estimates, key = scene.capacity_estimates, (query.report, octave)
     if key not in estimates:
@@ -81,13 +83,13 @@ def estimate_of(scene: Scene, query: Query, pairs: Tensor | None) -> CapacityEst
 
 
 def pairs_a_chunk(scene: Scene, estimate: CapacityEstimate, budget: int | None, pair_count: int = 0) -> int:
-    """How many body pairs to traverse at a time, so that memory stays within the budget.
+    """Number of body pairs per chunk, so that memory stays within the budget.
 
     Args:
         scene: the bodies.
-        estimate: of whole steps of theirs.
-        budget: the user's.
-        pair_count: how many there are, for which a GPU may have more memory than usual.
+        estimate: of a whole step of these bodies.
+        budget: `memory_budget` of the user.
+        pair_count: number of all pairs; many pairs raise the default budget on a GPU.
     """
     bytes_per_pair = _BYTES_PER_PAIR
     needed = estimate.needed

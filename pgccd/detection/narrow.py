@@ -1,4 +1,4 @@
-"""Narrow phase: from candidate feature pairs to contacts; and the elementary tests, for those with own candidates."""
+"""Narrow phase: from candidate feature pairs to contacts; and elementary tests of the caller's own points."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from pgccd.detection.checks import check_pairs, check_separation, operator_toler
 from pgccd.detection.contacts import ContactRows, take_earliest
 
 Report = Literal["any", "first", "all", "earliest"]
-# What the operators are asked for; "earliest" is then chosen from the first contacts.
+# The operators' numbers; "earliest" selects from the first contacts.
 REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 1}
 
-# Of elementary tests, which know no radius that it could be relative to.
+# Elementary tests have no radius that the tolerance could be relative to.
 _ELEMENTARY_TOLERANCE = 1e-6
 
 
@@ -26,7 +26,7 @@ class Kind(IntEnum):
     """Values of `kind`: which features of a pair (i, j) touch."""
 
     VF_AB = 0  #: vertex of i, face of j
-    VF_BA = 1  #: vertex of j, face of i; `features` still lists i's first
+    VF_BA = 1  #: vertex of j, face of i; `features` still lists i's feature first
     EE = 2  #: edge of i, edge of j
 
 
@@ -40,14 +40,14 @@ class Status(IntEnum):
 
 @dataclass(frozen=True)
 class ElementaryResult:
-    """Outcomes of elementary tests; `toi` and `coordinates` have the dtype of the points."""
+    """Results of elementary tests; `toi` and `coordinates` have the dtype of the points."""
 
     status: Tensor  #: (n,) int8
     toi: Tensor  #: (n,) not late, rounded down; inf when free
-    #: (n, 2) of the face point f0 + u (f1 - f0) + v (f2 - f0), or along the edges ea0 + u (ea1 - ea0) and
+    #: (n, 2): (u, v) of the face point f0 + u (f1 - f0) + v (f2 - f0), or of the edge points ea0 + u (ea1 - ea0) and
     #: eb0 + v (eb1 - eb0)
     coordinates: Tensor
-    #: (n,) int8: the arithmetic that decided it: 24 (float32), 53 (float64) or 106 (pairs of float64)
+    #: (n,) int8: significand bits of the arithmetic that decided: 24 (float32), 53 (float64) or 106 (pairs of float64)
     significant_bits: Tensor
 
 
@@ -58,18 +58,17 @@ def vertex_face(
     tolerance: float | None = 1e-6,
     nonzero_toi: bool = False,
 ) -> ElementaryResult:
-    """Vertex against face, all four points on straight lines over the step. The points given are the truth.
+    """Vertex against face, all four points on straight lines over the step. The points are taken as exact.
 
-    A query is asked in the precision of its points first, and again in a finer one where rounding leaves it open: so a
-    near miss is a contact only if it misses by less than about 10^-28 of its size. Where touching is certain, or the
-    points still come within tolerance when all precisions are spent, it is one.
+    A query is first tested in the precision of its points, and in higher precisions where rounding leaves it undecided.
+    So a near miss is reported as a contact only if the gap is less than about 10^-28 of the query's size.
 
     Args:
         points_t0, points_t1: (n, 4, 3) float32 or float64, positions of v, f0, f1, f2 at both ends, any one length
             unit.
         min_separation: touching means a distance of at most this.
         tolerance: a contact comes within min_separation + tolerance (length). None: 1e-6.
-        nonzero_toi: never answer toi = 0 unless the pair starts within the separation (to rounding).
+        nonzero_toi: never return toi = 0 unless the pair starts within the separation (to rounding).
 
     Raises:
         TypeError, ValueError: naming the argument; also if points require grad.
@@ -119,15 +118,15 @@ def contacts(
     tolerance: float | None = None,
     nonzero_toi: bool = False,
 ) -> ContactRows:
-    """Solves candidates and keeps what `report` asks for; see `pgccd.detect` for the options.
+    """Solves candidates and returns the contacts selected by `report`; see `pgccd.detect` for the options.
 
     Args:
         bodies, pairs: as for `pgccd.traverse.bvtt`.
-        candidates: (C, 4) int32, as from there.
+        candidates: (C, 4) int32, as returned by `bvtt`.
 
     Returns:
-        Rows in canonical order: row of `pairs` (K,), kind (K,), features (K, 2), status (K,), toi (K,), coordinates
-        (K, 2), point (K, 3), normal (K, 3).
+        Contacts in canonical order: index into `pairs` (K,), kind (K,), features (K, 2), status (K,), toi (K,),
+        coordinates (K, 2), point (K, 3), normal (K, 3).
 
     Example:
         >>> rows = pgccd.narrow.contacts(bodies, pairs, candidates, report="all")
@@ -142,7 +141,8 @@ def contacts(
     if candidates.device != bodies.device:
         raise ValueError(f"candidates: expected device {bodies.device}, got {candidates.device}")
     require(
-        _names_features(bodies, pairs, candidates), "candidates: a row names a pair, kind or feature that is not there"
+        _names_features(bodies, pairs, candidates),
+        "candidates: a row refers to a missing pair, kind or feature",
     )
     arguments.choice(report, "report", REPORTS)
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
@@ -155,13 +155,13 @@ def contacts(
 
 
 def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> Tensor:
-    """Which rows name a pair, a kind and features that exist."""
+    """Mask of candidates with a valid pair, kind and features."""
     row, kind, *features = (column.long() for column in candidates.unbind(dim=1))
     known = (row >= 0) & (row < len(pairs)) & (kind >= 0) & (kind <= int(max(Kind)))
     offsets = bodies.scene.meshes.offsets.to(bodies.device)
     counts = offsets[1:] - offsets[:-1]  # vertices, faces, edges
     row, kind = torch.where(known, row, 0), torch.where(known, kind, 0)
-    # The column of `counts` that limits each body's feature, by kind.
+    # The column of `counts` that bounds each body's feature index, by kind.
     column = torch.tensor([[0, 1], [1, 0], [2, 2]], device=bodies.device)
     for side in (0, 1):
         mesh = bodies.scene.mesh_index[pairs[row, side]].long() if len(pairs) else row

@@ -1,4 +1,4 @@
-"""Detection in a given capacity: the host does not wait for the device until the result is read."""
+"""Detection in a given capacity, without synchronising until the result is read."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from pgccd.detection.query import Query
 
 @dataclass
 class Search:
-    """A step on its way."""
+    """A step in progress."""
 
     bodies: MovingBodies
     query: Query
     capacity: Capacity
     broad_phase: str
-    rows: ContactRows  #: with padding; the first column is body pairs (., 2)
-    counts: Tensor  #: (21 + F,) int64, see `Counts`, and after them `MovingBodies.first_faults`
+    rows: ContactRows  #: padded; the first column is body pairs (., 2)
+    counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies.first_faults`
 
     def read(self) -> Counts:
-        """Waits for the counts.
+        """Reads the counts. Synchronises.
 
         Raises:
             ValueError: the input is invalid.
@@ -39,7 +39,7 @@ class Search:
         return Counts.of(values[: len(COUNT_ROWS)])
 
     def contacts(self, counts: Counts) -> Contacts:
-        """The result, once the counts are known and nothing overflowed."""
+        """The contacts, given the counts, if nothing overflowed."""
         count = counts.contacts
         rows = self.rows
         if rows[0].shape[0] != count:
@@ -54,7 +54,7 @@ class Search:
         return Contacts(pairs, toi, kind, features, coordinates, point, normal, status, stats)
 
     def padded(self) -> PaddedContacts:
-        """The result, whatever the counts."""
+        """The padded contacts, without reading the counts."""
         rows, count = self.rows, self._count("contacts")
         if self.query.report == "earliest":
             rows, count = take_earliest(rows), count.clamp(max=1)
@@ -74,7 +74,7 @@ class Search:
 
 
 def counts_of_given(pairs: Tensor, count: Tensor | None = None) -> Tensor:
-    """(7,) int64: what the broad phase would have counted, of pairs (P, 2) of which there are `count` (1,)."""
+    """(7,) int64: the broad phase's counts for given pairs (P, 2), of which `count` (1,) are valid (default: all)."""
     if count is None and pairs.device.type == "cpu":
         values = [0] * COUNTS_OF_PAIRS
         values[COUNT_ROWS["pairs"]] = values[COUNT_ROWS["pairs_written"]] = pairs.shape[0]
@@ -86,7 +86,7 @@ def counts_of_given(pairs: Tensor, count: Tensor | None = None) -> Tensor:
     return torch.cat([counts.get(name, nothing) for name in list(COUNT_ROWS)[:COUNTS_OF_PAIRS]])
 
 
-# As for the stage alone, except that a search for the earliest contact of all may leave out later ones.
+# As in the narrow phase, except that the search for the earliest contact of the scene may skip later ones.
 _REPORTS = narrow.REPORTS | {"earliest": 3}
 
 
@@ -102,11 +102,11 @@ def search_padded(
 
     Args:
         bodies: made with `wait=False`.
-        query: what is asked.
+        query: options of the search.
         capacity: of the result and of all intermediate lists.
         broad_phase: how the PCS is found.
-        pairs: (P, 2) int64, instead of that.
-        pair_counts: (7,) int64, left on the device: what is known of their number, if that is not P.
+        pairs: (P, 2) int64, instead of a broad phase.
+        pair_counts: (7,) int64 on the device: the broad phase's counts, if the number of pairs is not P.
     """
     if pairs is None and not bodies.deforming:
         return search_rigid(bodies, query, capacity, broad_phase, capacity.of_pairs)
@@ -172,19 +172,19 @@ def contacts_padded(
     query: Query,
     capacity: Capacity,
 ) -> tuple[ContactRows, Tensor]:
-    """Traversal and narrow phase of a step, of pairs whose number the host need not know.
+    """Traversal and narrow phase of a step; the number of pairs may be on the device only.
 
     Args:
         mesh_set, tensors: as of `MovingBodies`.
         linear_path: True if vertices move on straight lines, False if on arcs; None: the bodies deform.
-        pairs: (P, 2) int64; those beyond the number written are padding.
+        pairs: (P, 2) int64; rows beyond `pairs_written` are padding.
         pair_counts: (7,) int64, the first of `Counts`.
-        faults: (F,) int64, handed on.
-        query: what is asked.
+        faults: (F,) int64, appended to the counts.
+        query: options of the search.
         capacity: of the result.
 
     Returns:
-        Contacts with padding, the first column being body pairs; and counts (21 + F,).
+        Padded contacts, body pairs in the first column; and counts (21 + F,).
     """
     settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
     rest = (pairs, pair_counts, faults, *settings, _REPORTS[query.report], capacity.of_contacts)
@@ -206,14 +206,14 @@ def lower_first_toi(
     query: Query,
     capacity: Capacity,
 ) -> Tensor:
-    """As `contacts_padded` for the first contacts of rigid bodies, where only toi matters.
+    """As `contacts_padded` for the first contacts of rigid bodies; only toi is computed.
 
     Args:
         first: (N,) float64: the first toi so far; lowered in place.
-        owners: (P, 2) int64 rows of `first`: whose each pair's is.
+        owners: (P, 2) int64: the rows of `first` that each pair lowers.
 
     Returns:
-        Counts (21,), of which `contacts` is the number of pairs that have one.
+        Counts (21,); `contacts` is the number of pairs with a contact.
     """
     settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
     rest = (*settings, capacity.of_contacts[:-1])  # no contacts are written

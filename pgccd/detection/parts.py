@@ -1,4 +1,4 @@
-"""A step whose body pairs are searched in parts, each as soon as it is known: while others are still looked for."""
+"""A step whose body pairs are searched in parts, each as soon as it is known, while the rest are still being found."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from pgccd.detection.pipeline import expected_capacity, find_contacts, start_sea
 from pgccd.detection.query import Query
 from pgccd.detection.streaming import join_contacts
 
-# Capacity for pairs found without waiting, over what the last step needed. More than where their number is known
-# how many more pairs there are.
+# Capacity for pairs found without synchronising, relative to the last step. Larger than for pairs of known number,
+# since the number of pairs may grow too.
 _SLACK = 1.5
 
 
@@ -29,15 +29,14 @@ class Part:
     """Body pairs of a step that are searched together.
 
     Args:
-        query: what is asked.
-        bodies: moving.
-        pairs: (P, 2) int64 rows of these, of each pair first the body that contacts are to name first. Rows of -1 may
-            follow.
+        query: options of the search.
+        bodies: the bodies of the pairs.
+        pairs: (P, 2) int64 rows of `bodies`; contacts name the first body of a pair first. Rows of -1 may follow.
         pair_counts: (7,) int64, left on the device: the first of `Counts`. Default: there are P pairs.
-        rows: (B,) int64: which of the step's bodies each of `bodies` is. Default: they are those of the step.
-        capacity: of the search, chosen before the pairs were known. Default: what is expected to suffice.
-        find_pairs: finds all pairs, if they exceeded the capacity.
-        estimate: of the capacity of the same part of the next step, which learns what this one needed.
+        rows: (B,) int64: index of each of `bodies` in the step. Default: `bodies` are those of the step.
+        capacity: of the search, chosen before the pairs were known. Default: as estimated.
+        find_pairs: finds all pairs, called if they exceeded the capacity.
+        estimate: capacity estimate of this part, updated with what the search needed.
     """
 
     def __init__(
@@ -54,7 +53,8 @@ class Part:
         self.query, self.bodies, self.pairs, self.rows = query, bodies, pairs, rows
         self._estimate = estimate or CapacityEstimate()
         self._pair_counts, self._capacity, self._find_pairs = pair_counts, capacity, find_pairs
-        # What the capacity is proportional to: bodies, if it was chosen before the pairs were known.
+        # The capacity is proportional to the number of pairs, or of bodies if it was chosen before the pairs were
+        # known.
         self._size = len(pairs) if capacity is None else bodies.scene.body_count
         self._search: Search | None = None
         self._counts: Counts | None = None
@@ -62,24 +62,25 @@ class Part:
         self._contacts: Contacts | None = None
 
     def start(self) -> Search:
-        """Starts the search for their contacts, unless it has been started. Waits for nothing."""
+        """Starts the search, unless it has been started. Does not synchronise."""
         if self._search is None:
             given = self._pair_counts, self._capacity, self._estimate
             self._search = start_search(self.bodies, self.query, self.pairs, *given)
-            # Now: when its counts are read, another search may have been started.
+            # Read now: another search may start before the counts are read.
             self._scratch_bytes = ops.take_scratch_peak() if self.pairs.is_cuda else 0
         return self._search
 
     def begin(self) -> None:
-        """Starts the search on a GPU. Elsewhere makes it, unless it has been started."""
+        """On a GPU starts the search; on a CPU runs it, unless it has been started."""
         if self.pairs.is_cuda or self._search is not None:
             self.start()
         else:
             self.find()
 
     def learn(self, counts: Counts) -> None:
-        """Takes note of what the search counted, which the host has read, for `find` and for the next step. Once the
-        contacts have been found in another way, `find` has done so."""
+        """Records the counts of the search, already read by the host, for `find` and for the estimate. No effect if
+        `find` has already returned contacts.
+        """
         if self._contacts is not None:
             return
         self._counts = counts
@@ -87,7 +88,7 @@ class Part:
             self._estimate.learn(self._size, counts.needed(self.start().capacity))
 
     def find(self) -> Contacts:
-        """Their contacts, as rows of `bodies`. Waits for them."""
+        """The contacts, as rows of `bodies`. Synchronises."""
         if self._contacts is not None:
             return self._contacts
         if self._search is not None:
@@ -107,7 +108,7 @@ class Part:
         self._contacts = find_contacts(self.bodies, self.query, pairs=self.pairs)
         needed = self._contacts.stats.needed
         if needed is not None:
-            if self._counts is not None:  # only the first search has counts of the broad phase
+            if self._counts is not None:  # only the first search counts the broad phase
                 needed = replace(
                     needed,
                     pairs=max(needed.pairs, self._counts.pairs),
@@ -118,8 +119,9 @@ class Part:
         return self._contacts
 
     def first_contacts(self) -> tuple[Tensor, Tensor]:
-        """Pairs (K, 2) as rows of the step's bodies and toi (K,) of the contacts: those that `find` gave, else of the
-        search as far as it goes, padded with -1 and inf. Asks for first contacts; waits for nothing."""
+        """Pairs (K, 2) as rows of the step's bodies, and toi (K,): of `find` if it has run, else of the search in
+        progress, padded with -1 and inf. Does not synchronise; for report="first" only.
+        """
         if self._contacts is None:
             rows = self.start().rows
             return self.in_step(rows[0]), rows[4]
@@ -128,26 +130,26 @@ class Part:
         return self.in_step(self._contacts.pairs), self._contacts.toi
 
     def counts(self) -> Tensor:
-        """(21,) int64, on the device: `Counts` of what `first_contacts` gives."""
+        """(21,) int64 on the device: `Counts` of the contacts that `first_contacts` returns."""
         if self._contacts is None:
             return self.start().counts[: len(COUNT_ROWS)]
         return _counts_of(self._contacts.stats).to(self.pairs.device)
 
     def in_step(self, pairs: Tensor) -> Tensor:
-        """Rows of `bodies` (K, 2), perhaps -1, as rows of the step's."""
+        """Maps rows of `bodies` (K, 2), which may be -1, to rows of the step's bodies."""
         if self.rows is None:
             return pairs
         return self._rows_or_padding[pairs]
 
     @functools.cached_property
     def _rows_or_padding(self) -> Tensor:
-        """`rows`, and -1 for padding."""
+        """`rows` followed by -1 for padding."""
         assert self.rows is not None
         return torch.cat([self.rows, self.rows.new_full((1,), -1)])
 
 
-#: Of pairs (P, 2), perhaps with rows of -1 after them, those to be searched: as many, in the first places; and their
-#: number (1,) int64, left on the device.
+#: Selects the pairs to search from pairs (P, 2), which may be followed by rows of -1: returns a tensor of the same
+#: shape with these pairs first, and their number (1,) int64 on the device.
 Select = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
@@ -161,18 +163,18 @@ def find_part(
     estimate: CapacityEstimate | None = None,
     slack: float = _SLACK,
 ) -> Part:
-    """The PCS of bodies, as a part. On a GPU it is found without waiting for its size, in a capacity, where that can be
-    foreseen how much suffices. Then the bodies need not be checked: if they are invalid there are no pairs.
+    """The PCS of bodies, as a part. On a GPU it is found in an estimated capacity without synchronising, if the
+    estimate fits in memory. Then the bodies need not be validated: if they are invalid there are no pairs.
 
     Args:
         bodies, query, broad_phase: as for `find_contacts`.
-        select: which of the pairs are searched. Default: all.
-        discard: (1,) int64 on the device; nonzero: the result will be discarded, and the search returns at once.
+        select: selects the pairs to search. Default: all.
+        discard: (1,) int64 on the device; if nonzero, the result will be discarded and the search returns immediately.
         rows, estimate: as for `Part`.
-        slack: capacity over what the last step needed.
+        slack: capacity relative to what the last step needed.
 
     Raises:
-        ValueError: the bodies are invalid, and that had to be known.
+        ValueError: the bodies are invalid, and the capacity could not be estimated.
     """
     separation, tolerance = query.min_separation, query.tolerance
 
@@ -201,7 +203,7 @@ def find_part(
 
 
 def _counts_of(stats: Stats) -> Tensor:
-    """(21,) int64: what `Counts` would say of a search of which the statistics are known."""
+    """(21,) int64: `Counts` reconstructed from the statistics of a finished search."""
     counts = dict.fromkeys(Counts._fields, 0)
     counts |= {"pairs": stats.pcs, "pairs_written": stats.pcs, "candidates": stats.candidates}
     counts |= {"contacts": stats.contacts, "unresolved": stats.unresolved, "node_tests": stats.node_tests}
@@ -215,7 +217,7 @@ def _looks_ahead(bodies: MovingBodies) -> bool:
 
 
 def contacts_of_step(parts: Sequence[Part]) -> Contacts:
-    """The contacts of all parts, one part after the other, as rows of the step's bodies. Waits for them."""
+    """The contacts of all parts, concatenated, as rows of the step's bodies. Synchronises."""
     found = [part.find() for part in parts]
     if len(parts) == 1:
         return found[0]
@@ -223,18 +225,18 @@ def contacts_of_step(parts: Sequence[Part]) -> Contacts:
 
 
 def first_contacts_of(parts: Sequence[Part]) -> tuple[Tensor, Tensor]:
-    """Pairs (K, 2) as rows of the step's bodies, and toi (K,), of all parts: see `Part.first_contacts`."""
+    """Pairs (K, 2) as rows of the step's bodies and toi (K,) of all parts: see `Part.first_contacts`."""
     pairs, toi = zip(*(part.first_contacts() for part in parts), strict=True)
     return (pairs[0], toi[0]) if len(pairs) == 1 else (torch.cat(pairs), torch.cat(toi))
 
 
 def search_seconds(found: Counts | Stats) -> dict[str, float]:
-    """Of traversal and narrow phase. The time of the broad phase is measured where pairs are found."""
+    """Seconds of traversal and narrow phase. The broad phase is timed where pairs are found."""
     return {stage: found.seconds[stage] for stage in ("traverse", "narrow")}
 
 
 def pairs_of_step(parts: Sequence[Part]) -> Tensor:
-    """(P, 2) int64: the pairs of all parts as rows of the step's bodies, rows of -1 among them."""
+    """(P, 2) int64: the pairs of all parts as rows of the step's bodies; rows of -1 may be anywhere."""
     if len(parts) == 1:
         return parts[0].pairs
     return torch.cat([part.in_step(part.pairs) for part in parts])

@@ -24,7 +24,7 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 
-# A step that overflows is repeated with a larger capacity, at most once for every stage that may overflow.
+# A step that overflows is repeated with a larger capacity, at most once per stage that may overflow.
 _ATTEMPTS = 6
 
 
@@ -86,35 +86,34 @@ def detect(
     Nothing is missed: if two primitives of different bodies touch (distance <= min_separation) at some t in [0, 1] on
     the paths the motion defines, a contact is reported, and its toi is not later than that t. The same holds within a
     body that deforms (`VertexMotion`) and has `self_collision` set in the scene, for primitives that share no vertex;
-    such contacts are of a pair (i, i).
+    such contacts have the pair (i, i).
 
     Args:
         scene: the bodies.
-        motion: where they go. Of a `Trajectory` all segments are tested in this one call; "first" is then the first
-            contact of each pair and "earliest" that of the scene over all segments, "any" the pairs that collide in any
-            of them, and "all" has the contacts of every segment; neither `pairs` nor `capacity` may be given.
-        report: "any": which body pairs collide (Alg. 2 of Du, Liu & Suzumura 2017). "first": the earliest contact of
-            each pair (of equal toi the smallest kind and features). "all": every touching feature pair. "earliest":
-            the one first contact of the scene; its toi is the largest collision-free fraction of the step.
+        motion: their paths. All segments of a `Trajectory` are tested in one call: "first" is then the first contact of
+            each pair over all segments, "earliest" that of the scene, "any" the pairs that collide in any segment, and
+            "all" the contacts of every segment; neither `pairs` nor `capacity` may be given.
+        report: "any": the body pairs that collide (Alg. 2 of Du, Liu & Suzumura 2017). "first": the earliest contact of
+            each pair (of equal toi the smallest kind and features). "all": every touching feature pair. "earliest": the
+            first contact of the scene; its toi is the largest collision-free fraction of the step.
         min_separation: length >= 0. Bodies may have margins besides, see `Scene`.
         tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
             SBV radius of each pair.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
-        broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses one by the bodies' sizes
-            and says so in `stats`. The result does not depend on it.
-        pairs: (P, 2) int64, i < j (or i, i where a body collides with itself), sorted, each once: test these body pairs
-            and no others, without a broad phase (a part of an earlier step's, say). The scene's filters are not applied
-            to them.
+        broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses by number and sizes of the
+            bodies (see `stats`). The result does not depend on it.
+        pairs: (P, 2) int64, i < j (or i, i for a body tested against itself), sorted and unique: test only these body
+            pairs, without a broad phase. The scene's filters are not applied to them.
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB,
             or a quarter of what is free on a GPU if that is more. The result does not depend on it.
-        capacity: of the result and of all intermediate lists. Then sizes are fixed and nothing waits for the device,
-            so that the call can be captured by `torch.cuda.graph` and compiled by `torch.compile(fullgraph=True)`;
-            `overflow` of the result is set if a capacity was exceeded. (For bodies that deform, call once before.)
+        capacity: of the result and of all intermediate lists. Then sizes are fixed and the call does not synchronise,
+            so that it can be captured by `torch.cuda.graph` and compiled by `torch.compile(fullgraph=True)`; `overflow`
+            of the result is set if a capacity was exceeded. (For deforming bodies, call it once before capturing.)
 
     Returns:
-        Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts of a trajectory. On a
-        GPU the host waits once, for the counts that sizes follow from; again only where a step needs much more capacity
-        than the last one.
+        Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts for a trajectory. On
+        a GPU the host synchronises once, to read the counts; again only if a step exceeds the capacity estimated from
+        the last one.
 
     Raises:
         ValueError, TypeError: naming the argument; also if an input requires grad: there are no gradients yet.
@@ -140,12 +139,12 @@ def detect(
 
         return detect_trajectory(scene, motion, query, detect_step)
     on_cpu = isinstance(scene, Scene) and scene.device.type == "cpu"
-    start = time.perf_counter() if capacity is None else 0.0  # which compiled graphs do not know
-    # Where one operator makes the step, it looks at the poses too.
+    start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
+    # An operator for the whole step also checks the poses.
     at_once = pairs is None and isinstance(motion, RigidMotion)
     bodies = MovingBodies(scene, motion, wait=on_cpu and capacity is None and not at_once)
     seconds = time.perf_counter() - start if capacity is None else 0.0
-    broad.choose(bodies, broad_phase)  # complains of a name it does not know
+    broad.choose(bodies, broad_phase)  # raises for an unknown name
     if pairs is not None:
         pairs = check_pairs(pairs, bodies, ascending=True)
     if capacity is not None:
@@ -166,7 +165,7 @@ def find_contacts(
     """`detect` without its checks, for bodies in motion.
 
     Args:
-        bodies: on a CPU checked already.
+        bodies: on a CPU already validated.
         query, broad_phase, memory_budget: as for `detect`.
         pairs: (P, 2) int64, or None. Where bodies have ids that rows do not follow, the body named first is i.
     """
@@ -187,17 +186,16 @@ def start_search(
     capacity: Capacity | None = None,
     estimate: CapacityEstimate | None = None,
 ) -> Search:
-    """Starts `find_contacts` without waiting for a GPU; `Search.contacts` completes it.
+    """Starts `find_contacts` without synchronising; `Search.contacts` completes it.
 
     Args:
         bodies, query, pairs: as for `find_contacts`.
-        pair_counts: (7,) int64, left on the device: the first of `Counts`, if some of the pairs are padding.
-        capacity: of the search. Default: `expected_capacity`; if that is None there is none, and all of it
-            overflows.
+        pair_counts: (7,) int64 on the device: the first of `Counts`, if some of the pairs are padding.
+        capacity: of the search. Default: `expected_capacity`; if that is None, a capacity of zero, which overflows.
         estimate: see `expected_capacity`.
     """
     if bodies.device.type != "cpu":
-        ops.take_scratch_peak()  # of earlier steps
+        ops.take_scratch_peak()  # discards the peak of earlier steps
     if capacity is None:
         capacity = expected_capacity(bodies, pairs, estimate or CapacityEstimate()) or Capacity(0, 0)
     return search_padded(bodies, query, capacity, "auto", pairs, pair_counts)
@@ -206,7 +204,7 @@ def start_search(
 def expected_capacity(
     bodies: MovingBodies, pairs: Tensor | None, estimate: CapacityEstimate, **slack: float
 ) -> Capacity | None:
-    """As estimated; None if that takes too much memory."""
+    """The estimated capacity; None if it needs too much memory."""
     if bodies.device.type == "cpu":
         return EXACTLY
     capacity = estimate.capacity(bodies.scene, pairs, **slack)
@@ -214,7 +212,7 @@ def expected_capacity(
 
 
 def _on_cpu(bodies: MovingBodies, query: Query) -> tuple[SolvePairs, Callable[[Tensor], Contacts]]:
-    """How chunks are solved where buffers have the sizes needed."""
+    """Solvers of chunks, with exact buffer sizes."""
 
     def solve(pairs: Tensor) -> Contacts:
         search = search_padded(bodies, query, EXACTLY, "auto", pairs)
@@ -226,7 +224,7 @@ def _on_cpu(bodies: MovingBodies, query: Query) -> tuple[SolvePairs, Callable[[T
 def _on_gpu(
     bodies: MovingBodies, query: Query, memory_budget: int | None
 ) -> tuple[SolvePairs, Callable[[Tensor], Contacts]]:
-    """How chunks are solved in a limited memory, and how in any."""
+    """Solvers of chunks, with and without a memory limit."""
 
     def solve(pairs: Tensor) -> Contacts | None:
         return _detect_at_once(bodies, query, "auto", pairs, memory_budget)
@@ -262,10 +260,12 @@ def _detect_exactly(
 def _detect_at_once(
     bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
 ) -> Contacts | None:
-    """All stages one after the other in the capacity that a step is expected to need; None if that is too much."""
+    """Runs all stages in the estimated capacity, and again in larger ones on overflow; None if that needs too much
+    memory.
+    """
     estimate = estimate_of(bodies.scene, query, pairs)
     capacity = estimate.capacity(bodies.scene, pairs)
-    ops.take_scratch_peak()  # of earlier steps
+    ops.take_scratch_peak()  # discards the peak of earlier steps
     for attempt in range(1, _ATTEMPTS + 1):
         if capacity.bytes > memory_limit(memory_budget, capacity.bytes, bodies.device):
             return None

@@ -1,4 +1,4 @@
-"""What is asked of a step."""
+"""Options of a detection step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Detection in pieces: the PCS is streamed in chunks, each traversed and solved before the next."""
+"""Detection in chunks: the PCS is streamed, each chunk traversed and solved before the next."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pgccd.detection.query import Query
 _COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 _SUMS = ("pcs", "node_tests", "candidates", "contacts", "unresolved", "chunks", "waits")
 
-#: Finds the contacts of given pairs (P, 2); None if they need more memory than there may be.
+#: Finds the contacts of given pairs (P, 2); None if they need more memory than the limit.
 SolvePairs = Callable[[Tensor], Contacts | None]
 
 
@@ -33,14 +33,14 @@ def stream(
     solve: SolvePairs,
     solve_at_any_price: Callable[[Tensor], Contacts],
 ) -> Contacts:
-    """What `pgccd.detect` does in little memory; on a CPU also with given pairs, and with bodies that deform.
+    """`pgccd.detect` in limited memory; on a CPU also with given pairs, and for deforming bodies.
 
     Args:
         bodies: the scene in motion.
-        query: what is asked.
+        query: options of the search.
         broad_phase, pairs, memory_budget: as for `detect`.
-        solve: of a chunk; where that is too much, its halves are tried.
-        solve_at_any_price: of a single pair that is too much.
+        solve: solves a chunk; if that needs too much memory, its halves are solved.
+        solve_at_any_price: solves a single pair without a memory limit.
     """
     start = time.perf_counter()
     chosen = broad.choose(bodies, broad_phase) if pairs is None else "given"
@@ -50,7 +50,7 @@ def stream(
         pairs = broad.find_pairs_of_checked(bodies, query.min_separation, chosen, query.tolerance)
     seconds = time.perf_counter() - start
     parts: list[Contacts] = []
-    # A list of chunks to come, the next one last.
+    # Stack of remaining chunks, the next one last.
     length = pairs_a_chunk(bodies.scene, estimate_of(bodies.scene, query, None), memory_budget, pairs.shape[0])
     chunks = [pairs] if pairs.shape[0] <= length else list(pairs.split(length))[::-1]
     while chunks:
@@ -72,11 +72,11 @@ def stream(
 
 
 def join_contacts(parts: Sequence[Contacts], pairs: Sequence[Tensor]) -> Contacts:
-    """The contacts of all parts, one part after the other.
+    """The contacts of all parts, concatenated.
 
     Args:
-        parts: of the same report.
-        pairs: (K, 2), to take the place of each part's own.
+        parts: contacts of the same report.
+        pairs: (K, 2) per part, replacing its own.
     """
     given = [replace(part, pairs=column) for part, column in zip(parts, pairs, strict=True)]
     columns = [torch.cat(values) for values in zip(*map(_columns, given), strict=True)]
@@ -91,7 +91,7 @@ def join_contacts(parts: Sequence[Contacts], pairs: Sequence[Tensor]) -> Contact
     if columns[0].device.type == "cpu":
         stats.needed = Capacity(pairs=stats.pcs, contacts=stats.contacts, candidates=stats.candidates)
     named: dict[str, Any] = dict.fromkeys(_COLUMNS)
-    named |= zip(_COLUMNS, columns, strict=False)  # report="any" has only the first
+    named |= zip(_COLUMNS, columns, strict=False)  # report="any" has only the first column
     return Contacts(**named, stats=stats)
 
 

@@ -23,17 +23,18 @@ _MOST_ROWS = 2**31
 class TrajectoryContacts(Contacts):
     """Contacts along a trajectory; `toi` is within the segment.
 
-    With report="all", sorted by segment, pair, kind and features. With "first" one row a pair: that of the least
-    segment, toi, kind and features. With "any" only `pairs` is meaningful, those that collide in any segment.
+    With report="all", sorted by segment, pair, kind and features. With "first" one row per pair: the one with the
+    smallest segment, toi, kind and features. With "any" only `pairs` is meaningful: the pairs that collide in any
+    segment.
     """
 
     segment: Tensor | None = field(default=None, kw_only=True)  #: (K,) int64: from waypoint `segment` to the next
     time: Tensor | None = field(
         default=None, kw_only=True
-    )  #: (K,) float64 in [0, 1] along the whole: (segment + toi) / (T - 1)
+    )  #: (K,) float64 in [0, 1] along the whole trajectory: (segment + toi) / (T - 1)
 
     def first_toi(self, by: By = "scene") -> Tensor:
-        """The first `time`, along the whole trajectory; otherwise as of `Contacts`."""
+        """As `Contacts.first_toi`, for `time` along the whole trajectory."""
         return first_time(self.pairs, self.time, self.scene, by)
 
 
@@ -44,10 +45,10 @@ DetectStep = Callable[[Scene, RigidMotion | VertexMotion, narrow.Report], Contac
 def detect_trajectory(
     scene: Scene, trajectory: Trajectory, query: Query, detect_step: DetectStep
 ) -> TrajectoryContacts:
-    """What `pgccd.detect` finds of a trajectory.
+    """`pgccd.detect` for a trajectory.
 
-    All segments are one step of a scene that holds each body once a segment; bodies of different segments are in
-    different worlds, which all broad phases keep apart.
+    All segments run as one step of a scene with one copy of each body per segment; the copies of different segments are
+    in different worlds, so no broad phase pairs them.
     """
     segments, count = trajectory.segment_count, scene.body_count
     if scene.device != trajectory.device:
@@ -58,7 +59,7 @@ def detect_trajectory(
     if rows != expected:
         what = "vertices" if trajectory.orientation is None else "bodies"
         raise ValueError(f"motion: has {rows} {what}, the scene {expected}")
-    # "earliest" is chosen from the first contacts of all segments.
+    # "earliest" selects from the first contacts of all segments.
     report: narrow.Report = "first" if query.report == "earliest" else query.report
     found = detect_step(repeated(scene, segments), trajectory.steps(), report)
     of_pairs = found.pairs
@@ -91,7 +92,7 @@ def detect_trajectory(
 
 
 def repeated(scene: Scene, times: int) -> Scene:
-    """A scene that holds each body so many times, each time in worlds of its own."""
+    """A scene with `times` copies of each body, each copy in worlds of its own."""
     if scene.body_count * times >= _MOST_ROWS or scene.world_count * times >= _MOST_ROWS:
         raise ValueError(
             f"motion: {times} segments of {scene.body_count} bodies in {scene.world_count} worlds are too many for one "
@@ -112,7 +113,7 @@ def repeated(scene: Scene, times: int) -> Scene:
 
 
 def _first_of_pairs(pairs: Tensor, count: int) -> Tensor:
-    """Of pairs (K, 2) the first row of each, in the order of the pairs."""
+    """The first row of each pair of `pairs` (K, 2), in the order of the pairs."""
     if not len(pairs):
         return torch.arange(0, device=pairs.device)
     order = torch.argsort(pairs[:, 0] * count + pairs[:, 1], stable=True)

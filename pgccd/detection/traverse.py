@@ -22,19 +22,18 @@ def bvtt(
 
     Args:
         bodies: the scene in motion.
-        pairs: (P, 2) int64 body pairs, i < j, or (i, i) where the body collides with itself; P below 2^31.
+        pairs: (P, 2) int64 body pairs, i < j, or (i, i) for a body tested against itself; P below 2^31.
         min_separation: length.
         tolerance: length; default 1e-6 of the smaller SBV radius of each pair.
-        horizon: (P,) float64 in [0, 1]: latest time searched in each pair. Default: the whole step.
-        leading: follow only the nodes that overlap most, down to one pair of leaves: few candidates, likely early
+        horizon: (P,) float64 in [0, 1]: end of the time searched for each pair. Default: the whole step.
+        leading: descend only into the nodes that overlap most, to one pair of leaves: few candidates, likely early
             contacts.
 
     Returns:
-        candidates (C, 4) int32: row of `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Unless
-        `leading`, every feature pair that may touch is listed, and none twice (representative triangles, Curtis et
-        al. 2008). Of a pair (i, i) they are of kind VF_AB, or EE with the smaller edge first. The order of rows is not
-        specified.
-        node_tests (1,) int64: how many node pairs were tested.
+        candidates (C, 4) int32: index into `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Unless
+        `leading`, every feature pair that may touch is listed exactly once (representative triangles, Curtis et al.
+        2008). Of a pair (i, i) they are of kind VF_AB, or EE with the smaller edge first. The order of rows is not
+        specified. node_tests (1,) int64: number of node pairs tested.
 
     Example:
         >>> candidates, node_tests = pgccd.traverse.bvtt(bodies, pgccd.broad.sweep(bodies))

@@ -1,7 +1,7 @@
-"""The system on many ranks: one process a GPU (or CPU core), any number of machines.
+"""Detection on many ranks: one process per GPU (or CPU core), on any number of machines.
 
-`World` spreads a scene over ranks; `connect` finds the ranks that were launched together. (`pgccd.sim.distributed` runs
-the nanorobot simulation.) Whatever the number of ranks, the results are the same to the last bit.
+`World` distributes a scene over ranks; `connect` connects the ranks that were launched together.
+(`pgccd.sim.distributed` runs the nanorobot simulation.) Results are bitwise equal for any number of ranks.
 """
 
 from pgccd.checkpoint.files import CheckpointError

@@ -1,1 +1,1 @@
-"""Meshes, scenes, and the files that meshes come from."""
+"""Meshes, scenes, and mesh files."""

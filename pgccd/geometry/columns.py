@@ -1,4 +1,4 @@
-"""Columns of a scene, from what users give: checked, in the types that operators read, on the scene's device."""
+"""Columns of a scene from user input: checked, converted to the operators' dtypes, and moved to the scene's device."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pgccd.geometry.mesh import MeshSet
 
 
 def require_meshes(mesh_index: Tensor, count: int) -> None:
-    """Raises ValueError unless every value (N,) is one of `count` meshes."""
+    """Raises ValueError unless every value (N,) is in [0, count)."""
     if len(mesh_index):
         low, high = (int(x) for x in torch.aminmax(mesh_index))
         if low < 0 or high >= count:
@@ -26,7 +26,7 @@ def _column(values: Any, name: str, expected: str) -> Tensor:
         column = torch.as_tensor(values)
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         raise TypeError(
-            f"{name}: expected {expected}, one a body, got {arguments.describe(values)}: {error}"
+            f"{name}: expected {expected}, one per body, got {arguments.describe(values)}: {error}"
         ) from error
     if column.dim() != 1:
         raise ValueError(f"{name}: expected {expected}, shape (N,), got {arguments.describe(column)}")
@@ -34,14 +34,14 @@ def _column(values: Any, name: str, expected: str) -> Tensor:
 
 
 def integer_column(values: Tensor | Sequence[int], name: str, count: int | None, device: torch.device) -> Tensor:
-    """Integers, one a body, as (N,) int64 on the device; `count` of them, if that is given."""
+    """Integers, one per body, as (N,) int64 on the device; `count` of them, if given."""
     column = _column(values, name, "integers")
     if column.numel() == 0:
         column = column.to(torch.int64)
     if column.dtype.is_floating_point or column.dtype.is_complex or column.dtype == torch.bool:
         raise TypeError(f"{name}: expected integers, got {column.dtype}")
     if count is not None and len(column) != count:
-        raise ValueError(f"{name}: expected {count} values, one a body, got {len(column)}")
+        raise ValueError(f"{name}: expected {count} values, one per body, got {len(column)}")
     return column.to(device=device, dtype=torch.int64).contiguous()
 
 
@@ -64,7 +64,7 @@ def bool_column(values: Tensor | Sequence[bool], name: str, count: int, device: 
 
 
 def margin_column(values: Tensor | Sequence[float] | float, count: int, device: torch.device) -> Tensor:
-    """Lengths >= 0, one or one a body, as (count,) float64 on the device."""
+    """Lengths >= 0, a single one or one per body, as (count,) float64 on the device."""
     try:
         column = torch.as_tensor(values)
         is_meta = column.is_meta
@@ -87,14 +87,14 @@ def margin_column(values: Tensor | Sequence[float] | float, count: int, device: 
 
 
 def self_column(values: Tensor | Sequence[bool] | bool, count: int, device: torch.device) -> Tensor | None:
-    """Flags, one or one a body, as (count,) bool on the device; None for False."""
+    """Flags, a single one or one per body, as (count,) bool on the device; None for False."""
     if isinstance(values, bool):
         return torch.ones(count, dtype=torch.bool, device=device) if values else None
     return bool_column(values, "self_collision", count, device).to(torch.bool)
 
 
 def vertex_count(meshes: MeshSet, mesh_index: Tensor) -> int:
-    """How many vertices bodies of these meshes (S,) have together."""
+    """Total number of vertices of bodies with these meshes (S,)."""
     begin = meshes.offsets[:, 0]
     return int((begin[1:] - begin[:-1])[mesh_index.cpu().long()].sum()) if len(mesh_index) else 0
 

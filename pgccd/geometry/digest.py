@@ -1,4 +1,4 @@
-"""Digests of meshes, so that runs and ranks can be compared."""
+"""Digests of meshes, used to compare runs and ranks."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from pgccd.geometry.mesh import Mesh
 
 
 def meshes_digest(meshes: Sequence[Mesh]) -> str:
-    """Hexadecimal SHA-256 over the vertices and faces of meshes, in order. Vertices are relative to the origins; where
-    SBV centres are elsewhere, these count too."""
+    """Hexadecimal SHA-256 of the vertices and faces of meshes, in order. Vertices are relative to the origins; centre
+    offsets are included where they are not zero.
+    """
     digest = hashlib.sha256()
     for mesh in meshes:
         for table in (mesh.vertices, mesh.faces):

@@ -1,4 +1,4 @@
-"""Meshes: triangles and the origin that poses refer to, prepared once and shared by any number of bodies."""
+"""Meshes: triangles, the origin that poses refer to, and the hierarchy, shared by any number of bodies."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from pgccd import _host, arguments
 from pgccd.geometry import mesh_files
 from pgccd.geometry.origin import Origin, checked_origin, origin_point
 
-# Triangles a leaf of the hierarchy holds at most: one for each lane of a vector unit.
+# Maximum number of triangles per leaf of the hierarchy: one per lane of a vector unit.
 LEAF_SIZE = 8
 
-# Beyond these the float32 hierarchy would overflow or vanish.
+# Outside of these limits the float32 hierarchy would overflow or underflow.
 SMALLEST_RADIUS, LARGEST_RADIUS = 1e-30, 1e30
-# An origin further away than so many SBV radii leaves vertices no more than four digits.
+# Beyond this many SBV radii vertices have no more than four significant digits.
 _FURTHEST_ORIGIN = 1e12
 
 
 class Mesh:
     """A triangle mesh with its sphere bounding volume (SBV) and hierarchy.
 
-    A pose maps the coordinates as given: a point v of the mesh is at position + R (v - origin). The origin is the point
-    whose place a pose's position is, and the one a rigid path turns about; nothing about a path depends on how finely
-    the mesh is tessellated.
+    A pose maps the coordinates as given: a point v of the mesh is at position + R (v - origin). A pose's position is
+    that of the origin, and a rigid path rotates about it; unless the origin is "centroid", the path does not depend on
+    the tessellation.
 
-    Points are kept relative to the origin in float64, so an origin r SBV radii away costs them digits: their error is
-    about 300 r times 2^-53 of a radius, which the default tolerance of detection (1e-6 radii) covers up to r of about
-    1e6. Beyond that nothing is missed, but bodies are reported as touching that are a few such errors apart.
+    Points are stored relative to the origin in float64. With the origin r SBV radii from the SBV centre their error is
+    about 300 r times 2^-53 radii, which the default tolerance of detection (1e-6 radii) covers up to r of about 1e6.
+    Beyond that no contact is missed, but bodies a few such errors apart are reported as touching.
 
     Args:
         vertices: (V, 3) array or tensor of finite numbers, in scene length units.
-        faces: (F, 3) integers, each face three different rows of `vertices`. Open, non-manifold and multi-component
-            meshes are fine, and so are faces without area.
+        faces: (F, 3) integers, three different rows of `vertices` per face. Meshes may be open, non-manifold or in
+            several components, and faces may have no area.
         origin: a point (3,) in the coordinates of `vertices`, for example a joint; "centroid", the SBV centre: the mean
             of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1), which depends on the
             tessellation; or "center_of_mass", that of a solid of uniform density. The surface must then be closed and
-            consistently oriented (each edge between two triangles that pass through it in opposite directions).
+            consistently oriented (each edge shared by two triangles in opposite directions).
 
     Raises:
-        ValueError: naming the first offending vertex or face, or when the mesh has no faces or no extent; or origin,
-            when it is not a finite point or the surface bounds no solid.
+        ValueError: naming the first offending vertex or face, the mesh has no faces or an SBV radius outside of [1e-30,
+            1e30]; the origin is not a finite point, too far away, or undefined because the surface bounds no solid.
 
     Example:
         >>> corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
@@ -63,10 +63,10 @@ class Mesh:
         _check_faces(points, triangles)
 
         corners = points[triangles]
-        # From the first corner, so that a mesh far from the origin keeps its digits.
+        # Relative to the first corner, so that a mesh far from the origin keeps its digits.
         centre = corners[0, 0] + (corners - corners[0, 0]).reshape(-1, 3).mean(axis=0)
         reference = origin_point(origin, points, triangles, centre)
-        # Relative to the origin these are the truth; all else follows from them.
+        # Coordinates relative to the origin are taken as exact; all else is derived from them.
         body = points - reference
         offset = centre - reference
         local = body - offset if offset.any() else body
@@ -90,7 +90,7 @@ class Mesh:
         self.radius = radius * (1.0 + 2.0**-50)
         #: (3,) float64: the SBV centre relative to the origin; exactly 0 for "centroid".
         self.centre_offset = torch.from_numpy(offset)
-        #: No used vertex is further from the origin; the radius where the centre is there.
+        #: Bound of the distance of used vertices from the origin; equal to the radius if the SBV centre is the origin.
         self.reach = self.radius
         if offset.any():
             self.reach = (self.radius + float(np.linalg.norm(offset))) * (1.0 + 2.0**-50)
@@ -98,12 +98,12 @@ class Mesh:
         self.vertices = torch.from_numpy(body)
         #: (F, 3) int32.
         self.faces = torch.from_numpy(triangles.astype(np.int32))
-        #: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Contacts name edges by these
-        #: rows.
+        #: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Edge indices of contacts refer to
+        #: it.
         self.edges = torch.from_numpy(prepared["edges"])
         self._triangles = torch.from_numpy(prepared["triangles"])
         in_leaf_order = self.faces[self._triangles[:, 6].long()].long()
-        # Corner coordinates as nine columns, relative to the SBV centre as the hierarchy is.
+        # Corner coordinates as nine columns, relative to the SBV centre like the hierarchy.
         self._corners = torch.from_numpy(local).float()[in_leaf_order].view(-1, 9).T.contiguous()
         self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 9, 8)
         self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 4)
@@ -111,20 +111,19 @@ class Mesh:
 
     @classmethod
     def from_trimesh(cls, mesh: Any, origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> Mesh:
-        """From a `trimesh.Trimesh`, or a `trimesh.Scene` (its meshes are placed by the scene's transforms, and joined).
+        """From a `trimesh.Trimesh`, or a `trimesh.Scene` (its meshes are transformed to the scene's frame and joined).
 
         Args:
-            mesh: what trimesh made.
+            mesh: the trimesh object.
             origin: as for the constructor.
-            weld: make one vertex of those at the same position: files have several along the seams of a texture or of
-                normals, at which the mesh would fall apart, and collide with itself where it deforms. Contacts then
-                name vertices, edges and faces of the welded mesh; `source_vertex` and `source_face` say which these
-                are of the mesh given.
+            weld: merge vertices at the same position. Files duplicate vertices along seams of textures or normals;
+                unwelded, a deforming mesh would separate there and collide with itself. Contacts index the welded mesh;
+                `source_vertex` and `source_face` map to the mesh given.
 
-        Faces that repeat a vertex, perhaps because it was welded, are dropped.
+        Faces that repeat a vertex, possibly after welding, are dropped.
 
         Raises:
-            TypeError, ValueError: if it holds no triangles, or something that is no mesh; or as the constructor.
+            TypeError, ValueError: it contains no triangles or something other than a mesh; or as for the constructor.
 
         Example:
             >>> robot = pgccd.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=3))
@@ -143,8 +142,8 @@ class Mesh:
 
         Raises:
             FileNotFoundError: no such file.
-            ValueError: the file cannot be read as a mesh, holds no triangles, or holds something that is no mesh, such
-                as a point cloud.
+            ValueError: the file cannot be read as a mesh, contains no triangles, or contains something other than a
+                mesh, such as a point cloud.
             ImportError: trimesh is not installed.
 
         Example:
@@ -161,8 +160,9 @@ class Mesh:
 
     @classmethod
     def load_all(cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> list[Mesh]:
-        """The meshes of a file one by one, with their names: of a scene (glb, gltf, 3mf, ...) each where the scene
-        places it, of an obj file its objects and groups, of any other the only one. Arguments and errors as of `load`.
+        """One mesh per object of a file, with their names: each mesh of a scene file (glb, gltf, 3mf, ...) in the
+        scene's frame, each object and group of an obj file, or the only mesh of other files. Arguments and errors as
+        for `load`.
 
         Example:
             >>> parts = pgccd.Mesh.load_all("rock.ply")
@@ -190,15 +190,15 @@ class Mesh:
         mesh.source_face = torch.from_numpy(cleaned.source_face)
         return mesh
 
-    #: As the file calls it.
+    #: Its name in the file.
     name: str | None = None
-    #: How many vertices of the file were one with others and are no longer there.
+    #: Number of vertices of the file removed by welding.
     welded_vertices: int = 0
-    #: How many faces of the file repeated a vertex and are no longer there.
+    #: Number of faces of the file dropped because they repeat a vertex.
     dropped_faces: int = 0
-    #: (V,) int64 row in the file of each vertex, the first of those welded; None of a mesh that comes from no file.
+    #: (V,) int64: row in the file of each vertex, the first of those welded; None for a mesh not from a file.
     source_vertex: Tensor | None = None
-    #: (F,) int64 row in the file of each face.
+    #: (F,) int64: row in the file of each face.
     source_face: Tensor | None = None
 
     def __repr__(self) -> str:
@@ -214,7 +214,7 @@ class MeshSet:
 
     Args:
         meshes: one or more `Mesh`.
-        device: where the tensors live.
+        device: of the tensors.
     """
 
     def __init__(self, meshes: Sequence[Mesh], device: torch.device | str = "cpu") -> None:
@@ -231,14 +231,14 @@ class MeshSet:
         counts = torch.tensor(
             [[len(rows) for rows in (m.vertices, m.faces, m.edges, m._node_links, m._leaf_points)] for m in meshes]
         )
-        #: (meshes + 1, 5) int64: first rows of each mesh's vertices, faces, edges, node blocks and leaf points. The last
-        #: row holds the totals.
+        #: (meshes + 1, 5) int64: first rows of each mesh's vertices, faces, edges, node blocks and leaf points. The
+        #: last row holds the totals.
         self.offsets = torch.cat([torch.zeros((1, 5), dtype=torch.int64), counts.cumsum(0)])
         #: (meshes,) float64.
         self.radius = torch.tensor([m.radius for m in meshes], dtype=torch.float64, device=device)
         columns = ("vertices", "faces", "edges", "_triangles", "_node_blocks", "_node_links", "_leaf_points")
         joined = [torch.cat([getattr(m, column) for m in meshes]) for column in columns]
-        # Padded, so that eight neighbours can be loaded at the last triangle too.
+        # Padded, so that eight neighbours can be loaded at the last triangle.
         corners = torch.nn.functional.pad(torch.cat([m._corners for m in meshes], dim=1), (0, LEAF_SIZE))
         #: Whether every mesh has its SBV centre at its origin.
         self.is_centred = not any(bool(m.centre_offset.any()) for m in meshes)
@@ -247,7 +247,7 @@ class MeshSet:
         reaches = torch.tensor([m.reach for m in off_centre], dtype=torch.float64)
         columns_of_all = (*joined, corners, self.offsets, centres, reaches)
         self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
-        #: As torch resolves it: "cuda" becomes "cuda:0".
+        #: The device as resolved by torch: "cuda" becomes "cuda:0".
         self.device = self.tensors[0].device
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""Triangles from files and from trimesh: what is in them, where it is placed, and which vertices are one."""
+"""Triangles from files and from trimesh: extraction, placement and welding."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Geometry:
 
 @dataclass(frozen=True)
 class CleanGeometry:
-    """What is left of it, and from which rows it comes."""
+    """A geometry after cleaning, with the source row of each vertex and face."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -33,11 +33,11 @@ class CleanGeometry:
 
 
 def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
-    """What trimesh reads.
+    """Loads a file with trimesh.
 
     Args:
         path: of the file.
-        apart: whether objects and groups of an obj file become meshes of their own.
+        apart: whether to keep objects and groups of an obj file separate.
 
     Raises:
         FileNotFoundError, ValueError, ImportError: as `pgccd.Mesh.load`.
@@ -55,7 +55,7 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
         options = {"split_objects": True, "split_groups": True}
     try:
         loaded = trimesh.load(fspath(path), process=False, **options)
-        # Some files are decoded only when they are looked at.
+        # Some files are decoded only on access.
         if not any(len(getattr(each, "vertices", ())) for _, each, _ in _parts(loaded)):
             raise ValueError("it holds no triangles")
     except Exception as error:
@@ -64,10 +64,10 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
 
 
 def placed_geometry(loaded: Any) -> list[Geometry]:
-    """The meshes of what trimesh read, each where its scene places it.
+    """The meshes of a loaded file, each in the frame of its scene.
 
     Raises:
-        ValueError: naming something that is no mesh; or there is no mesh.
+        ValueError: it contains something other than a mesh, or no triangles.
     """
     found = []
     for name, part, transform in _parts(loaded):
@@ -75,7 +75,7 @@ def placed_geometry(loaded: Any) -> list[Geometry]:
         if faces is None:
             kind = {"PointCloud": "a point cloud", "Path2D": "lines", "Path3D": "lines"}.get(type(part).__name__)
             named = f" named {name!r}" if name else ""
-            raise ValueError(f"mesh: expected triangles, got {kind or type(part).__name__}{named}, which is no mesh")
+            raise ValueError(f"mesh: expected triangles, got {kind or type(part).__name__}{named}, which is not a mesh")
         vertices = np.asarray(part.vertices, dtype=np.float64).reshape(-1, 3)
         if transform is not None:
             vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
@@ -86,7 +86,7 @@ def placed_geometry(loaded: Any) -> list[Geometry]:
 
 
 def joined_geometry(loaded: Any) -> Geometry:
-    """The same as one, its vertices and faces one mesh after the other."""
+    """The meshes of a loaded file as one, their vertices and faces concatenated."""
     parts = placed_geometry(loaded)
     if len(parts) == 1:
         return parts[0]
@@ -96,13 +96,13 @@ def joined_geometry(loaded: Any) -> Geometry:
 
 
 def clean(geometry: Geometry, weld: bool) -> CleanGeometry:
-    """Without faces that repeat a vertex; with `weld`, vertices at the same position are one.
+    """Drops faces that repeat a vertex; with `weld`, first merges vertices at the same position.
 
     Raises:
-        ValueError: a vertex is not finite, a face names none, or no face is left.
+        ValueError: a vertex is not finite, a vertex index is out of range, or no face is left.
     """
     vertices, faces = geometry.vertices, geometry.faces
-    # Before welding, so that errors name rows of the file.
+    # Before welding, so that errors refer to rows of the file.
     arguments.check_corners(vertices, faces)
     source = np.arange(len(vertices))
     if weld:
@@ -116,8 +116,8 @@ def clean(geometry: Geometry, weld: bool) -> CleanGeometry:
 
 
 def _unique_rows(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The first of each set of equal rows (n, 3), in their order; and for each row which of these it equals."""
-    order = np.lexsort(points.T)  # stable: of equal rows the first comes first
+    """The first of each set of equal rows (n, 3), in order, and for each row the index of its representative."""
+    order = np.lexsort(points.T)  # stable: the first of equal rows comes first
     ordered = points[order]
     begins = np.ones(len(points), dtype=bool)
     begins[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
@@ -128,7 +128,7 @@ def _unique_rows(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _parts(loaded: Any) -> Iterator[tuple[str | None, Any, np.ndarray | None]]:
-    """Name, geometry and placement of all that trimesh read."""
+    """Name, geometry and transform of each part of a loaded file."""
     graph = getattr(loaded, "graph", None)
     if graph is None:
         name = getattr(loaded, "metadata", {}).get("name")

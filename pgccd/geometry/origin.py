@@ -10,12 +10,12 @@ from torch import Tensor
 
 from pgccd import arguments
 
-#: A point (3,) in the coordinates of the vertices, or the name of one.
+#: A point (3,) in the coordinates of the vertices, or the name of such a point.
 Origin = npt.ArrayLike | Tensor | Literal["centroid", "center_of_mass"]
 
 
 def origin_point(origin: Origin, points: np.ndarray, faces: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """The origin meant, (3,) in the coordinates of the points.
+    """The origin, (3,) in the coordinates of the points.
 
     Args:
         origin: as for `pgccd.Mesh`.
@@ -24,7 +24,7 @@ def origin_point(origin: Origin, points: np.ndarray, faces: np.ndarray, centre: 
         centre: (3,) the SBV centre.
 
     Raises:
-        ValueError: origin: it is neither a finite point nor a name, or the surface bounds no solid.
+        ValueError: `origin` is neither a finite point nor a known name, or the surface bounds no solid.
     """
     named = checked_origin(origin)
     if isinstance(named, str):
@@ -33,10 +33,10 @@ def origin_point(origin: Origin, points: np.ndarray, faces: np.ndarray, centre: 
 
 
 def checked_origin(origin: Origin) -> np.ndarray | str:
-    """The point (3,) or the name given.
+    """Validates `origin`: returns the point (3,) or the name.
 
     Raises:
-        TypeError, ValueError: origin: it is neither a finite point nor a name.
+        ValueError: `origin` is neither a finite point nor a known name.
     """
     if isinstance(origin, str) and origin in ("centroid", "center_of_mass"):
         return origin
@@ -46,7 +46,7 @@ def checked_origin(origin: Origin) -> np.ndarray | str:
         if raw.dtype.kind not in "iuf":
             raise TypeError(f"numbers of type {raw.dtype}")
         point = np.array(raw, dtype=np.float64)
-    except (TypeError, ValueError, RuntimeError, OverflowError) as error:  # of meta tensors, say
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:  # from meta tensors, for example
         raise ValueError(f"{expected}, got {arguments.describe(origin)}") from error
     if point.shape != (3,):
         raise ValueError(f"{expected}, got shape {point.shape}")
@@ -56,7 +56,7 @@ def checked_origin(origin: Origin) -> np.ndarray | str:
 
 
 def _center_of_mass(points: np.ndarray, faces: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Of the solid that the surface bounds, as a sum over tetrahedra with a common apex at `centre`."""
+    """Centre of mass of the solid bounded by the surface, as a sum over tetrahedra with apex `centre`."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     directed = edges[:, 0] * len(points) + edges[:, 1]
     names, counts = np.unique(directed, return_counts=True)
@@ -71,7 +71,7 @@ def _center_of_mass(points: np.ndarray, faces: np.ndarray, centre: np.ndarray) -
     corners = points[faces] - centre
     volumes = np.einsum("fk,fk->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
     total = float(volumes.sum())
-    # Less than rounding may have left of nothing.
+    # The volume is zero within rounding.
     if not abs(total) > 1e-12 * float(np.abs(volumes).sum()):
         raise ValueError('origin: origin="center_of_mass" needs a surface around a volume that is not zero')
     return np.asarray(centre + (volumes[:, None] * corners.sum(axis=1)).sum(axis=0) / (4.0 * total))

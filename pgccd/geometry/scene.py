@@ -1,4 +1,4 @@
-"""Scenes: which bodies there are, and which of them may collide."""
+"""Scenes: bodies and their collision filters."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from pgccd.geometry.columns import (
 )
 from pgccd.geometry.mesh import Mesh, MeshSet
 
-#: Columns of a scene that say which of its bodies may collide.
+#: Columns of a scene that filter pairs.
 FILTERS = ("group", "mask", "world", "static")
 #: Columns of a scene that may be absent.
 OPTIONAL_COLUMNS = (*FILTERS, "margin")
@@ -32,10 +32,10 @@ OPTIONAL_COLUMNS = (*FILTERS, "margin")
 
 @dataclass(frozen=True)
 class VertexLayout:
-    """Bodies' own copies of their meshes' vertices and hierarchies, one body after the other."""
+    """Layout of the vertices and hierarchies of deforming bodies, one body after the other."""
 
     vertex_count: int
-    block_count: int  #: of nodes
+    block_count: int  #: number of node blocks
     vertex_begin: Tensor  #: (N,) int64
     block_begin: Tensor  #: (N,) int64
 
@@ -43,23 +43,23 @@ class VertexLayout:
 class Scene:
     """N bodies, each an instance of one of a few meshes. Positions are not part of it: see `pgccd.motion.paths`.
 
-    Filters are implicit, never stored as pair lists. A pair of bodies is tested if both are in the same `world`, at
-    least one is not `static`, and each one's `group` has a bit in common with the other's `mask`.
+    A pair of bodies is tested if both are in the same `world`, at least one is not `static`, and each one's `group` has
+    a bit in common with the other's `mask`.
 
     Args:
         meshes: the meshes, or a `MeshSet` already on `device`.
-        mesh_index: (N,) integers: which mesh each body is. Default: one body a mesh.
-        device: where everything lives; default the MeshSet's, else mesh_index's if it is a tensor, else the CPU.
+        mesh_index: (N,) integers: mesh of each body. Default: one body per mesh.
+        device: of all tensors; default the MeshSet's, else mesh_index's if it is a tensor, else the CPU.
         group, mask: (N,) int64 bit sets; default all bits.
         world: (N,) integers; default all in one.
         static: (N,) bool; default none.
         self_collision: bool, or (N,) bool: which bodies are also tested against themselves, as pairs (i, i), while they
-            deform (`VertexMotion`); default none. Of a body's features those are tested that share no vertex. Neither
-            group, mask nor world keep a body from itself; being static does.
+            deform (`VertexMotion`); default none. Feature pairs that share a vertex are not tested. group, mask and
+            world do not affect these tests; static bodies are not tested.
         margin: thickness of bodies, a number or (N,), scene length units, finite and >= 0: a pair is tested with the
-            separation min_separation + margin_i + margin_j, and a body against itself with min_separation + 2
-            margin_i. Default none. Where a body's true path strays from the one tested by no more than its margin at
-            any time, no contact of the true path is missed.
+            separation min_separation + margin_i + margin_j, and a body against itself with min_separation + 2 margin_i.
+            Default none. If a body's true path never deviates from the tested one by more than its margin, no contact
+            of the true path is missed.
 
     `mesh_index`, `group`, `mask`, `world`, `static` and `margin` may be written to or replaced later; the bodies that
     are tested against themselves are fixed.
@@ -113,25 +113,25 @@ class Scene:
         self.mask = None if mask is None else integer_column(mask, "mask", count, self.device)
         self.world = None if world is None else world_column(world, count, self.device)
         self.static = None if static is None else bool_column(static, "static", count, self.device)
-        _ = self.world_count  # now, so that a step need not ask a device for it
-        #: (N,) float64, or None where no body has any.
+        _ = self.world_count  # computed now, so that a step need not synchronise
+        #: (N,) float64, or None if no body has a margin.
         self.margin = None if margin is None else margin_column(margin, count, self.device)
-        #: (N,) bool, or None where no body is tested against itself.
+        #: (N,) bool, or None if no body is tested against itself.
         self.self_collision = self_column(self_collision, count, self.device)
         if self.self_collision is not None and self.static is not None:
             self.self_collision &= self.static == 0
-        #: (S,) int64, ascending: these bodies. Known from the start, so that a step need not ask a device for them.
+        #: (S,) int64, ascending: these bodies. Computed once, so that a step need not synchronise.
         self.self_colliding = rows_of(self.self_collision, self.device)
-        #: How many vertices they have together.
+        #: Their total number of vertices.
         self.self_colliding_vertices = vertex_count(meshes, self.mesh_index[self.self_colliding])
 
-    # Of what earlier steps needed, by kind of step; kept by `pgccd.detection.memory`. They change how often a step is
-    # repeated on a GPU, never its result.
+    # Capacity estimates by kind of step, managed by `pgccd.detection.memory`. They change how often a step is repeated
+    # on a GPU, never its result.
     _capacity_estimates: dict[Hashable, Any] | None = None
 
     @property
     def capacity_estimates(self) -> dict[Hashable, Any]:
-        """What earlier steps of this scene needed. Scenes that follow one another in a simulation may share it."""
+        """Capacity estimates of earlier steps. Successive scenes of a simulation may share them."""
         if self._capacity_estimates is None:
             self._capacity_estimates = {}
         return self._capacity_estimates
@@ -144,8 +144,8 @@ class Scene:
     def of_checked(
         cls, meshes: MeshSet, mesh_index: Tensor, self_collision: Tensor | None = None, **columns: Tensor
     ) -> Scene:
-        """Of columns that come from a scene already checked, rows of its `mesh_index`, `group`, `margin` and so on:
-        nothing is looked at.
+        """From columns of a scene that has been validated: rows of its `mesh_index`, `group`, `margin` and so on.
+        Nothing is checked.
 
         Example:
             >>> part = pgccd.Scene.of_checked(scene.meshes, scene.mesh_index[rows])
@@ -160,7 +160,7 @@ class Scene:
         scene.self_colliding_vertices = vertex_count(meshes, mesh_index[scene.self_colliding])
         return scene
 
-    # What follows from `mesh_index`, and from `world`.
+    # Cached values derived from `mesh_index` and `world`.
     _radius: _Derived | None = None
     _layout: _Derived | None = None
     _world_count: _Derived | None = None
@@ -169,7 +169,7 @@ class Scene:
     def radius(self) -> Tensor:
         """SBV radius of each body's mesh, (N,) float64."""
         if self._radius is None or not self._radius.is_of(self.mesh_index):
-            if torch.compiler.is_compiling():  # of whose values nothing is known
+            if torch.compiler.is_compiling():  # values are not available while compiling
                 return self.meshes.radius[self.mesh_index.long()]
             if self._radius is not None and self.device.type == "cpu":
                 require_meshes(self.mesh_index, len(self.meshes))
@@ -182,7 +182,7 @@ class Scene:
 
     @property
     def layout(self) -> VertexLayout:
-        """Where the rows of bodies that bring their own vertices begin."""
+        """First rows of each body's vertices and node blocks, for bodies that deform."""
         if self._layout is None or not self._layout.is_of(self.mesh_index):
             self._layout = _Derived(self.mesh_index, self._find_layout())
         return self._layout.value
@@ -198,7 +198,7 @@ class Scene:
 
     @property
     def world_count(self) -> int:
-        """One more than the largest `world`, 1 where there is none."""
+        """One more than the largest `world`; 1 without worlds."""
         if self.world is None:
             return 1
         if self._world_count is None or not self._world_count.is_of(self.world):
@@ -206,7 +206,9 @@ class Scene:
         return self._world_count.value
 
     def check_columns(self) -> None:
-        """Raises TypeError or ValueError if a column was replaced by something else. Values are not looked at."""
+        """Raises TypeError or ValueError if a column was replaced by one of another type, shape or device. Values are
+        not checked.
+        """
         for name, dtype in _DTYPES.items():
             column = getattr(self, name)
             if column is None and name != "mesh_index":
@@ -220,7 +222,7 @@ class Scene:
                 raise ValueError(f"{name}: expected a contiguous tensor")
 
     def to(self, device: torch.device | str) -> Scene:
-        """The same on another device; the meshes are copied there.
+        """A copy on another device, meshes included.
 
         Example:
             >>> scene = scene.to("cpu")
@@ -241,7 +243,7 @@ class Scene:
 
 @dataclass
 class _Derived:
-    """What follows from a column, and from which."""
+    """A value derived from a column, with that column and its version."""
 
     column: Tensor
     value: Any
@@ -251,16 +253,16 @@ class _Derived:
         self.version = _version(self.column)
 
     def is_of(self, column: Tensor) -> bool:
-        """Whether the column is that one, and has not been written to."""
+        """Whether the value was derived from this column, unmodified since."""
         return self.column is column and (torch.compiler.is_compiling() or self.version == _version(column) is not None)
 
 
 def _version(column: Tensor) -> int | None:
-    """Changes when the column is written to; None where torch does not count that."""
+    """Counter of in-place writes to the column; None where torch does not track it."""
     return None if torch.compiler.is_compiling() or column.is_inference() else column._version
 
 
-# Of columns as the operators read them.
+# Dtypes of the columns, as the operators expect them.
 _DTYPES = {
     "mesh_index": torch.int32,
     "group": torch.int64,

@@ -1,1 +1,1 @@
-"""Where bodies go in a step: rigid paths, paths of vertices, trajectories."""
+"""Motions of bodies in a step: rigid paths, vertex paths, trajectories."""

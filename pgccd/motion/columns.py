@@ -1,4 +1,4 @@
-"""The columns of a motion, looked at whenever they are used: a user may write to them or replace them at any time."""
+"""The columns of a motion, validated at each use: a user may modify or replace them at any time."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ _Self = TypeVar("_Self", bound="MovingColumns")
 
 
 class MovingColumns:
-    """What rigid and deforming motions have in common: named float64 columns with as many rows each, on one device."""
+    """Base of rigid and deforming motions: named float64 columns of equal length on one device."""
 
-    # Names of the columns that detection reads, and what a row of them is.
+    # Names of the columns that detection reads, and the meaning of a row.
     _names: tuple[str, ...] = ()
     _row = "body"
-    #: `checks` and `limits` of these columns for `ops.detect_rigid`.
+    #: `checks` and `limits` of these columns, for `ops.detect_rigid`.
     checks: tuple[list[int], list[float]] = ([], [])
-    # Arguments that no column keeps, and what was found of them.
+    # Arguments that are not stored as a column, and their faults.
     _given: tuple[str, ...] = ()
     _given_faults: Tensor | None = None
-    # By column, the argument that it follows from.
+    # For a column, the argument that it is computed from.
     _sources: Mapping[str, str] = {}
-    #: Whether the columns come from a motion that has been checked, and are never looked at.
+    #: Whether the columns come from a validated motion and are not checked again.
     is_trusted: bool = False
-    # The verdict on such columns, once it is asked for.
+    # Cached `first_faults` of such columns.
     _no_faults: Tensor | None = None
-    # The columns whose types and shapes have been looked at.
+    # Columns whose types and shapes have been checked.
     _sound: Mapping[str, Tensor] = {}
 
     @property
     def device(self) -> torch.device:
-        """Where the columns are."""
+        """The device of the columns."""
         return getattr(self, self._names[0]).device
 
     def columns(self) -> dict[str, Tensor]:
-        """The columns that detection reads, as they are now.
+        """The current columns that detection reads.
 
         Raises:
-            TypeError, ValueError: one was replaced by something else.
+            TypeError, ValueError: a column was replaced by one of another type, shape or device.
         """
         columns = {name: getattr(self, name) for name in self._names}
         if self.is_trusted or all(
@@ -64,11 +64,11 @@ class MovingColumns:
         return columns
 
     def first_faults(self, columns: Mapping[str, Tensor] | None = None) -> Tensor:
-        """(F + 1,) int64: the first faulty row of each argument, or the number of rows; and 1 if there is any, else 0.
-        Where the motion is. Looked for whenever it is called.
+        """(F + 1,) int64 on the motion's device: the first faulty row of each argument, or the number of rows; then 1
+        if any row is faulty, else 0. Computed at each call.
 
         Args:
-            columns: as `columns` returned them. Default: what it returns now.
+            columns: as returned by `columns()`. Default: the current ones.
         """
         if self.is_trusted:
             if self._no_faults is None:
@@ -78,7 +78,7 @@ class MovingColumns:
 
     @property
     def faults(self) -> Faults:
-        """What the values of `first_faults` mean."""
+        """The meaning of the values of `first_faults`."""
         names = () if self.is_trusted else (*self._given, *self._names)
         return Faults(names, self._row, getattr(self, self._names[0]).shape[0], self._sources)
 
@@ -88,22 +88,24 @@ class MovingColumns:
         return self.is_trusted or self._given_faults is not None
 
     def check(self) -> None:
-        """Raises ValueError if a number is not finite or a quaternion not unit, naming the first row."""
+        """Raises ValueError naming the first row with a number that is not finite or too large, or a quaternion that is
+        not unit.
+        """
         self.raise_faults(self.first_faults().tolist())
 
     def raise_faults(self, first: Sequence[int]) -> None:
-        """What `check` raises, given the values of `first_faults`."""
+        """Raises ValueError if the values of `first_faults` include a faulty row."""
         if first[-1]:
             self.faults.raise_from(first)
 
     def check_given(self) -> None:
-        """Raises ValueError if an argument that no column keeps was invalid. May wait for a GPU."""
+        """Raises ValueError if an argument that is not stored as a column was invalid. May synchronise with a GPU."""
         if self._given_faults is not None:
             self.check()
             self._given, self._given_faults = (), None
 
     def to(self: _Self, device: torch.device | str) -> _Self:
-        """The same on another device.
+        """A copy on another device.
 
         Example:
             >>> motion = motion.to("cpu")
@@ -119,11 +121,11 @@ class MovingColumns:
     def _check_early(
         self, origins: Mapping[str, Tensor] | None = None, given: Mapping[str, Tensor] | None = None
     ) -> None:
-        """Checks, if that waits for no device.
+        """Checks values on a CPU; on a GPU the check is deferred.
 
         Args:
-            origins: what columns follow from; named instead of these.
-            given: arguments that no column keeps: looked at now.
+            origins: arguments from which columns are computed; errors name these first.
+            given: arguments that are not stored as columns; checked now.
         """
         given = given or {}
         if self.device.type != "cpu" or torch.compiler.is_compiling():

@@ -1,4 +1,4 @@
-"""Invalid numbers in motions: `ops.first_faults` finds them, errors name the column and the row."""
+"""Invalid numbers in motions: `ops.first_faults` finds them; errors name the column and the row."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.geometry.mesh import LARGEST_RADIUS, SMALLEST_RADIUS
 
-# Quaternions further from unit length than this are taken for mistakes; nearer ones are normalised exactly.
+# Maximum deviation of a quaternion from unit length; smaller deviations are normalised.
 UNIT_TOLERANCE = 1e-3
 # Squares of larger coordinates overflow.
 LARGEST_COORDINATE = 1e150
-# Sine and cosine are proven up to here.
+# Error bounds of sine and cosine are proven up to this angle.
 _LARGEST_TURN = 1e6
-# Checks of `ops.first_faults`, their limits, and what is expected.
+# Checks of `ops.first_faults`, their limits, and the expected values.
 _FINITE = (0, LARGEST_COORDINATE, f"finite numbers up to {LARGEST_COORDINATE:g}")
 _UNIT = (1, UNIT_TOLERANCE, "a unit quaternion (w, x, y, z)")
 _TURN = (2, _LARGEST_TURN, f"a turn of at most {_LARGEST_TURN:g} radians in the step")
@@ -31,8 +31,9 @@ _CHECKS = {
 
 
 def first_faults(columns: Mapping[str, Tensor]) -> Tensor:
-    """(F + 1,) int64: the first faulty row of each of the F columns, or the number of rows; and 1 if there is any, else
-    0. On the columns' device, without waiting for it."""
+    """(F + 1,) int64 on the columns' device: the first faulty row of each of the F columns, or the number of rows; then
+    1 if any row is faulty, else 0. Does not synchronise.
+    """
     return ops.first_faults(list(columns.values()), *checks_of(columns))
 
 
@@ -43,7 +44,7 @@ def checks_of(names: Iterable[str]) -> tuple[list[int], list[float]]:
 
 
 def joined(first: Tensor | None, more: Tensor) -> Tensor:
-    """The `first_faults` of two sets of columns, as if of one."""
+    """The `first_faults` of two sets of columns, combined."""
     if first is None:
         return more
     return torch.cat([first[:-1], more[:-1], torch.maximum(first[-1:], more[-1:])])
@@ -51,14 +52,14 @@ def joined(first: Tensor | None, more: Tensor) -> Tensor:
 
 @dataclass
 class Faults:
-    """What the values of `first_faults` mean.
+    """The meaning of the values of `first_faults`.
 
     Args:
         names: of the columns.
-        row: what a row of them is.
+        row: the meaning of a row, "body" or "vertex".
         count: number of rows.
-        sources: by name of a column, the argument it follows from.
-        radius: (N,) of bodies that deform; then an invalid radius is reported before the columns.
+        sources: by name of a column, the argument it is computed from.
+        radius: (N,) SBV radii of deforming bodies, whose check then precedes those of the columns.
     """
 
     names: tuple[str, ...]
@@ -68,7 +69,7 @@ class Faults:
     radius: Tensor | None = None
 
     def raise_from(self, first: Sequence[int]) -> None:
-        """Raises ValueError for the first thing that is wrong, if any is."""
+        """Raises ValueError for the first fault, if there is one."""
         of_columns = first if self.radius is None else first[1:]
         for name, index in zip(self.names, of_columns, strict=False):
             if index < self.count:
@@ -82,7 +83,7 @@ class Faults:
 
 
 def first_faulty_radius(radius: Tensor) -> Tensor:
-    """(2,) int64: the first of the radii (N,) that is out of range, or N; and 1 if there is any, else 0."""
+    """(2,) int64: the first radius (N,) that is out of range, or N; then 1 if there is one, else 0."""
     # A body may shrink to a point.
     sound = (radius == 0.0) | ((radius >= SMALLEST_RADIUS) & (radius <= LARGEST_RADIUS))
     row = torch.arange(len(sound), device=sound.device)

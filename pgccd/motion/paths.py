@@ -1,4 +1,4 @@
-"""Motions: where the bodies of a scene are during one step, time normalised to [0, 1]."""
+"""Motions: the paths of the bodies of a scene during one step, with time normalised to [0, 1]."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ _PATHS = get_args(PathKind)
 
 
 class RigidMotion(MovingColumns):
-    """Rigid bodies: the origin of the mesh moves on a straight line, the body turns about it at a constant rate.
+    """Rigid bodies: the mesh's origin moves on a straight line, and the body rotates about it at a constant rate.
 
-    A point v of the mesh (in the coordinates given to `Mesh`) is at x(t) = position(t) + R(t) (v - origin), with
-    R(t) = exp(t [w]x) R0 and the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a
-    turn, about the vector part of q1 * conj(q0); within some 1e-15 rad of half a turn, rounding decides the way: use
-    `from_rotation` there). With `path="linear"` every vertex moves on the straight line
-    between its two end positions instead (the two vertex streams of Du, Liu & Suzumura 2017).
+    A point v of the mesh (in the coordinates given to `Mesh`) is at x(t) = position(t) + R(t) (v - origin), with R(t) =
+    exp(t [w]x) R0 and the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a turn, about
+    the vector part of q1 * conj(q0); within some 1e-15 rad of half a turn rounding decides the direction, so use
+    `from_rotation` there). With `path="linear"` every vertex moves on the straight line between its two end positions
+    instead (the two vertex streams of Du, Liu & Suzumura 2017).
 
     Args:
-        position_t0, position_t1: (N, 3) where the meshes' origins are at the two ends of the step, world frame, scene
-            length units.
+        position_t0, position_t1: (N, 3) positions of the meshes' origins at the two ends of the step, world frame,
+            scene length units.
         orientation_t0, orientation_t1: (N, 4) unit quaternions (w, x, y, z), body to world.
         path: "rigid" or "linear".
 
-    float32 input is widened to float64 exactly. All four on one device. float64 input is shared, not copied: what is
-    written to it later moves the bodies. Values are checked here on a CPU, and whenever the motion is used.
+    float32 input is widened to float64 exactly. All tensors are on one device. float64 input is shared, not copied, so
+    later writes to it change the motion. Values are checked at construction on a CPU, and at each use.
 
     Raises:
         TypeError, ValueError: naming the argument, and the first offending body; also if an input requires grad.
@@ -70,7 +70,7 @@ class RigidMotion(MovingColumns):
         dt: float,
         path: PathKind = "rigid",
     ) -> RigidMotion:
-        """From velocities, so that a body may turn more than half a turn in a step.
+        """From velocities; a body may rotate by more than half a turn in a step.
 
         Args:
             position, orientation: (N, 3) and (N, 4), at t0.
@@ -112,7 +112,7 @@ class RigidMotion(MovingColumns):
         rotation: Tensor,
         path: PathKind = "rigid",
     ) -> RigidMotion:
-        """From where the origins go and how the bodies turn; made of another motion's rows, it is that one to the bit.
+        """From positions and rotation vectors. With rows of another motion, the paths are bitwise equal.
 
         Args:
             position_t0, position_t1: (N, 3), as for the constructor.
@@ -137,7 +137,7 @@ class RigidMotion(MovingColumns):
         rotation: Tensor,
         path: PathKind = "rigid",
     ) -> RigidMotion:
-        """As `from_rotation`, of columns that come from a motion already checked: nothing is looked at, now or later.
+        """As `from_rotation`, from columns of a validated motion: nothing is checked, now or later.
 
         Example:
             >>> part = pgccd.RigidMotion.of_checked(
@@ -151,7 +151,7 @@ class RigidMotion(MovingColumns):
         return motion
 
     def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: PathKind) -> None:
-        #: (N, 3), (N, 3), (N, 4) float64.
+        #: (N, 3), (N, 4), (N, 3) float64: positions and orientations at t0, positions at t1.
         self.position_t0 = real_rows(position_t0, "position_t0", None, 3, None)
         count, device = self.position_t0.shape[0], self.position_t0.device
         self.orientation_t0 = real_rows(orientation_t0, "orientation_t0", count, 4, device)
@@ -164,18 +164,18 @@ class RigidMotion(MovingColumns):
         return self.position_t0.shape[0]
 
     def at(self, t: Tensor | float) -> tuple[Tensor, Tensor]:
-        """Poses on the path, by the arithmetic that detection uses.
+        """Poses on the path, by the same arithmetic as detection.
 
         Args:
-            t: times in [0, 1], broadcast against the bodies (N,): a number, one time a body (N,), or several times of
-                all bodies, (T, 1), or of each, (T, N).
+            t: times in [0, 1], broadcast against the bodies (N,): a number, one time per body (N,), T times for all
+                bodies (T, 1), or T times per body (T, N).
 
         Returns:
             Positions (..., N, 3) and orientations (..., N, 4), unit quaternions.
 
         Raises:
-            ValueError: t: its shape, or a time outside of [0, 1]; or path: it is "linear", on which a body is not rigid
-                between its end poses.
+            ValueError: `t` has the wrong shape or is outside of [0, 1]; or the path is "linear", on which a body is not
+                rigid between its end poses.
 
         Example:
             >>> position, orientation = motion.at(hits.first_toi(by="scene").clamp(max=1.0))
@@ -199,7 +199,7 @@ class RigidMotion(MovingColumns):
             >>> part = motion[:10]
         """
         picked = arguments.rows(rows, "rows", self.body_count)
-        self.check_given()  # what was found is of all rows
+        self.check_given()  # its faults refer to rows of the whole motion
         part = copy.copy(self)
         for name in self._names:
             setattr(part, name, getattr(self, name)[picked].contiguous())
@@ -210,13 +210,12 @@ class RigidMotion(MovingColumns):
 
 
 class VertexMotion(MovingColumns):
-    """Bodies given by their vertices at both ends of the step; each vertex moves on the straight line between.
+    """Bodies given by their vertices at both ends of the step; each vertex moves on a straight line.
 
     Args:
         x_t0, x_t1: (X, 3) world positions, scene length units: the vertices of body 0, in the order of its mesh, then
-            those of body 1, and so on; X is the sum of the bodies' vertex counts. The mesh's own coordinates do not
-            matter. float64 input is shared, not copied. Values are checked here on a CPU, and whenever the motion is
-            used.
+            those of body 1, and so on; X is the sum of the bodies' vertex counts. The coordinates of the mesh are not
+            used. float64 input is shared, not copied. Values are checked at construction on a CPU, and at each use.
 
     Raises:
         TypeError, ValueError: naming the argument, and the first offending vertex; also if an input requires grad.
@@ -235,7 +234,7 @@ class VertexMotion(MovingColumns):
 
     @classmethod
     def of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:
-        """Of columns that come from a motion already checked: nothing is looked at, now or later.
+        """From columns of a validated motion: nothing is checked, now or later.
 
         Example:
             >>> part = pgccd.VertexMotion.of_checked(cloth_t0[:8], cloth_t1[:8])
@@ -246,10 +245,10 @@ class VertexMotion(MovingColumns):
 
     def at(self, t: Tensor | float) -> Tensor:
         """Vertices on the path: (..., X, 3), for times in [0, 1] that broadcast against the vertices (X,): a number,
-        one time a vertex (X,), or (T, 1) or (T, X) for several.
+        one time per vertex (X,), or T times (T, 1) or (T, X).
 
         Raises:
-            ValueError: t: its shape, or a time outside of [0, 1].
+            ValueError: `t` has the wrong shape or is outside of [0, 1].
 
         Example:
             >>> frames = motion.at(torch.linspace(0, 1, 30)[:, None])  # (30, X, 3)

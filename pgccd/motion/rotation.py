@@ -1,4 +1,4 @@
-"""Orientations that turn."""
+"""Integration of orientations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pgccd import arguments, ops
 
 
 def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
-    """Orientations after a turn: exp(rotation) orientation, of length one, by the arithmetic of detection.
+    """Rotated orientations: exp(rotation) orientation, normalised, by the same arithmetic as detection.
 
     Args:
         orientation: (N, 4) float32 or float64 unit quaternions (w, x, y, z), body to world.

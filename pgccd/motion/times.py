@@ -1,4 +1,4 @@
-"""Times at which motions are asked for poses."""
+"""Times at which motions are evaluated."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from pgccd import arguments
 
 
 def broadcast_times(t: Tensor | float, count: int, device: torch.device) -> Tensor:
-    """`t` as (..., count) float64."""
+    """`t` as (..., count) float64.
+
+    Raises:
+        TypeError, ValueError: `t` is not real, has the wrong shape, or is outside of [0, 1].
+    """
     time = t if isinstance(t, Tensor) else torch.tensor(t, dtype=torch.float64)
     if time.is_complex() or time.dtype == torch.bool:
         raise TypeError(f"t: expected times, got {time.dtype}")

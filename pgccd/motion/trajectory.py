@@ -11,16 +11,16 @@ from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 
 
 class Trajectory:
-    """Bodies on paths through T waypoints: T - 1 segments, each a step as of `RigidMotion` or `VertexMotion`.
+    """Paths through T waypoints: T - 1 segments, each a step like `RigidMotion` or `VertexMotion`.
 
     Args:
-        position: (T, N, 3) where the meshes' origins are, world frame, scene length units; or vertices (T, X, 3) of
-            bodies that deform, in the order of `VertexMotion`, if there is no `orientation`.
-        orientation: (T, N, 4) unit quaternions (w, x, y, z), body to world. Between waypoints bodies turn the shorter
+        position: (T, N, 3) positions of the meshes' origins, world frame, scene length units; or, without
+            `orientation`, vertices (T, X, 3) of deforming bodies, in the order of `VertexMotion`.
+        orientation: (T, N, 4) unit quaternions (w, x, y, z), body to world. Between waypoints bodies rotate the shorter
             way.
         path: "rigid" or "linear", as for `RigidMotion`.
 
-    float32 input is widened to float64 exactly. Making one waits for a GPU once.
+    float32 input is widened to float64 exactly. Construction synchronises with a GPU once.
 
     Raises:
         TypeError, ValueError: naming the argument, and the first offending waypoint and body or vertex.
@@ -40,7 +40,7 @@ class Trajectory:
         _require(
             self.position.abs() <= LARGEST_COORDINATE, "position", row, f"finite numbers up to {LARGEST_COORDINATE:g}"
         )
-        #: (T, N, 4) float64, or None where bodies deform.
+        #: (T, N, 4) float64, or None for deforming bodies.
         self.orientation: Tensor | None = None
         if orientation is not None:
             self.orientation = _waypoints(orientation, "orientation", 4, self.position)
@@ -57,11 +57,11 @@ class Trajectory:
         return self.position.shape[0] - 1
 
     def segment(self, index: int) -> RigidMotion | VertexMotion:
-        """One step, from waypoint `index` to the next: `detect` finds in it what it finds in the trajectory's segment,
-        to the bit.
+        """The step from waypoint `index` to the next. `detect` returns the same contacts for it as for this segment,
+        bitwise.
 
         Raises:
-            IndexError: there is no such segment.
+            IndexError: the index is out of range.
 
         Example:
             >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))
@@ -72,7 +72,7 @@ class Trajectory:
         return self._motion(slice(index, index + 1))
 
     def steps(self) -> RigidMotion | VertexMotion:
-        """All segments as one step, of bodies of which the rows of segment k follow those of segment k - 1."""
+        """All segments as one step: the bodies of segment k follow those of segment k - 1."""
         return self._motion(slice(0, self.segment_count))
 
     def _motion(self, segments: slice) -> RigidMotion | VertexMotion:

@@ -1,7 +1,6 @@
 """One-to-one wrappers of the compiled operators (`library`); their fake kernels are in `pgccd.ops.fake`.
 
-Thin on purpose: shapes and dtypes are checked by the operators, meaning and units are documented by the stage modules
-that call these.
+The operators check shapes and dtypes; the stage modules that call these wrappers document meaning and units.
 """
 
 from pgccd.ops.detection import (

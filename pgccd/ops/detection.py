@@ -1,4 +1,4 @@
-"""Detection on one device: checks, bounds, the stages one by one, the stages in given capacities, elementary tests."""
+"""Detection on one device: checks, bounds, single stages, padded stages, elementary tests."""
 
 from collections.abc import Sequence
 
@@ -9,22 +9,23 @@ from pgccd.ops import library
 
 
 def first_faults(columns: Sequence[Tensor], checks: Sequence[int], limits: Sequence[float]) -> Tensor:
-    """First faulty row of each column (rows, width), or its number of rows; then 1 if there is any, else 0: (n + 1,).
+    """(n + 1,): first faulty row of each column (rows, width), or its number of rows; then 1 if any row is faulty, else
+    0.
 
-    Checks: 0, no number's magnitude exceeds the limit; 1, a row's length is 1 within the limit; 2, nor exceeds it.
+    Checks: 0, magnitude of each number <= limit; 1, |length of the row - 1| <= limit; 2, length of the row <= limit.
     """
     return library.operators.first_faults(list(columns), list(checks), list(limits))
 
 
 def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
-    """Rotation vectors (N, 3) of the turns between two orientations (N, 4)."""
+    """Rotation vectors (N, 3) between two orientations (N, 4), radians, world frame."""
     return library.operators.rotations_between(orientation_t0.contiguous(), orientation_t1.contiguous())
 
 
 def poses_at(
     position_t0: Tensor, position_t1: Tensor, orientation: Tensor, rotation: Tensor, time: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Positions (M, 3) and unit quaternions (M, 4) of M rigid bodies on their arcs at the times (M,)."""
+    """Positions (M, 3) and unit quaternions (M, 4) of M rigid bodies on their arcs at times (M,)."""
     columns = (position_t0, position_t1, orientation, rotation, time)
     return library.operators.poses_at(*(column.contiguous() for column in columns))
 
@@ -32,8 +33,9 @@ def poses_at(
 def moving_spheres(
     mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], linear_path: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """SBV centres at t0 and t1 (N, 3), and radius (N,) of a ball about the straight way between them that holds the
-    rigid body all along."""
+    """SBV centres at t0 and t1 (N, 3), and the radius (N,) of the sphere moving straight between them that contains the
+    rigid body throughout.
+    """
     return library.operators.moving_spheres(list(mesh_set), list(bodies), linear_path)
 
 
@@ -66,8 +68,9 @@ def broad_pairs(
     axis: int = -1,
 ) -> Tensor:
     """Sorted pairs (P, 2) int64 of swept spheres that come within min_separation + tolerance; a negative tolerance is
-    relative to the smaller radius of a pair. broad_phase: a number of csrc/kernels/broad/broad_phase.h, with the same
-    result; axis: of a sweep, -1 for any."""
+    relative to the smaller radius of a pair. broad_phase: number in csrc/kernels/broad/broad_phase.h; axis: of a sweep,
+    -1 for automatic. Neither affects the result.
+    """
     columns = position_t0, position_t1, radius, group, mask, world, is_static
     return library.operators.broad_pairs(*columns, min_separation, tolerance, broad_phase, axis)
 
@@ -75,8 +78,9 @@ def broad_pairs(
 def swept_boxes(
     position_t0: Tensor, position_t1: Tensor, radius: Tensor, min_separation: float, tolerance: float
 ) -> tuple[Tensor, Tensor]:
-    """Lower and upper corners (N, 3) of the boxes of swept spheres with half of separation and tolerance; of pairs that
-    `broad_pairs` finds they overlap."""
+    """Lower and upper corners (N, 3) of the boxes of swept spheres, grown by half of separation and tolerance. The
+    boxes of every pair found by `broad_pairs` overlap.
+    """
     return library.operators.swept_boxes(position_t0, position_t1, radius, min_separation, tolerance)
 
 
@@ -137,7 +141,7 @@ def pairs_padded(
     broad_phase: int,
     capacity: Sequence[int],
 ) -> tuple[Tensor, Tensor]:
-    """Pairs padded with -1, and counts (7,): see `pgccd.detection.capacity`. Waits for nothing on a GPU."""
+    """Pairs padded with -1, and counts (7,): see `pgccd.detection.capacity`. Does not synchronise."""
     columns = position_t0, position_t1, radius, group, mask, world, is_static, is_invalid
     return library.operators.pairs_padded(*columns, min_separation, tolerance, broad_phase, list(capacity))
 
@@ -165,7 +169,8 @@ def contacts_padded_rigid(
 def contacts_padded_deforming(
     mesh_set: Sequence[Tensor], bodies: Sequence[Tensor], *rest: object
 ) -> tuple[Tensor, ...]:
-    """Contact rows padded, with body pairs first; all counts (21,) and then the faults. Waits for nothing on a GPU.
+    """Padded contact rows, body pairs in the first column; and all counts (21,) followed by the faults. Does not
+    synchronise.
 
     `rest`: pairs, pair_counts, faults, min_separation, tolerance, nonzero_toi, report, capacity.
     """
@@ -180,8 +185,8 @@ def lower_first_toi_rigid(
     linear_path: bool,
     *rest: object,
 ) -> Tensor:
-    """Lowers first (N,) float64 of the owners (P, 2) int64 of each pair (P, 2) to the first toi of the pair. Returns
-    all counts (21,). Waits for nothing on a GPU.
+    """Lowers first (N,) float64 at the rows owners (P, 2) int64 of each pair (P, 2) to the pair's first toi. Returns
+    all counts (21,). Does not synchronise.
 
     `rest`: pairs, pair_counts, min_separation, tolerance, nonzero_toi, capacity (6,).
     """

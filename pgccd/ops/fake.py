@@ -203,7 +203,7 @@ def _(position_t0: Tensor, *rest: Any) -> tuple[Tensor, Tensor]:
 
 def _fake_found(pairs: Tensor, rest: Any) -> tuple[Tensor, ...]:
     (_, faults, *_), count = rest, rest[-1][-1]
-    if count < 0:  # exactly
+    if count < 0:  # as many rows as found
         count = _unknown_count()
     _, *columns = _fake_contact_rows(pairs, count)
     return pairs.new_empty((count, 2)), *columns, pairs.new_empty((21 + faults.shape[0],))

@@ -1,13 +1,13 @@
-"""The compiled operators: the only place that names them."""
+"""The compiled operators; no other module uses torch.ops."""
 
 import torch
 
-import pgccd._C as _C  # (importing it registers the operators)
+import pgccd._C as _C  # importing it registers the operators
 import pgccd.ops.fake  # noqa: F401  (and this their fake kernels)
 
 operators = torch.ops.pgccd
 
 
 def take_scratch_peak() -> int:
-    """Most bytes of scratch memory that one operator on a GPU has held for this thread since the last call."""
+    """Peak scratch memory in bytes of one GPU operator on this thread since the last call."""
     return _C.take_scratch_peak()

@@ -1,6 +1,7 @@
-"""Rows of columns: tensors of any dtype and width with as many rows each, of which only the bytes matter.
+"""Rows of columns: tensors of any dtype and width with equal numbers of rows, processed as bytes.
 
-A row of -1 is zeros. Other row numbers must be those of rows: a CPU raises RuntimeError, a GPU's launch fails.
+Row number -1 stands for a row of zeros. Other row numbers must be in range: a CPU raises RuntimeError, on a GPU the
+kernel asserts.
 """
 
 from collections.abc import Sequence
@@ -18,21 +19,22 @@ def pack_rows(columns: Columns, rows: Tensor) -> Tensor:
 
 
 def unpack_rows(packed: Tensor, like: Columns) -> list[Tensor]:
-    """The reverse of `pack_rows`, for columns of the same dtypes and widths as `like`, which may have any rows."""
+    """The inverse of `pack_rows`; dtypes and widths are those of `like`, which may have any number of rows."""
     return library.operators.unpack_rows(packed.contiguous(), list(like))
 
 
 def take_rows(columns: Columns, more: Columns, rows: Tensor) -> list[Tensor]:
-    """The rows (K,) int64 of all columns (N, ...), as if those of `more` followed: the same in dtype and width, with
-    any number of rows; or none at all."""
+    """The rows (K,) int64 of all columns (N, ...), numbered as if `more` were appended to them. `more` has the same
+    dtypes and widths and any number of rows, or is empty.
+    """
     return library.operators.take_rows(_contiguous(columns), _contiguous(more), rows.contiguous())
 
 
 def merge_rows(columns: Columns, removed: Tensor, packed: Tensor) -> list[Tensor]:
-    """Columns without the rows `removed` (L,) int64, ascending, and with those `packed` (A, bytes) as by `pack_rows`,
-    by ascending id. columns[0]: the ids (N,) int64, ascending. Waits for nothing on a GPU.
+    """Removes the rows `removed` (L,) int64, ascending, and inserts rows `packed` (A, bytes) by `pack_rows`, in
+    ascending order of id. columns[0]: the ids (N,) int64, ascending. Does not synchronise.
 
-    Rows added come in any order; their ids are distinct from those kept, but may be among those removed.
+    Inserted rows may be in any order; their ids differ from those kept, but may equal removed ones.
     """
     return library.operators.merge_rows(_contiguous(columns), removed.contiguous(), packed.contiguous())
 

@@ -1,4 +1,4 @@
-"""The voxel-based baseline, on the CPU."""
+"""Operators of the voxel-based baseline, CPU only."""
 
 from collections.abc import Sequence
 
@@ -15,8 +15,9 @@ def voxels_touched(
     min_separation: float,
     tolerance: float,
 ) -> tuple[Tensor, Tensor]:
-    """Coordinates (V, 3) int32 of the voxels that boxes of the sweeps of rigid bodies' triangles touch, ascending; and
-    how many boxes each gets (V,) int64."""
+    """Coordinates (V, 3) int32, ascending, of the voxels touched by the boxes of rigid bodies' swept triangles; and the
+    number of boxes per voxel (V,) int64.
+    """
     return library.operators.voxels_touched(
         list(mesh_set), list(bodies), linear_path, voxel_size, min_separation, tolerance
     )
@@ -32,7 +33,7 @@ def voxel_boxes(
     voxels: Tensor,
     counts: Tensor,
 ) -> Tensor:
-    """Those boxes, packed (B, 32) uint8: of one voxel after another, in the order given."""
+    """These boxes, packed (B, 32) uint8, grouped by voxel in the given order."""
     settings = (linear_path, voxel_size, min_separation, tolerance)
     return library.operators.voxel_boxes(list(mesh_set), list(bodies), *settings, voxels, counts)
 
@@ -42,10 +43,10 @@ def voxel_pairs(boxes: Tensor, segments: Tensor, voxels: Tensor, first_segment: 
 
     Args:
         boxes: (B, 32) uint8, packed.
-        segments: (S, 3) int64: where the boxes of one voxel from one sender begin, how many they are, and what is added
-            to the rows of their bodies.
+        segments: (S, 3) int64: for the boxes of one voxel from one sender, the first box, their number, and the offset
+            added to the rows of their bodies.
         voxels: (V, 3) int32.
-        first_segment: (V + 1,) int64: voxel k has the segments from the k-th of these to the next.
+        first_segment: (V + 1,) int64: voxel k has the segments [first_segment[k], first_segment[k + 1]).
         voxel_size: length units.
     """
     return library.operators.voxel_pairs(boxes, segments, voxels, first_segment, voxel_size)

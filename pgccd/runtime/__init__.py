@@ -1,1 +1,1 @@
-"""What the pipeline needs of torch and CUDA: events, copies to the host, times of stages."""
+"""Utilities around torch and CUDA: events, copies to the host, stage times, graphs."""

@@ -1,4 +1,4 @@
-"""Events of a GPU's streams."""
+"""CUDA events."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import torch
 
 
 def record_event(timed: bool = False) -> torch.cuda.Event:
-    """An event after all that the current stream of the current device has been given.
+    """Records an event on the current stream of the current device.
 
     Args:
-        timed: whether times between it and others will be asked for.
+        timed: whether the event is used for timing.
     """
     event = torch.cuda.Event(enable_timing=timed)
-    # With the device's number torch takes a quarter of the time to find its stream. A step records some 40 events.
+    # Given the device's index, torch finds its stream in a quarter of the time. A step records some 40 events.
     event.record(torch.cuda.current_stream(torch.cuda.current_device()))
     return event

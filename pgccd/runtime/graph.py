@@ -1,4 +1,4 @@
-"""CUDA graphs: work of a GPU that is recorded once and then launched by one call."""
+"""Capture of CUDA graphs."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ T = TypeVar("T")
 
 
 def capture(work: Callable[[], T], device: torch.device) -> tuple[torch.cuda.CUDAGraph, T]:
-    """Records `work` as a graph. It is run once before, since kernels that have not been loaded cannot be recorded.
+    """Captures `work` as a graph. It is run once before, since kernels cannot be loaded during capture.
 
     Args:
-        work: enqueues work on the current stream and waits for nothing; the same each time.
+        work: enqueues the same work each time on the current stream, without synchronising.
         device: a CUDA device.
 
     Returns:
-        The graph, and what `work` returned when it was recorded: each replay writes to those tensors.
+        The graph, and the result of `work` during capture: each replay writes to these tensors.
     """
     with torch.cuda.device(device):
         current, side = torch.cuda.current_stream(), torch.cuda.Stream()
@@ -27,7 +27,7 @@ def capture(work: Callable[[], T], device: torch.device) -> tuple[torch.cuda.CUD
             work()
         current.wait_stream(side)
         graph = torch.cuda.CUDAGraph()
-        # Other threads (a checkpoint's, a guard's) may go on using the device.
+        # Other threads (of a checkpoint or guard) may continue to use the device.
         with torch.cuda.graph(graph, stream=side, capture_error_mode="thread_local"):
             found = work()
         current.wait_stream(side)

@@ -1,4 +1,4 @@
-"""Numbers of a GPU on their way to the host."""
+"""Asynchronous copies to the host."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pgccd.runtime.events import record_event
 
 
 class HostCopy:
-    """A copy of a tensor that the host reads later: then it waits for what the current stream has been given so far,
-    not for what it is given meanwhile.
+    """An asynchronous copy of a tensor to the host. Reading it waits for work enqueued on the current stream before the
+    copy, not for later work.
 
     Example:
         >>> copy = HostCopy.start(counts)
@@ -25,11 +25,11 @@ class HostCopy:
 
     @classmethod
     def start(cls, tensor: Tensor) -> HostCopy:
-        """Starts to copy a tensor, int64 on any device."""
+        """Starts the copy of an int64 tensor on any device."""
         return cls(tensor.to("cpu", non_blocking=True), record_event() if tensor.is_cuda else None)
 
     def numpy(self) -> NDArray[np.int64]:
-        """Its values."""
+        """The values. Waits for the copy."""
         if self._made is not None:
             self._made.synchronize()
         return self._copy.numpy()

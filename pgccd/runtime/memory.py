@@ -1,4 +1,4 @@
-"""Memory of devices."""
+"""Device memory."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import torch
 
 
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether a device had too little memory, by the error of torch or of our operators."""
+    """Whether an error of torch or of our operators means that a device is out of memory."""
     return isinstance(error, torch.OutOfMemoryError) or "out of memory: no room for" in str(error)

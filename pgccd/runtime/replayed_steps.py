@@ -1,4 +1,4 @@
-"""Steps that follow one another as replays of a graph, made launch by launch where the graph does not suffice."""
+"""Consecutive steps as replays of a graph, run launch by launch where the graph does not suffice."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ import torch
 from pgccd.runtime.memory import is_out_of_memory
 from pgccd.runtime.transaction import C, Replay, TransactionGraph
 
-# A graph is worth capturing if so many steps follow.
+# A graph is captured only if at least this many steps follow.
 _FEWEST_REPLAYS = 4
 
-#: Capacity of a graph over what the last step needed: a larger graph takes as long to capture as several steps.
+#: Capacity of a graph relative to what the last step needed: capturing a larger graph takes as long as several steps.
 GRAPH_SLACK = 2.0
 
-#: A step made launch by launch.
+#: A step run launch by launch.
 M = TypeVar("M")
 G = TypeVar("G", bound=TransactionGraph[Any])
 
 
 class ReplayedSteps(ABC, Generic[M, C, G]):
-    """Makes steps that follow one another. The first is made launch by launch, and a graph of what it needed captured;
-    the next ones are replays of that, of which two at most are enqueued at a time. A step that the graph could not make
-    is made launch by launch, and a larger graph captured. On many ranks all come to the same decisions, since these
-    follow from what all have been told.
+    """Runs consecutive steps. The first one runs launch by launch, and a graph is captured with the capacities that it
+    needed; later steps are replays of this graph, at most two of them enqueued at a time. A step that the graph could
+    not commit is repeated launch by launch, and a larger graph is captured. All ranks make the same decisions, since
+    these depend only on gathered values.
 
     Args:
         wants_graph: whether steps are replayed.
@@ -37,57 +37,57 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
         self._wants_graph = wants_graph
         self._graph: G | None = None
         self._under_way: deque[Replay[C]] = deque()
-        # Whether the next step is one that a graph is not made for.
+        # Whether the next step must run launch by launch.
         self._must_launch = False
 
     @abstractmethod
     def _launch(self, index: int) -> M:
-        """Makes a step launch by launch, and goes on from the state it ends in."""
+        """Runs a step launch by launch, from the current state."""
 
     @abstractmethod
     def _capture(self, index: int) -> G:
-        """A graph of the next step, in the capacities that the last one needed and somewhat more."""
+        """A graph of the next step, with capacities somewhat larger than the last step needed."""
 
     @abstractmethod
     def _load(self, graph: G, index: int) -> bool:
-        """Lets the graph go on from the state. False: it does not fit."""
+        """Loads the state into the graph. False: it does not fit."""
 
     @abstractmethod
     def _take(self, graph: G) -> None:
-        """Goes on from the graph's state."""
+        """Copies the graph's state to the current state."""
 
     def _read(self, replay: Replay[C], index: int) -> C | None:
-        """Waits for a step; None: it was not committed."""
+        """Waits for a step; None if it was not committed."""
         return replay.read(index)
 
     def _note(self, step: M | C) -> None:
-        """Takes note of what a step needed."""
-        return  # nothing, unless a subclass does
+        """Records what a step needed."""
+        return  # overridden by subclasses
 
     def _is_oversized(self, graph: G) -> bool:
-        """Whether the graph does more than any recent step needed."""
+        """Whether the graph is larger than recent steps needed."""
         return False
 
     def _needs_launch(self, step: C) -> bool:
-        """Whether the step after this one must be made launch by launch."""
+        """Whether the step after this one must run launch by launch."""
         return False
 
     def _is_captured(self, captured: bool) -> bool:
-        """Whether all ranks could capture a graph, given whether this one could."""
+        """Whether all ranks captured a graph, given whether this one did."""
         return captured
 
     @property
     def is_ahead(self) -> bool:
-        """Whether a GPU has been given the next step already."""
+        """Whether the next step has already been enqueued."""
         return bool(self._under_way)
 
     def _advance(self, index: int, more: int) -> M | C:
-        """Makes a step.
+        """Runs a step.
 
         Args:
-            index: one more than that of the step before.
-            more: how many follow before the state is asked for, or the whole outcome of a step. The last of them is not
-                replayed.
+            index: one more than in the previous step.
+            more: number of steps that follow before the state or the details of a step are read. The last of these is
+                not replayed.
         """
         if not self._under_way:
             renew = self._graph is None or self._is_oversized(self._graph)
@@ -100,14 +100,16 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
             self._under_way.append(self._graph.replay())
         committed = self._read(self._under_way.popleft(), index)
         if committed is None:
-            self._under_way.clear()  # they have changed nothing
+            self._under_way.clear()  # they changed nothing
             return self._launch_and_load(index, more, renew=True)
         self._note(committed)
         self._must_launch = self._needs_launch(committed)
         return committed
 
     def _launch_and_load(self, index: int, more: int, renew: bool) -> M:
-        """A step launch by launch. After it the graph goes on; or there is a new one, if enough steps follow."""
+        """Runs a step launch by launch, and loads the graph with the result; or captures a new one, if enough steps
+        follow.
+        """
         if self._graph is not None:
             self._take(self._graph)
         made = self._launch(index)
@@ -121,7 +123,7 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
 
     def _try_to_capture(self, index: int) -> G | None:
         if torch.cuda.is_initialized():
-            torch.cuda.empty_cache()  # a graph has memory of its own
+            torch.cuda.empty_cache()  # a graph allocates from its own pool
         graph, why = None, "another rank could not capture it"
         try:
             graph = self._capture(index)
@@ -129,6 +131,6 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
             why = "too little memory" if is_out_of_memory(error) else str(error)
         if self._is_captured(graph is not None):
             return graph
-        warnings.warn(f"steps are launched kernel by kernel: no CUDA graph of them: {why}", stacklevel=2)
+        warnings.warn(f"steps run without a CUDA graph: {why}", stacklevel=2)
         self._wants_graph = False
         return None

@@ -1,4 +1,4 @@
-"""Work of a GPU beside that which the current stream has been given."""
+"""A second stream for work concurrent with the current stream."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import torch
 
 
 class SideStream:
-    """A second stream of a GPU, which first does what may hold up others. Elsewhere, and unless wanted, it is none:
-    everything is done in order.
+    """A second, high-priority stream of a GPU, for work that other ranks may wait for. On a CPU, or unless wanted,
+    everything runs in order.
 
-    It starts after work already enqueued on the current stream when it is made. Memory allocated on it goes back to it:
-    as every use of that by the current stream comes before the next side stream is made, nothing is overwritten. What
-    the current stream has allocated and this one reads must stay until `join`.
+    It starts after work already enqueued on the current stream. Memory allocated on it is reused by it: every use by
+    the current stream precedes the next side stream, so nothing is overwritten. Memory allocated on the current stream
+    and read on this one must be kept until `join`.
 
     Args:
         device: of the tensors worked on.
-        wanted: whether there should be one.
+        wanted: whether to use a second stream.
 
     Example:
         >>> side = SideStream(device)
@@ -36,7 +36,7 @@ class SideStream:
 
     @property
     def is_apart(self) -> bool:
-        """Whether there is one."""
+        """Whether there is a second stream."""
         return self._stream is not None
 
     def __enter__(self) -> None:
@@ -47,7 +47,7 @@ class SideStream:
         self._entered.__exit__(None, None, None)
 
     def join(self) -> None:
-        """Lets the current stream go on after all that this one has been given."""
+        """Makes the current stream wait for this one."""
         if self._stream is not None:
             torch.cuda.current_stream(self._stream.device).wait_stream(self._stream)
 

@@ -1,4 +1,4 @@
-"""Where the time of a step goes."""
+"""Times of the stages of a step."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ _WORK = ("plan", "bounds", "broad", "traverse", "narrow")
 
 
 class StageClock:
-    """Seconds by stage, and since the clock was made.
+    """Seconds per stage, and in total.
 
-    On a GPU a stage lasts from event to event on the stream, so that taking the time keeps nothing waiting; the times
-    are read when they are asked for.
+    On a GPU a stage is timed by events on the stream, without synchronising; the times are read on access.
 
     Example:
         >>> clock = StageClock()
@@ -33,7 +32,7 @@ class StageClock:
 
     @classmethod
     def of(cls, seconds: Mapping[str, float], total: float) -> StageClock:
-        """A clock that was stopped, of times measured by others."""
+        """A stopped clock with given times."""
         clock = cls()
         clock.add(seconds)
         clock._total = total
@@ -42,7 +41,7 @@ class StageClock:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Adds the time of the block to a stage."""
-        self.add({name: 0.0})  # stages are listed in the order in which they began
+        self.add({name: 0.0})  # lists stages in the order in which they began
         if torch.cuda.is_initialized():
             begin = record_event(timed=True)
             yield
@@ -53,28 +52,28 @@ class StageClock:
             self.add({name: time.perf_counter() - start})
 
     def add(self, seconds: Mapping[str, float]) -> None:
-        """Adds times measured by others."""
+        """Adds times measured elsewhere."""
         for name, spent in seconds.items():
             self._seconds[name] = self._seconds.get(name, 0.0) + spent
 
     @property
     def seconds(self) -> dict[str, float]:
-        """By stage. Waits until the last of them is over."""
+        """Seconds per stage. Waits for the end of the last one."""
         self._read([name for name, _, _ in self._events])
         return self._seconds
 
     @property
     def work(self) -> float:
-        """Seconds in stages in which a rank never waits for another."""
+        """Seconds in stages in which a rank does not wait for others."""
         self._read(_WORK)
         return sum(self._seconds.get(stage, 0.0) for stage in _WORK)
 
     def restart(self) -> None:
-        """`total` counts from now on. Stages that are over stay as they are."""
+        """Restarts `total`. Stage times are kept."""
         self._start = time.perf_counter()
 
     def stop(self) -> None:
-        """Ends the time that `total` returns."""
+        """Stops `total`."""
         self._total = self.total
 
     @property

@@ -1,7 +1,7 @@
-"""A step of a loop as a CUDA graph, so that the host is not what a GPU waits for.
+"""A step of a loop as a CUDA graph, so that the GPU does not wait for the host.
 
-A step is a transaction: it reads a state in fixed memory and commits the next one on the device. If it cannot, it
-changes nothing, and neither do the steps enqueued behind it, until the host has read its record.
+A step is a transaction: it reads a state in fixed memory and commits the next one on the device. If it cannot be
+committed, it and the steps enqueued after it change nothing, until the host has read its record.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from torch import Tensor
 from pgccd.runtime.events import record_event
 from pgccd.runtime.graph import capture
 
-#: A step that was committed, as its record describes it.
+#: A committed step, from its record.
 C = TypeVar("C")
 
 
 class TransactionGraph(ABC, Generic[C]):
-    """One step as a CUDA graph, from a state in fixed memory to the next one. `capture` comes first.
+    """One step as a CUDA graph, from a state in fixed memory to the next one. Call `capture` before `replay`.
 
     Args:
         device: a CUDA device.
@@ -31,17 +31,19 @@ class TransactionGraph(ABC, Generic[C]):
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
-        # 1 once a step has not been committed: those behind it are not either. Nor is the one that is captured.
+        # 1 after a step was not committed: later ones are not committed either. Initially 1, so that the capture
+        # commits nothing.
         self._failed = torch.ones(1, dtype=torch.int64, device=device)
 
     @abstractmethod
     def _step(self) -> Tensor:
-        """Enqueues the step, which is committed if `_failed` stays 0. Returns its record, int64, a row for each rank;
-        the first column is nonzero if it was not committed."""
+        """Enqueues the step, which is committed if `_failed` stays 0. Returns its record, int64, one row per rank; the
+        first column is nonzero if it was not committed.
+        """
 
     @abstractmethod
     def _committed(self, index: int, record: NDArray[np.int64], seconds: float) -> C:
-        """The step of this number, which took so long on the device."""
+        """The step with this index, given its record and its seconds on the device."""
 
     def capture(self) -> Self:
         """Captures the step."""
@@ -53,7 +55,7 @@ class TransactionGraph(ABC, Generic[C]):
         return self
 
     def replay(self) -> Replay[C]:
-        """Makes a step, if those before it were committed. Waits for nothing."""
+        """Enqueues a step, which runs if all previous ones were committed. Does not synchronise."""
         host = self._hosts[self._replays % len(self._hosts)]
         self._replays += 1
         began = record_event(timed=True)
@@ -62,13 +64,13 @@ class TransactionGraph(ABC, Generic[C]):
         return Replay(self, host, began, record_event(timed=True))
 
     def close(self) -> None:
-        """Frees the graph, which cannot be replayed any more."""
+        """Frees the graph, which cannot be replayed afterwards."""
         self._graph.reset()
 
 
 @dataclass(frozen=True)
 class Replay(Generic[C]):
-    """A step that a GPU was given. It must be read before the second one after it is enqueued."""
+    """An enqueued step. It must be read before the second one after it is enqueued."""
 
     graph: TransactionGraph[C]
     host: Tensor  #: the record, once `ended`
@@ -76,7 +78,7 @@ class Replay(Generic[C]):
     ended: torch.cuda.Event
 
     def read(self, index: int) -> C | None:
-        """Waits for the step; None: it was not committed."""
+        """Waits for the step; None if it was not committed."""
         self.ended.synchronize()
         record = self.host.numpy().copy()
         if record[:, 0].any():

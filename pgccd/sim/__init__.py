@@ -1,7 +1,7 @@
-"""The nanorobot model: very many robots that move, collide, stop and turn round (Du, Liu & Suzumura 2017, section 5).
+"""The nanorobot model: very many robots that move, collide, stop and reverse (Du, Liu & Suzumura 2017, section 5).
 
-A run is `run(ModelConfig(...), steps, folder)`; on many ranks, `sim.distributed.run(comm, ...)`. Their parts are here
-too, for simulations of one's own.
+A run is `run(ModelConfig(...), steps, folder)`; on many ranks, `sim.distributed.run(comm, ...)`. Their parts are public
+too, for other simulations.
 """
 
 import importlib as _importlib
@@ -52,6 +52,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> _Any:
-    if name == "distributed":  # imported when first used: one process needs no ranks
+    if name == "distributed":  # imported on first use: one process needs no ranks
         return _importlib.import_module("pgccd.sim.distributed")
     raise AttributeError(f"module 'pgccd.sim' has no attribute {name!r}")

@@ -1,5 +1,5 @@
-"""One step of the model as a CUDA graph. It is committed if on no rank a capacity was exceeded, all collisions are
-resolved and the poses are valid; otherwise `pgccd.sim.replay` makes it launch by launch.
+"""One step of the model as a CUDA graph. It is committed if no rank exceeded a capacity, all collisions are resolved
+and the poses are valid; otherwise `pgccd.sim.replay` runs it launch by launch.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from pgccd.sim.tally import COUNTED, Rows, Tally, count_step, work_of_counts
 
 @dataclass(frozen=True)
 class Searches:
-    """What one rank searches in a step, enqueued in fixed capacities."""
+    """The searches of one rank in a step, enqueued in fixed capacities."""
 
     parts: Sequence[Part]
     partners: Partners
-    id: Tensor  #: (H,) int64 of the robots held, those of the state first; negative in rows of padding
+    id: Tensor  #: (H,) int64 ids of the held robots, those of the state first; negative for padding
     exchange: Exchange
-    failed: Tensor  #: (1,) int64, nonzero: the poses are invalid, or a capacity between ranks was exceeded
+    failed: Tensor  #: (1,) int64, nonzero if poses are invalid or a capacity between ranks was exceeded
 
 
-#: Enqueues the searches of a planned step; (1,) int64, left on the device: nonzero: their results will be discarded.
+#: Enqueues the searches of a planned step, given (1,) int64 on the device, nonzero if their results will be discarded.
 Search = Callable[[RobotState, Tensor], Searches]
-#: Of a step's searches and the state after it: (k,) int64 numbers for all ranks.
+#: From a step's searches and the state after it: (k,) int64 values to send to all ranks.
 Conclude = Callable[[Searches, RobotState], Tensor]
 
 
@@ -49,10 +49,10 @@ class CommittedStep:
     index: int  #: from 0
     rounds: int  #: of collision resolution
     seconds: float  #: on the device
-    rank: int  #: this one
-    parts: int  #: of the whole step
-    counts: NDArray[np.int64]  #: (ranks, parts + rounds, 21): `Counts` of each part and of each round
-    conclusions: Rows  #: (ranks, 6 + k): by `count_step`, and what the ranks concluded besides
+    rank: int  #: this rank
+    parts: int  #: number of parts of the whole step
+    counts: NDArray[np.int64]  #: (ranks, parts + rounds, 21): `Counts` of each part and each round
+    conclusions: Rows  #: (ranks, 6 + k): from `count_step`, then from `conclude`
 
     @property
     def work(self) -> Rows:
@@ -62,7 +62,7 @@ class CommittedStep:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Its line in steps.jsonl; the stage "respond" is all but detection."""
+        """Its line in steps.jsonl; the stage "respond" is everything except detection."""
         parts = [Counts.of(numbers).seconds for numbers in self.counts[self.rank, : self.parts].tolist()]
         stages = {stage: sum(spent[stage] for spent in parts) for stage in parts[0]}
         respond = max(0.0, self.seconds - sum(stages.values()))
@@ -71,17 +71,17 @@ class CommittedStep:
 
 
 class StepGraph(TransactionGraph[CommittedStep]):
-    """One step as a CUDA graph, from a state in fixed memory to the next one. Where there are many ranks each has a
-    graph, and the messages between them are part of it.
+    """One step as a CUDA graph, from a state in fixed memory to the next one. With many ranks, each has a graph, which
+    includes the messages between them.
 
     Args:
         model: the rules.
-        state: of the robots; copied. Rows of negative ids are padding.
-        index: number of the step to be made.
-        search: of a planned step.
-        plan: the capacities of rounds.
-        rounds: of collision resolution.
-        conclude: what ranks tell one another besides `count_step`; default: nothing.
+        state: of the robots; copied. Rows with negative ids are padding.
+        index: number of the next step.
+        search: enqueues the searches of a planned step.
+        plan: capacities of rounds.
+        rounds: number of rounds of collision resolution.
+        conclude: values to exchange besides those of `count_step`; default: none.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         self._parts, self._rank = 1, 0
 
     def load(self, state: RobotState, index: int) -> None:
-        """Goes on from another state, of no more robots than there are rows."""
+        """Loads another state, of at most as many robots as rows."""
         for name, column in self.state.columns.items():
             column[: len(state)].copy_(getattr(state, name))
         clear_rows(self.state, len(state))
@@ -112,8 +112,9 @@ class StepGraph(TransactionGraph[CommittedStep]):
         self._failed.zero_()
 
     def _step(self) -> Tensor:
-        """plan, detect, resolve, commit, count. Returns the record, a row for each rank: whether it failed, changes of
-        rounds, counts, conclusions."""
+        """plan, detect, resolve, commit, count. Returns the record, one row per rank: failure flag, changes of rounds,
+        counts, conclusions.
+        """
         model, state = self._model, self.state
         planned = model.plan(state, self._index)
         searches = self._search(planned, self._failed)
@@ -121,7 +122,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         attempt = Attempt(searches.parts, robots, searches.partners, self._plan, exchange, StageClock())
         first_change = attempt.begin()
         more_changes, of_rounds = attempt.make_rounds(self.rounds)
-        changes = torch.cat([first_change, more_changes])  # the last one nonzero: rounds are lacking
+        changes = torch.cat([first_change, more_changes])  # if the last one is nonzero, more rounds are needed
         counts = torch.stack([*(part.counts() for part in searches.parts), *of_rounds])
         overflow = (counts * self._is_overflow).sum().reshape(1)
         failed = self._failed + changes[-1:] + overflow + searches.failed
@@ -146,7 +147,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
 
 
 def clear_rows(state: RobotState, begin: int) -> None:
-    """Makes the rows from `begin` on padding: no robots, at rest in a valid pose."""
+    """Sets the rows from `begin` on to padding: negative ids, at rest in a valid pose."""
     for column in state.columns.values():
         column[begin:] = 0
     for column in (state.id, state.target, state.stay_until):

@@ -1,4 +1,4 @@
-"""Checkpoints of a run; their files are those of `pgccd.checkpoint`."""
+"""Checkpoints of a run, in the files of `pgccd.checkpoint`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pgccd.checkpoint.stored import Stored, has_checkpoint
 from pgccd.sim.model import ModelConfig, RobotState
 
 KIND = "simulation"
-ROBOTS = "robots"  #: the table of them
+ROBOTS = "robots"  #: the name of their table
 _FORMER = "checkpoint.pt"  # of format 1
 _WIDTHS = {"position": 3, "orientation": 4, "velocity": 3, "angular_velocity": 3}  # of float64; others are int64
 
@@ -38,23 +38,24 @@ class Header:
     config: ModelConfig
     steps_made: int
     steps_wanted: int
-    meshes: str  #: their `meshes_digest`
+    meshes: str  #: the meshes' `meshes_digest`
 
     @property
     def plain(self) -> dict[str, Any]:
-        """What an index says of it besides the number of steps made."""
+        """The header of the index: all fields except `steps_made`."""
         return {"config": asdict(self.config), "meshes": self.meshes, "steps_wanted": self.steps_wanted}
 
 
 @dataclass
 class Checkpoint(Header):
-    """A run between two steps."""
+    """A run between two steps, with its robots."""
 
     state: RobotState  #: of all robots, ids ascending, on the CPU
 
 
 class StoredCheckpoint(Stored):
-    """The newest checkpoint in a run's folder. Its index has been verified, its other files have not: see `verify`.
+    """The newest checkpoint in a run's folder. The hash of its index has been checked, those of its other files have
+    not: see `verify`.
 
     Raises:
         CheckpointError: it cannot be read.
@@ -112,7 +113,7 @@ def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint) -> Path:
         Its folder.
 
     Raises:
-        CheckpointError: it cannot be written; the one before is still there.
+        CheckpointError: it cannot be written; the previous one is kept.
 
     Example:
         >>> pgccd.sim.save_checkpoint("out/copy", pgccd.sim.load_checkpoint("out/try"))
@@ -130,11 +131,11 @@ def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint) -> Path:
 
 
 def load_checkpoint(run_folder: str | Path) -> Checkpoint:
-    """The newest checkpoint of a run, whatever number of ranks wrote it; whole, on the CPU.
+    """The newest checkpoint of a run, written by any number of ranks, with all robots on the CPU.
 
     Raises:
         FileNotFoundError: there is none.
-        CheckpointError: it cannot be read, or is not what was written.
+        CheckpointError: it cannot be read, or is damaged.
 
     Example:
         >>> state = pgccd.sim.load_checkpoint("out/try").state
@@ -149,16 +150,16 @@ def load_checkpoint(run_folder: str | Path) -> Checkpoint:
 
 
 def forget_checkpoints(run_folder: Path) -> None:
-    """Removes all that an earlier run left to continue from."""
+    """Removes all checkpoints of an earlier run."""
     (run_folder / _FORMER).unlink(missing_ok=True)
     root = run_folder / FOLDER
     if root.is_dir():
-        (root / POINTER).unlink(missing_ok=True)  # first: what it names is whole as long as it is there
+        (root / POINTER).unlink(missing_ok=True)  # first: the checkpoint it names is complete as long as it exists
         shutil.rmtree(root)
 
 
 def _no_robots() -> dict[str, Tensor]:
-    """Columns of no robots."""
+    """Empty columns of robots."""
     columns = {}
     for name in (field.name for field in fields(RobotState)):
         shape = (0, _WIDTHS[name]) if name in _WIDTHS else (0,)

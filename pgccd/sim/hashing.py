@@ -9,7 +9,7 @@ from pgccd.sim.model import RobotState
 
 
 def hashed_columns(state: RobotState) -> list[Tensor]:
-    """What the hash of a state is made of."""
+    """The columns included in the hash of a state."""
     return [state.id, state.position, state.orientation, state.velocity, state.angular_velocity]
 
 

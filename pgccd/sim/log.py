@@ -1,4 +1,4 @@
-"""The log of a run: `steps.jsonl`, one line a step."""
+"""The log of a run: `steps.jsonl`, one line per step."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ LOG_FILE = "steps.jsonl"
 
 
 class StepLog:
-    """`steps.jsonl`: one line a step. Continuing a run drops the lines of steps made after its checkpoint.
+    """`steps.jsonl`: one line per step. Continuing a run drops the lines of steps after its checkpoint.
 
     Args:
         folder: of the run.
-        steps_made: the steps of which lines are kept. What lacks is warned of.
+        steps_made: number of steps whose lines are kept; warns if lines are missing.
     """
 
     def __init__(self, folder: Path, steps_made: int) -> None:
@@ -48,7 +48,7 @@ class StepLog:
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
-    """The records of `steps.jsonl`, up to the first line that is not whole; empty without one."""
+    """The records of `steps.jsonl`, up to the first incomplete line; empty without the file."""
     path = folder / LOG_FILE
     records = []
     for line in path.read_text(errors="replace").splitlines() if path.is_file() else []:

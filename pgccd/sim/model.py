@@ -1,4 +1,4 @@
-"""The nanorobot model: its configuration, its robots' state, and how they start and move."""
+"""The nanorobot model: its configuration, its state, and the rules of motion."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MOVING = ("id", "position", "orientation", "velocity", "angular_velocity")
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """What a world is like. Lengths are in radii r: the largest SBV radius of its meshes.
+    """Configuration of a world. Lengths are in units of the largest SBV radius of its meshes.
 
     Raises:
         ValueError: naming the field.
@@ -34,20 +34,20 @@ class ModelConfig:
     """
 
     robots: int = 10_000  #: below 2^31
-    #: "random": straight courses in random directions. "skewed": each robot heads for one of the eight corners of the
-    #: box (first the nearest), stays there a while, then heads for another (along an edge; a robot that cannot get
-    #: through turns to the nearest).
+    #: "random": straight courses in random directions. "skewed": each robot moves to one of the eight corners of the
+    #: box (first the nearest), stays there for some time, then moves to another (along an edge; a robot that is blocked
+    #: turns to the nearest).
     pattern: Pattern = "random"
     seed: int = 0  #: any int64
-    #: Of the lattice at the start, > 2. 2.56 makes the SBVs fill 25 % of the box.
+    #: Lattice spacing at the start, > 2. With 2.56 the SBVs fill 25 % of the box.
     spacing: float = 2.56
-    speed: float = 0.1  #: mean displacement a step; that of a robot lies between half of it and half as much again
-    spin: float = 0.1  #: largest rotation a step, radians
+    speed: float = 0.1  #: mean displacement per step; that of a robot is 0.5 to 1.5 times this
+    spin: float = 0.1  #: largest rotation per step, radians
     course_steps: float = 32.0  #: mean number of steps on one course (random, and while staying in a corner)
-    resume_steps: float = 8.0  #: mean number of steps after which a robot thrown back heads for its corner again
+    resume_steps: float = 8.0  #: mean number of steps after which a robot that was reversed turns to its corner again
     stay_steps: tuple[int, int] = (100, 300)  #: shortest and longest stay in a corner
-    arrival: float = 0.1  #: a robot this near to its corner has arrived; in smallest edges of the box
-    crowd: float = 0.5  #: a robot thrown back within this distance of its corner has met the crowd and stays too
+    arrival: float = 0.1  #: distance from the corner at which a robot has arrived, relative to the smallest box edge
+    crowd: float = 0.5  #: a robot reversed within this distance of its corner, by other robots there, stays too
 
     def __post_init__(self) -> None:
         arguments.choice(self.pattern, "pattern", PATTERNS)
@@ -68,7 +68,7 @@ class ModelConfig:
         shortest, longest = self.stay_steps
         if not 0 <= shortest <= longest < 2**31:
             raise ValueError(f"stay_steps: expected 0 <= shortest <= longest, got {self.stay_steps}")
-        # Between walls twice as far apart as its step, a robot that turns at one does not reach the other.
+        # If the walls are two steps apart, a robot that turns at one does not reach the other.
         fastest = 1.5 * self.speed
         space = min(lattice_cells(self.robots)) * self.spacing - 2.0
         if 2.0 * fastest > space:
@@ -78,7 +78,7 @@ class ModelConfig:
 
 
 class WorldIntegers(NamedTuple):
-    """Numbers that operators take, as the struct of that name in csrc/kernels/simulate/world.h."""
+    """Integer parameters of the operators, as the struct of that name in csrc/kernels/simulate/world.h."""
 
     robot_count: int
     cells_x: int
@@ -91,7 +91,7 @@ class WorldIntegers(NamedTuple):
 
 
 class WorldScales(NamedTuple):
-    """Numbers that operators take, as the struct of that name in csrc/kernels/simulate/world.h."""
+    """Real parameters of the operators, as the struct of that name in csrc/kernels/simulate/world.h."""
 
     radius: float
     spacing: float
@@ -104,7 +104,7 @@ class WorldScales(NamedTuple):
 
 
 def lattice_cells(robots: int) -> tuple[int, int, int]:
-    """Cells an axis of the smallest near-cubic lattice for so many robots."""
+    """Cells per axis of the smallest near-cubic lattice with room for all robots."""
 
     def first(enough: Any, guess: float) -> int:
         cells = max(1, int(guess) - 1)
@@ -119,15 +119,15 @@ def lattice_cells(robots: int) -> tuple[int, int, int]:
 
 @dataclass
 class RobotState:
-    """Robots as columns, all on one device: any subset of a world's robots, ids ascending."""
+    """Robots as columns on one device: any subset of a world's robots, ids ascending."""
 
     id: Tensor  #: (N,) int64, stable global ids
     position: Tensor  #: (N, 3) float64, SBV centres, world frame, length units
     orientation: Tensor  #: (N, 4) float64 unit quaternions (w, x, y, z)
-    velocity: Tensor  #: (N, 3) float64, length units a step
-    angular_velocity: Tensor  #: (N, 3) float64, world frame, radians a step
-    target: Tensor  #: (N,) int64: the corner 0 to 7 it belongs to (bit k: upper end of axis k), -1 if none
-    stay_until: Tensor  #: (N,) int64: the step in which its stay there ends, -1 if it is on its way
+    velocity: Tensor  #: (N, 3) float64, length units per step
+    angular_velocity: Tensor  #: (N, 3) float64, world frame, radians per step
+    target: Tensor  #: (N,) int64: the target corner 0 to 7 (bit k: upper end of axis k), -1 if none
+    stay_until: Tensor  #: (N,) int64: the step in which its stay there ends, -1 while it is moving there
 
     def __len__(self) -> int:
         return self.id.shape[0]
@@ -146,19 +146,19 @@ class RobotState:
 
 
 class Model:
-    """A world on one device: its meshes, its box, and the rules by which its robots start and move.
+    """A world on one device: its meshes, its box, and the rules of its robots.
 
-    All it decides is a function of (seed, id, step) and the state, in operators of ours: the same bits on every device,
-    with any number of threads or ranks.
+    All rules are functions of (seed, id, step) and the state, computed by pgccd's operators: bitwise equal on every
+    device, with any number of threads or ranks.
 
     Args:
-        config: what it is like.
+        config: of the world.
         meshes: the kinds of robots, each with origin="centroid"; the robot with id k is of kind k modulo their number.
             Default: `robot_mesh()`.
-        device: where states and scenes live.
+        device: of states and scenes.
 
     Raises:
-        ValueError: a mesh has its origin elsewhere.
+        ValueError: the origin of a mesh is not its centroid.
 
     Example:
         >>> model = pgccd.sim.Model(pgccd.sim.ModelConfig(robots=1000))
@@ -173,7 +173,7 @@ class Model:
         self.meshes = MeshSet(list(meshes) if meshes is not None else [robot_mesh()], device)
         self.device = self.meshes.device
         for index, mesh in enumerate(self.meshes.meshes):
-            # Robots start on a lattice and keep their distances by their SBVs.
+            # Distances between robots are those of their SBV centres.
             if bool(mesh.centre_offset.any()):
                 raise ValueError(
                     f'meshes[{index}]: robots turn about their SBV centres: expected a Mesh with origin="centroid", '
@@ -193,7 +193,7 @@ class Model:
         )
 
     def start(self, id: Tensor | None = None) -> RobotState:
-        """The state before step 0 of the robots `id` (N,) int64, ascending; default all. No two SBVs overlap."""
+        """The initial state of the robots `id` (N,) int64, ascending; default all. No two SBVs overlap."""
         if id is None:
             id = torch.arange(self.config.robots, device=self.device)
         return RobotState(id, *ops.simulate_start(id, self._integers, self._scales))
@@ -202,7 +202,7 @@ class Model:
         """The state with the velocities of step number `step` (from 0): new courses, and reflection at the walls.
 
         Args:
-            step: a number, or (1,) int64 on the device, which is not looked at.
+            step: a number, or (1,) int64 on the device, which is not read by the host.
         """
         if not isinstance(step, Tensor):
             if not 0 <= step < 2**32:
@@ -215,7 +215,7 @@ class Model:
         )
 
     def motion(self, state: RobotState, fraction: Tensor | None = None) -> RigidMotion:
-        """The step that a planned state is about to make; or a `fraction` (N,) of it, at constant velocities."""
+        """The motion of a planned state's step; or of a `fraction` (N,) of it, at constant velocities."""
         velocity, spin = state.velocity, state.angular_velocity
         if fraction is not None:
             velocity, spin = fraction[:, None] * velocity, fraction[:, None] * spin
@@ -230,29 +230,28 @@ class Model:
         pairs: Tensor,
         capacity: int,
     ) -> tuple[Tensor, tuple[Tensor, ...], Tensor]:
-        """Pairs with a robot that has changed, each with its own copies of its two robots. Waits for nothing on a GPU.
+        """Pairs with a robot that has changed, each with its own copies of both robots. Does not synchronise.
 
         Args:
-            own, ghosts: `moving_columns` of planned states; rows of ghosts follow own ones.
-            fraction: (N + G,) of the step that each robot makes.
+            own, ghosts: `moving_columns` of planned states; rows of ghosts follow those of own robots.
+            fraction: (N + G,) of the step that each robot moves.
             changed: (N + G,) uint8.
             pairs: (P, 2) int64 rows; may be padded with -1.
-            capacity: number of pairs to be returned.
+            capacity: number of rows of the result.
 
         Returns:
-            The pairs (capacity, 2), on a GPU in any order; `MovingBodies.tensors` for 2 capacity bodies, of which
-            2 k and 2 k + 1 are the robots of pair k; and counts (7,), the first of `Counts`. Rows of pairs that are not
-            there are not set.
+            The pairs (capacity, 2), on a GPU in any order; `MovingBodies.tensors` for 2 capacity bodies, of which 2 k
+            and 2 k + 1 are the robots of pair k; and counts (7,), the first of `Counts`. Unused rows are not set.
         """
         radius = self.meshes.radius
         found, *bodies, counts = ops.simulate_affected_motion(own, ghosts, fraction, changed, pairs, radius, capacity)
         return found, tuple(bodies), counts
 
     def pair_motion(self, bodies: Sequence[Tensor]) -> tuple[Scene, RigidMotion]:
-        """Scene and motion of `affected_pairs` whose number was known."""
+        """Scene and motion of the copies returned by `affected_pairs`."""
         mesh_index, position_t0, position_t1, radius, orientation, rotation = bodies
         scene = Scene.of_checked(self.meshes, mesh_index)
-        scene.radius = radius  # known already
+        scene.radius = radius  # computed already
         return scene, RigidMotion.of_checked(position_t0, orientation, position_t1, rotation)
 
     def scene(self, id: Tensor) -> Scene:
@@ -262,7 +261,7 @@ class Model:
         return Scene.of_checked(self.meshes, index)
 
     def describe(self) -> dict[str, Any]:
-        """The configuration and what follows from it, in plain numbers."""
+        """The configuration and values derived from it, as plain numbers."""
         box = [2.0 * half for half in self.half_extent]
         kinds = len(self.meshes)
         counts = [(self.config.robots + kinds - 1 - kind) // kinds for kind in range(kinds)]

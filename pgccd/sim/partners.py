@@ -1,4 +1,4 @@
-"""Detection in rounds of collision resolution: between robots that have been slowed down and all others."""
+"""Detection in rounds of collision resolution: between slowed robots and all others."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from pgccd.detection.padded import lower_first_toi
 from pgccd.detection.query import Query
 from pgccd.sim.model import Model
 
-#: What is asked of the whole step, and of every round. nonzero_toi: robots that part after a contact are free.
+#: Options of the search of the whole step and of every round. nonzero_toi: robots that separate after a contact may
+#: move.
 FIRST_CONTACTS = Query("first", 0.0, None, True)
 
 _CONTACTS = COUNT_ROWS["contacts"]
 
 
 class Partners:
-    """Potentially colliding pairs, of which rounds search those with a robot that has changed: a slowed robot stays
-    within the volume it was to sweep, so it can only meet its partners in the PCS.
+    """The PCS of a step. Rounds search its pairs with a robot that has changed: a slowed robot stays within its swept
+    volume, so it can only touch its partners in the PCS.
 
     Args:
         model: the rules.
-        own, ghosts: `moving_columns` of planned states; rows of ghosts follow own ones.
-        pairs: (P, 2) int64 rows, the robot of smaller id first; rows of -1 are padding.
+        own, ghosts: `moving_columns` of planned states; rows of ghosts follow those of own robots.
+        pairs: (P, 2) int64 rows, the robot with the smaller id first; rows of -1 are padding.
     """
 
     def __init__(self, model: Model, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, pairs: Tensor) -> None:
@@ -35,21 +36,21 @@ class Partners:
         self._copies = pairs[:0]
 
     def look_among(self, pairs: Tensor) -> None:
-        """From now on these are the PCS."""
+        """Replaces the PCS."""
         self._pairs = pairs
 
     def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
-        """Detection among robots that have changed, and between them and all others: lowers the first toi of those in
-        contact. Waits for nothing on a GPU.
+        """Detection among changed robots, and between them and all others: lowers the first toi of robots in contact.
+        Does not synchronise.
 
         Args:
             changed: (N,) uint8.
-            fraction: (N,) float64: what each robot makes of the step, at constant velocities.
-            capacity: of the round on a GPU; elsewhere sizes are as needed.
-            first: (N,) float64: first toi, in what each robot makes of the step; lowered in place.
+            fraction: (N,) float64: the part of the step that each robot moves, at constant velocities.
+            capacity: of the round on a GPU; on a CPU sizes are exact.
+            first: (N,) float64: first toi, relative to the part that each robot moves; lowered in place.
 
         Returns:
-            (21,) int64, left on the device: `pgccd.detection.capacity.Counts`.
+            (21,) int64 on the device: `pgccd.detection.capacity.Counts`.
         """
         if self._pairs.device.type == "cpu":
             capacity = Capacity(pairs=len(self._pairs), contacts=0)
@@ -64,7 +65,7 @@ class Partners:
         return together
 
     def _pieces(self, capacity: Capacity) -> int:
-        """How many parts of the PCS are searched one after the other, so that memory suffices; down to single pairs."""
+        """Number of parts in which the PCS is searched sequentially to fit into memory; at most one per pair."""
         limit = memory_limit(None, capacity.bytes, self._pairs.device)
         return max(1, min(-(-capacity.bytes // limit), len(self._pairs)))
 
@@ -78,14 +79,14 @@ class Partners:
         return lower_first_toi(first, found, meshes, bodies, False, copies, pair_counts, FIRST_CONTACTS, capacity)
 
     def _copies_of(self, count: int) -> Tensor:
-        """(count, 2): the two robots of each pair among their copies."""
+        """(count, 2): rows of the two robots of each pair among the copies."""
         if count > len(self._copies):
             self._copies = torch.arange(2 * count, device=self._pairs.device).view(count, 2)
         return self._copies[:count]
 
 
 def toi_of(contacts: Contacts) -> Tensor:
-    """(K,) float64: the column, which `detect(report="first")` always gives."""
+    """(K,) float64: toi, which is never None for report="first"."""
     if contacts.toi is None:
         raise AssertionError("detect(report='first') gives a toi")
     return contacts.toi

@@ -12,7 +12,7 @@ _SECONDS_BETWEEN_LINES = 5.0
 
 
 class Progress(Protocol):
-    """What is shown of a run while it goes on."""
+    """Display of the progress of a run."""
 
     def advance(self, record: dict[str, Any]) -> None: ...
 
@@ -23,7 +23,7 @@ class Silent:
 
 
 class _Lines:
-    """For files and pipes: the first step, the last, and one now and then."""
+    """Plain lines for files and pipes: the first step, the last, and one every few seconds."""
 
     def __init__(self, steps: int) -> None:
         self._steps = steps
@@ -46,7 +46,7 @@ def _figures(record: dict[str, Any]) -> str:
 
 @contextmanager
 def terminal_progress(steps_made: int, steps: int) -> Iterator[Progress]:
-    """A bar by rich where it is installed and standard error is a terminal, else lines."""
+    """A rich progress bar if rich is installed and standard error is a terminal, else plain lines."""
     try:
         import rich.console
         import rich.progress

@@ -17,12 +17,12 @@ from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.resolution import OneRank, Resolution
 from pgccd.sim.step import Step, StepPlan, make_step
 
-# Of so many steps the one with the most rounds decides how many a graph has.
+# A graph has as many rounds as the largest number in this many recent steps.
 _RECENT_STEPS = 64
 
 
 class MadeStep(Protocol):
-    """A step made launch by launch."""
+    """A step run launch by launch."""
 
     @property
     def resolution(self) -> Resolution: ...
@@ -32,7 +32,7 @@ M = TypeVar("M", bound=MadeStep)
 
 
 class SimulationSteps(ReplayedSteps[M, CommittedStep, StepGraph]):
-    """Steps of a simulation: a graph makes as many rounds of collision resolution as any recent step took.
+    """Steps of a simulation: a graph has as many rounds of collision resolution as any recent step took.
 
     Args:
         wants_graph: whether steps are replayed.
@@ -50,7 +50,7 @@ class SimulationSteps(ReplayedSteps[M, CommittedStep, StepGraph]):
 
 
 class StepMaker(SimulationSteps[Step]):
-    """Makes the steps of a simulation in one process, on a GPU as replays of a graph where several follow one another.
+    """Runs the steps of a simulation in one process; on a GPU consecutive steps are replays of a graph.
 
     Args:
         model: the rules.
@@ -73,18 +73,18 @@ class StepMaker(SimulationSteps[Step]):
 
     @property
     def state(self) -> RobotState:
-        """After the last step, in memory of its own. No step may be under way: see `is_ahead`."""
+        """A copy of the state after the last step. No step may be enqueued: see `is_ahead`."""
         if self._graph is not None:
             self._take(self._graph)
         return self._state
 
     def step(self, index: int, more: int = 0) -> Step | CommittedStep:
-        """Makes a step.
+        """Runs a step.
 
         Args:
-            index: one more than that of the step before.
-            more: how many follow before the state is asked for, or the whole outcome of a step. The last of them is not
-                replayed.
+            index: one more than in the previous step.
+            more: number of steps that follow before the state or the details of a step are read. The last of these is
+                not replayed.
 
         Raises:
             ValueError: the state is invalid.
@@ -110,7 +110,7 @@ class StepMaker(SimulationSteps[Step]):
 def capture_step(
     model: Model, state: RobotState, index: int, broad_phase: broad.BroadPhase, plan: StepPlan, rounds: int
 ) -> StepGraph:
-    """The graph of a step of all robots in one process; arguments as for `StepGraph`."""
+    """The graph of a step of all robots on one rank; arguments as for `StepGraph`."""
     scene = model.scene(state.id)
 
     def search(planned: RobotState, discard: Tensor) -> Searches:

@@ -1,11 +1,10 @@
-"""Collision resolution: how much of the step each robot makes, so that none collides.
+"""Collision resolution: the part of the step that each robot moves such that none collides.
 
-A robot stops (just before) its first toi. It then stands where others expected it to move on, so the slowed-down step
-is tested again, among the robots that have just been slowed down and between them and all others, until none collides.
-In the step that results no robot touches another, and the next one starts without contact.
+A robot stops just before its first toi. Other robots may then collide with it where they expected it to move on, so the
+step is tested again, among the robots just slowed down and between them and all others, until no pair collides. In the
+resulting step no robot touches another, and the next step starts without contact.
 
-Rounds are enqueued several at a time, before it is known whether they are needed: a round after the last one that
-changed a robot changes nothing.
+Several rounds are enqueued at a time, before it is known whether they are needed: superfluous rounds change nothing.
 """
 
 from __future__ import annotations
@@ -29,29 +28,29 @@ from pgccd.runtime.stages import StageClock
 from pgccd.sim.partners import Partners
 from pgccd.sim.tally import Rows, work_of_counts
 
-# A robot moves this part of the way to its toi: at the toi itself it may be within the tolerance of contact, which the
-# next step would report again.
+# A robot moves by this fraction of its toi: at the toi itself it may be within the tolerance of contact, which the next
+# step would report again.
 _APPROACH = 0.99
-# A robot that could make less than this part of its step stays where it is. Otherwise the gap between robots that are
-# pressed together (by a wall, by a crowd) would shrink by the same factor in every step, until rounding closed it.
+# A robot that could only move by less than this part of its step does not move. Otherwise the gap between robots
+# pressed together (by a wall or a crowd) would shrink by the same factor in every step, until rounding closed it.
 _SMALLEST_PART = 0.01
-# From this round on a robot that collides stays where it is, which ends the iteration quickly.
+# From this round on a colliding robot does not move at all, which ends the iteration quickly.
 _STOPPING_ROUND = 4
-# Rounds enqueued at once in the first step, and after as many as any of the last steps took.
+# Rounds enqueued at once in the first step; rounds added at a time if these do not suffice.
 _FIRST_ROUNDS, _MORE_ROUNDS = 4, 2
-# How many steps count as the last.
+# Number of recent steps considered.
 _RECENT_STEPS = 8
-# Capacity over what a round needed in the last step.
+# Capacity relative to what a round needed in the last step.
 _SLACK = 2.0
 
 
 @dataclass
 class Resolution:
-    """How much of the step each robot makes, so that none collides."""
+    """The part of the step that each robot moves such that none collides."""
 
-    fraction: Tensor  #: (N,) float64 in [0, 1]; below 1 for those that collide
+    fraction: Tensor  #: (N,) float64 in [0, 1]; below 1 for robots that would collide
     rounds: int  #: detections after the first
-    secondary_contacts: int  #: contacts they found: with robots that had stopped in the way
+    secondary_contacts: int  #: contacts found in rounds: with robots that had stopped in the way
 
     @property
     def stopped(self) -> Tensor:
@@ -61,18 +60,19 @@ class Resolution:
 
 @dataclass
 class ResolvedStep:
-    """How a step ended."""
+    """Result of a step."""
 
     resolution: Resolution
     work: Rows  #: (ranks, 6), see `pgccd.sim.tally.WORK`
-    conclusions: Rows  #: (ranks, k): the numbers that each rank concluded
-    #: Lets the capacities of the next step learn what this one needed; a GPU may be given more urgent work before.
+    conclusions: Rows  #: (ranks, k): the values of `conclude` of each rank
+    #: Updates the capacity estimates for the next step; deferred, so that the next step can be enqueued first.
     learn: Callable[[], None]
 
 
 class RoundPlan:
-    """How many rounds are enqueued at once, which is the same on all ranks, and the capacity of each on this one. It
-    belongs to a simulation."""
+    """The number of rounds enqueued at once, equal on all ranks, and the capacity of each on this rank. Owned by a
+    simulation.
+    """
 
     def __init__(self) -> None:
         self._recent: deque[int] = deque(maxlen=_RECENT_STEPS)
@@ -81,11 +81,11 @@ class RoundPlan:
 
     @property
     def at_once(self) -> int:
-        """As many as any of the last steps took: one too many costs less than to find out that there is one more."""
+        """The largest number in recent steps: a superfluous round costs less than a synchronisation."""
         return max(self._recent, default=_FIRST_ROUNDS)
 
     def capacity(self, round: int) -> Capacity:
-        """For a round, from 0."""
+        """The capacity of a round, counted from 0."""
         if self._needed is not None:
             capacities = [capacity.times(_SLACK) for capacity in self._needed()]
             self._needed, self._capacities[: len(capacities)] = None, capacities
@@ -94,19 +94,19 @@ class RoundPlan:
         return self._capacities[min(round, len(self._capacities) - 1)]
 
     def grow(self, round: int, counts: Counts) -> None:
-        """Gives a round the capacity it lacked."""
+        """Grows the capacity of a round that overflowed."""
         capacities = [self.capacity(earlier) for earlier in range(max(round + 1, len(self._capacities)))]
         capacities[round] = capacities[round].grown(counts.needed(capacities[round]))
         self._capacities = capacities
 
     def learn(self, rounds: int, needed: Callable[[], Sequence[Capacity]]) -> None:
-        """Takes note of a step's rounds. What each needed is worked out in the next step, when the host has time."""
+        """Records a step's rounds. The capacities are computed in the next step, while the host is idle."""
         self._recent.append(rounds)
         self._needed = needed
 
 
 class Exchange(Protocol):
-    """Messages between ranks when robots are spread over them."""
+    """Messages between ranks."""
 
     @property
     def rank(self) -> int: ...
@@ -115,7 +115,7 @@ class Exchange(Protocol):
     def ranks(self) -> int: ...
 
     def share(self, first: Tensor) -> None:
-        """Sets the first toi (N,) of all robots to the smallest over all ranks that hold them."""
+        """Sets the first toi (N,) of all robots to the minimum over all ranks that hold them."""
         ...
 
     def gather(self, values: Tensor) -> Tensor:
@@ -124,7 +124,7 @@ class Exchange(Protocol):
 
 
 class OneRank:
-    """There is one rank."""
+    """The exchange of a single rank."""
 
     rank, ranks = 0, 1
 
@@ -135,8 +135,8 @@ class OneRank:
         return values[None]
 
 
-#: Concludes a step, given the fractions (N,) float64 that the robots move: returns (k,) int64 numbers for all ranks.
-#: May be called again with other fractions, which replace the first.
+#: Concludes a step, given the fractions (N,) float64 that the robots move: returns (k,) int64 values for all ranks. A
+#: later call with other fractions replaces the first.
 Conclude = Callable[[Tensor], Tensor]
 
 
@@ -149,22 +149,22 @@ def resolve_collisions(
     clock: StageClock,
     exchange: Exchange | None = None,
 ) -> ResolvedStep:
-    """Decides how much of the step each robot makes.
+    """Finds the part of the step that each robot moves.
 
-    The host waits for a GPU once, unless there are more rounds than in the last steps or a capacity was exceeded. What
-    decides how often is known to all ranks.
+    The host synchronises once, unless there are more rounds than in recent steps or a capacity was exceeded. All ranks
+    make the same decision.
 
     Args:
-        parts: of the whole step's pairs, searched for first contacts; as many on all ranks.
+        parts: of the whole step's pairs, searched for first contacts; the same number on all ranks.
         body_count: number of robots N.
-        partners: of robots in the PCS.
-        plan: how many rounds are enqueued at once, and their capacities.
-        conclude: what follows.
-        clock: stages are timed here.
-        exchange: how ranks agree; default: there is one.
+        partners: the PCS.
+        plan: number of rounds enqueued at once, and their capacities.
+        conclude: see `Conclude`.
+        clock: records stage times.
+        exchange: between ranks; default: a single rank.
     """
     exchange = exchange or OneRank()
-    clock.add({"traverse": 0.0, "narrow": 0.0})  # stages are listed in the order of work
+    clock.add({"traverse": 0.0, "narrow": 0.0})  # lists the stages in the order of work
     for part in parts:
         part.begin()
     while True:
@@ -172,12 +172,12 @@ def resolve_collisions(
         resolved = attempt.run(conclude)
         if resolved is not None:
             return resolved
-        # The capacity for pairs may have been exceeded.
+        # The pairs may have exceeded their capacity.
         partners.look_among(pairs_of_step(parts))
 
 
 class Attempt:
-    """Rounds on the device, in given capacities: first `begin`, then `make_rounds` until none changes a robot.
+    """Rounds on the device, in given capacities: `begin`, then `make_rounds` until a round changes no robot.
 
     Arguments as for `resolve_collisions`.
     """
@@ -194,15 +194,17 @@ class Attempt:
         self._parts, self._partners, self._plan, self._exchange = parts, partners, plan, exchange
         self._clock = clock
         self._device = parts[0].bodies.device
-        #: (N,) float64: how much of the step each robot makes.
+        #: (N,) float64: the part of the step that each robot moves.
         self.fraction = torch.ones(body_count, dtype=torch.float64, device=self._device)
         self._first = torch.full_like(self.fraction, torch.inf)
         self._changed = torch.empty(body_count, dtype=torch.uint8, device=self._device)
-        #: Of each round: its capacity.
+        #: Capacity of each round.
         self.capacities: list[Capacity] = []
 
     def begin(self) -> Tensor:
-        """Slows the robots down that collide in the whole step. Returns (1,) int64: whether any does here."""
+        """Slows down the robots that collide in the whole step. Returns (1,) int64: nonzero if a robot of this rank
+        does.
+        """
         change = torch.zeros(1, dtype=torch.int64, device=self._device)
         for part in self._parts:
             pairs, toi = part.first_contacts()
@@ -211,7 +213,9 @@ class Attempt:
         return change
 
     def make_rounds(self, count: int) -> tuple[Tensor, list[Tensor]]:
-        """Enqueues rounds. Returns (count,) int64: whether each changed a robot here; and what each counted, (21,)."""
+        """Enqueues rounds. Returns (count,) int64: nonzero for each round that changed a robot of this rank; and the
+        counts (21,) of each.
+        """
         changes, counts = torch.zeros(count, dtype=torch.int64, device=self._device), []
         for change in changes.split(1) if count else ():
             capacity = self._plan.capacity(len(self.capacities))
@@ -222,20 +226,20 @@ class Attempt:
 
     def _slow_down(self, round: int, change: Tensor) -> None:
         self._exchange.share(self._first)
-        # Every round stops or slows a robot, and from one on stops it at t0: the iteration terminates.
+        # Every round slows at least one robot, and from _STOPPING_ROUND on stops it at t0, so the iteration terminates.
         smallest = _SMALLEST_PART if round < _STOPPING_ROUND else torch.inf
         ops.simulate_slow_all_down(self._first, self.fraction, self._changed, change, _APPROACH, smallest)
 
     def run(self, conclude: Conclude) -> ResolvedStep | None:
-        """All of it; None, on all ranks, if a capacity was exceeded on one of them. It has grown then."""
+        """Runs all rounds; None, on all ranks, if a rank exceeded a capacity, which has then grown."""
         exchange, clock = self._exchange, self._clock
         with clock.stage("respond"):
             changes = self.begin()
-            # The host of one rank on the CPU need not wait to see whether there is one more.
+            # A single rank on the CPU can read the result of each round.
             at_sight = exchange.ranks == 1 and self._device.type == "cpu"
             more = int(changes) if at_sight else self._plan.at_once
-        went_on: list[bool] = []  # before each round: whether a robot has changed on any rank
-        made: list[NDArray[np.int64]] = []  # of each round: what this rank counted
+        went_on: list[bool] = []  # for each round: whether a robot had changed on any rank before it
+        made: list[NDArray[np.int64]] = []  # counts of this rank, for each round
         secondary_contacts = np.zeros(exchange.ranks, dtype=np.int64)
         while True:
             with clock.stage("respond"):
@@ -271,7 +275,7 @@ class Attempt:
         for part, numbers in zip(self._parts, of_parts, strict=True):
             if numbers[OVERFLOWS].any():
                 part.find()
-        # What comes after the first round that lacked capacity saw only a part.
+        # Rounds after the first that overflowed saw only part of the contacts.
         for round, numbers in enumerate(of_rounds, first_round):
             if numbers[OVERFLOWS].any():
                 self._plan.grow(round, Counts.of(numbers.tolist()))

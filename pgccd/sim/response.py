@@ -1,4 +1,4 @@
-"""What robots do about a collision: stop there and turn round (the simple response of Du, Liu & Suzumura 2017)."""
+"""Response of robots to a collision: stop and reverse (the simple response of Du, Liu & Suzumura 2017)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def first_collisions(pairs: Tensor, toi: Tensor, body_count: int) -> Tensor:
         body_count: number of bodies N.
 
     Returns:
-        (N,) float64; inf for bodies that do not collide.
+        (N,) float64; inf without a contact.
 
     Example:
         >>> toi = pgccd.sim.first_collisions(hits.pairs, hits.toi, scene.body_count)
@@ -30,7 +30,7 @@ def first_collisions(pairs: Tensor, toi: Tensor, body_count: int) -> Tensor:
 
 
 def respond(state: RobotState, fraction: Tensor) -> RobotState:
-    """The state after a step of which each robot made `fraction`; those that did not make all of it turn round.
+    """The state after each robot moved by `fraction` of the step; robots with a fraction below 1 reverse.
 
     Args:
         state: as planned, before the step.

@@ -12,16 +12,16 @@ VERTEX_COUNT = 2 + RING_COUNT * RING_SIZE  #: 352
 FACE_COUNT = 2 * RING_COUNT * RING_SIZE  #: 700
 
 _LIMB_COUNT = 5
-# Coordinates are rounded to a grid much coarser than the last bits in which mathematical libraries differ, so that the
-# robot is the same on every machine.
+# Coordinates are rounded to a grid much coarser than the differences between math libraries, so that the robot is the
+# same on every machine.
 _DECIMALS = 6
 
 
 def robot_mesh() -> Mesh:
     """A round body with a head, five arms, five legs and a nozzle, SBV radius 1 (to 1e-6); always the same.
 
-    The surface is star-shaped (one distance in every direction from an inner point), so it does not cut itself. Its
-    size, 352 vertices and 700 triangles, is that of the entities of Du, Liu & Suzumura 2017, section 5.
+    The surface is star-shaped (one distance in every direction from an inner point), so it does not intersect itself.
+    Its size, 352 vertices and 700 triangles, is that of the objects of Du, Liu & Suzumura 2017, section 5.
 
     Example:
         >>> pgccd.sim.robot_mesh()

@@ -1,4 +1,4 @@
-"""A run's folder: a run begins only where nothing would be lost."""
+"""A run's folder, protected against overwriting."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ WORLD_FILE = "world.json"
 
 
 def begin(folder: Path, world: dict[str, Any], overwrite: bool) -> None:
-    """Lets a new run begin in a folder that is held.
+    """Prepares a locked folder for a new run.
 
     Args:
         folder: of the run.
-        world: for `world.json`.
+        world: content of `world.json`.
         overwrite: whether a checkpoint of an earlier run may be removed.
 
     Raises:
-        FolderError: there is one, and it may not.
+        FolderError: the folder holds an earlier run, and `overwrite` is False.
     """
     if not overwrite:
         try:

@@ -28,15 +28,15 @@ from pgccd.sim.step import Step
 
 @dataclass
 class Run:
-    """A run so far."""
+    """State of a run."""
 
     model: Model
     state: RobotState
     steps_made: int
     records: list[dict[str, Any]]  #: the lines of steps.jsonl, from step 0
-    last_step: Step | None  #: None if no step was made in this process
-    interrupted: bool  #: by a signal; the checkpoint is up to date
-    one_in: int = 1  #: `state` has one in so many robots: more than 1 of very large worlds on many ranks
+    last_step: Step | None  #: None if the last step was a replay, or no step was made in this process
+    interrupted: bool  #: by a signal; a checkpoint was written
+    one_in: int = 1  #: `state` has one in this many robots; above 1 for very large worlds on many ranks
 
 
 def run(
@@ -55,21 +55,21 @@ def run(
 ) -> Run:
     """Simulates a world from its start and writes `world.json`, `steps.jsonl` and `checkpoints/` into a folder.
 
-    Ctrl-C (or SIGTERM) ends it after the step under way, with a checkpoint; a second one ends it at once, and the last
-    checkpoint stays.
+    Ctrl-C (or SIGTERM) ends it after the current step, with a checkpoint; a second one ends it at once, keeping the
+    last checkpoint.
 
     Args:
         config: the world.
-        steps: how many to make.
-        folder: made if missing. No other job may use it meanwhile.
+        steps: number of steps.
+        folder: created if missing; locked against other jobs.
         meshes: kinds of robots; default `robot_mesh()`.
-        device: where to compute. The result does not depend on it.
+        device: of the computation. The result does not depend on it.
         broad_phase: as for `detect`.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
-        progress: called after every step.
+        progress: notified after every step.
         graph: whether steps are replays of one CUDA graph. Default: on a GPU. The result does not depend on it.
-        overwrite: whether a run that is there may be replaced; else it is refused.
-        notes: plain values for `world.json` besides those of the model.
+        overwrite: whether to replace an earlier run in the folder.
+        notes: additional plain values for `world.json`.
 
     Raises:
         ValueError: naming the argument; also if the folder is in use, or holds a run, or cannot be written to.
@@ -98,23 +98,24 @@ def resume(
     progress: Progress | None = None,
     graph: bool | None = None,
 ) -> Run:
-    """Continues a run from its checkpoint, to the same result as if it had not been interrupted.
+    """Continues a run from its checkpoint, with the same result as without interruption.
 
     Args:
         folder: of the run.
-        steps: how many to make in all; default: as many as the run was to make.
-        meshes: those of the run.
+        steps: total number of steps; default: that of the run.
+        meshes: of the run; default `robot_mesh()`.
         device, broad_phase, checkpoint_every, progress, graph: as for `run`.
 
     Raises:
         FileNotFoundError: there is no checkpoint.
-        ValueError: it cannot be read, or does not fit the meshes or the number of steps; or the folder is in use.
+        ValueError: the checkpoint cannot be read, or does not match the meshes or the number of steps; or the folder is
+            in use.
 
     Example:
         >>> finished = pgccd.sim.resume("out/try", steps=20)
     """
     folder = Path(folder)
-    require_checkpoint(folder)  # before anything is made there
+    require_checkpoint(folder)  # before anything is written to the folder
     with hold(folder):
         checkpoint = load_checkpoint(folder)
         model, steps = continued(folder, checkpoint, steps, meshes, device)
@@ -125,14 +126,14 @@ def resume(
 def continued(
     folder: Path, header: Header, steps: int | None, meshes: Sequence[Mesh] | None, device: torch.device | str
 ) -> tuple[Model, int]:
-    """The model of a run that goes on, and how many steps it is to make in all.
+    """The model of a resumed run, and its total number of steps.
 
     Raises:
-        ValueError: naming the argument that does not fit the checkpoint.
+        ValueError: naming the argument that does not match the checkpoint.
     """
     model = Model(header.config, meshes, device)
     if meshes_digest(model.meshes.meshes) != header.meshes:
-        raise ValueError(f"meshes: the run in {folder} was made with others")
+        raise ValueError(f"meshes: the run in {folder} was made with different meshes")
     steps = header.steps_wanted if steps is None else steps
     if steps < header.steps_made:
         raise ValueError(f"steps: the run in {folder} has made {header.steps_made} already, got {steps}")
@@ -140,7 +141,7 @@ def continued(
 
 
 class HasRecord(Protocol):
-    """A step that was made."""
+    """A step with a record for the log."""
 
     @property
     def record(self) -> dict[str, Any]:
@@ -149,27 +150,27 @@ class HasRecord(Protocol):
 
 
 class Machine(Protocol):
-    """Makes the steps of a run."""
+    """Runs the steps of a run."""
 
     def stops(self, requested: bool) -> bool:
-        """Whether to stop now, given whether this process was asked to."""
+        """Whether to stop now, given whether this process received a request."""
         ...
 
     def step(self, index: int, more: int) -> HasRecord:
-        """Makes a step; how many more follow before the state is asked for."""
+        """Runs a step; `more` steps follow before the state is read."""
         ...
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
-        """Begins to write a checkpoint."""
+        """Starts to write a checkpoint."""
         ...
 
     def finish(self) -> None:
-        """Waits until the last checkpoint is whole."""
+        """Waits until the last checkpoint is complete."""
         ...
 
 
 class _OneProcess:
-    """All robots in this process. On a GPU steps that follow one another are replays of one CUDA graph."""
+    """All robots in this process. On a GPU consecutive steps are replays of one CUDA graph."""
 
     def __init__(
         self, model: Model, state: RobotState, folder: Path, broad_phase: BroadPhase, graph: bool | None
@@ -225,18 +226,18 @@ def drive(
     checkpoint_every: int,
     progress: Progress | None,
 ) -> int:
-    """Makes steps until there are enough, or a signal asks to stop; then writes a checkpoint.
+    """Runs steps until `steps` are made or a signal arrives; then writes a checkpoint.
 
     Args:
-        machine: makes them.
-        log: closed at the end; None: another process keeps it.
-        steps_made: so far.
-        steps: in all.
+        machine: runs the steps.
+        log: closed at the end; None if another process writes it.
+        steps_made: number of steps made so far.
+        steps: total number.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
-        progress: called after every step.
+        progress: notified after every step.
 
     Returns:
-        The number of steps made in all.
+        The total number of steps made.
     """
     if checkpoint_every < 0:
         raise ValueError(f"checkpoint_every: expected a number >= 0, got {checkpoint_every}")
@@ -250,18 +251,18 @@ def drive(
                 if steps_made == until < steps:
                     lines.sync()
                     machine.save(steps_made, steps)
-            lines.sync()  # a checkpoint is never ahead of its log
+            lines.sync()  # a checkpoint is never ahead of the log
         machine.save(steps_made, steps)
         machine.finish()
     return steps_made
 
 
 class _DelayedLog:
-    """Writes the line of each step when the next one has been made: any sooner, the host would wait for a GPU.
+    """Writes the line of each step after the next one has been enqueued, so that the host does not wait for a GPU.
 
     Args:
-        log: None: another process keeps it.
-        progress: called after every step.
+        log: None if another process writes it.
+        progress: notified after every step.
     """
 
     def __init__(self, log: StepLog | None, progress: Progress) -> None:
@@ -269,12 +270,12 @@ class _DelayedLog:
         self._last: HasRecord | None = None
 
     def add(self, step: HasRecord) -> None:
-        """Writes the line of the step before this one."""
+        """Writes the line of the previous step."""
         self.finish()
         self._last = step
 
     def sync(self) -> None:
-        """Writes the line of the last step, and waits until all lines are on the disk."""
+        """Writes the line of the last step, and syncs the log to disk."""
         self.finish()
         if self._log is not None:
             self._log.sync()
@@ -292,16 +293,16 @@ class _DelayedLog:
         return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        # What the line of a step on a GPU waits for may never come, once that or another rank has failed.
+        # After a failure of a GPU or another rank, reading the record could block forever.
         if not (isinstance(error, RuntimeError) and torch.cuda.is_initialized()):
             self.finish()
 
 
 @contextmanager
 def _stop_requests() -> Iterator[threading.Event]:
-    """An event that the first Ctrl-C or SIGTERM sets; the second acts as it always does."""
+    """An event set by the first Ctrl-C or SIGTERM; the second has its default effect."""
     stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():  # only the main thread may listen
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may set signal handlers
         yield stop
         return
     former = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}

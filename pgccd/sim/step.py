@@ -26,8 +26,9 @@ from pgccd.sim.tally import Tally, count_step
 
 @dataclass
 class StepPlan:
-    """What a simulation's steps needed, from which the capacities of the next one follow. It changes how often the work
-    of a step is repeated on a GPU, never its result."""
+    """Capacity estimates of a simulation's steps. They change how often the work of a step is repeated on a GPU, never
+    its result.
+    """
 
     pairs: CapacityEstimate = field(default_factory=CapacityEstimate)  #: of the PCS and its contacts
     rounds: RoundPlan = field(default_factory=RoundPlan)
@@ -35,23 +36,23 @@ class StepPlan:
 
 @dataclass
 class Step:
-    """A step that was made. What takes time to find out is found out when it is asked for."""
+    """A step run launch by launch. Expensive results are computed on access."""
 
     index: int  #: from 0
     before: RobotState  #: as planned: poses at t0, velocities of the step
     resolution: Resolution
     after: RobotState
-    find: Callable[[], Contacts]  #: gives `contacts`
-    make_record: Callable[[], dict[str, Any]]  #: returns `record`
+    find: Callable[[], Contacts]  #: computes `contacts`
+    make_record: Callable[[], dict[str, Any]]  #: computes `record`
 
     @cached_property
     def contacts(self) -> Contacts:
-        """Of the whole step, as if no robot had stopped."""
+        """Contacts of the whole step, as if no robot had stopped."""
         return self.find()
 
     @property
     def toi(self) -> Tensor:
-        """(K,) float64, of these."""
+        """(K,) float64 toi of `contacts`."""
         return toi_of(self.contacts)
 
     @cached_property
@@ -76,7 +77,7 @@ def make_step(
         state: of all robots, after step `index` - 1.
         index: number of the step, from 0.
         broad_phase: as for `detect`.
-        plan: of the steps of this simulation; default: nothing is known of them.
+        plan: capacity estimates of this simulation; default: none.
 
     Raises:
         ValueError: the state is invalid.

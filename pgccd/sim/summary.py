@@ -1,4 +1,4 @@
-"""A finished run in figures and pictures."""
+"""Summary of a finished run: statistics and pictures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pgccd.sim.runner import Run
 
 
 def totals(run: Run) -> dict[str, Any]:
-    """Robots, steps, pcs and contacts of all steps together, and mean seconds a step."""
+    """Robots, steps, pcs and contacts over all steps, and mean seconds per step."""
     return {
         "robots": run.model.config.robots,
         "steps": run.steps_made,
@@ -20,7 +20,7 @@ def totals(run: Run) -> dict[str, Any]:
 
 
 def summary_lines(run: Run) -> list[str]:
-    """A table: figure, value, what to compare it with."""
+    """Lines of a table: quantity, value, reference value."""
     steps, robots = max(1, len(run.records)), run.model.config.robots
     pcs, contacts, stopped = _sum(run, "pcs"), _sum(run, "contacts"), _sum(run, "stopped")
     slowest = max((record["seconds"] for record in run.records), default=0.0)
@@ -48,13 +48,13 @@ def _sum(run: Run, name: str) -> Any:
 
 
 def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
-    """`model.html` and `model.png` of a run's last step.
+    """Writes `world.html` and `world.png` of a run's last step.
 
     Returns:
         Their paths, by "page" and "picture".
 
     Raises:
-        ImportError: matplotlib is not installed; the page is written then.
+        ImportError: matplotlib is not installed; the page is written anyway.
     """
     from pgccd import viz  # viz imports this package: an import at the top would be circular
 

@@ -1,4 +1,4 @@
-"""What is counted in a step: the numbers of its line in the log."""
+"""Counts of a step: the values of its line in the log."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from pgccd.runtime.stages import StageClock
 from pgccd.sim.hashing import hashed_columns
 from pgccd.sim.model import RobotState
 
-#: (ranks, k) int64: a row for each rank.
+#: (ranks, k) int64: one row per rank.
 Rows = NDArray[np.int64]
 
-#: What a rank's searches found in a step, and for how many nanoseconds it traversed and solved pairs of the whole step:
-#: first columns of its message to the others.
+#: Counts of a rank's searches in a step, and nanoseconds of traversal and narrow phase of the whole step: the first
+#: columns of the values that ranks gather.
 WORK = ("pcs", "contacts", "secondary_contacts", "candidates", "unresolved", "nanoseconds")
-#: Numbers of `count_step`, which follow.
+#: Number of values of `count_step`, which follow.
 COUNTED = 6
 
 
@@ -31,7 +31,7 @@ def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int
 
     Args:
         counts: (ranks, parts, 21): `pgccd.detection.capacity.Counts` of each part of the whole step.
-        secondary_contacts: (ranks,) found in rounds of collision resolution.
+        secondary_contacts: (ranks,) contacts found in rounds of collision resolution.
     """
     names = ("pairs_written", "contacts", "candidates", "unresolved")
     pcs, contacts, candidates, unresolved = (counts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in names)
@@ -39,23 +39,23 @@ def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int
 
 
 def work_of_stats(stats: Stats, secondary_contacts: int) -> list[int]:
-    """(6,) of one rank."""
+    """(6,) for one rank, from statistics."""
     nanoseconds = round(1e9 * (stats.seconds["traverse"] + stats.seconds["narrow"]))
     return [stats.pcs, stats.contacts, secondary_contacts, stats.candidates, stats.unresolved, nanoseconds]
 
 
 @dataclass
 class Tally:
-    """What is counted in a step."""
+    """Counts of a step, over all ranks."""
 
-    # What the searches found first, then what `count_step` counted.
+    # Counts of the searches, then those of `count_step`.
     pcs: int
     contacts: int
     secondary_contacts: int
     candidates: int
     unresolved: int
     robots: int
-    contacts_hash: int  #: modulo 2^64, as the next
+    contacts_hash: int  #: modulo 2^64, like state_hash
     state_hash: int
     stopped: int
     touching_at_t0: int
@@ -63,13 +63,13 @@ class Tally:
 
     @classmethod
     def of(cls, work: Rows, counted: Rows) -> Tally:
-        """Of all ranks together.
+        """The sum over all ranks.
 
         Args:
             work: (ranks, 6).
             counted: (ranks, 6) by `count_step`.
         """
-        # Hashes add up modulo 2^64 by themselves.
+        # Sums of int64 wrap modulo 2^64.
         pcs, contacts, secondary_contacts, candidates, unresolved, _ = work.sum(axis=0).tolist()
         robots, contacts_hash, state_hash, stopped, touching_at_t0, id_hash = counted.sum(axis=0).tolist()
         found = pcs, contacts, secondary_contacts, candidates, unresolved
@@ -78,7 +78,7 @@ class Tally:
 
     def record(self, index: int, rounds: int, clock: StageClock) -> dict[str, Any]:
         """The line of steps.jsonl."""
-        stage_seconds = {stage: round(spent, 6) for stage, spent in clock.seconds.items()}  # first: it may have to wait
+        stage_seconds = {stage: round(spent, 6) for stage, spent in clock.seconds.items()}  # first: it may synchronise
         return {
             "step": index,
             "robots": self.robots,
@@ -98,13 +98,13 @@ class Tally:
 
 
 def count_step(after: RobotState, fraction: Tensor, id: Tensor, pairs: Tensor, toi: Tensor) -> Tensor:
-    """(6,) int64, left on the device: robots, hash of the contacts, hash of the state, robots that stopped, contacts at
-    t0, hash of the robots' ids.
+    """(6,) int64 on the device: number of robots, hash of the contacts, hash of the state, number of robots that
+    stopped, number of contacts at t0, hash of the robots' ids.
 
     Args:
         after: the state after the step.
-        fraction: (N,) of it that each of these robots made.
-        id: (N + G,) of all robots held.
-        pairs, toi: (K, 2) rows of these and (K,) of the contacts of the whole step, perhaps with padding.
+        fraction: (N,) part of the step that each of these robots moved.
+        id: (N + G,) ids of all held robots.
+        pairs, toi: (K, 2) rows of `id` and (K,) toi of the contacts of the whole step; may be padded.
     """
     return ops.simulate_tally(hashed_columns(after), fraction, id, pairs, toi)

@@ -1,4 +1,4 @@
-"""Pictures of worlds: a PNG by matplotlib, and an interactive page for any browser."""
+"""Pictures of worlds: a PNG by matplotlib, and an interactive web page."""
 
 from pgccd.viz.page import world_page
 from pgccd.viz.picture import world_picture

@@ -1,4 +1,4 @@
-"""One collision from near by: the two bodies, a section through the contact, and the gap over the step."""
+"""Close-up of one collision: the two bodies, a section through the contact, and the gap over the step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PIXELS = (900, 800)
 
 
 def _frame(impact: Impact) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Along the normal, across it towards where the bodies' centres lie, and towards the viewer."""
+    """Unit vectors along the normal, across it towards the bodies' centres, and towards the viewer."""
     along = impact.normal if np.any(impact.normal) else np.array([1.0, 0.0, 0.0])
     line = impact.position[1, 1] - impact.position[1, 0]
     across = line - (line @ along) * along
@@ -27,7 +27,7 @@ def _frame(impact: Impact) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _placed(snapshot: Snapshot, impact: Impact, body: int, moment: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3), world, and faces (F, 3) of one of the two bodies at t0, toi or t1 (moment 0, 1, 2)."""
+    """Vertices (V, 3), world frame, and faces (F, 3) of one of the two bodies at t0, toi or t1 (moment 0, 1, 2)."""
     mesh = snapshot.meshes[impact.kinds[body]]
     turned = mesh.vertices.numpy() @ rotation_matrices(impact.orientation[moment, body : body + 1])[0].T
     return turned + impact.position[moment, body], mesh.faces.numpy()
@@ -85,7 +85,7 @@ def draw_section(axes: Any, snapshot: Snapshot, impact: Impact) -> None:
 
 
 def _plane_section(local: np.ndarray) -> np.ndarray:
-    """Triangles (T, 3, 3) cut by the plane where the third coordinate is 0: segments (S, 2, 2) in the first two."""
+    """Intersection of triangles (T, 3, 3) with the plane where the third coordinate is 0: segments (S, 2, 2)."""
     height = local[..., 2]
     cut = local[(height.min(axis=1) <= 0.0) & (height.max(axis=1) > 0.0)]
     ends = []
@@ -94,12 +94,12 @@ def _plane_section(local: np.ndarray) -> np.ndarray:
         crosses = (p[:, 2] > 0.0) != (q[:, 2] > 0.0)
         share = np.where(crosses, p[:, 2] / np.where(crosses, p[:, 2] - q[:, 2], 1.0), np.nan)
         ends.append(p[:, :2] + share[:, None] * (q[:, :2] - p[:, :2]))
-    points = np.stack(ends, axis=1)  # two of the three sides of each are cut
+    points = np.stack(ends, axis=1)  # two of the three sides of each triangle cross the plane
     return points[~np.isnan(points[..., 0])].reshape(-1, 2, 2)
 
 
 def draw_gap(axes: Any, snapshot: Snapshot, impact: Impact) -> None:
-    """How far the two touching features are apart along the normal, over the step."""
+    """The gap between the two touching features along the normal, over the step."""
     radius = max(mesh.radius for mesh in snapshot.meshes)
     gap = impact.gap / radius
     before = impact.times <= impact.toi

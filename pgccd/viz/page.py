@@ -1,4 +1,4 @@
-"""A self-contained interactive page of a world: turn, zoom, play the step, go from collision to collision."""
+"""A self-contained interactive page of a world: rotate, zoom, play the step, step through the collisions."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import numpy as np
 from pgccd.viz.page_template import TEMPLATE
 from pgccd.viz.snapshot import Motion, Snapshot
 
-# About 80 bytes of text each: keeps the page below 5 MB.
+# About 80 bytes of text per robot or contact: keeps the page below 5 MB.
 _MOST_ROBOTS = 50_000
 _MOST_CONTACTS = 2_000
 
 
 def world_page(path: str | Path, snapshot: Snapshot) -> Path:
-    """Writes an HTML page, below 5 MB and without outside parts, that shows a world with WebGL.
+    """Writes a self-contained HTML page, below 5 MB, that shows a world with WebGL.
 
-    Of very large worlds it shows the colliding robots and an even sample of the others, whose share is given.
+    Of very large worlds it shows the colliding robots and a random sample of the others, and states the fraction shown.
 
     Args:
         path: of the page.
@@ -34,7 +34,7 @@ def world_page(path: str | Path, snapshot: Snapshot) -> Path:
         >>> pgccd.viz.world_page("model.html", pgccd.viz.Snapshot.of_step(model, step))
     """
     motion = snapshot.motion or _at_rest(snapshot)
-    # The colliding ones first, then the others in a random order: any first part of the list is an even sample.
+    # Colliding robots first, then the others in random order, so that any prefix is a random sample.
     order = np.random.default_rng(0).permutation(len(snapshot.kind))
     order = order[np.argsort(~snapshot.colliding[order], kind="stable")][:_MOST_ROBOTS]
     columns = [motion.position, motion.orientation, motion.velocity, motion.angular_velocity]
@@ -52,7 +52,7 @@ def world_page(path: str | Path, snapshot: Snapshot) -> Path:
                 "colliding": int(snapshot.colliding[rows].sum()),
             }
         )
-    # Those in the middle of the step first: there is something to see before and after them.
+    # Contacts in the middle of the step first, with motion before and after them.
     shown = np.argsort(np.abs(motion.contact_toi - 0.5), kind="stable")[:_MOST_CONTACTS]
     contacts = [
         {

@@ -1,4 +1,4 @@
-"""The page that `world_page` fills in: a WebGL 2 viewer without outside scripts."""
+"""The page template of `world_page`: a WebGL 2 viewer without external scripts."""
 
 TEMPLATE = r"""<!DOCTYPE html>
 <html lang="en">

@@ -1,4 +1,4 @@
-"""A picture of a world: all robots, the colliding ones, and one collision from near by."""
+"""A picture of a world: all robots, the colliding ones, and a close-up of one collision."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from pgccd.viz.snapshot import Snapshot
 
 _RESTING = np.array([0.52, 0.62, 0.74])
 _PANEL = (1000, 900)
-# Beyond these numbers of triangles a robot is drawn by a part of them only, and robots by a part of them: each is then
-# smaller than a few pixels.
+# Above these numbers of triangles, only some triangles of each robot, or some robots, are drawn: each is then smaller
+# than a few pixels.
 _MOST_TRIANGLES = 16_000_000
 _TRIANGLES_AT_ONCE = 2_000_000
 
@@ -40,7 +40,7 @@ def world_picture(path: str | Path, snapshot: Snapshot) -> Path:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise ImportError("pictures are made by matplotlib: pip install matplotlib") from error
+        raise ImportError("pictures need matplotlib: pip install matplotlib") from error
     figure = Figure(figsize=(16, 14.0), dpi=110, facecolor="white")
     FigureCanvasAgg(figure)
     upper = figure.add_gridspec(1, 2, left=0.012, right=0.988, top=0.905, bottom=0.405, wspace=0.02)
@@ -66,7 +66,7 @@ def world_picture(path: str | Path, snapshot: Snapshot) -> Path:
 
 
 def _placed(snapshot: Snapshot, rows: np.ndarray, stride: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Vertices (V, 3), faces (T, 3) and the body row (T,) of each face, of many bodies, in pieces."""
+    """Vertices (V, 3), faces (T, 3) and the body row (T,) of each face, for many bodies, in chunks."""
     for kind, mesh in enumerate(snapshot.meshes):
         faces = mesh.faces.numpy()[::stride]
         members = rows[snapshot.kind[rows] == kind]
@@ -94,7 +94,7 @@ def _draw_world(axes: Any, snapshot: Snapshot, shown: np.ndarray, title: str) ->
     shades = 0.86 + 0.14 * np.random.default_rng(0).random(len(snapshot.kind))
     for vertices, faces, row in _placed(snapshot, rows, stride):
         hit = snapshot.colliding[row]
-        haze = np.where(hit, 0.35, 0.72)  # colliding robots stay vivid far into the crowd
+        haze = np.where(hit, 0.35, 0.72)  # colliding robots stay visible at a distance
         canvas.draw(vertices, faces, shades[row, None] * np.where(hit[:, None], COLLIDING, _RESTING), haze)
     axes.imshow(canvas.image(), interpolation="antialiased")
     _draw_box(axes, camera, half)

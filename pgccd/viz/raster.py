@@ -1,4 +1,4 @@
-"""A small z-buffer renderer in numpy: shaded triangle meshes, many instances, no graphics library."""
+"""A small z-buffer renderer in NumPy: shaded triangle meshes, many instances, no graphics library."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Small triangles are drawn as grids of points about a pixel apart, in classes of equal grids; others pixel by pixel.
+# Small triangles are drawn as grids of points about a pixel apart, grouped by grid size; others pixel by pixel.
 _FINEST_GRID = 32
 _POINTS_AT_ONCE = 1 << 21
-_DEPTH_LEVELS = float((1 << 24) - 1)  # a float32 still distinguishes them
+_DEPTH_LEVELS = float((1 << 24) - 1)  # exact in float32
 _EMPTY = np.uint64(2**64 - 1)
 
 
@@ -47,7 +47,7 @@ class Canvas:
     """An image under construction: per pixel the nearest colour.
 
     Args:
-        camera: what is seen.
+        camera: the view.
         background: colour, three numbers in [0, 1].
         depth_range: nearest and farthest depth to be drawn.
     """
@@ -59,7 +59,7 @@ class Canvas:
         self._background = np.asarray(background)
         self._near, self._far = depth_range
         self._nearest = np.full(camera.pixels[0] * camera.pixels[1], _EMPTY, dtype=np.uint64)
-        direction = np.array([0.35, 0.75, 0.60]) @ camera.axes  # over the viewer's shoulder
+        direction = np.array([0.35, 0.75, 0.60]) @ camera.axes  # from behind the viewer's shoulder
         self._light = direction / np.linalg.norm(direction)
 
     def draw(
@@ -67,14 +67,14 @@ class Canvas:
     ) -> None:
         """Adds faces (T, 3), counter-clockwise seen from outside, of vertices (V, 3), in colours (T, 3) in [0, 1].
 
-        haze: how much of the background the farthest points take on, 0 to 1; one value or (T,).
+        haze: fraction of the background colour blended into the farthest points, 0 to 1; one value or (T,).
         """
         projected = self.camera.project(vertices).astype(np.float32)
         x, y, depth = (projected[faces, axis] for axis in range(3))
         left, right = _smallest(x), -_smallest(-x)
         top, bottom = _smallest(y), -_smallest(-y)
         width, height = self.camera.pixels
-        # Rows count downwards: what is counter-clockwise in the world has a negative area here.
+        # Rows count downwards, so faces that are counter-clockwise in the world have a negative area here.
         facing = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) < (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
         inside = facing & (right >= 0.0) & (left < width) & (bottom >= 0.0) & (top < height)
         inside &= _smallest(depth) > self._near
@@ -109,7 +109,7 @@ class Canvas:
             self._put(column.ravel(), row.ravel(), depth.ravel(), colour.ravel())
 
     def _fill(self, corners: np.ndarray, paint: np.uint64) -> None:
-        """All pixels whose centre is inside."""
+        """Draws all pixels whose centre is inside the triangle."""
         low = np.maximum(np.floor(corners[:, :2].min(axis=0)), 0.0)
         high = np.minimum(np.ceil(corners[:, :2].max(axis=0)), np.array(self.camera.pixels))
         column, row = (
@@ -142,7 +142,7 @@ class Canvas:
 
 
 def _smallest(columns: np.ndarray) -> np.ndarray:
-    """(T, 3) -> (T,): much faster than min over a short axis."""
+    """(T, 3) -> (T,): row minimum, much faster than min over a short axis."""
     return np.minimum(np.minimum(columns[:, 0], columns[:, 1]), columns[:, 2])
 
 

@@ -1,4 +1,4 @@
-"""What the pictures show: a world at the end of a step, and one collision of that step."""
+"""Data of the pictures: a world at the end of a step, and one collision of that step."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Impact:
     """One contact of two bodies, i and j, at its toi."""
 
     ids: tuple[int, int]
-    kinds: tuple[int, int]  #: which meshes they are
+    kinds: tuple[int, int]  #: their meshes
     toi: float
-    feature: str  #: what touches what
+    feature: str  #: description of the touching features
     point: np.ndarray  #: (3,) world
     normal: np.ndarray  #: (3,) unit, from i towards j
-    position: np.ndarray  #: (3, 2, 3) at t0, at toi, and at t1 if it did not stop
+    position: np.ndarray  #: (3, 2, 3) at t0, at toi, and at t1 if it had not stopped
     orientation: np.ndarray  #: (3, 2, 4)
     times: np.ndarray  #: (n,) in [0, 1]
     gap: np.ndarray  #: (n,) between the two touching features along the normal, at those times
@@ -34,13 +34,13 @@ class Impact:
 
 @dataclass
 class Motion:
-    """The step that led to a snapshot, so that it can be played."""
+    """The motion of the step that led to a snapshot, for playback."""
 
     position: np.ndarray  #: (N, 3) at t0
     orientation: np.ndarray  #: (N, 4) at t0
     velocity: np.ndarray  #: (N, 3) displacement of the whole step
     angular_velocity: np.ndarray  #: (N, 3) rotation vector of the whole step
-    fraction: np.ndarray  #: (N,) how much of it each body made
+    fraction: np.ndarray  #: (N,) part of the step that each body moved
     contact_ids: np.ndarray  #: (K, 2) of all contacts
     contact_toi: np.ndarray  #: (K,)
     contact_point: np.ndarray  #: (K, 3)
@@ -55,18 +55,18 @@ class Snapshot:
     """
 
     meshes: list[Mesh]
-    kind: np.ndarray  #: (N,) which mesh each body is
+    kind: np.ndarray  #: (N,) mesh of each body
     position: np.ndarray  #: (N, 3)
     orientation: np.ndarray  #: (N, 4)
     colliding: np.ndarray  #: (N,) bool
     half_extent: np.ndarray  #: (3,) of the box, centred on the origin
-    caption: list[str] = field(default_factory=list)  #: a title, then figures
+    caption: list[str] = field(default_factory=list)  #: a title, then statistics
     motion: Motion | None = None
     impact: Impact | None = None
 
     @classmethod
     def of_state(cls, model: Model, state: RobotState, caption: Sequence[str] = ()) -> Snapshot:
-        """The robots between two steps; none is marked."""
+        """The robots between two steps, without collisions."""
         return cls(
             model.meshes.meshes,
             (state.id % len(model.meshes)).cpu().numpy(),
@@ -92,7 +92,7 @@ class Snapshot:
 
 
 def _impact(model: Model, step: Step) -> Impact | None:
-    """The contact whose toi is nearest the middle of the step: there is something to see before and after it."""
+    """The contact whose toi is nearest to the middle of the step, with motion before and after it."""
     contacts = step.contacts
     if len(contacts) == 0:
         return None

@@ -11,9 +11,9 @@ from support.ranks import RankPool
 World = Callable[..., list[Any]]
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist looks
+@pytest.hookimpl(tryfirst=True)  # before xdist
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests that share the processes run in one worker of xdist."""
+    """Runs tests that share the rank processes in one worker of xdist."""
     for item in items:
         if "ranks" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.xdist_group("ranks"))
@@ -29,5 +29,5 @@ def ranks() -> Iterator[RankPool]:
 
 @pytest.fixture(params=[1, 2, 3, 4])
 def world(request: pytest.FixtureRequest, ranks: RankPool) -> World:
-    """Runs world(job, *arguments) on 1, 2, 3 and 4 ranks in turn; returns their results."""
+    """Runs world(job, *arguments) on 1, 2, 3 and 4 ranks in turn; returns the results of the ranks."""
     return lambda job, *arguments: ranks.run(request.param, job, *arguments)

@@ -1,4 +1,4 @@
-"""Ranks that were started with different settings all end at once, with one line that names the setting."""
+"""Ranks started with different settings all end at once, with a one-line error that names the setting."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SETTINGS = {"--robots": "100", "--seed": "1", "device": "cpu"}
 
 
 def compare(of_ranks: list[dict[str, str]], timeout: float = 20.0) -> list[str]:
-    """What each rank is told; empty: nothing is wrong."""
+    """The error of each rank; empty if there is none."""
     store = dist.HashStore()
 
     def of_rank(rank: int) -> str:
@@ -57,11 +57,11 @@ def test_the_problem_of_one_rank_ends_all() -> None:
 
 
 def test_ranks_that_do_not_come_are_named() -> None:
-    with pytest.raises(RuntimeError, match=r"^ranks \[1, 2\] of 3 did not come within 0.2 s$"):
+    with pytest.raises(RuntimeError, match=r"^ranks \[1, 2\] of 3 did not connect within 0.2 s$"):
         agree_by_store(dist.HashStore(), Placement("torchrun", 0, 3, 0), SETTINGS, 0.2)
 
 
-# An option of rank 1, and what all ranks print.
+# Options of rank 1, and the error that all ranks print.
 OPTIONS = {
     "--robots 0": "rank 1: argument --robots: expected at least 1, got 0",
     "--steps x": "rank 1: argument --steps: invalid int value: 'x'",

@@ -1,4 +1,4 @@
-"""Balancing: which ranks may gain cells, how many cells move, and that it ends."""
+"""Load balancing: number and choice of cells that move, and termination."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pgccd.distributed.partition.balance import BackOff, RankLoads, one_cell, ra
 
 @st.composite
 def situations(draw: st.DrawFn) -> tuple[Cells, CellLoads]:
-    """Any owners and loads, even and skewed, empty cells and empty ranks among them."""
+    """Arbitrary owners and loads, even and skewed, with empty cells and empty ranks."""
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, draw(st.integers(1, 9)), cells=draw(st.integers(1, 4)))
     generator = torch.Generator().manual_seed(draw(st.integers(0, 9999)))
     count = partition.cell_count
@@ -44,7 +44,7 @@ def test_one_cell_moves_one_from_the_most_to_the_least_loaded(
         assert before.max() - before.min() > threshold * before.max()
         assert after[partition.owner[cell]] < before.max() and after[moved[cell]] < before.max()
     elif before.max() - before.min() > threshold * before.max():
-        # Then no cell of the most loaded would do any good.
+        # Then moving any cell of the most loaded rank would not help.
         own = load[(partition.owner == torch.argmax(before)) & (load > 0)]
         assert bool((own >= before.max() - before.min()).all())
 
@@ -83,7 +83,7 @@ def test_ranks_loads_tell_when_cells_need_not_be_looked_at(
 
 
 def skewed(ranks: int, cells: int = 16) -> tuple[Cells, CellLoads]:
-    """Bodies crowd in one corner: the cell there has 20 times the bodies of the one opposite."""
+    """Bodies crowd in one corner: its cell has 20 times the bodies of the opposite one."""
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, ranks, cells=cells)
     at = torch.cartesian_prod(*[torch.arange(count) / count for count in partition.grid])
     bodies = (20.0 + 400.0 * torch.exp(-3.0 * at.norm(dim=1))).long()
@@ -111,7 +111,7 @@ def test_the_paper_s_policy_gets_below_its_threshold() -> None:
 
 def test_a_slow_rank_gets_less() -> None:
     partition, loads = skewed(4)
-    # Rank 1 needs twice as long for the same.
+    # Rank 1 takes twice as long for the same work.
     for _ in range(20):
         cost = rank_loads(loads.cost, partition.owner, 4).double()
         partition = rebalance(partition, loads, BalanceOptions("measured"), cost * torch.tensor([1.0, 2.0, 1.0, 1.0]))
@@ -147,7 +147,7 @@ def test_decisions_that_move_nothing_become_rare() -> None:
             back_off.tried(step, moved=0)
     waits = [later - step for step, later in itertools.pairwise(made)]
     assert waits[:8] == [2, 3, 5, 9, 17, 33, 65, 65] and set(waits[8:]) == {65}
-    # One that moves cells is followed by another at once.
+    # After a decision that moves cells, the next step may decide again.
     step = made[-1] + 65
     assert back_off.is_over(step)
     back_off.tried(step, moved=3)

@@ -1,4 +1,4 @@
-"""Planes that divide space among ranks: monotone, complete, even however bodies crowd; and the bits of one process."""
+"""Recursive bisection: monotone, complete, balanced for any distribution of bodies; results equal to one process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BOX = (0.0, 0.0, 0.0), (8.0, 4.0, 2.0)
 
 
 def random_planes(seed: int, ranks: int) -> Bisection:
-    """As for bodies that crowd somewhere."""
+    """Planes balanced for a skewed distribution of points."""
     generator = torch.Generator().manual_seed(seed)
     points = torch.rand((500, 3), generator=generator, dtype=torch.float64) ** 3 * torch.tensor(BOX[1])
     weights = torch.randint(1, 9, (500,), generator=generator)
@@ -33,7 +33,7 @@ def test_every_point_has_the_owner_whose_box_holds_it(seed: int, ranks: int) -> 
     assert partition.ranks == ranks and len(partition.boxes) == ranks
     generator = torch.Generator().manual_seed(seed)
     points = torch.rand((200, 3), generator=generator, dtype=torch.float64) * torch.tensor(BOX[1]).double()
-    points = torch.cat([points, partition.planes[:, 1:2].expand(-1, 3)])  # on planes too
+    points = torch.cat([points, partition.planes[:, 1:2].expand(-1, 3)])  # including points on planes
     points = torch.minimum(points, torch.tensor(BOX[1]).double())
     owner = partition.owner_of(points)
     for rank, (low, high) in enumerate(partition.boxes):
@@ -58,7 +58,7 @@ def test_operators_reach_the_ranks_whose_boxes_a_body_touches(seed: int, device:
     lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
     everything = torch.arange(count)
     low, high = (torch.tensor([box[side] for box in partition.boxes], dtype=torch.float64) for side in (0, 1))
-    # The outer ones extend to infinity.
+    # The outer parts extend to infinity.
     low = torch.where(low == torch.tensor(BOX[0]).double(), -torch.inf, low)
     high = torch.where(high == torch.tensor(BOX[1]).double(), torch.inf, high)
     expected = ((upper[:, None] >= low) & (lower[:, None] < high)).all(dim=2)
@@ -80,7 +80,9 @@ def test_operators_reach_the_ranks_whose_boxes_a_body_touches(seed: int, device:
 
 
 def test_a_box_that_ends_on_a_plane_reaches_what_is_above() -> None:
-    """A point on the plane is above it; so a box reaches above with its upper side, but not below with its lower."""
+    """A point on the plane is above it; so a box that touches the plane with its upper side reaches above, but with its
+    lower side not below.
+    """
     centres = [torch.tensor([[1.0, 1.0, 1.0]], dtype=torch.float64)] * 2 + [torch.ones(1, dtype=torch.float64)]
     rows = torch.zeros(1, dtype=torch.int64)
     lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
@@ -107,13 +109,13 @@ def test_planes_that_are_none_are_refused() -> None:
 
 
 def even_out(comm: Comm) -> list[float]:
-    """Loads of which all lie in a millionth of the world, and of points that are all equal."""
+    """Imbalances for loads concentrated in a millionth of the world, outside of it, in a single point, and empty."""
     found = []
     generator = torch.Generator().manual_seed(comm.rank)
     crowds = [
         torch.tensor([5.0, 1.0, 1.5]) + 0.02 * torch.randn((4000, 3), generator=generator),
         torch.rand((4000, 3), generator=generator) ** 4 * torch.tensor(BOX[1]),
-        1e3 * torch.randn((4000, 3), generator=generator),  # outside
+        1e3 * torch.randn((4000, 3), generator=generator),  # outside of the world
         torch.ones((4000, 3)),
         torch.zeros((0, 3)),
     ]
@@ -130,7 +132,7 @@ def even_out(comm: Comm) -> list[float]:
 def test_hot_spots_are_divided(ranks: World, size: int) -> None:
     crowd, skewed, outside, _, _ = ranks.run(size, even_out)[0]  # type: ignore[attr-defined]
     assert crowd < 1.02 and skewed < 1.02
-    assert outside <= size  # of what is at the boundary, nothing is known
+    assert outside <= size  # clamped to the boundary, so the balance is not specified
 
 
 def test_planes_outside_of_their_part_by_rounding() -> None:

@@ -1,4 +1,4 @@
-"""Loops of a `World` as replays of a graph: the bits of a plain loop in one process, on any number of ranks."""
+"""Loops of a `World` as replays of a graph: bitwise equal to a plain loop in one process, on any number of ranks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ COUNT, STEPS, BOX = 120, 24, 5.5
 @functools.cache
 def meshes() -> pgccd.MeshSet:
     rng = np.random.default_rng(5)
-    # One turns about a point beside it.
+    # One rotates about a point outside of it.
     beside = bumpy(rng, 1, size=0.5)
     return pgccd.MeshSet([bumpy(rng, 1, size=0.6), pgccd.Mesh(beside.vertices, beside.faces, origin=(0.4, 0.0, 0.1))])
 
@@ -59,7 +59,7 @@ def start() -> dict[str, Tensor]:
 
 def motion(bodies: Bodies) -> pgccd.RigidMotion:
     at = bodies.payload
-    # The speed of each body changes from step to step: by arithmetic that is the same on all devices.
+    # The speed of each body changes from step to step, by arithmetic that is equal on all devices.
     speed = 0.1 * ((bodies.id + bodies.step) % 3).double()[:, None]
     return pgccd.RigidMotion.from_velocity(bodies.position, at["q"], speed * at["v"], at["w"], dt=0.2)
 
@@ -84,7 +84,7 @@ def spread(comm: Comm, device: torch.device, policy: str, partition: str) -> Wor
 
 @functools.cache
 def plain_loop(steps: int) -> tuple[dict[str, Tensor], list[tuple[int, int]]]:
-    """In one process, by `detect` alone: the columns after it, and PCS and contacts of each step."""
+    """In one process, by `detect` alone: the final columns, and PCS and contacts of each step."""
     now = dict(start())
     scene = pgccd.Scene(meshes(), now["mesh_index"], margin=now["margin"], static=now["static"])
     counts = []
@@ -102,7 +102,7 @@ def plain_loop(steps: int) -> tuple[dict[str, Tensor], list[tuple[int, int]]]:
 def follow(comm: Comm, policy: str, partition: str, graph: bool, device: str, cramped: bool) -> dict[str, int]:
     expected, counts = plain_loop(STEPS)
     with graphs_on(device if graph else "none") as stack:
-        if cramped:  # then one body more is too much
+        if cramped:  # one more body overflows
             for module in (halo_capacity, padded_share):
                 stack.enter_context(mock.patch.object(module, "padded_count", lambda count: count))
             stack.enter_context(mock.patch.object(padded_share, "_NEAR_SLACK", 1))
@@ -165,7 +165,7 @@ def test_a_loop_goes_on_from_a_checkpoint(ranks: RankPool, device: torch.device,
 
 
 def start_empty(comm: Comm) -> int:
-    """All bodies begin on the last rank, and stay there."""
+    """All bodies start on the last rank, and stay there."""
     with graphs_on("cpu"):
         count = 12 if comm.rank == comm.size - 1 else 0
         columns = {name: column[:count] for name, column in start().items()}
@@ -185,7 +185,7 @@ def test_ranks_without_bodies(world: Ranks) -> None:
 
 
 def test_a_step_of_invalid_poses_is_an_error(device: torch.device) -> None:
-    """Found by the graph, named by the step made launch by launch after it."""
+    """Detected by the graph; the step repeated launch by launch names the body."""
     with graphs_on(device):
         world = spread(Alone(), device, "none", "cells")
 
@@ -197,7 +197,7 @@ def test_a_step_of_invalid_poses_is_an_error(device: torch.device) -> None:
         loop = CapturedWorld(world, motion, break_later, True)
         with pytest.raises(ValueError, match="orientation(_t0)?: body 2"):
             loop.run(20)
-        # A CPU finds it when the poses are given: here in the step that is enqueued ahead.
+        # On a CPU poses are checked at construction: here in the step enqueued ahead.
         assert world.steps_made == (7 if device.type == "cuda" else 6)
 
 

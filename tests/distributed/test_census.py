@@ -1,4 +1,4 @@
-"""Bodies that are lost, doubled or exchanged on their way between ranks are noticed by the worlds themselves."""
+"""Bodies lost, duplicated or exchanged between ranks are detected."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ COUNT = 12
 
 
 def small_world() -> World:
-    """One rank, of which bodies cannot go elsewhere."""
+    """A world on one rank."""
     position = torch.rand((COUNT, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     return World([tetrahedron(0.1)], (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), position)
 
 
 def losing(rows: Tensor) -> Callable[..., migrate.Moved]:
-    """A migration after which there are only these rows of those there should be."""
+    """A migration that keeps only these rows."""
 
     def lossy(comm: Any, partition: Any, columns: Columns, *rest: Any, **more: Any) -> migrate.Moved:
         moved = migrate.migrate(comm, partition, columns, *rest, **more)
@@ -76,7 +76,7 @@ def test_a_body_with_another_id(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_simulation_notices() -> None:
-    """Robots that are gone or there twice when a step begins."""
+    """Robots missing or duplicated at the start of a step."""
     world = sim.Model(sim.ModelConfig(robots=40, seed=1))
     upper = world.half_extent
     for rows in (torch.arange(39), torch.cat([torch.arange(40), torch.tensor([39])])):

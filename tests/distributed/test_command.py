@@ -1,4 +1,4 @@
-"""`pgccd simulate` on ranks, as users start it: the same log, checkpoints for any number of ranks, lost ranks."""
+"""`pgccd simulate` on ranks: the same log, checkpoints for any number of ranks, lost ranks."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.ranks
 
 WORLD = ["--robots", "150", "--world", "skewed", "--seed", "4", "--no-pictures"]
 CONFIG = sim.ModelConfig(robots=150, pattern="skewed", seed=4)
-# A run that goes on when its ranks are started again.
+# Options of a run that continues when its ranks are restarted.
 AGAIN = ["--checkpoint-every", "8", "--resume", "auto"]
 SIMULATE = ["-m", "pgccd", "simulate"]
 WHERE = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
@@ -45,7 +45,7 @@ def log(folder: Path) -> list[dict[str, Any]]:
 
 
 def hashes(steps: list[dict[str, Any]]) -> list[tuple[str, str]]:
-    """What a GPU too has alike."""
+    """Values that are equal on a GPU."""
     return [(step["contacts_hash"], step["state_hash"]) for step in steps]
 
 
@@ -65,14 +65,14 @@ def test_torchrun_then_one_process(tmp_path: Path, expected: list[dict[str, Any]
     last_line = first.stdout.strip().splitlines()[-1]
     assert re.fullmatch(r"robots=150 steps=12 pcs=\d+ contacts=\d+ seconds_per_step=\d+\.\d+", last_line)
     assert len(sim.read_log(tmp_path)[-1]["ranks"]["pcs"]) == 2
-    # Saved by 2, resumed by one without a launcher.
+    # Saved by 2 ranks, resumed by one process without a launcher.
     assert main(["simulate", "--resume", str(tmp_path), "--no-pictures", "--steps", "20"]) == 0
     assert log(tmp_path) == expected[:20]
 
 
 @pytest.mark.slow
 def test_torchrun_with_other_numbers_of_ranks(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
-    """Saved by 1, resumed by 4 and then by 2."""
+    """Saved by 1 rank, resumed by 4 and then by 2."""
     sim.run(CONFIG, 6, tmp_path)
     for ranks, steps in ((4, 14), (2, 24)):
         resume = [*SIMULATE, "--resume", str(tmp_path), "--no-pictures", "--steps", str(steps)]
@@ -155,7 +155,7 @@ def wait_for_checkpoint(folder: Path, processes: list[subprocess.Popen[str]]) ->
 def test_of_two_machines_one_loses_its_rank(
     who_keeps_the_store: str, tmp_path: Path, expected: list[dict[str, Any]]
 ) -> None:
-    """Its agent counts a restart, the other does not."""
+    """One torchrun agent counts a restart, the other does not."""
     variables = environment(TORCH_DISABLE_SHARE_RDZV_TCP_STORE="0" if who_keeps_the_store == "agent" else "1")
     meeting = ["--nnodes", "2", "--rdzv-backend", "c10d", "--rdzv-endpoint", f"127.0.0.1:{free_port()}"]
     program = [*SIMULATE, *WORLD, "--steps", "60", *AGAIN, "--out", str(tmp_path)]
@@ -204,13 +204,13 @@ def test_a_signal_to_one_rank_stops_all_after_the_same_step(tmp_path: Path, expe
     ],
 )
 def test_a_lost_rank_ends_all_and_is_named(fault: str, timeout: float, said: str, where: str) -> None:
-    """Who hangs is known after the time-out, which a busy machine must not exceed; other losses long before."""
+    """A hanging rank is detected after the time-out, which tolerates a busy machine; other losses much earlier."""
     program = [str(SUPPORT / "faulty_rank.py"), fault, where, str(timeout)]
     started = start_ranks(3, program if where == "cpu" else over_nccl(3, *program))
     begin = time.monotonic()
     outputs = [started[rank].communicate(timeout=180)[0] for rank in (0, 2)]
     assert fault in ("hangs", "stops") or time.monotonic() - begin < timeout, outputs
-    started[1].kill()  # where it is stopped
+    started[1].kill()  # the stopped rank
     outputs.append(started[1].communicate()[0])
     assert all(process.returncode != 0 for process in started)
     message = said.format(pid=started[1].pid, host=os.uname().nodename)

@@ -1,4 +1,4 @@
-"""Every pair is tested by exactly one rank, and every owner gets the contact: the bits of one process."""
+"""Every pair is tested by exactly one rank, and every owner gets the contacts: results equal to one process."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def by_one_process(name: str, report: str) -> pgccd.Contacts:
 def share(
     comm: Comm, name: str, report: str, seed: int, overlap: bool, device: torch.device
 ) -> tuple[SharedWorld, torch.Tensor]:
-    """A crowd's bodies on ranks, dealt out at random, with a random table of owners; and ids by row of the crowd."""
+    """A crowd's bodies distributed at random, with random owners of cells; and ids by row of the crowd."""
     crowd = crowds()[name]
     generator = torch.Generator().manual_seed(seed)
     count = len(crowd.position)
@@ -59,7 +59,7 @@ def share(
 
 
 def find(comm: Comm, name: str, device: torch.device = torch.device("cpu")) -> list[tuple[int, int]]:  # noqa: B008
-    """Compares all reports with one process; returns how many pairs and ghosts this rank had, for each assignment."""
+    """Compares all reports with one process; returns the numbers of pairs and ghosts of this rank, per assignment."""
     seen = []
     for index, report in enumerate(REPORTS):
         whole = by_one_process(name, report)
@@ -81,7 +81,7 @@ def find(comm: Comm, name: str, device: torch.device = torch.device("cpu")) -> l
                     continue
                 expected = (expected_pairs if column == "pairs" else expected)[affected]
                 assert torch.equal(found.cpu(), expected), (report, seed, column)
-            # What the ranks tested adds up to the whole, no pair twice.
+            # The ranks together tested every pair exactly once.
             assert int(comm.sum(torch.tensor([len(world.found.pairs)]))) == whole.stats.pcs
             ids_tested = world.found.held.id[world.found.pairs]
             everything = torch.cat(
@@ -107,9 +107,9 @@ def test_same_bits_as_one_process(world: World, name: str) -> None:
 
 
 def tumble(comm: Comm, policy: str) -> list[str]:
-    """A loop of one's own over some steps, whose bodies change hands; a hash of all that happened, step by step."""
+    """A user loop over several steps, whose bodies migrate; returns a hash of all results per step."""
     crowd = crowds()["kept apart, filtered"]
-    mine = torch.arange(comm.rank, len(crowd.position), comm.size).flip(0)  # in any order
+    mine = torch.arange(comm.rank, len(crowd.position), comm.size).flip(0)  # not sorted
     columns = {"orientation": crowd.orientation, "velocity": crowd.velocity, "rotation": crowd.rotation}
     world = SharedWorld(
         crowd.meshes,
@@ -144,7 +144,7 @@ def tumble(comm: Comm, policy: str) -> list[str]:
 
 
 def tumble_ahead(comm: Comm, policy: str) -> list[str]:
-    """The same, ghosts being sent before their number is known, as on GPUs."""
+    """The same with padded messages of ghosts, as on GPUs."""
     with mock.patch("pgccd.distributed.detection.share._sends_ahead", lambda comm, _: comm.size > 1):
         return tumble(comm, policy)
 
@@ -159,7 +159,7 @@ def test_loops_of_one_s_own_come_out_alike(ranks: World, policy: str) -> None:
 
 
 def leave_alone(comm: Comm) -> None:
-    """A world needs neither payload nor bodies on every rank, nor ids; and says what is wrong with what it is given."""
+    """A world without payload, ids, or bodies on some ranks; and errors for invalid input."""
     mesh = crowds()["one body"].meshes[0]
     count = 5 if comm.rank == 0 else 0
     position = 2.0 * torch.arange(3.0 * count, dtype=torch.float64).view(count, 3)
@@ -185,7 +185,7 @@ def test_mistakes_are_named(world: World) -> None:
 
 
 def disagree(comm: Comm) -> list[str]:
-    """Whatever ranks do differently, all of them raise the same error."""
+    """All ranks raise the same error, whichever rank it comes from."""
     mesh = crowds()["one body"].meshes[0]
     odd = comm.rank == 1
     position = torch.zeros((1, 3), dtype=torch.float64)

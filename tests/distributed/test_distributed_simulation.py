@@ -1,5 +1,5 @@
-"""The nanorobot world on ranks: the same log and the same state as one process, for any owners of robots and
-cells, however often these change.
+"""The nanorobot simulation on ranks: log and state equal to one process, for any owners of robots and cells, however
+often these change.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pgccd.sim.distributed.runner import gather_state, gather_step
 from pgccd.sim.resolution import RoundPlan
 
 TIMES = ("seconds", "stage_seconds", "ranks")
-# Fast robots in a small model, so that much happens in few steps.
+# Fast robots in a small world, so that few steps suffice.
 WORLDS = {
     "random": {"robots": 240, "speed": 0.3, "spin": 0.5, "seed": 3},
     "skewed": {"robots": 300, "pattern": "skewed", "speed": 0.25, "seed": 5},
@@ -35,7 +35,7 @@ WORLDS = {
 
 @functools.cache
 def single_run(name: str, steps: int) -> tuple[list[dict[str, Any]], sim.Step]:
-    """By one process."""
+    """The run of a single process."""
     model = sim.Model(sim.ModelConfig(**WORLDS[name]))
     state = model.start()
     scene, records = model.scene(state.id), []
@@ -67,7 +67,7 @@ def make_simulation(
 
 
 class Cramped(RoundPlan):
-    """Exceeds its capacity in one round of some steps."""
+    """A plan whose capacity is exceeded in one round of some steps."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -89,24 +89,25 @@ def follow(
     graph: bool = False,
     kind: str = "cells",
 ) -> dict[str, int]:
-    """Compares every step's log and the last step's columns with one process. With `graph`, steps are replayed, and now
-    and then a rank exceeds its capacity."""
+    """Compares the log of every step and the columns of the last step with one process. With `graph`, steps are
+    replayed, and some ranks overflow in some steps.
+    """
     records, last = single_run(name, steps)
     simulation = make_simulation(comm, name, policy, overlap, device, graph, kind)
     if graph and comm.rank == comm.size - 1:
         simulation._plan = Cramped()
     generator = torch.Generator().manual_seed(17)
     seen = dict.fromkeys(("moved cells", "arrived", "contacts", "away", "replayed"), 0)
-    run = 12 if graph else 5  # of so many steps the last one is to be seen whole
+    run = 12 if graph else 5  # every run-th step is launched, with access to its details
     for index in range(steps):
         if random_owners and index % run == 2 and not simulation.is_ahead:
-            # As though balancing had gone mad. Until the next migration, ranks have robots that they should not have.
+            # Assign random owners. Until the next migration, ranks hold robots they do not own.
             owner = torch.randint(comm.size, (simulation.partition.cell_count,), generator=generator)
             simulation.partition = simulation.partition.with_owner(owner)
         more = min(steps, (index // run + 1) * run) - index - 1
         made = simulation.step(index, more=more)
         found = without_times(made.record)
-        if device != "cpu":  # a GPU looks at others on the way to the same contacts
+        if device != "cpu":  # a GPU tests other candidates on the way to the same contacts
             found["candidates"] = records[index]["candidates"]
         assert found == records[index]
         ranks = made.record["ranks"]
@@ -140,11 +141,11 @@ def follow(
 def follow_replayed(
     comm: Comm, name: str, policy: str, steps: int, random_owners: bool, padding: str = "usual"
 ) -> dict[str, int]:
-    """The same as it is done on GPUs: as replays of a graph, of messages of fixed size."""
+    """The same with replays of a graph and messages of fixed size, as on GPUs."""
     with graphs_on("cpu") as stack:
-        # Cells of so few robots would change hands, or robots be away, in almost every step.
+        # Otherwise with so few robots, cells would change owners, or robots be away, in almost every step.
         stack.enter_context(mock.patch.object(simulation_module, "_MOST_AWAY", 0.5))
-        if padding == "none":  # then one body more is too much
+        if padding == "none":  # one more body overflows
             for module in (halo_capacity, padded_share):
                 stack.enter_context(mock.patch.object(module, "padded_count", lambda count: count))
             stack.enter_context(mock.patch.object(padded_share, "_NEAR_SLACK", 1))
@@ -153,7 +154,7 @@ def follow_replayed(
 
 
 def follow_listed(comm: Comm, name: str, policy: str, steps: int) -> dict[str, int]:
-    """With lists of replicas, as there are where ranks are many."""
+    """With lists of replicas, as used for many ranks."""
     with mock.patch.object(replicas, "MOST_TABLE_RANKS", 0):
         seen = follow(comm, name, policy, steps, policy == "none", True)
         followed = follow(comm, name, policy, steps, False, True, kind="bisection")
@@ -163,7 +164,7 @@ def follow_listed(comm: Comm, name: str, policy: str, steps: int) -> dict[str, i
 def follow_bisected(
     comm: Comm, name: str, policy: str, steps: int, replayed: bool = False, device: str = "cpu"
 ) -> dict[str, int]:
-    """The same with planes, as replays or not."""
+    """The same with bisection, as replays or not."""
     with graphs_on(device if replayed else "none") as stack:
         stack.enter_context(mock.patch.object(simulation_module, "_MOST_AWAY", 0.5))
         return follow(comm, name, policy, steps, False, True, device, replayed, "bisection")
@@ -191,7 +192,7 @@ def test_same_bits_as_one_process(world: World, name: str, policy: str, random_o
 @pytest.mark.parametrize("padding", ["usual", "none"])
 @pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("random", "cost"), ("skewed", "one-cell")])
 def test_same_bits_as_replays(world: World, name: str, policy: str, padding: str) -> None:
-    """Steps that lack rounds or room on one rank are made again by all."""
+    """Steps in which one rank needs more rounds or capacity are repeated by all ranks."""
     seen = world(follow_replayed, name, policy, 36, policy == "none", padding)
     assert seen[0]["replayed"] > 3 or (padding == "none" and len(seen) > 1)
     if len(seen) > 1 and padding == "usual":
@@ -210,7 +211,7 @@ def test_same_bits_on_a_gpu_that_ranks_share(world: World, name: str, policy: st
 @pytest.mark.parametrize("name", list(WORLDS))
 @pytest.mark.parametrize("policy", ["cost", "measured", "one-cell", "none"])
 def test_same_bits_for_two_hundred_steps(world: World, name: str, policy: str) -> None:
-    """Where no policy shares the cells out, chance does; and all is done as on GPUs."""
+    """If no policy assigns the cells, they are assigned at random; and graphs are used as on GPUs."""
     if policy == "none":
         world(follow_replayed, name, policy, 200, True)
     else:
@@ -234,7 +235,7 @@ def test_a_lost_robot_is_noticed_in_the_next_step(world: World) -> None:
 
 
 def crowd_together(comm: Comm) -> list[float]:
-    """Imbalance of the potentially colliding pairs, step by step, from an assignment that gives rank 0 all."""
+    """Imbalance of the potentially colliding pairs per step, starting with all cells on rank 0."""
     simulation = make_simulation(comm, "random", "cost", True)
     simulation.partition = simulation.partition.with_owner(torch.zeros_like(simulation.partition.owner))
     return [simulation.step(index).record["ranks"]["imbalance"] for index in range(12)]
@@ -243,7 +244,7 @@ def crowd_together(comm: Comm) -> list[float]:
 def test_balance_spreads_what_one_rank_had(ranks: World) -> None:
     imbalances = ranks.run(4, crowd_together)[0]
     assert imbalances[0] == 4.0
-    assert imbalances[-1] < 1.6  # 64 cells for 240 robots: no better can be expected of so few
+    assert imbalances[-1] < 1.6  # 64 cells for 240 robots allow no better balance
 
 
 @pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("skewed", "cost")])

@@ -1,4 +1,4 @@
-"""Machines that join a job and leave it: agents of torchrun, each with a rank, all on this machine."""
+"""Machines that join and leave a job: torchrun agents with one rank each, all on this machine."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def ranks_of(step: dict[str, Any]) -> int:
 
 @pytest.mark.slow
 def test_a_machine_joins_and_another_is_lost(tmp_path: Path) -> None:
-    """The ranks go on from where they were, one first, then two, then one again."""
+    """The run continues with one rank, then two, then one again."""
     meeting = ["--nnodes", "1:2", "--rdzv-backend", "c10d", "--rdzv-endpoint", f"127.0.0.1:{free_port()}"]
     meeting += ["--rdzv-id", "some", "--max-restarts", "2"]
     meeting += ["--rdzv-conf", "last_call_timeout=1,keep_alive_interval=1,keep_alive_max_attempt=3"]
@@ -39,7 +39,7 @@ def test_a_machine_joins_and_another_is_lost(tmp_path: Path) -> None:
     program = ["-m", "pgccd", "simulate", "--robots", str(ROBOTS), "--seed", "4", "--steps", str(STEPS)]
     program += ["--no-pictures", "--checkpoint-every", "20", "--timeout", "20", "--out", str(out), "--resume", "auto"]
     command = torchrun(1, *meeting, *program)
-    # Else torch's agents wait for one another without end when one joins.
+    # Otherwise torch's agents deadlock when one joins.
     variables = environment(TORCH_DISABLE_SHARE_RDZV_TCP_STORE="1")
     started: list[subprocess.Popen[str]] = []
 

@@ -1,4 +1,4 @@
-"""Rows arrive where they were sent, whole, in order, and whatever their type; over both ways of sending."""
+"""Rows arrive at their destinations, complete and in order, for any dtype; with both ways of sending."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_replacing_rows_is_sorting(ids: set[int], random: Random) -> None:
 def send_about(comm: Comm, neighbours_above: int, device: str = "cpu") -> None:
     comm.neighbours_above = neighbours_above
     for seed in range(4):
-        # Every rank can work out what every other sends. Some send nothing, some to themselves, some a row twice.
+        # Every rank can compute the rows that every other rank sends: none, some to itself, or some twice.
         def plan(rank: int, seed: int = seed) -> tuple[torch.Tensor, torch.Tensor]:
             generator = torch.Generator().manual_seed(100 * seed + rank)
             count = 0 if (rank + seed) % 3 == 0 else 20
@@ -73,7 +73,7 @@ def send_about(comm: Comm, neighbours_above: int, device: str = "cpu") -> None:
         assert route.source.tolist() == source
         for name in mine:
             assert torch.equal(received[name].cpu(), torch.cat([part[name] for part in expected])), name
-        # And back again, in the order in which they left.
+        # Back again, in the order in which they were sent.
         returned = route.back({"twice": 2 * received["id"]}).wait()["twice"]
         assert torch.equal(returned, 2 * mine["id"][route.rows])
 
@@ -84,7 +84,7 @@ def test_rows_arrive(world: World, neighbours_above: int) -> None:
 
 
 def hand_over(comm: Comm) -> int:
-    """Every rank can compute which rows each has."""
+    """Every rank can compute the rows of each rank."""
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, comm.size, cells=3)
     generator = torch.Generator().manual_seed(8)
     count, total = 300, 0
@@ -121,7 +121,7 @@ def reduce_values(comm: Comm) -> None:
     big = torch.tensor([2**62 + comm.rank, -comm.rank])
     gathered = comm.all_gather(big)
     assert gathered.tolist() == [[2**62 + rank, -rank] for rank in range(comm.size)]
-    # Sums wrap, as hashes need.
+    # Sums wrap modulo 2^64, as hashes require.
     assert int(comm.sum(big)[0]) % 2**64 == sum(2**62 + rank for rank in range(comm.size)) % 2**64
     assert float(comm.sum(torch.tensor([0.5], dtype=torch.float64))) == 0.5 * comm.size
     assert comm.any(comm.rank == comm.size - 1) and not comm.any(False)

@@ -1,4 +1,4 @@
-"""What becomes of a job when something goes wrong: a line that says what, an exit code, and nothing lost.
+"""Failures of a job: a one-line message, an exit code, and no loss of data.
 
 docs/faults.md has the table.
 """
@@ -29,7 +29,7 @@ RANK = {"torchrun": "$RANK", "mpirun": "${PMI_RANK:-$OMPI_COMM_WORLD_RANK}"}
 
 
 def command(launcher: str, program: list[str], before: str = "") -> list[str]:
-    """Two ranks of a program; `before`: shell commands of each rank."""
+    """The command for two ranks of a program; `before`: shell commands run by each rank first."""
     if not before:
         return torchrun(2, *program) if launcher == "torchrun" else mpirun(2, *program)
     shell = f"rank={RANK[launcher]}; {before}; exec {shlex.join([sys.executable, *program])}"
@@ -41,7 +41,7 @@ def command(launcher: str, program: list[str], before: str = "") -> list[str]:
 
 
 def start(launcher: str, folder: Path, *more: str) -> subprocess.Popen[str]:
-    """A job that has written a checkpoint."""
+    """Starts a job and waits for its first checkpoint."""
     program = [*SIMULATE, *WORLD, "--steps", "4000", *AGAIN, "--out", str(folder), *more]
     process = subprocess.Popen(
         command(launcher, program),
@@ -57,7 +57,7 @@ def start(launcher: str, folder: Path, *more: str) -> subprocess.Popen[str]:
 
 
 def ranks_of(process: subprocess.Popen[str]) -> list[int]:
-    """The processes of the ranks, by rank as far as they were started in that order."""
+    """The processes of the ranks, in the order in which they were started."""
     found, below = [], [process.pid]
     while below:
         below = [child for parent in below for child in children(parent)]
@@ -78,7 +78,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
 
 
 def require_intact(folder: Path, expected: list[Any]) -> None:
-    """The run can go on, and what it has is right."""
+    """The run can be resumed, and its log is correct."""
     made = sim.load_checkpoint(folder).steps_made
     assert made >= 8
     sim.resume(folder, made + 2)
@@ -96,7 +96,7 @@ def terminate(process: subprocess.Popen[str]) -> None:
 
 
 def interrupt(process: subprocess.Popen[str]) -> None:
-    """As Ctrl-C does: all processes in the foreground get it."""
+    """Ctrl-C: sends SIGINT to all processes in the foreground."""
     os.killpg(process.pid, signal.SIGINT)
 
 
@@ -172,13 +172,13 @@ def test_a_folder_that_is_not_shared(launcher: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("launcher", LAUNCHERS)
 def test_a_full_disk(launcher: str, tmp_path: Path) -> None:
-    """Of rank 1. What rank 0 has written is no checkpoint."""
+    """The disk of rank 1 is full. The file of rank 0 alone is no checkpoint."""
     job = [str(SUPPORT / "full_disk.py"), "simulate", *WORLD, "--checkpoint-every", "8", "--steps", "40"]
     done = finish(command(launcher, [*job, "--out", str(tmp_path)]))
     assert done.returncode != 0
     said = r"pgccd simulate: error: argument --out: .*rank-00001.safetensors cannot be written: .*File too large"
     assert len(re.findall(said, done.stdout)) == 1 and "pgccd: rank" not in done.stdout, done.stdout
-    assert str(ROOT / "pgccd") not in done.stdout, done.stdout  # no traceback of ours
+    assert str(ROOT / "pgccd") not in done.stdout, done.stdout  # no traceback of pgccd
     assert not (tmp_path / "checkpoints" / "newest.json").exists()
 
 
@@ -192,7 +192,7 @@ def test_a_folder_that_cannot_be_written(launcher: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("started_by", ["torchrun", "mpirun", "srun"])
 def test_other_machines_cannot_connect(started_by: str) -> None:
-    """Where all ranks are on one: but for what launchers and MPI's libraries open by themselves."""
+    """With all ranks on one machine; except for sockets of launchers and MPI libraries."""
     job = str(SUPPORT / "listening_job.py")
     if started_by == "srun":
         of_srun = {"SLURM_STEP_NUM_NODES": "1", "SLURM_JOB_ID": str(os.getpid()), "SLURM_STEP_NODELIST": "nowhere"}
@@ -213,7 +213,7 @@ def test_other_machines_cannot_connect(started_by: str) -> None:
     lines = re.findall(r"listens: (.*)", output)
     assert len(lines) == 2, output
     if started_by == "mpirun":
-        return  # its library listens everywhere
+        return  # the MPI library listens on all interfaces
     assert lines == [loopback[started_by]] * 2
 
 

@@ -1,4 +1,4 @@
-"""Which rank the guard names when a message does not come, and that it names none otherwise."""
+"""The guard names the right rank when a message does not arrive, and none otherwise."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Ranks:
         return join(("127.0.0.1", self.hub.port), token, {"rank": rank, "name": f"process {rank}"}, 5.0)
 
     def kill(self, rank: int) -> None:
-        """Its connection is closed, as the system does when a process ends."""
+        """Closes the rank's connection, as the operating system does when a process ends."""
         killed = self.guards[rank]
         killed._closed.set()
         killed._channel.socket.shutdown(socket.SHUT_RDWR)
@@ -47,12 +47,12 @@ def ranks(monkeypatch: pytest.MonkeyPatch) -> Iterator[Ranks]:
     yield three
     for one in three.guards[::-1]:
         one.close()
-        one._ends_hard = False  # or the tests would end as a rank does that failed
+        one._ends_hard = False  # otherwise the test process would exit like a failed rank
 
 
 @pytest.fixture
 def exits(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Codes with which the process would have been ended."""
+    """Exit codes with which the process would have ended."""
     codes: list[int] = []
     monkeypatch.setattr(guard.os, "_exit", codes.append)
     return codes
@@ -76,14 +76,14 @@ def test_no_rank_is_blamed_when_all_are_alive(ranks: Ranks, exits: list[int]) ->
     for one in ranks.guards:
         with one.waiting("first"):
             pass
-    # All compute for longer than the time-out; no rank is behind.
+    # All ranks compute for longer than the time-out; none is behind.
     time.sleep(2.0)
     assert exits == []
     for one in ranks.guards[1:]:
         with one.waiting("halo"):
             pass
     assert fail(ranks.guards[0]) == "connection closed by peer"
-    # A rank that has not come to an exchange is not late before the time-out.
+    # Before the time-out, a rank that has not reached an exchange is not late.
     for _ in range(3):
         with ranks.guards[1].waiting("halo"):
             pass
@@ -95,7 +95,7 @@ def test_a_closed_connection_is_a_dead_rank(ranks: Ranks, exits: list[int], caps
     ranks.guards[0].activity = "step 7"
     message = fail(ranks.guards[0])
     assert message.startswith("rank 1 (process 1) has died (rank 0 was in step 7, halo)")
-    # It is said at once, and only there: launchers end all ranks soon.
+    # Printed at once, by the hub only: launchers end all ranks soon.
     assert capsys.readouterr().err.count("pgccd: rank 1 (process 1) has died\n") == 1
     # A rank that gets no error is ended by its guard.
     said = ""
@@ -112,7 +112,7 @@ def test_a_closed_connection_is_a_dead_rank(ranks: Ranks, exits: list[int], caps
 def test_the_death_of_rank_0_is_seen_by_all(ranks: Ranks, exits: list[int]) -> None:
     ranks.hub._closing.set()
     ranks.hub._deadline = 0.0
-    ranks.hub._ranks.clear()  # no word of farewell
+    ranks.hub._ranks.clear()  # no message to the ranks
     ranks.hub._thread.join()
     for member in ranks.hub._members.values():
         member.channel.socket.shutdown(socket.SHUT_RDWR)
@@ -131,7 +131,7 @@ def test_a_process_whose_gpu_waits_without_end_ends_at_once(ranks: Ranks, exits:
     del exits[:]
     for one in ranks.guards:
         one._leave()
-    assert exits == [70]  # of the one with a GPU
+    assert exits == [70]  # the exit code of the one with a GPU
 
 
 def test_lost_messages_end_the_process_of_a_rank_that_gets_no_error(ranks: Ranks, exits: list[int]) -> None:
@@ -147,7 +147,7 @@ def test_lost_messages_without_a_lost_rank(ranks: Ranks, exits: list[int], monke
     wait_for(lambda: exits)
     for one in ranks.guards:
         wait_for(lambda one=one: one._verdict)
-        assert str(one._verdict).endswith("lost messages of other ranks, though all are alive")
+        assert str(one._verdict).endswith("lost messages of other ranks, although all are alive")
 
 
 def test_a_rank_that_is_behind_hangs(ranks: Ranks, exits: list[int]) -> None:
@@ -158,7 +158,7 @@ def test_a_rank_that_is_behind_hangs(ranks: Ranks, exits: list[int]) -> None:
 
 
 def test_a_rank_that_waits_too_long_asks_by_itself(ranks: Ranks, exits: list[int]) -> None:
-    with ranks.guards[0].waiting("halo"):  # for longer than the time-out
+    with ranks.guards[0].waiting("halo"):  # longer than the time-out
         wait_for(lambda: exits)
     assert "hangs in the start" in str(ranks.guards[0]._verdict)
 
@@ -175,7 +175,8 @@ def test_a_rank_that_failed_says_so(ranks: Ranks, exits: list[int]) -> None:
     ranks.guards[2].activity = "step 3"
     ranks.guards[2].report(MemoryError("8 GiB\nand a long story"))
     assert "rank 2 (process 2) failed in step 3: MemoryError: 8 GiB (rank 0" in fail(ranks.guards[0])
-    # What follows from that is not reported as a cause of its own; nor is a rank blamed that gave up because of it.
+    # Failures that follow from it are not reported as separate causes; nor is a rank that gave up because of it at
+    # fault.
     ranks.guards[1].report(RankFailureError("rank 2 failed"))
     ranks.guards[2].close()
     assert "rank 2 (process 2) failed" in fail(ranks.guards[1])
@@ -215,11 +216,11 @@ def test_strangers_are_not_believed(ranks: Ranks, exits: list[int], monkeypatch:
             stranger.settimeout(10.0)
             try:
                 stranger.sendall(bytes_)
-                if bytes_:  # it is told the hub's number, and no more
+                if bytes_:  # the hub sends its nonce, and nothing else
                     assert sum(len(part) for part in iter(lambda: stranger.recv(4096), b"")) < 100  # noqa: B023
             except ConnectionError:
                 pass
-    # Nor are those who know the token believed to be a rank that is there already.
+    # A second connection of a connected rank is rejected, even with the token.
     second = ranks.channel(1)
     assert second.receive(5.0) is None
     monkeypatch.setattr(hub, "_GREETING_SECONDS", 0.1)

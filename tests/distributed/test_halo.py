@@ -1,4 +1,6 @@
-"""Boxes of swept spheres: those of bodies that may collide overlap, as computed, anywhere; the same on every device."""
+"""Boxes of swept spheres: those of bodies that may collide overlap, as computed, at any position; equal on every
+device.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 
 def touching_spheres(seed: int, offset: float, separation: float) -> list[torch.Tensor]:
-    """Pairs of moving spheres that just touch, to rounding, at t0, at t1, or on the way: centres and radii."""
+    """Pairs of moving spheres that just touch, to rounding, at t0, at t1, or in between: centres and radii."""
     rng = np.random.default_rng(seed)
     count = 200
     radius = 10.0 ** rng.uniform(-2, 2, (2, count))
@@ -44,7 +46,7 @@ def test_boxes_of_potentially_colliding_pairs_overlap(seed: int, offset: float, 
     lower, upper = ops.swept_boxes(start, end, radius, separation, 0.0)
     i, j = pairs.unbind(dim=1)
     assert bool(((lower[i] <= upper[j]) & (lower[j] <= upper[i])).all())
-    # So the cell of the reference point is one that both reach.
+    # So both bodies reach the cell of the reference point.
     partition = Cells.uniform((-offset - 1.0,) * 3, (offset + 1.0,) * 3, 64, cells=(8, 8, 8))
     cell = partition.coordinates(torch.maximum(lower[i], lower[j]))
     for body in (i, j):
@@ -94,7 +96,7 @@ def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:
 
 
 def spoil(comm: Comm) -> None:
-    """A pose that is no number, on one rank: named there; no rank takes it for a body somewhere."""
+    """A NaN pose on one rank: the error names it there; no rank receives such a body."""
     model = sim.Model(sim.ModelConfig(robots=60))
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)

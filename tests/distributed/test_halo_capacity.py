@@ -1,4 +1,4 @@
-"""Ghosts in messages of fixed size, of any capacity: the steps of one process, bit for bit."""
+"""Ghosts in messages of fixed size, of any capacity: steps bitwise equal to one process."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CAPACITIES = ["ample", "usual", "exact", "none", "boundary"]
 
 
 def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bool]]:
-    """Records; and of each padded halo, whether its capacity sufficed."""
+    """The records, and whether the capacity of each padded halo sufficed."""
     model = sim.Model(CONFIG)
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
@@ -34,13 +34,13 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
     def watched(self: PaddedHalo, boundary_count: int) -> Sent | None:
         sent = wait(self, boundary_count)
         enough.append(sent is not None)
-        if sent is not None:  # the rows in place, whatever the capacity
+        if sent is not None:  # the rows are correct, whatever the capacity
             assert sent.route.sent == sent.replicas.counts.tolist() and len(sent.route.rows) == sum(sent.route.sent)
             assert len(sent.ghosts["id"]) == sum(sent.route.received) and len(sent.replicas.table) == boundary_count
         return sent
 
     def cramped(sent: list[int], received: list[int], boundary: int) -> HaloCapacity:
-        """One rank uses fewer of its own bodies than it should."""
+        """A capacity in which one rank overflows."""
         return replace(after(sent, received, boundary), boundary=boundary // 2 if comm.rank == 0 else boundary)
 
     functions = {"ample": lambda count: 4 * count + 500, "exact": lambda count: count, "none": lambda _: 0}
@@ -66,10 +66,10 @@ def test_same_bits_for_any_capacity(world: World, capacities: str) -> None:
     of_ranks = world(by_ranks, capacities)
     for records, enough in of_ranks:
         assert records == expected
-        # In the first step, and when cells have changed hands, the capacity is unknown. What is not
-        # enough is so for all ranks.
+        # In the first step, and when cells have changed owners, the capacity is unknown. An overflow on one rank is one
+        # on all ranks.
         assert enough == of_ranks[0][1] and len(enough) < STEPS
-    if len(of_ranks) == 1:  # one rank has no ghosts
+    if len(of_ranks) == 1:  # a single rank has no ghosts
         return
     enough = of_ranks[0][1]
     assert len(enough) > 0
@@ -81,7 +81,7 @@ def test_same_bits_for_any_capacity(world: World, capacities: str) -> None:
 
 def test_capacity_exceeds_what_was_needed() -> None:
     capacity = HaloCapacity.after([0, 1, 1000], [3, 0, 5_000_000], 12)
-    assert capacity.sent[0] == 0 and capacity.received[1] == 0  # no neighbours
+    assert capacity.sent[0] == 0 and capacity.received[1] == 0  # not neighbours
     for size, count in zip(
         [*capacity.sent[1:], capacity.received[0], capacity.received[2], capacity.boundary],
         [1, 1000, 3, 5_000_000, 12],

@@ -1,4 +1,4 @@
-"""Launchers, read from the environment alone."""
+"""Detection of launchers from the environment."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from pgccd.distributed.comm import nccl
             {"SLURM_PROCID": "9", "SLURM_STEP_NUM_TASKS": "16", "SLURM_LOCALID": "1", "SLURM_NTASKS": "32"},
             Placement("srun", 9, 16, 1),
         ),
-        # All ranks on one machine, as each launcher says it.
+        # All ranks on one machine, for each launcher.
         (
             {"RANK": "5", "WORLD_SIZE": "8", "LOCAL_RANK": "5", "LOCAL_WORLD_SIZE": "8"},
             Placement("torchrun", 5, 8, 5, True),
@@ -49,7 +49,7 @@ from pgccd.distributed.comm import nccl
             {"SLURM_PROCID": "1", "SLURM_STEP_NUM_TASKS": "2", "SLURM_LOCALID": "1", "SLURM_STEP_NUM_NODES": "1"},
             Placement("srun", 1, 2, 1, True),
         ),
-        # A batch script is one process, however many tasks were asked for.
+        # A batch script is a single process, whatever the number of tasks.
         ({"SLURM_PROCID": "0", "SLURM_NTASKS": "32", "SLURM_LOCALID": "0"}, Placement("none", 0, 1, 0, True)),
     ],
 )
@@ -82,7 +82,7 @@ def test_one_process_needs_no_launcher() -> None:
 @pytest.mark.skipif(not dist.is_nccl_available(), reason="this torch was built without NCCL")
 @pytest.mark.parametrize("before", [None, "1"])
 def test_the_guard_alone_ends_what_waits_for_nccl(monkeypatch: pytest.MonkeyPatch, before: str | None) -> None:
-    """torchrun asks torch to end it. Of groups that users make themselves nothing is changed."""
+    """torchrun makes torch end the process; this is disabled for pgccd's group only."""
     name, seen = "TORCH_NCCL_ASYNC_ERROR_HANDLING", {}
     monkeypatch.delenv(name, raising=False) if before is None else monkeypatch.setenv(name, before)
 
@@ -93,6 +93,6 @@ def test_the_guard_alone_ends_what_waits_for_nccl(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(nccl, "_watch", lambda group: lambda: False)
     assert not nccl.make_default_group(dist.HashStore(), 1, 2, 7.0)()
     assert (seen["backend"], seen["rank"], seen["world_size"], seen["handling"]) == ("nccl", 1, 2, "0")
-    # The guard comes first.
+    # The guard acts before torch's watchdog.
     assert seen["pg_options"].is_high_priority_stream and seen["pg_options"]._timeout > timedelta(seconds=7)
     assert os.environ.get(name) == before

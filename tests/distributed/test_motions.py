@@ -1,5 +1,6 @@
-"""Bodies that deform, and trajectories, on any number of ranks: the bits of one process, and vertices that stay with
-their bodies."""
+"""Deforming bodies and trajectories on any number of ranks: results equal to one process, and vertices migrate with
+their bodies.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +55,7 @@ def bodies() -> dict[str, torch.Tensor]:
 
 @functools.cache
 def frames(static: bool = True) -> torch.Tensor:
-    """(STEPS + 1, X, 3): vertices of all bodies; those of the static one stay."""
+    """(STEPS + 1, X, 3): vertices of all bodies; those of the static one do not move."""
     columns = bodies()
     generator = torch.Generator().manual_seed(9)
     counts = vertex_counts(meshes(), columns["mesh_index"])
@@ -87,7 +88,7 @@ def alone(report: str, step: int) -> pgccd.Contacts:
 def spread(
     comm: Comm, report: str, device: torch.device, owners: int = 0, policy: str = "none", partition: str = "cells"
 ) -> SharedWorld:
-    """The bodies on ranks, dealt out at random; with a random table of owners of cells, if `owners` is not 0."""
+    """The bodies distributed over ranks at random; with random owners of cells, if `owners` is not 0."""
     generator = torch.Generator().manual_seed(4)
     mine = torch.nonzero(torch.randint(comm.size, (COUNT,), generator=generator) == comm.rank)[:, 0].flip(0)
     all_vertices = Vertices({"x": frames()[0]}, vertex_counts(meshes(), bodies()["mesh_index"]))
@@ -117,12 +118,12 @@ def spread(
 
 
 def rows_of(world: SharedWorld) -> torch.Tensor:
-    """Rows of `bodies` that this rank has now."""
+    """Rows of `bodies` that this rank owns now."""
     return torch.searchsorted(IDS, world.id.cpu())
 
 
 def vertices_of(rows: torch.Tensor, step: int) -> torch.Tensor:
-    """In the frame of a step, of some of the bodies."""
+    """Vertices of some of the bodies in a step's frame."""
     whole = Vertices({"x": frames()[step]}, vertex_counts(meshes(), bodies()["mesh_index"]))
     return whole.take(rows).columns["x"]
 
@@ -150,7 +151,7 @@ def deform(
     device: torch.device = torch.device("cpu"),  # noqa: B008
     partition: str = "cells",
 ) -> dict[str, int]:
-    """Follows the bodies for some steps, over two tables of owners."""
+    """Follows the bodies for some steps, with two tables of owners."""
     seen = dict.fromkeys(("contacts", "with itself", "ghosts", "arrived"), 0)
     for owners, policy in ((0, "cost"), (5, "none")):
         if partition == "bisection":
@@ -159,7 +160,7 @@ def deform(
         for step in range(STEPS):
             before = world.vertex_payload["x"]
             rows = rows_of(world)
-            assert torch.equal(before.cpu(), vertices_of(rows, step))  # they have come with their bodies
+            assert torch.equal(before.cpu(), vertices_of(rows, step))  # migrated with their bodies
             assert torch.equal(world.payload["tag"].cpu(), 3 * rows)
             after = vertices_of(rows, step + 1).to(device)
             found = world.step(pgccd.VertexMotion(before, after))
@@ -177,7 +178,7 @@ def deform(
             seen["ghosts"] += world.found.held.ghost_count
             had = set(world.id.tolist())
             begin = world._vertices.count.cumsum(0) - world._vertices.count  # type: ignore[union-attr]
-            world.move(after[begin], x=after)  # they are where their first vertex is
+            world.move(after[begin], x=after)  # positions are those of the first vertices
             seen["arrived"] += len(set(world.id.tolist()) - had)
     return seen
 
@@ -193,7 +194,7 @@ def test_deforming_bodies(world: World, report: str) -> None:
 
 
 def turning(rows: torch.Tensor) -> pgccd.Trajectory:
-    """Of some of the bodies, as rigid ones."""
+    """A trajectory of some of the bodies, as rigid ones."""
     generator = torch.Generator().manual_seed(2)
     steps = torch.randn((5, COUNT, 3), generator=generator, dtype=torch.float64).cumsum(0)
     steps[:, -1] = 0.0
@@ -239,7 +240,7 @@ def test_trajectories(world: World, report: str, deforms: bool) -> None:
 
 
 def mistakes(comm: Comm) -> list[str]:
-    """What is said of motions and payloads that do not fit."""
+    """Errors for motions and payloads that do not match."""
     world = spread(comm, "first", torch.device("cpu"))
     x = world.vertex_payload["x"]
     said = []

@@ -1,4 +1,4 @@
-"""The decomposition: every point has one owner, every box reaches what brute force says it reaches."""
+"""The decomposition: every point has one owner, and the ranks that a box reaches equal brute force."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ counts = st.integers(1, 24)
 
 @st.composite
 def partitions(draw: st.DrawFn) -> Cells:
-    """Any shape of box, any number of ranks and cells, any owners."""
+    """Arbitrary boxes, numbers of ranks and cells, and owners."""
     lower = draw(st.tuples(*[st.floats(-1e3, 1e3)] * 3))
     upper = tuple(x + draw(st.floats(0.1, 1e3)) for x in lower)
     cells = draw(st.one_of(st.integers(1, 4), st.tuples(*[st.integers(1, 3)] * 3)))
@@ -31,7 +31,7 @@ def partitions(draw: st.DrawFn) -> Cells:
 
 @st.composite
 def boxes(draw: st.DrawFn, partition: Cells) -> tuple[torch.Tensor, torch.Tensor]:
-    """Corners (K, 3) in and around the world's box, some of them points, some larger than everything."""
+    """Corners (K, 3) in and around the world's box, some of them points, some larger than the world."""
     generator = torch.Generator().manual_seed(draw(st.integers(0, 999)))
     extent = torch.tensor(partition.upper, dtype=torch.float64) - torch.tensor(partition.lower, dtype=torch.float64)
     lower = torch.tensor(partition.lower) + extent * (3.0 * torch.rand((12, 3), generator=generator) - 1.0)
@@ -69,7 +69,7 @@ def test_subdomains_multiply_up_and_have_the_least_surface(ranks: int, extent: t
 
 
 def test_the_paper_s_decomposition() -> None:
-    """n subdomains of m x m cells in X-Y, each at first its rank's; points outside belong to the boundary."""
+    """n subdomains of m x m cells in X-Y, each initially owned by its rank; points outside belong to the boundary."""
     partition = Cells.uniform((0.0, 0.0, 0.0), (8.0, 8.0, 8.0), 8, cells=4)
     assert partition.subdomains == (2, 2, 2) and partition.grid == (8, 8, 2)
     assert torch.bincount(partition.owner).tolist() == [16] * 8

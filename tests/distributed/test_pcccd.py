@@ -1,4 +1,4 @@
-"""The voxel-based baseline finds what pgccd finds, bit for bit, on any number of ranks and for any size of voxels."""
+"""The voxel-based baseline returns the same contacts as pgccd, bitwise, for any number of ranks and voxel size."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pgccd.distributed import Comm
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 # Voxels in the box [0, 8]^3: 64, one, and less than one.
 SETTINGS = ((2.0, "first"), (2.0, "all"), (8.0, "all"), (800.0, "first"))
-# What filters keep apart there meets here: the baseline has none.
+# The baseline has no filters, so these bodies do meet.
 NAMES = ("met in a third rank's cell", "on corners of many cells", "faster than cells", "all in one cell")
 NAMES += ("outside the box", "a terrain under all", "kept apart, filtered")
 
@@ -30,7 +30,7 @@ def expected(name: str, report: str) -> pgccd.Contacts:
 
 
 def dealt_out(comm: Comm, crowd: Crowd, seed: int) -> torch.Tensor:
-    """Rows of the bodies that this rank brings."""
+    """Rows of this rank's bodies."""
     generator = torch.Generator().manual_seed(seed)
     return torch.nonzero(torch.randint(comm.size, (len(crowd.position),), generator=generator) == comm.rank)[:, 0]
 
@@ -40,7 +40,7 @@ def compare(comm: Comm, name: str) -> int:
     crowd = crowds()[name]
     ids = 10 * torch.arange(len(crowd.position)) + 3
     for index, (size, report) in enumerate(SETTINGS):
-        mine = dealt_out(comm, crowd, index).flip(0)  # in any order
+        mine = dealt_out(comm, crowd, index).flip(0)  # not sorted
         baseline = PCCCD(crowd.meshes, size, comm=comm, report=report, min_separation=crowd.min_separation)
         whole = expected(name, report)
         mine_too = torch.isin(whole.pairs, mine).any(dim=1)
@@ -60,7 +60,7 @@ def test_contacts_of_pgccd(world: World, name: str) -> None:
 
 
 def compare_robots(comm: Comm, pattern: str) -> int:
-    """The evaluation's own model, each rank bringing a block of robots; returns the number of contacts of all."""
+    """The model of the evaluation, with a block of robots per rank; returns the total number of contacts."""
     model = sim.Model(sim.ModelConfig(robots=120, pattern=pattern, spacing=2.05, speed=0.15))
     state, contacts = model.start(), 0
     scene = model.scene(state.id)
@@ -86,7 +86,7 @@ def test_contacts_of_the_simulation(world: World, pattern: str) -> None:
 
 
 def voxels_after_balance(comm: Comm) -> tuple[list[int], list[int]]:
-    """All bodies come from rank 0; boxes of voxels by rank, before and after."""
+    """All bodies are on rank 0; boxes of voxels per rank, before and after balancing."""
     crowd = crowds()["kept apart, filtered"]
     mine = torch.arange(len(crowd.position) if comm.rank == 0 else 0)
     baseline = PCCCD(crowd.meshes, 1.0, comm=comm)

@@ -1,4 +1,4 @@
-"""Ranks of one start find one another in a store where others have left their traces."""
+"""Ranks of one start find each other in a store that contains keys of earlier starts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIZE = 4
 
 
 def start(store: dist.Store, timeout: float = 20.0) -> list[dist.Store]:
-    """As processes would."""
+    """As separate processes would."""
     places = [Placement("torchrun", rank, SIZE, 0) for rank in range(SIZE)]
     with ThreadPoolExecutor(SIZE) as threads:
         return list(threads.map(lambda place: agree_on_start(store, place, timeout), places))
@@ -33,11 +33,11 @@ def test_each_start_has_a_part_of_the_store_to_itself() -> None:
 def test_ranks_that_do_not_come_are_named() -> None:
     store = dist.HashStore()
     start(store)
-    # They were there once; now rank 0 is alone.
-    with pytest.raises(RuntimeError, match=r"^ranks \[1, 2, 3\] of 4 did not come within 0.3 s$"):
+    # Keys of an earlier start exist; now rank 0 is alone.
+    with pytest.raises(RuntimeError, match=r"^ranks \[1, 2, 3\] of 4 did not connect within 0.3 s$"):
         agree_on_start(store, Placement("torchrun", 0, SIZE, 0), 0.3)
     store.set_timeout(rendezvous.timedelta(seconds=0.3))
-    with pytest.raises(RuntimeError, match="^rank 0 did not come within 0.3 s"):
+    with pytest.raises(RuntimeError, match="^rank 0 did not connect within 0.3 s"):
         agree_on_start(store, Placement("torchrun", 2, SIZE, 0), 0.3)
 
 

@@ -1,4 +1,4 @@
-"""A run that goes on keeps what balancing has come to."""
+"""A resumed run keeps the balanced partition."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_the_partition_is_kept(ranks: World, tmp_path: Path, kind: str) -> None:
 
 
 def share(comm: Comm, folder: str) -> tuple[list[int], str]:
-    """The ids that a rank reads, or what it is told."""
+    """The ids that a rank reads, or its error."""
     try:
         return load_robots(comm, require_checkpoint(Path(folder))).id.tolist(), ""
     except ValueError as error:
@@ -84,7 +84,7 @@ def test_any_number_of_ranks_reads_what_another_wrote(ranks: World, tmp_path: Pa
         shares = [ids for ids, _ in ranks.run(size, share, str(tmp_path))]
         assert sorted(sum(shares, [])) == list(range(240))
         assert {len(ids) for ids in shares} == {240 // size}
-    # What is damaged is refused by all, whichever of them has looked at it.
+    # All ranks raise an error for damaged files, whichever rank reads them.
     (damaged,) = tmp_path.glob("checkpoints/step-*/rank-00001.safetensors")
     content = bytearray(damaged.read_bytes())
     content[-5] ^= 1
@@ -162,7 +162,7 @@ def test_planes_that_were_planted(ranks: World, tmp_path: Path, wrong: str) -> N
 
 
 def see(comm: Comm, folder: str) -> str:
-    """What a rank is told whose folder is its own."""
+    """The error of a rank with a separate folder."""
     try:
         run(comm, CONFIG, 1, Path(folder) / str(comm.rank))
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Own pairs found without waiting for their number, in any capacity: the steps of one process, bit for bit."""
+"""Own pairs found without synchronising, in any capacity: steps bitwise equal to one process."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def by_one_process() -> list[dict[str, Any]]:
 
 
 def by_ranks(comm: Comm, capacity: str) -> tuple[list[dict[str, Any]], int, int]:
-    """Records; how often own pairs were found again; and how many own parts exceeded their capacity."""
+    """The records; how often own pairs were found again; and how many own parts overflowed."""
     model = sim.Model(CONFIG)
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)

@@ -1,4 +1,4 @@
-"""Whose cells bodies reach: operators against brute force over all cells, on every device."""
+"""Ranks whose cells bodies reach: operators against brute force over all cells, on every device."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DEVICES = ["cpu"] + (["cuda"] if torch.cuda.is_available() else [])
 
 
 def bodies(partition: Cells, count: int, generator: torch.Generator) -> list[torch.Tensor]:
-    """Centres and radii of moving bodies in and around the world's box, some of them larger than everything."""
+    """Centres and radii of moving bodies in and around the world's box, some larger than the world."""
     lower, upper = (torch.tensor(x, dtype=torch.float64) for x in (partition.lower, partition.upper))
     extent = upper - lower
     start = lower + extent * (1.6 * torch.rand((count, 3), dtype=torch.float64, generator=generator) - 0.3)
@@ -64,7 +64,7 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
             if inside and bool(((lower[body] <= high.amax(0)) & (upper[body] >= low.amin(0))).all()):
                 near.append(body)
                 break
-    # The first are own bodies, the others ghosts; pairs that may collide: their boxes overlap.
+    # The first are own bodies, the rest ghosts; the pairs are those with overlapping boxes.
     own_count = data.draw(st.integers(0, len(cells)))
     pairs = torch.combinations(torch.arange(len(cells)))
     corner, other = torch.maximum(*lower[pairs].unbind(1)), torch.minimum(*upper[pairs].unbind(1))
@@ -120,7 +120,7 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
                 expected = [each if row < 0 else each | {source} for row, each, source in every]
             assert [set(torch.nonzero(row)[:, 0].tolist()) for row in replica_ranks] == expected
             assert counts.tolist() == [sum(r in each for each in expected) for r in range(ranks)]
-        # Rows without a body reach no cell, and nothing is near them.
+        # Padding rows reach no cell, and nothing is near them.
         gone = torch.arange(len(cells)) % 3 == 0
         some = [*here[:2], torch.where(gone.to(device), -torch.inf, here[2])]
         marks, at_edge, found = ops.boundary_bodies(some, SEPARATION, 0.0, subdomain)
@@ -152,7 +152,7 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
 
 
 def test_many_leave_for_many(device: torch.device) -> None:
-    """More than there are threads to put them in order."""
+    """More than there are threads to sort them."""
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 12, cells=3)
     position = torch.rand((30_000, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(4))
     owner, rank = partition.owner_of(position), 7

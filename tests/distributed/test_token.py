@@ -1,4 +1,4 @@
-"""Only processes of the job learn its token, wherever they find it."""
+"""Only processes of the job get its token, from any source."""
 
 from __future__ import annotations
 
@@ -77,6 +77,6 @@ def test_what_is_no_token_is_not_taken_for_one(tmp_path: Path, monkeypatch: pyte
 
 
 def test_ranks_that_do_not_come(cache: Path) -> None:
-    with pytest.raises(RuntimeError, match="^not all of 3 ranks came within 0.1 s$"):
+    with pytest.raises(RuntimeError, match="^not all of 3 ranks connected within 0.1 s$"):
         share_token(dist.HashStore(), Placement("srun", 0, SIZE, 0), 0.1)
     assert list(cache.iterdir()) == []

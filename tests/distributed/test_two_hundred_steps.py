@@ -1,4 +1,4 @@
-"""Two hundred steps of the simulator on ranks of its own, over MPI and on GPUs: the log of one process on a CPU."""
+"""Two hundred steps of the simulator on ranks, over MPI and on GPUs: the log of one process on a CPU."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ pytestmark = [pytest.mark.slow, pytest.mark.ranks, pytest.mark.xdist_group("two 
 
 STEPS = 200
 SIMULATE = ["-m", "pgccd", "simulate", "--seed", "5", "--steps", str(STEPS), "--no-pictures"]
-# Enough that every rank has something to do, on a GPU too.
+# Enough work for every rank, also on a GPU.
 ROBOTS = 300
 
 Log = list[dict[str, Any]]
 
 
 def log(folder: Path) -> Log:
-    """What does not depend on times and ranks."""
+    """Values that do not depend on times and ranks."""
     left_out = ("seconds", "stage_seconds", "ranks")
     return [{name: value for name, value in line.items() if name not in left_out} for line in sim.read_log(folder)]
 
@@ -36,7 +36,7 @@ def single(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return [*SIMULATE, "--robots", str(ROBOTS), "--world", request.param], steps
 
 
-#: How space is cut, and what redistributes it.
+#: Partitions and policies.
 CUTS = [["--balance", "cost"], ["--balance", "one-cell"], ["--partition", "bisection", "--balance", "cost"]]
 
 
@@ -68,6 +68,6 @@ def test_on_gpus(ranks: int, cut: list[str], single: tuple[list[str], Log], tmp_
     program = over_nccl(ranks, *arguments, *where, *cut, "--out", str(tmp_path))
     done = finish(torchrun(ranks, *program))
     assert done.returncode == 0, done.stdout
-    # Which candidates are looked at before the first contact is known depends on the device.
+    # The candidates tested before the first contact is known depend on the device.
     found, wanted = ([line | {"candidates": None} for line in lines] for lines in (log(tmp_path), expected))
     assert found == wanted

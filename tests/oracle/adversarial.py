@@ -32,7 +32,7 @@ def _unknown(start: np.ndarray, end: np.ndarray, is_face: bool, name: str) -> Qu
 
 
 def random(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
-    """Nothing special: about one in ten touches."""
+    """Random points: about one query in ten touches."""
     return _unknown(rng.normal(size=(n, 4, 3)), rng.normal(size=(n, 4, 3)), is_face, "random")
 
 
@@ -53,7 +53,7 @@ def parallel(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
     if is_face:
         start[:, 1:, 2], start[:, 0, 2] = 0.0, rng.integers(0, 2, n)
     else:
-        start[::2, :, 2] = 0.0  # half of them in one plane, in which half of those stay
+        start[::2, :, 2] = 0.0  # half of them in one plane, half of which stay in it
         start[:, 1] = start[:, 0] + (start[:, 3] - start[:, 2]) * rng.choice([-1.0, 0.5, 2.0], (n, 1))
     end = start.copy()
     first = slice(0, 1) if is_face else slice(0, 2)

@@ -1,7 +1,7 @@
-"""Rigid motions by the thousand under which given features of two bodies meet, or nearly; and what truly happens.
+"""Rigid motions under which given features of two bodies touch or nearly touch, and the exact outcome.
 
-The motions are chosen in plain floats; the truth is then found for exactly those numbers (`batch`, and for what that
-leaves open the outward-rounded intervals of `rigid`).
+The motions are chosen in floats; the outcome is then found for exactly these numbers (by `batch`, and by the
+outward-rounded intervals of `rigid` for queries that it leaves undecided).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from .search import CLOSE, Decisions
 
 @dataclass(frozen=True)
 class Plan:
-    """How two bodies are to meet; lengths in units of the features' size."""
+    """How two bodies should meet; lengths in units of the features' size."""
 
-    turn: Callable[[np.random.Generator, int], np.ndarray]  # (n,) radians a step
+    turn: Callable[[np.random.Generator, int], np.ndarray]  # (n,) radians per step
     travel: float = 1.0
     boundary: bool = False  # meet on a boundary of both features
-    graze: bool = False  # without a speed along the common normal
-    off: tuple[float, float] | None = None  # and then miss by 10^-a .. 10^-b, either way
-    pass_by: bool = False  # instead of meeting, at the distance that the caller names
+    graze: bool = False  # no velocity along the common normal
+    off: tuple[float, float] | None = None  # then miss by 10^-a .. 10^-b, on either side
+    pass_by: bool = False  # pass at the distance given by the caller instead of meeting
     aimed: bool = True
     shift: float = 0.0  # of both bodies, from the world's origin
 
@@ -55,9 +55,9 @@ def _directions(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def _weights(rng: np.random.Generator, n: int, is_face: bool, boundary: bool) -> np.ndarray:
-    """(n, 4): of the four points, for a point of each primitive."""
+    """(n, 4): weights of the four points for a point on each primitive."""
     u, v = rng.uniform(0.02, 0.98, (2, n))
-    if boundary:  # a quarter each: edges' insides and ends
+    if boundary:  # a quarter each: edges' interiors and ends
         u, v = np.where(rng.random(n) < 0.5, np.round(u), u), np.where(rng.random(n) < 0.5, np.round(v), v)
     if not is_face:
         return np.stack([1 - u, u, 1 - v, v], axis=1)
@@ -83,7 +83,7 @@ def _turned(points: np.ndarray, body: Turning, t: np.ndarray) -> tuple[np.ndarra
 def motions(
     rng: np.random.Generator, plan: Plan, points: np.ndarray, is_face: bool, size: float, clearance: float = 0.0
 ) -> tuple[Turning, Turning]:
-    """Of the bodies that have the first and the second primitive, points (n, 4, 3) in their frames.
+    """Motions of the bodies of the first and the second primitive; points (n, 4, 3) in their frames.
 
     `clearance`: the distance at which they pass, if the plan is to pass by.
     """
@@ -97,7 +97,7 @@ def motions(
     (x, vx), (y, vy) = (_turned(p, b, t) for p, b in zip((points[:, :count], points[:, count:]), bodies, strict=True))
     weights = _weights(rng, n, is_face, plan.boundary)[:, :, None]
     a, b = weights[:, :count], weights[:, count:]
-    apart = (a * x).sum(axis=1) - (b * y).sum(axis=1)  # the second centre from the first, when they meet
+    apart = (a * x).sum(axis=1) - (b * y).sum(axis=1)  # offset of the second centre from the first at the meeting time
     speed = (a * vx).sum(axis=1) - (b * vy).sum(axis=1)
     edge = y[:, 1] - y[:, 0]
     normal = np.cross(edge, y[:, 2] - y[:, 0]) if is_face else np.cross(x[:, 1] - x[:, 0], edge)
@@ -122,7 +122,9 @@ def motions(
 def decide(
     points: np.ndarray, first: Turning, second: Turning, is_face: bool, separation: float = 0.0
 ) -> tuple[Decisions, np.ndarray]:
-    """Every query, points (n, 4, 3) in body frames; and which (n,) the batch oracle left to the intervals."""
+    """Decides every query, points (n, 4, 3) in body frames; and returns which (n,) the batch oracle left to the
+    intervals.
+    """
     found = batch.first_within(ArcPaths(points, first, second, is_face), separation)
     asked = found.status == CLOSE
     rows = np.flatnonzero(asked)

@@ -1,8 +1,8 @@
-"""Certain answers for very many queries at once: when do two primitives first come within a separation?
+"""Rigorous answers for very many queries at once: when two primitives first come within a separation.
 
 The same kind of branch and bound over time as `search`, in plain float64 with error bounds added at the end instead of
-outward-rounded operations, some fifty times as fast. What it cannot decide it says so (CLOSE), for the exact oracle.
-Over an interval the four paths are parabolas (`batch_paths`), up to a rest.
+outward-rounded operations, some fifty times as fast. Undecided queries are marked CLOSE, for the exact oracle. Over an
+interval the four paths are parabolas (`batch_paths`) plus a remainder.
 
 * Apart: n(s) is a direction that turns linearly, from a good one at the start of the interval to a good one at its
   end. The gap between a point of each primitive along n(s) is a cubic in s, nowhere below the least of its Bernstein
@@ -24,7 +24,7 @@ from .batch_paths import Paths, StraightPaths, U, Window, first_count
 from .search import CLOSE, NO, YES, Decisions
 
 CHUNK = 8192
-MOST_INTERVALS = 48  # a query with more open intervals is given up
+MOST_INTERVALS = 48  # more open intervals: the query is left undecided
 WIDE = 2.0**-20  # a wider bracket of the first touch is left to the exact oracle
 
 
@@ -41,8 +41,8 @@ def _length(a: np.ndarray) -> np.ndarray:
 
 
 def _foot(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    # From p to the point of the segment a b next to it; that length squared; and its part perpendicular to the segment
-    # if it ends inside, which stays perpendicular however short it is.
+    # From p to the nearest point of the segment a b; its squared length; and its part perpendicular to the segment if
+    # the point is inside, which stays perpendicular however short it is.
     e = b - a
     square = _dot(e, e)
     s = _dot(p - a, e) / square
@@ -58,8 +58,8 @@ def _normal(x: np.ndarray, is_face: bool) -> np.ndarray:
 
 
 def nearest(x: np.ndarray, is_face: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(3, k) each, for points (4, 3, k): the gap from the first primitive to the second where they are about nearest,
-    which always joins two of their points; a direction like it; and their common normal, turned the same way.
+    """(3, k) each, for points (4, 3, k): the gap from the first primitive to the second near their nearest points,
+    which always connects two of their points; a direction close to it; and their common normal, oriented likewise.
     """
     p, q, r, s = x
     with np.errstate(all="ignore"):
@@ -87,8 +87,9 @@ def nearest(x: np.ndarray, is_face: bool) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def apart_by(w: Window, directions: list[tuple[np.ndarray, np.ndarray]], is_face: bool) -> np.ndarray:
-    """(k,): proven lower bound of the distance over the window, minus infinity where nothing is proven; by pairs of
-    directions (3, k) at the start and at the end."""
+    """(k,): proven lower bound of the distance over the window, minus infinity if nothing is proven; by pairs of
+    directions (3, k) at the start and at the end.
+    """
     best = np.full(w.rounding.shape, -np.inf)
     count = first_count(is_face)
     c = w.control
@@ -97,14 +98,14 @@ def apart_by(w: Window, directions: list[tuple[np.ndarray, np.ndarray]], is_face
         for d in pair:
             with np.errstate(over="ignore"):
                 length = _length(d)
-            usable = (length > 1e-100) & (length < 1e100)  # else its square may be no number to divide by
+            usable = (length > 1e-100) & (length < 1e100)  # otherwise the square may overflow or underflow
             n.append(np.where(usable, d, 0.0) / np.where(usable, length, 1.0))
         n[1] = np.where(_dot(n[0], n[1]) < 0, -n[1], n[1])
         # (control, point, k) along each end's direction
         g, h = (c[:, :, 0] * d[0] + c[:, :, 1] * d[1] + c[:, :, 2] * d[2] for d in n)
         cubic = np.stack([g[0], (2.0 * g[1] + h[0]) / 3.0, (g[2] + 2.0 * h[1]) / 3.0, h[2]])
         gap = (cubic[:, count:].min(axis=1) - cubic[:, :count].max(axis=1)).min(axis=0)
-        # Unit vectors up to 4 u; two points' errors.
+        # Unit vectors up to 4 u; errors of two points.
         proven = (gap - 2.0 * w.rounding) * (1 - 16 * U) - w.rest.sum(axis=0) * (1 + 16 * U)
         best = np.where(gap > 0, np.maximum(best, proven), best)
     return best
@@ -159,7 +160,7 @@ def stays_inside(w: Window, is_face: bool) -> np.ndarray:
 
 
 def _look(paths: Paths, query: np.ndarray, a: np.ndarray, b: np.ndarray, separation: np.ndarray) -> list[np.ndarray]:
-    """Of each interval: is it proven free, by when (a, b or never) is it proven within, and where to cut it (two)."""
+    """For each interval: whether it is proven free, by when (a, b or never) it is proven within, and two cut points."""
     is_face = paths.is_face
     w = paths.over(query, a, b)
     keep = separation[query]
@@ -174,8 +175,8 @@ def _look(paths: Paths, query: np.ndarray, a: np.ndarray, b: np.ndarray, separat
         part = Window(w.control[..., rows], w.rest[:, rows], w.rounding[rows])
         rows = rows[certain(part, is_face)]
     by[rows] = np.minimum(by[rows], b[rows])
-    # Where it is known to come within, a narrow interval about the likely time; else not quite the middle: a touch at
-    # t = 1/2, say, would for ever sit at an end, where no sign is certain.
+    # If it is known to come within, a narrow interval about the likely time; else not exactly the middle: a touch at t
+    # = 1/2, for example, would always be at an end, where no sign is certain.
     share = gaps[0] - keep
     rest = np.where(keep > 0, keep - gaps[1], gaps[1])
     with np.errstate(all="ignore"):
@@ -186,7 +187,7 @@ def _look(paths: Paths, query: np.ndarray, a: np.ndarray, b: np.ndarray, separat
 
 
 def _rank(query: np.ndarray) -> np.ndarray:
-    # Number of each entry among those of the same query; equal entries stand together.
+    # Index of each entry among those of the same query; entries of a query are adjacent.
     start = np.flatnonzero(np.diff(query, prepend=-1))
     return np.arange(len(query)) - np.repeat(start, np.diff(start, append=len(query)))
 
@@ -198,7 +199,7 @@ def first_within(
     width: float = 2.0**-36,
     levels: int = 44,
 ) -> Decisions:
-    """Decide every query over [0, until], and bracket the first time to `width` where the numbers allow it."""
+    """Decides every query over [0, until], and brackets the first time to `width` where rounding allows it."""
     count = len(paths)
     keep = np.broadcast_to(np.asarray(separation, dtype=np.float64), count) * paths.scale
     status = np.full(count, CLOSE)
@@ -221,7 +222,7 @@ def first_within(
         status[np.isfinite(upper)] = YES
         status[~settled & np.isinf(lower)] = NO
         settled |= (upper <= lower + width) | np.isinf(lower)
-        # Given up: too many open intervals, or one that has no double inside.
+        # Undecided: too many open intervals, or one without a double inside.
         settled[query[(_rank(query) >= MOST_INTERVALS) | (cut <= a) | (cut >= b)]] = True
         stay = ~settled[query]
         query, a, b, cut, after = (x[stay] for x in (query, a, b, cut, after))
@@ -236,7 +237,7 @@ def first_within(
 
 
 def distance_at(paths: Paths, t: np.ndarray) -> np.ndarray:
-    """(n,): proven upper bound of the distance at times t (n,), in the lengths given."""
+    """(n,): proven upper bound of the distance at times t (n,), in the given units."""
     found = np.empty(len(paths))
     for k in range(0, len(paths), CHUNK):
         query = np.arange(k, min(k + CHUNK, len(paths)))

@@ -1,8 +1,8 @@
 """Paths of very many queries at once, for `batch`: float64 with error bounds, arrays (point, axis, query).
 
-Everything is scaled to about unit size by a power of two, query by query. Error model: u = 2^-53 for each of
-+ - * / and the square root; sine and cosine of numpy are taken to be within 4 units in the last place. Coordinates lie
-between 1e-60 and 1e60 or are zero, so that nothing overflows and what underflows drowns in the bounds.
+Everything is scaled to about unit size by a power of two, query by query. Error model: u = 2^-53 for each of + - * /
+and the square root; sine and cosine of numpy are taken to be within 4 units in the last place. Coordinates lie between
+1e-60 and 1e60 or are zero, so that nothing overflows and underflow is covered by the bounds.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ class Window:
     """The four points of k queries over an interval of time each, middle and half width (k,).
 
     `control` (3, 4, 3, k): control points of a parabola in Bernstein form for each path. The true path of a point of
-    the first (second) primitive strays from it by at most `rest[0]` (`rest[1]`) (k,); `rounding` (k,) bounds the error
-    of every computed control point, and that of its projection on a unit vector.
+    the first (second) primitive deviates from it by at most `rest[0]` (`rest[1]`) (k,); `rounding` (k,) bounds the
+    error of every computed control point, and that of its projection on a unit vector.
     """
 
     control: np.ndarray
@@ -30,7 +30,7 @@ class Window:
 
 
 class Paths(Protocol):
-    """n queries; all lengths inside are given ones times `scale` (n,)."""
+    """n queries; all internal lengths are the given ones times `scale` (n,)."""
 
     is_face: bool
     scale: np.ndarray
@@ -43,7 +43,7 @@ class Paths(Protocol):
 
 
 def first_count(is_face: bool) -> int:
-    """How many of the four points belong to the first primitive."""
+    """Number of the four points that belong to the first primitive."""
     return 1 if is_face else 2
 
 
@@ -61,13 +61,13 @@ class StraightPaths:
 
     def __init__(self, points_t0: np.ndarray, points_t1: np.ndarray, is_face: bool) -> None:
         self.is_face = is_face
-        # Differences of doubles: each off by u of itself.
+        # Differences of doubles: relative error u each.
         ends = [np.ascontiguousarray(np.moveaxis(x - x[:, 1:2], 0, 2)) for x in (points_t0, points_t1)]
         self.scale = _inverse_power(np.abs(ends).max(axis=(0, 1, 2), initial=0.0))
         self.start, self.end = (x * self.scale for x in ends)
         size = np.maximum(*(_norm(x, 1).max(axis=0) for x in (self.start, self.end)))
-        # A blend: difference u, 1 - t, two products and a sum, 6 u a coordinate and so of the length. Its projection:
-        # 3 products and 2 sums, and the few operations of `batch` on them: 16 u of the length.
+        # Interpolation: difference u, 1 - t, two products and a sum, 6 u per coordinate and so of the length. Its
+        # projection: 3 products and 2 sums, and the few operations of `batch` on them: 16 u of the length.
         self.rounding = 32 * U * size
 
     def __len__(self) -> int:
@@ -86,7 +86,7 @@ class StraightPaths:
 @dataclass(frozen=True)
 class Turning:
     """n bodies over a step: position (n, 3) at both ends, unit-to-rounding orientation (n, 4) at t0, rotation vector
-    (n, 3) of the step, world frame. The orientation is normalised, everything else meant exactly as it stands.
+    (n, 3) of the step, world frame. The orientation is normalised, everything else is exact.
     """
 
     position_t0: np.ndarray
@@ -98,8 +98,8 @@ class Turning:
 class ArcPaths:
     """Points (n, 4, 3) in the frames of two bodies that move rigidly, relative to the centre of the first.
 
-    x(t) = offset + t step + along + cos(angle t) across + sin(angle t) (axis x across): the arm's part along the axis
-    of rotation stays, the rest turns.
+    x(t) = offset + t step + along + cos(angle t) across + sin(angle t) (axis x across): the part of the arm along the
+    axis of rotation is constant, the rest rotates.
     """
 
     def __init__(self, points: np.ndarray, first: Turning, second: Turning, is_face: bool) -> None:
@@ -130,8 +130,9 @@ class ArcPaths:
         self.radius = _norm(self.across, 1) * (1 + 64 * U)
         self.jerk = self.angle[:, 0] ** 3 * self.radius * (1 + 64 * U)
         arm = _norm(np.moveaxis(points, 0, 2), 1).max(axis=0) * self.scale
-        # Quaternion product and norm 24 u of the arm a coordinate, axis 4 u, parts 16 u, sine and cosine 8 u and their
-        # products, and the angle's own 8 u times the angle; then the way and the projection as on straight lines.
+        # Quaternion product and norm 24 u of the arm per coordinate, axis 4 u, parts 16 u, sine and cosine 8 u and
+        # their products, and the angle's own 8 u times the angle; then the interpolation and projection as on straight
+        # lines.
         turned = self.angle.max(axis=0)[0]
         ways = [np.sqrt((x * x).sum(axis=0)) * self.scale for x in (offset, offset + step)]
         self.rounding = U * ((192 + 16 * turned) * arm + 64 * np.maximum(*ways))
@@ -141,8 +142,10 @@ class ArcPaths:
         return self.step.shape[2]
 
     def over(self, query: np.ndarray, a: np.ndarray, b: np.ndarray) -> Window:
-        """See Paths. The parabola is Taylor's in the middle; its rest is the third derivative's."""
-        # Where these are off by u, the points are off by u times their way, which the rounding covers.
+        """See Paths. The parabola is the Taylor polynomial in the middle; the remainder is bounded by the third
+        derivative.
+        """
+        # A relative error u of these moves the points by u times their path, which the rounding covers.
         middle, half = 0.5 * (a + b), 0.5 * (b - a)
         angle, step = self.angle[:, :, query], self.step[:, :, query]
         across, side = self.across[:, :, query], self.side[:, :, query]

@@ -28,7 +28,7 @@ def spheres_meet(
     square = reach * reach
     if c <= square or a + 2 * b + c <= square:
         return True
-    return 0 < -b < a and a * c - b * b <= square * a  # least value c - b^2 / a inside the step
+    return 0 < -b < a and a * c - b * b <= square * a  # minimum c - b^2 / a inside the step
 
 
 def sphere_pairs(
@@ -52,7 +52,7 @@ def sphere_pairs(
     count = len(start)
     if len(end) != count or len(size) != count:
         raise ValueError("centres at both ends and radii must be equally many")
-    # Boxes rounded outward: two roundings each way, and the separation given to every second sphere of a pair in full.
+    # Boxes rounded outward: two roundings on each side, and the whole separation on one sphere of each pair.
     lower = np.nextafter(np.minimum(start, end) - size[:, None], -np.inf)
     upper = np.nextafter(np.maximum(start, end) + size[:, None], np.inf)
     reach_lower = np.nextafter(lower - separation, -np.inf)
@@ -100,11 +100,10 @@ def _allowed(
 def _decide_in_floats(
     start: np.ndarray, end: np.ndarray, size: np.ndarray, separation: float, pairs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(certainly inside, certainly outside) per pair; neither where rounding could matter.
+    """(certainly inside, certainly outside) per pair; neither if rounding could matter.
 
     At any time s in [0, 1] the relative centre w(s) = (1 - s) w0 + s w1 gives |w(s)| >= the least distance, and along
-    any direction n the least distance is >= min(n.w0, n.w1) / |n|. The best s and n = w(s) are merely guessed in
-    floats.
+    any direction n the least distance is >= min(n.w0, n.w1) / |n|. The best s and n = w(s) are approximated in floats.
     """
     i, j = pairs[:, 0], pairs[:, 1]
     with np.errstate(all="ignore"):

@@ -1,7 +1,7 @@
 """Elementary queries whose truth is known by construction.
 
-All coordinates are small dyadic numbers, so that every sum below is exact in float64 and the construction is what is
-stored. Order of the points: v, f0, f1, f2 or ea0, ea1, eb0, eb1.
+All coordinates are small dyadic numbers, so that every sum below is exact in float64 and the stored points are exact.
+Order of the points: v, f0, f1, f2 or ea0, ea1, eb0, eb1.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def contact_at(rng: np.random.Generator, n: int, is_face: bool, when: float | No
 
 
 def contact_at_start(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
-    """Touching exactly at t = 0 and parting."""
+    """Touching exactly at t = 0, then separating."""
     return contact_at(rng, n, is_face, 0.0)
 
 
@@ -101,18 +101,18 @@ def short_of_end(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
 
 
 def graze(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
-    """The surfaces kiss at t = c: the gap is (t - c)^2 + e, with e = 0 (touch at c), 2^-30 (free) or -2^-30 (touch)."""
+    """Surfaces graze at t = c: the gap is (t - c)^2 + e, with e = 0 (touch at c), 2^-30 (free) or -2^-30 (touch)."""
     c = rng.integers(4, 29, n) / 32.0
     gap = rng.choice([0.0, 2.0**-30, -(2.0**-30)], n)
     ends = []
     for t in (0.0, 1.0):
         s, points = t - c, np.zeros((n, 4, 3))
-        if is_face:  # the plane z = s x, turning, and a vertex at (s, 0, -e)
+        if is_face:  # the rotating plane z = s x, and a vertex at (s, 0, -e)
             points[:, 0, 0], points[:, 0, 2] = s, -gap
             points[:, 1] = np.stack([np.full(n, -2.0), np.full(n, -2.0), -2 * s], axis=1)
             points[:, 2] = np.stack([np.full(n, 2.0), np.full(n, -2.0), 2 * s], axis=1)
             points[:, 3, 1] = 2.0
-        else:  # the line z = s y at x = 0, turning, and an edge along x at y = s, z = -e
+        else:  # the rotating line z = s y at x = 0, and an edge along x at y = s, z = -e
             points[:, 0] = np.stack([np.full(n, -2.0), s, -gap], axis=1)
             points[:, 1] = np.stack([np.full(n, 2.0), s, -gap], axis=1)
             points[:, 2, 1:] = np.stack([np.full(n, -2.0), -2 * s], axis=1)
@@ -125,7 +125,7 @@ def graze(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
 
 
 def shared_points(rng: np.random.Generator, n: int, is_face: bool) -> Queries:
-    """One or two points of the one primitive are points of the other, all the way: touching at t = 0."""
+    """One or two points of one primitive are points of the other throughout: touching at t = 0."""
     start, end = rng.normal(size=(n, 4, 3)), rng.normal(size=(n, 4, 3))
     for x in (start, end):
         x[:, 0] = x[:, 2]

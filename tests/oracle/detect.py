@@ -1,6 +1,6 @@
 """Brute-force continuous collision detection of two bodies: every vertex-face pair both ways and every edge-edge pair.
 
-Nothing but certain rejections (boxes of the swept features, then `filters` or `search`) stands before the full tests.
+Only rigorous rejections (boxes of the swept features, then `filters` or `search`) precede the full tests.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ CHUNK = 20_000
 class Contact:
     """One feature pair that touches. VF_AB: vertex of A, face of B; VF_BA: face of A, vertex of B; EE: edges.
 
-    Edges are numbered as `mesh.unique_edges` lists them. The first touch is in [toi_lower, toi_upper]; a pair too
-    close to call (rigid arcs only) has `certain` False, and an infinite toi_upper.
+    Edges are numbered as `mesh.unique_edges` lists them. The first touch is in [toi_lower, toi_upper]; an undecided
+    pair (rigid arcs only) has `certain` False, and an infinite toi_upper.
     """
 
     kind: int
@@ -42,12 +42,12 @@ class Detection:
 
     @property
     def toi_lower(self) -> Fraction | float:
-        """No touch happens before."""
+        """Lower bound of the first touch."""
         return min((c.toi_lower for c in [*self.contacts, *self.unsure]), default=float("inf"))
 
     @property
     def toi_upper(self) -> Fraction | float:
-        """A touch has certainly happened by then."""
+        """Upper bound of the first touch."""
         return min((c.toi_upper for c in self.contacts), default=float("inf"))
 
     def keys(self, include_unsure: bool = False) -> set[tuple[int, int, int]]:
@@ -92,7 +92,7 @@ def _candidates(
         pairs = _overlapping(around_a, around_b, separation)
         index_a, index_b = of_a[pairs[:, 0]], of_b[pairs[:, 1]]
         if i == 0:
-            pairs[:, 0] = of_a[pairs[:, 0], 0]  # vertices are known by their own index
+            pairs[:, 0] = of_a[pairs[:, 0], 0]  # vertices have their mesh index
         if j == 0:
             pairs[:, 1] = of_b[pairs[:, 1], 0]
         found.append((kind, pairs, index_a, index_b))
@@ -145,7 +145,7 @@ def detect_linear_self(
 def _touching(
     kind: int, pairs: np.ndarray, start: np.ndarray, end: np.ndarray, min_separation: float, width: Fraction
 ) -> list[Contact]:
-    # Of feature pairs (k, 2) whose points are at `start` and `end` (k, 4, 3).
+    # Contacts of feature pairs (k, 2) with points at `start` and `end` (k, 4, 3).
     is_face = kind != EE
     keep = filters.may_touch(start, end, is_face, min_separation)
     start, end, pairs = start[keep], end[keep], pairs[keep]

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 
 def _clamped_foot(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n,): parameter in [0, 1] of the point of the segment a b next to p, in floats."""
+    """(n,): parameter in [0, 1] of the point of the segment a b nearest to p, in floats."""
     e = b - a
     with np.errstate(all="ignore"):
         s = ((p - a) * e).sum(axis=-1) / (e * e).sum(axis=-1)
@@ -25,7 +25,7 @@ def _clamped_foot(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def closest_coordinates(points: np.ndarray, is_face: bool) -> np.ndarray:
-    """(n, 2) float64: (u, v) of nearly the closest points, always on the primitives. Points (n, 4, 3).
+    """(n, 2) float64: (u, v) of approximately the closest points, always on the primitives. Points (n, 4, 3).
 
     Face: f0 + u (f1 - f0) + v (f2 - f0) with u, v >= 0 and u + v <= 1. Edges: ea0 + u (ea1 - ea0), eb0 + v (eb1 - eb0).
     """
@@ -75,7 +75,7 @@ def min_distance_at(points_t0: ArrayLike, points_t1: ArrayLike, t: ArrayLike, is
     start, end = np.asarray(points_t0, dtype=np.float64), np.asarray(points_t1, dtype=np.float64)
     start, end = start.reshape(-1, 4, 3), end.reshape(-1, 4, 3)
     time = np.broadcast_to(np.asarray(t, dtype=np.float64), len(start))[:, None, None]
-    # Relative to a point that moves along: only differences, each rounded once, come in.
+    # Relative to a moving point: only differences, each rounded once, are used.
     a, b = start - start[:, 1:2], end - end[:, 1:2]
     points = a * (1.0 - time) + b * time
     return np.linalg.norm(gap_vector(points, closest_coordinates(points, is_face), is_face), axis=1)

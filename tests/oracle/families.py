@@ -1,7 +1,7 @@
-"""Elementary queries by the thousand, of about unit size, most of them with a truth known to the last bit.
+"""Generators of elementary queries of about unit size, most of them with an exactly known result.
 
-All known ones have dyadic coordinates of few digits: every sum below is exact, in float32 too where `bits` says so (the
-digits of a coordinate that may be used). Order of the points: v, f0, f1, f2 or ea0, ea1, eb0, eb1.
+Known ones have dyadic coordinates of few digits: every sum below is exact, in float32 too if `bits` (the digits of a
+coordinate) allows it. Order of the points: v, f0, f1, f2 or ea0, ea1, eb0, eb1.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def _passing(
     is_face: bool,
     slant: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
-    # The second primitive rests; the first is where `points` says at toi.
+    # The second primitive rests; the first is at `points` at toi.
     start, end = points.copy(), points.copy()
     start[:, _first(is_face)] -= toi[:, None, None] * velocity[:, None]
     end[:, _first(is_face)] += (1.0 - toi)[:, None, None] * velocity[:, None]
@@ -97,7 +97,7 @@ def crossing(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Fami
 
 
 def fast(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """The same, moving a million times (in few bits: some fifty times) the size."""
+    """The same, moving by a million times the size (in few bits: some fifty times)."""
     points, toi = touching_points(rng, n, is_face, False), _times(rng, n)
     velocity = _velocity(rng, n, 2) * 2.0 ** (20 if bits > 24 else 6)
     return Family(*_passing(rng, points, velocity, toi, is_face), toi)
@@ -115,7 +115,7 @@ def short(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
 
 
 def still(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """No motion but a common one: half touch, half are just apart."""
+    """No relative motion: half touch, half are just apart."""
     points = touching_points(rng, n, is_face, False)
     gap = np.where(np.arange(n) % 2 == 0, 0.0, 2.0 ** -rng.integers(4, 12 if bits <= 24 else 40, n))
     points[:, _first(is_face), 2] += gap[:, None]
@@ -124,7 +124,7 @@ def still(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
 
 
 def graze(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """The surfaces kiss at t = c: the gap is (t - c)^2 + e, with e = 0, e > 0 (free) or e < 0 (touch)."""
+    """The surfaces graze at t = c: the gap is (t - c)^2 + e, with e = 0, e > 0 (free) or e < 0 (touch)."""
     c = rng.integers(4, 29, n) / 32.0
     root = 2.0 ** -rng.integers(4, 6 if bits <= 24 else 20, n)  # of |e|
     sign = rng.integers(-1, 2, n)
@@ -132,9 +132,9 @@ def graze(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
     two, zero, ends = np.full(n, 2.0), np.zeros(n), []
     for t in (0.0, 1.0):
         s = t - c
-        if is_face:  # the plane z = s x, turning, and a vertex at (s, 0, -e)
+        if is_face:  # the rotating plane z = s x, and a vertex at (s, 0, -e)
             columns = [(s, zero, -e), (-two, -two, -2 * s), (two, -two, 2 * s), (zero, two, zero)]
-        else:  # the line z = s y at x = 0, turning, and an edge along x at y = s, z = -e
+        else:  # the rotating line z = s y at x = 0, and an edge along x at y = s, z = -e
             columns = [(-two, s, -e), (two, s, -e), (zero, -two, -2 * s), (zero, two, 2 * s)]
         ends.append(np.array(columns).transpose(2, 0, 1))
     start, end = _disguised(rng, *ends, is_face)
@@ -198,7 +198,7 @@ def collapsed(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Fam
 
 
 def kept_apart(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """The same at a minimum separation, which is reached, or just not."""
+    """The same at a minimum separation, which is reached, or just not reached."""
     points, toi, velocity = _facing(rng, n, is_face), _times(rng, n), _velocity(rng, n, 0)
     separation = 2.0 ** -float(rng.integers(2, 8))
     short_of = np.where(np.arange(n) % 3 == 0, 2.0 ** -rng.integers(6, 10 if bits <= 24 else 30, n), 0.0)
@@ -209,7 +209,7 @@ def kept_apart(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Fa
 
 
 def shared(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """A common vertex, or a common edge, all the way; for a third only at the start."""
+    """A common vertex, or a common edge, throughout; for a third only at the start."""
     start, end = (dyadic(rng, -2, 2, (n, 4, 3), 10) for _ in range(2))
     two = np.arange(n) % 2 == 0
     for x, rows in ((start, np.ones(n, dtype=bool)), (end, np.arange(n) % 3 > 0)):
@@ -238,7 +238,7 @@ def one_unit(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Fami
 
 
 def needle(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """Faces 1e6 to 1e12 times as long as wide, and edges as near to parallel, hit or just passed."""
+    """Faces 1e6 to 1e12 times as long as wide, and edges as close to parallel, hit or just missed."""
     width = 2.0 ** -rng.integers(20, 41, n)
     hit, zero, two = np.arange(n) % 2 == 0, np.zeros(n), np.full(n, 2.0)
     if is_face:
@@ -266,7 +266,7 @@ def _of(generator: adversarial.Generator) -> Maker:
 
 
 def random_needles(rng: np.random.Generator, n: int, is_face: bool, bits: int) -> Family:
-    """At random, squeezed in a direction that turns; some are aimed at one another."""
+    """Random, squeezed in a rotating direction; some are aimed at each other."""
     start, end = rng.normal(size=(2, n, 4, 3))
     squeeze = 10.0 ** -rng.uniform(2, 4, (n, 1))
     for x in (start, end):
@@ -370,7 +370,7 @@ UNKNOWN: dict[str, Maker] = {
     "near boundary": near_boundary,
     "passing": passing,
 }
-# Degenerate ones of which most are beyond the batch oracle, for small numbers.
+# Degenerate queries, mostly undecided by the batch oracle, for small numbers.
 EXACT: dict[str, Maker] = {
     "grid, coplanar": _of(adversarial.coplanar),
     "grid, parallel": _of(adversarial.parallel),

@@ -1,4 +1,4 @@
-"""Rigorous float64 culls for primitives on straight paths: what they reject certainly never touches.
+"""Rigorous float64 culls for primitives on straight paths: rejected ones certainly never touch.
 
 Error model: with u = 2^-53 every operation has a relative error of at most u, or an absolute one of at most 2^-1074
 where it underflows. Coordinates beyond 1e60 are never culled by the tests that multiply, so that nothing overflows,
@@ -30,8 +30,7 @@ def boxes_overlap(start: np.ndarray, end: np.ndarray, is_face: bool, separation:
 def separated_along(
     direction: np.ndarray, start: np.ndarray, end: np.ndarray, is_face: bool, separation: float = 0.0
 ) -> np.ndarray:
-    """(n,) bool: certain that the sets stay further apart than `separation` along a direction (n, 3), which may be
-    anything.
+    """(n,) bool: certain that the sets stay further apart than `separation` along an arbitrary direction (n, 3).
 
     The gap between a point of each set, along a fixed direction, is linear in t; if all are beyond the separation at
     both ends with one and the same sign, they are so throughout.
@@ -50,16 +49,14 @@ def separated_along(
             along = term.sum(axis=-1)
             certain[0] &= (along - error > reach[:, None, None] * (1 + 8 * U)).all(axis=(1, 2))
             certain[1] &= (-along - error > reach[:, None, None] * (1 + 8 * U)).all(axis=(1, 2))
-    # A NaN compares false, an infinity is ruled out here, and so is a direction whose square could underflow.
+    # NaN compares false; infinities are excluded here, and so are directions whose square could underflow.
     size = np.abs(direction).max(axis=1)
     in_range = (np.abs(start).max(axis=(1, 2)) < HUGE) & (np.abs(end).max(axis=(1, 2)) < HUGE)
     return certain.any(axis=0) & in_range & (size < HUGE) & (size > 1e-60)
 
 
 def directions(start: np.ndarray, end: np.ndarray, is_face: bool) -> list[np.ndarray]:
-    """Directions (n, 3) worth trying, normalised roughly: normals and lines between the centres at t0, at t1 and
-    between.
-    """
+    """Directions (n, 3) to try, roughly normalised: normals and lines between centres at t0, at t1 and in between."""
     found = []
     for x in (start, end, 0.5 * (start + end)):
         normal = (

@@ -25,7 +25,7 @@ class Interval:
     """Elementwise closed intervals [lo, hi]; every operation encloses the exact result of every choice of operands."""
 
     __slots__ = ("hi", "lo")
-    __array_ufunc__ = None  # so that ndarray + Interval comes here
+    __array_ufunc__ = None  # so that ndarray + Interval calls this class
 
     def __init__(self, lo: Any, hi: Any | None = None) -> None:
         self.lo = np.asarray(lo, dtype=np.float64)
@@ -33,7 +33,7 @@ class Interval:
 
     @staticmethod
     def of(x: Any) -> Interval:
-        """An interval as it is; anything else as exact doubles."""
+        """Intervals unchanged; anything else as exact doubles."""
         return x if isinstance(x, Interval) else Interval(x)
 
     def __getitem__(self, key: Any) -> Interval:
@@ -67,7 +67,7 @@ class Interval:
         return Interval.of(other) - self
 
     def __truediv__(self, other: Any) -> Interval:
-        """By intervals that lie above zero only; others give (-inf, inf)."""
+        """Division by positive intervals; others give (-inf, inf)."""
         o = Interval.of(other)
         with np.errstate(all="ignore"):
             quotients = [self.lo / o.lo, self.lo / o.hi, self.hi / o.lo, self.hi / o.hi]
@@ -82,7 +82,7 @@ class Interval:
         return Interval(np.maximum(down(small * small), 0.0), up(large * large))
 
     def sqrt(self) -> Interval:
-        """Of intervals that hold no negative number but for rounding."""
+        """Square root of intervals that are non-negative except for rounding."""
         lo, hi = np.sqrt(np.maximum(self.lo, 0.0)), np.sqrt(np.maximum(self.hi, 0.0))
         return Interval(np.maximum(down(lo), 0.0), up(hi))
 
@@ -102,7 +102,7 @@ class Interval:
         return total
 
     def replaced(self, where: np.ndarray, other: Interval) -> Interval:
-        """`other` where the mask says so."""
+        """`other` where the mask is set."""
         return Interval(np.where(where, other.lo, self.lo), np.where(where, other.hi, self.hi))
 
     def take(self, index: Any, axis: int) -> Interval:
@@ -146,7 +146,7 @@ def sinc_cosc(x: Interval) -> tuple[Interval, Interval]:
 
 def _alternating(z: Interval, odd: int) -> Interval:
     # sum over j of (-z)^j / (2 j + odd)!, 0 <= z <= 4, as a Horner scheme whose innermost factor 1 - z / (...) (1 -
-    # ...) is cut after 14 terms: there the rest lies between 0 and 1.
+    # ...) is cut after 14 terms, where the rest is between 0 and 1.
     result = Interval(np.zeros_like(z.lo), np.ones_like(z.lo))
     for j in range(14, 0, -1):
         factor = Interval(float((2 * j + odd) * (2 * j + odd - 1)))

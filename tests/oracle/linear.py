@@ -92,13 +92,13 @@ class PointOnSegment:
         return not any(root.sign_of(c) for c in self.line) and root.sign_of(self.between) <= 0
 
     def polynomials(self) -> list[Polynomial]:
-        """All whose signs matter."""
+        """All polynomials whose signs are used."""
         return [*self.line, self.between]
 
 
 class Condition:
-    """The touching of one primitive pair as signs of polynomials in t; built lazily, since most pairs are never
-    coplanar.
+    """The condition that a primitive pair touches, as signs of polynomials in t; built lazily, since most pairs are
+    never coplanar.
     """
 
     def __init__(self, paths: Sequence[Vector], is_face: bool) -> None:
@@ -119,7 +119,7 @@ class Condition:
                 self._inside = [dot(cross(minus(b, a), minus(p, a)), self.normal) for a, b in ((q, r), (r, s), (s, q))]
             else:
                 # The lines meet in one point. It is on edge a iff a0, a1 are not strictly on one side of line b, and
-                # so on; side(a0) - side(a1) = |n|^2 > 0 says which is which.
+                # vice versa; side(a0) - side(a1) = |n|^2 > 0 gives the order.
                 u, w = minus(q, p), minus(s, r)
                 self._inside = [
                     dot(cross(w, minus(p, r)), self.normal),
@@ -191,12 +191,12 @@ def edge_edge(points_t0: ArrayLike, points_t1: ArrayLike, width: Fraction = WIDT
 
 
 def vertex_face_many(points_t0: np.ndarray, points_t1: np.ndarray, width: Fraction = WIDTH) -> list[Hit | None]:
-    """As `vertex_face` for points (n, 4, 3): a rigorous float filter first, exact arithmetic for what it leaves."""
+    """As `vertex_face` for points (n, 4, 3): a rigorous float filter first, exact arithmetic for the rest."""
     return _many(points_t0, points_t1, True, width)
 
 
 def edge_edge_many(points_t0: np.ndarray, points_t1: np.ndarray, width: Fraction = WIDTH) -> list[Hit | None]:
-    """As `edge_edge` for points (n, 4, 3): a rigorous float filter first, exact arithmetic for what it leaves."""
+    """As `edge_edge` for points (n, 4, 3): a rigorous float filter first, exact arithmetic for the rest."""
     return _many(points_t0, points_t1, False, width)
 
 

@@ -1,4 +1,4 @@
-"""Plain mesh facts: unique edges, exhaustive feature pairs of two meshes, and the sphere bounding volume (SBV)."""
+"""Mesh topology: unique edges, exhaustive feature pairs of two meshes, and the sphere bounding volume (SBV)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def unique_edges(faces: ArrayLike) -> np.ndarray:
 
 
 def used_vertices(faces: ArrayLike) -> np.ndarray:
-    """Ascending indices of the vertices that some face names; only these take part in vertex-face tests."""
+    """Ascending indices of the vertices used by faces; only these take part in vertex-face tests."""
     return np.unique(_faces(faces))
 
 
@@ -85,7 +85,7 @@ def rounded_root(square: Fraction) -> float:
     """The square root of a non-negative rational, correctly rounded to a double (normal range)."""
     if square == 0:
         return 0.0
-    # 4^shift square has an integer root of at least 2^64, and the last bit kept is made sticky.
+    # 4^shift square has an integer root of at least 2^64, and the last bit is made sticky.
     shift = 66 - (square.numerator.bit_length() - square.denominator.bit_length()) // 2
     scaled = square * Fraction(4) ** shift
     whole = scaled.numerator // scaled.denominator

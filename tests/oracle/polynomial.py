@@ -1,8 +1,8 @@
 """Exact univariate polynomials over the integers: isolation of the real roots in [0, 1] and signs at those roots.
 
-A polynomial is a tuple of Python integers, lowest power first, without trailing zeros; ``()`` is zero. A root is
-either an exact dyadic rational or an open dyadic interval that holds exactly one, simple, root (Descartes' rule in
-the Bernstein basis; Collins & Akritas 1976, Mourrain, Rouillier & Roy 2005). Nothing here rounds.
+A polynomial is a tuple of Python integers, lowest power first, without trailing zeros; ``()`` is zero. A root is either
+an exact dyadic rational or an open dyadic interval that holds exactly one, simple, root (Descartes' rule in the
+Bernstein basis; Collins & Akritas 1976, Mourrain, Rouillier & Roy 2005). There is no rounding.
 """
 
 from __future__ import annotations
@@ -146,12 +146,12 @@ class Root:
 
     @property
     def lower(self) -> Fraction:
-        """Not above the root."""
+        """Lower bound of the root."""
         return Fraction(self.k, 1 << self.bits)
 
     @property
     def upper(self) -> Fraction:
-        """Not below the root."""
+        """Upper bound of the root."""
         return Fraction(self.k + (not self.exact), 1 << self.bits)
 
     def refine(self, bits: int) -> None:
@@ -176,7 +176,8 @@ class Root:
                 return -1
             if self.bits >= 24 and not checked:
                 # p vanishes here iff gcd(p, polynomial) does: it divides a squarefree polynomial with no other root in
-                # the interval, so it has one simple root or none there, which the parity of the variations tells apart.
+                # the interval, so it has one simple root or none there, which the parity of the variations
+                # distinguishes.
                 common = greatest_common_divisor(self.polynomial, p)
                 if len(common) > 1 and variations(bernstein(restrict(common, self.k, self.bits))) % 2:
                     return 0

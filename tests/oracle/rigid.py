@@ -36,7 +36,7 @@ class BodyMotion:
 
     @staticmethod
     def from_orientations(p0: ArrayLike, q0: ArrayLike, p1: ArrayLike, q1: ArrayLike) -> BodyMotion:
-        """The shorter way from one orientation to the other, as the exact rotation vector enclosed."""
+        """The shorter rotation from one orientation to the other, with an enclosed exact rotation vector."""
         a, b = np.asarray(q0, dtype=np.float64), np.asarray(q1, dtype=np.float64)
         return BodyMotion(np.asarray(p0, dtype=np.float64), a, np.asarray(p1, dtype=np.float64), rotation_between(a, b))
 
@@ -68,7 +68,7 @@ def _rotation_vector(q0: list[float], q1: list[float]) -> list[tuple[float, floa
             scalar, vector = -scalar, [-c for c in vector]
         length = mpmath.sqrt(sum(c * c for c in vector))
         factor = 2 * mpmath.atan2(length, scalar) / length if length else mpmath.mpf(0)
-        # Good to some hundred digits beyond a double, so the neighbours of the rounded value enclose it.
+        # Accurate to some hundred digits beyond a double, so the neighbours of the rounded value enclose it.
         values = [float(c * factor) for c in vector]
     return [(float(np.nextafter(c, -np.inf)), float(np.nextafter(c, np.inf))) if c else (0.0, 0.0) for c in values]
 
@@ -95,13 +95,14 @@ def turn(arm: Interval, spin: Interval, t: Interval) -> tuple[Interval, Interval
 
 
 def jerk_bound(arm: Interval, spin: Interval) -> np.ndarray:
-    """(…): |x'''| = |w|^2 |w x x| at all times, since the turn about w keeps the angle to w."""
+    """(…): |x'''| = |w|^2 |w x x| at all times, since the rotation about w keeps the angle to w."""
     return (norm(spin).square() * norm(cross(spin, arm))).hi
 
 
 class RigidPaths:
-    """Four points (n, 4, 3) each, the first ones in the body frame of A and the others in that of B, in world axes
-    relative to the moving origin of A, a frame in which nothing far from the world's origin loses digits."""
+    """Four points (n, 4, 3) each, the first ones in the body frame of A and the rest in that of B, in world axes
+    relative to the moving origin of A, which preserves precision far from the world's origin.
+    """
 
     def __init__(self, points: np.ndarray, first: BodyMotion, second: BodyMotion, is_face: bool) -> None:
         self.is_face = is_face
@@ -128,7 +129,7 @@ class RigidPaths:
 
 
 def relative_path(first: BodyMotion, second: BodyMotion) -> tuple[Interval, Interval]:
-    """Origin of the second body relative to that of the first: at t = 0, and its straight way from there to t = 1."""
+    """Origin of the second body relative to that of the first: at t = 0, and its straight displacement until t = 1."""
     offset = Interval(second.position_t0) - first.position_t0
     return offset, (Interval(second.position_t1) - first.position_t1) - offset
 
@@ -162,7 +163,8 @@ def closest_approach(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(lower, upper, time), each (n,): proven bracket of the least distance over [t_from, t_to].
 
-    `width`, what the bracket aims at, is relative to the largest coordinate relative to the origin of the first body.
+    `width`, the intended width of the bracket, is relative to the largest coordinate relative to the origin of the
+    first body.
     """
     return least_distance(RigidPaths(points, first, second, is_face), t_from, t_to, width)
 

@@ -1,10 +1,10 @@
-"""Rigorous branch and bound over time: when do two primitives on smooth paths come within a separation, and how close.
+"""Rigorous branch and bound over time: when two primitives on smooth paths come within a separation, and how close.
 
 Of each of the four points the path is known by enclosures of x(m), x'(m), x''(m) and by a bound J >= |x'''| on [0, 1].
 By Taylor's theorem x(m + s) = x + s x' + s^2 x'' / 2 + r with |r| <= J |s|^3 / 6. Along a fixed direction n the
 distance of two convex sets is at least the least gap between a point of each, over |n|. The direction, here n + s n',
-is a guess in floats: any gives a valid bound. What remains undecided is split. All bounds are rounded outward
-(`interval`).
+is approximated in floats: any direction gives a valid bound. Undecided intervals are split. All bounds are rounded
+outward (`interval`).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _guessed_directions(points: np.ndarray, is_face: bool) -> list[np.ndarray]:
 
 
 def _turning_directions(taylor: Taylor, half: np.ndarray, is_face: bool) -> list[tuple[np.ndarray, np.ndarray]]:
-    # n(s) = n + s n' through the good directions at both ends, so that a turning face is followed. (With a fixed one
+    # n(s) = n + s n' through the best directions at both ends, so that it follows a rotating face. (With a fixed one
     # the bound would be off by h |n'| times the size of the face, and some sqrt(1 / h) intervals would stay open.)
     x, v, c = (y.middle() for y in taylor)
     h = half[:, None, None]
@@ -77,7 +77,7 @@ def _turning_directions(taylor: Taylor, half: np.ndarray, is_face: bool) -> list
 
 
 def lower_bound(taylor: Taylor, jerk: np.ndarray, half: np.ndarray, is_face: bool) -> np.ndarray:
-    """(k,): proven lower bound of the distance over [m - half, m + half]; below zero where nothing is proven."""
+    """(k,): proven lower bound of the distance over [m - half, m + half]; negative if nothing is proven."""
     x, v, c = taylor
     best = np.full(len(half), -1.0)
     h = Interval(half)
@@ -91,7 +91,7 @@ def lower_bound(taylor: Taylor, jerk: np.ndarray, half: np.ndarray, is_face: boo
         e = h[:, None, None]
         change = e * g1.magnitude() + e.square() * np.maximum(-g2.lo, 0.0) + e * e.square() * g3.magnitude()
         gap = (g - change).lo.min(axis=(1, 2))
-        # |n(s)|^2 at most, n and n' being nearly perpendicular
+        # upper bound of |n(s)|^2, n and n' being nearly perpendicular
         along = dot(Interval(direction), turn).magnitude()
         square = norm(Interval(direction)).square() + h * along * 2.0 + (h * norm(Interval(turn))).square()
         proven = (Interval(gap) / square.sqrt() - rest).lo
@@ -101,7 +101,7 @@ def lower_bound(taylor: Taylor, jerk: np.ndarray, half: np.ndarray, is_face: boo
 
 
 def swept_box(taylor: Taylor, jerk: np.ndarray, half: np.ndarray) -> Interval:
-    """(k, p, 3): boxes that hold the paths of points over [m - half, m + half]; jerk (k, p)."""
+    """(k, p, 3): boxes that contain the paths of points over [m - half, m + half]; jerk (k, p)."""
     x, v, c = taylor
     h = Interval(half)[:, None, None]
     rest = (Interval(jerk)[:, :, None] * h * h.square() * up(np.array(1 / 6))).hi
@@ -147,24 +147,24 @@ def _midpoints(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _split(query: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    # Not in the middle: a touch at t = 1/2, say, would for ever sit at an end, where no sign is certain.
+    # Not in the middle: a touch at t = 1/2, for example, would always be at an end, where no sign is certain.
     at = a + 0.4765 * (b - a)
     return np.repeat(query, 2), np.stack([a, at], axis=1).ravel(), np.stack([at, b], axis=1).ravel()
 
 
 def _rank(query: np.ndarray) -> np.ndarray:
-    # Number of each entry among those of the same query; equal entries stand together.
+    # Index of each entry among those of the same query; entries of a query are adjacent.
     start = np.flatnonzero(np.diff(query, prepend=-1))
     return np.arange(len(query)) - np.repeat(start, np.diff(start, append=len(query)))
 
 
 def first_within(paths: Paths, separation: float, width: float = 1e-9, levels: int = 48) -> Decisions:
-    """Decide every query, and bracket the first time to `width` where the numbers allow it."""
+    """Decides every query, and brackets the first time to `width` where rounding allows it."""
     count = len(paths.jerk)
     status = np.full(count, CLOSE)
     lower, upper = np.zeros(count), np.full(count, np.inf)
     cut_at = np.full(count, np.inf)  # start of the first interval that was dropped without an answer
-    settled = np.zeros(count, dtype=bool)  # and so out of the list, which then says nothing more about it
+    settled = np.zeros(count, dtype=bool)  # and so removed from the list
     query, a, b = np.arange(count), np.zeros(count), np.ones(count)
     for level in range(levels + 1):
         middle, half = _midpoints(a, b)
@@ -201,7 +201,7 @@ def least_distance(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(lower, upper, time), each (n,): bracket of the least distance over [t_from, t_to], and a time with <= upper.
 
-    `width`, what the bracket aims at, is relative to the largest coordinate of the query in its own frame.
+    `width`, the intended width of the bracket, is relative to the largest coordinate of the query in its own frame.
     """
     count = len(paths.jerk)
     best, at = np.full(count, np.inf), np.full(count, t_from)
@@ -223,7 +223,7 @@ def least_distance(
         order = np.argsort(-value, kind="stable")  # the smallest value of a query is written last
         better = order[value[order] < best[query[order]]]
         best[query[better]], at[query[better]] = value[better], middle[better]
-        # What was discarded was above `best` as it stood then, hence above `best` now.
+        # Discarded bounds were above the earlier `best`, hence above the present one.
         least = np.minimum(best, dropped)
         np.minimum.at(least, query, bound)
         lower = np.where(settled, lower, np.maximum(lower, least))

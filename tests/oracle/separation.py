@@ -1,12 +1,12 @@
 """Exact first time at which two primitives on straight paths come within a minimum separation (distance <= separation).
 
 The distance is within s iff one of these pieces holds (see `distance`), each a conjunction of signs of polynomials in
-t: point-point |p - q|^2 <= s^2; point-edge with the foot on a proper edge; point-face or edge-edge with the feet
-inside and the common normal n != 0, C^2 <= s^2 |n|^2. Let tau be the first such time. If tau > 0, the distance is
-exactly s at tau (it is continuous), so some piece holds there with equality: tau is a root of that piece's distance
-polynomial, or, where that polynomial vanishes identically, a time at which that piece starts to hold, hence a root of
-one of its other polynomials. So it is enough to ask every piece at t = 0 and at its own roots. Nothing rounds: there
-is no "too close".
+t: point-point |p - q|^2 <= s^2; point-edge with the foot on a proper edge; point-face or edge-edge with the feet inside
+and the common normal n != 0, C^2 <= s^2 |n|^2. Let tau be the first such time. If tau > 0, the distance is exactly s at
+tau (it is continuous), so some piece holds there with equality: tau is a root of that piece's distance polynomial, or,
+where that polynomial vanishes identically, a time at which that piece starts to hold, hence a root of one of its other
+polynomials. So it suffices to test every piece at t = 0 and at its own roots. There is no rounding, so no query is
+undecided.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def edge_edge_within(
 def within_many(
     points_t0: np.ndarray, points_t1: np.ndarray, separation: float, is_face: bool, width: Fraction = WIDTH
 ) -> list[Hit | None]:
-    """The same for points (n, 4, 3): a rigorous float filter first, exact arithmetic for what it leaves."""
+    """The same for points (n, 4, 3): a rigorous float filter first, exact arithmetic for the rest."""
     start, end = np.asarray(points_t0, dtype=np.float64), np.asarray(points_t1, dtype=np.float64)
     hits: list[Hit | None] = [None] * len(start)
     for i in np.flatnonzero(filters.may_touch(start, end, is_face, separation)):
@@ -118,7 +118,7 @@ def within_many(
 
 
 def touches_within(points_t0: ArrayLike, points_t1: ArrayLike, separation: float, is_face: bool) -> str:
-    """'yes' or 'no', exactly; the answer 'too close to call' that `rigid` may give does not occur on straight paths."""
+    """'yes' or 'no', exactly; 'too close to call', as in `rigid`, does not occur on straight paths."""
     return "no" if _first_within(points_t0, points_t1, separation, is_face, WIDTH) is None else "yes"
 
 
@@ -149,7 +149,7 @@ def closest_approach(
     """(lower, upper, time), each (n,): proven bracket of the least distance over [t_from, t_to] and where it is
     attained.
 
-    Points (n, 4, 3) or (4, 3). `width`, what the bracket aims at, is relative to the size of the query (its largest
-    coordinate relative to the second point); rounding or a limit of effort may leave it wider.
+    Points (n, 4, 3) or (4, 3). `width`, the intended width of the bracket, is relative to the size of the query (its
+    largest coordinate relative to the second point); rounding or a limit of effort may leave it wider.
     """
     return least_distance(LinearPaths(points_t0, points_t1, is_face), t_from, t_to, width)

@@ -1,4 +1,4 @@
-"""The batch oracle against the exact one and the outward-rounded one; and that it decides what it should."""
+"""The batch oracle against the exact one and the outward-rounded one; and that it decides most queries."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def test_arcs_against_the_intervals(name: str, is_face: bool, kept: float) -> No
 @KINDS
 @pytest.mark.parametrize("name", ["meeting", "many turns", "small turns", "fast"])
 def test_arcs_lie_where_they_should(name: str, is_face: bool) -> None:
-    """The enclosure of every path holds the position from the matrix exponential's own definition."""
+    """The enclosure of every path contains the position computed from the definition of the matrix exponential."""
     points, first, second = arc_queries(9, arcs.PLANS[name], is_face, 12)
     paths, rng = ArcPaths(points, first, second, is_face), np.random.default_rng(10)
     a = rng.random(12) * 0.9
@@ -170,7 +170,7 @@ def test_arcs_lie_where_they_should(name: str, is_face: bool) -> None:
 
 @KINDS
 def test_the_rest_matters(is_face: bool) -> None:
-    """Without it things are claimed that do not hold: the tests above could fail."""
+    """Without the remainder false claims are made: the tests above can fail."""
     points, first, second = arc_queries(11, arcs.PLANS["many turns"], is_face, 2000)
     paths = ArcPaths(points, first, second, is_face)
     over = paths.over

@@ -1,4 +1,4 @@
-"""Broad phase, mesh facts and brute-force detection, each against something simpler."""
+"""Broad phase, mesh topology and brute-force detection, each against a simpler method."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_pair_filters() -> None:
     assert broad.sphere_pairs(at, at, radius).tolist() == every
     assert broad.sphere_pairs(at, at, radius, world=[0, 1, 0, 1]).tolist() == [[0, 2], [1, 3]]
     assert broad.sphere_pairs(at, at, radius, static=[True, True, False, False]).tolist() == every[1:]
-    # 0 wants 1 only; 1 wants all; 2 and 3 want all but are in group 2 (bit 1)
+    # 0 collides with 1 only; 1 with all; 2 and 3 with all but are in group 2 (bit 1)
     found = broad.sphere_pairs(at, at, radius, group=[1, 1, 2, 2], mask=[1, 3, 3, 3])
     assert found.tolist() == [[0, 1], [1, 2], [1, 3], [2, 3]]
 

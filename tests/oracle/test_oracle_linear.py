@@ -1,4 +1,4 @@
-"""The exact oracle of straight paths: analytic cases, constructed truth, dense sampling both ways, public truth."""
+"""The exact oracle of straight paths: analytic cases, constructed results, dense sampling, public ground truth."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ def test_vertex_meets_a_face_at_rest(v0: list[float], v1: list[float], toi: Frac
         ),
         # end to end, on one line: gap 1 closing at speed 3
         ([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], [[3, 0, 0], [4, 0, 0], [2, 0, 0], [3, 0, 0]], Fraction(1, 3)),
-        # parallel, sinking on top of one another
+        # parallel, sinking onto each other
         (
             [[0, 0, 1], [1, 0, 1], [0.5, 0, 0], [3, 0, 0]],
             [[0, 0, -3], [1, 0, -3], [0.5, 0, 0], [3, 0, 0]],
             Fraction(1, 4),
         ),
         ([[0, 0, 1], [1, 0, 1], [1.5, 0, 0], [3, 0, 0]], [[0, 0, -3], [1, 0, -3], [1.5, 0, 0], [3, 0, 0]], None),
-        # a point (zero-length edge) onto the middle of the other
+        # a point (zero-length edge) onto the middle of the other edge
         ([[1, 0, 1], [1, 0, 1], [0, 0, 0], [2, 0, 0]], [[1, 0, -1], [1, 0, -1], [0, 0, 0], [2, 0, 0]], Fraction(1, 2)),
         # two points that meet, and two that stay apart
         ([[1, 0, 0]] * 2 + [[0, 0, 0]] * 2, [[0, 0, 0]] * 2 + [[1, 0, 0]] * 2, Fraction(1, 2)),
@@ -91,8 +91,8 @@ def test_edges(start: list[list[float]], end: list[list[float]], toi: Fraction |
 
 
 def test_face_shrinks_to_a_segment_at_the_very_time_of_touch() -> None:
-    # At t = 1/2 the face is the segment x in [-1, 1] on the x axis and the vertex is on it; before and after, it is off
-    # the face's plane, which is turned edge on.
+    # At t = 1/2 the face is the segment x in [-1, 1] on the x axis and the vertex is on it; before and after, the
+    # vertex is off the face's plane.
     start = [[0.5, 0, -1], [-1, 0, 0], [1, 0, 0], [0, 1, 1]]
     end = [[0.5, 0, 1], [-1, 0, 0], [1, 0, 0], [0, -1, -1]]
     hit = first_touch(start, end, True)
@@ -114,7 +114,7 @@ def test_irrational_time_is_bracketed_as_tightly_as_asked() -> None:
 @KINDS
 @pytest.mark.parametrize("generator", adversarial.GENERATORS, ids=lambda g: g.__name__)
 def test_adversarial(generator: adversarial.Generator, is_face: bool) -> None:
-    """Constructed truth holds; filtered, unfiltered and the general method agree; order does not matter."""
+    """Constructed results hold; filtered, unfiltered and general methods agree; the order of points does not matter."""
     q = generator(np.random.default_rng(5), 80, is_face)
     found = many(q.points_t0, q.points_t1, is_face)
     swap = [0, 3, 1, 2] if is_face else [3, 2, 0, 1]
@@ -145,7 +145,7 @@ def test_against_dense_sampling(generator: adversarial.Generator, is_face: bool)
         x = start + times[:, None, None] * (end - start)
         size = float(np.abs(x).max())
         sampled = distance.min_distance_at(x, x, 0.0, is_face)
-        # The distance changes no faster than the points move against each other.
+        # The distance changes no faster than the points' relative velocity.
         step = end - start
         fastest = 2 * float(np.linalg.norm(step - step.mean(axis=0), axis=1).max())
         if hit is None:
@@ -172,9 +172,9 @@ def test_free_queries_stay_apart(is_face: bool) -> None:
     free = np.array([hit is None for hit in many(q.points_t0, q.points_t1, is_face)])
     lower, upper, _ = separation.closest_approach(q.points_t0, q.points_t1, is_face)
     size = np.maximum(np.abs(q.points_t0), np.abs(q.points_t1)).max(axis=(1, 2))
-    assert not (lower[~free] > 0).any()  # what touches is never proven apart
+    assert not (lower[~free] > 0).any()  # touching primitives are never proven apart
     apart = lower > 0
-    assert (apart[free]).mean() > 0.8  # and what does not touch mostly is
+    assert (apart[free]).mean() > 0.8  # and most of the others are
     assert (upper[~free] < 1e-6 * size[~free]).all()
 
 
@@ -225,7 +225,7 @@ def test_public_queries() -> None:
 
 @pytest.mark.parametrize("at_most", [400])
 def test_public_scenes(at_most: int) -> None:
-    """Belgrod et al. 2023: every near miss, and as many of the colliding pairs, evenly spread."""
+    """Belgrod et al. 2023: every near miss, and a sample of the colliding pairs, evenly spread."""
     paths = sorted((data() / "scenes").glob("*.npz"))
     assert paths
     for path in paths:

@@ -100,7 +100,7 @@ def test_swinging_vertex_meets_a_wall_at_the_analytic_time(far: float) -> None:
     assert found.name(0) == "yes"
     assert found.toi_lower[0] <= np.pi / 6 <= found.toi_upper[0]
     assert found.toi_upper[0] - found.toi_lower[0] <= 1e-9
-    # The straight path between the same ends meets it elsewhere: the arc is what is being tested.
+    # The straight path between the same ends touches it elsewhere: the arc is tested.
     end = np.array([[[np.cos(1), np.sin(1), 0], *points[0, 1:]]])
     straight = linear.vertex_face(points[0], end[0])
     assert straight is not None and abs(float(straight.toi_lower) - np.pi / 6) > 0.05
@@ -204,7 +204,7 @@ def test_against_dense_sampling(is_face: bool, separation: float) -> None:
 
 @KINDS
 def test_bounds_over_long_intervals_hold_for_fast_turns(is_face: bool) -> None:
-    """|w| h is some 1: nothing here is small."""
+    """|w| h is about 1: no term is small."""
     rng = np.random.default_rng(5)
     n, samples = 300, 201
     points, ends = rng.normal(size=(n, 4, 3)), rng.normal(size=(2, 2, n, 3)) * 4
@@ -228,7 +228,7 @@ def test_bounds_over_long_intervals_hold_for_fast_turns(is_face: bool) -> None:
 @KINDS
 def test_the_remainder_is_needed_and_is_tight(is_face: bool) -> None:
     # An arm of length 1 points along x at t = 1/2 while its base moves back along y as fast as it swings: to second
-    # order it stands still, 0.2 below a wall, and in truth it was higher by x - sin x with x = 3 s before.
+    # order it is at rest, 0.2 below a wall, but earlier it was higher by x - sin x with x = 3 s.
     w, h = 3.0, 0.3
     tip = [np.cos(-w / 2), np.sin(-w / 2)]
     first = [[*tip, 0.0]] if is_face else [[*tip, -1.0], [*tip, 1.0]]

@@ -113,7 +113,7 @@ def test_closest_approach_brackets_what_the_exact_method_says(is_face: bool) -> 
         assert first_within(start[k], end[k], float(upper[k]), is_face) is not None
         square = distance.squared_distance_exact(start[k], end[k], float(at[k]), is_face)
         assert square <= Fraction(float(upper[k])) ** 2
-    # From some time on only.
+    # Restricted to later times.
     late, _, when = separation.closest_approach(start, end, is_face, t_from=0.75)
     assert (late >= lower - 1e-9).all()
     assert (when >= 0.75).all()

@@ -1,4 +1,4 @@
-"""Steps as replays of one graph: the same lines of the log as launch by launch, whatever fails and whenever."""
+"""Steps as replays of one graph: the same log as launch by launch, whatever fails."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STEPS = 40
 
 @pytest.fixture
 def graphs(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[StepGraph]]:
-    """The graphs that are captured; on a CPU stood in for."""
+    """The captured graphs; replaced by a substitute on a CPU."""
     made: list[StepGraph] = []
 
     class Watched(StepGraph):
@@ -36,7 +36,7 @@ def graphs(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Iterator[li
 
 
 def without_times(record: dict[str, Any]) -> dict[str, Any]:
-    # A GPU looks at other feature pairs on the way to the same contacts.
+    # A GPU tests other feature pairs on the way to the same contacts.
     return {name: value for name, value in record.items() if "seconds" not in name and name != "candidates"}
 
 
@@ -61,7 +61,7 @@ def test_same_steps(device: torch.device, graphs: list[StepGraph], pattern: str)
     maker = StepMaker(model, model.start(), graph=True)
     kinds = []
     for index in range(STEPS):
-        # In step 19 the state is asked for, as for a checkpoint.
+        # In step 19 the state is read, as for a checkpoint.
         more = (19 if index < 20 else STEPS - 1) - index
         made = maker.step(index, more)
         kinds.append(type(made))
@@ -70,7 +70,7 @@ def test_same_steps(device: torch.device, graphs: list[StepGraph], pattern: str)
         assert maker.is_ahead <= (more > 1)
     assert same(maker.state, last)
     assert kinds[0] is kinds[19] is kinds[-1] is Step and kinds.count(CommittedStep) > STEPS // 2
-    # Those that lack rounds are made launch by launch, and captured again with more.
+    # Steps that need more rounds run launch by launch, and a graph with more rounds is captured.
     rounds = [graph.rounds for graph in graphs]
     assert rounds == sorted(rounds) and rounds[-1] <= max(record["resolution_rounds"] for record in expected)
     assert len(graphs) > 1
@@ -84,7 +84,7 @@ def test_a_graph_goes_on_from_a_checkpoint(device: torch.device, graphs: list[St
 
 
 def test_a_step_that_fails_changes_nothing(device: torch.device, graphs: list[StepGraph]) -> None:
-    """Nor do those behind it."""
+    """Steps enqueued after it change nothing either."""
     model = Model(ModelConfig(**FAST), device=device)
     state, scene, plan = model.start(), model.scene(model.start().id), StepPlan()
     index = 0
@@ -102,7 +102,7 @@ def test_a_step_that_fails_changes_nothing(device: torch.device, graphs: list[St
     committed = enough.replay().read(index)
     assert committed is not None and committed.rounds == made.resolution.rounds and same(enough.state, state)
     assert without_times(committed.record) == without_times(made.record)
-    # It goes on from there, and the one that failed does once it has been told where.
+    # It continues from there; so does the failed one once its state is loaded.
     following = make_step(model, scene, state, index + 1, plan=plan)
     graph.load(state, index + 1)
     for each in (graph, enough):
@@ -165,7 +165,7 @@ def test_rounds_that_no_recent_step_needed(
     model = Model(ModelConfig(**FAST | {"speed": 0.02, "spin": 0.0}), device=device)
     expected, last = launch_by_launch(model, STEPS)
     maker = StepMaker(model, model.start(), graph=True)
-    maker._rounds = maker._rounds.__class__([3], maxlen=6)  # as though there had been more
+    maker._rounds = maker._rounds.__class__([3], maxlen=6)  # as if there had been more rounds
     for index in range(STEPS):
         assert without_times(maker.step(index, STEPS - 1 - index).record) == expected[index]
     most = max(record["resolution_rounds"] for record in expected)
@@ -174,7 +174,7 @@ def test_rounds_that_no_recent_step_needed(
 
 
 def test_without_a_graph(device: torch.device, graphs: list[StepGraph], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where none is wanted, and where none can be captured: which is said, once."""
+    """If no graph is wanted, or none can be captured, with one warning."""
     model = Model(ModelConfig(**FAST), device=device)
     expected, _ = launch_by_launch(model, 8)
     plain = StepMaker(model, model.start(), graph=False)

@@ -1,4 +1,4 @@
-"""Checkpoints: whole at any moment, refused if anything in them was changed, and never executed."""
+"""Checkpoints: complete at any time, rejected if modified, and never executed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def start_state() -> sim.RobotState:
 
 
 def write(folder: Path, steps_made: int, ranks: int = 3) -> Path:
-    """A checkpoint as many ranks write it."""
+    """A checkpoint as written by many ranks."""
     root, state = folder / FOLDER, start_state()
     name = module.make_folder(root, KIND, steps_made)
     files = []
@@ -44,7 +44,7 @@ def same(found: sim.RobotState, expected: sim.RobotState) -> bool:
 
 
 def read_all(folder: Path) -> sim.Checkpoint:
-    """Everything that is in the newest one."""
+    """Reads everything in the newest checkpoint."""
     stored = find_checkpoint(folder)
     assert stored is not None
     stored.shared()
@@ -59,7 +59,7 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     stored = find_checkpoint(tmp_path)
     assert stored is not None
     assert stored.shared()["owner"].tolist() == [k % 3 for k in range(24)]
-    # The rows of ranks follow one another.
+    # Rows are concatenated by rank.
     parts = [stored.rows(ROBOTS, begin, end) for begin, end in ((0, 8), (8, 13), (13, 30), (30, 30))]
     assert parts[1][0]["id"].tolist() == [24, 27, 1, 4, 7] and parts[3][0]["position"].shape == (0, 3)
     stored.require_hash(ROBOTS, sum(total for _, total in parts))
@@ -72,7 +72,7 @@ def test_only_the_newest_is_kept(tmp_path: Path) -> None:
     first = write(tmp_path, 5)
     again = write(tmp_path, 5)  # of the same step
     assert first != again and not first.exists() and again.exists()
-    (tmp_path / FOLDER / "step-000000006-00000000").mkdir()  # of a job that was killed while it wrote
+    (tmp_path / FOLDER / "step-000000006-00000000").mkdir()  # of a job killed while writing it
     (tmp_path / FOLDER / "step-000000006-00000000.pointer").touch()
     newest = write(tmp_path, 6)
     assert sorted(path.name for path in (tmp_path / FOLDER).iterdir()) == sorted([POINTER, newest.name])
@@ -81,7 +81,7 @@ def test_only_the_newest_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize("call", ["save_file", "_sync", "_write_bytes", "replace"])
 @pytest.mark.parametrize("number", range(8))
 def test_a_failure_leaves_a_whole_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, number: int) -> None:
-    """Of the disk, at any moment."""
+    """A disk failure at any time."""
     write(tmp_path, 5)
     owner: Any = module.os if call == "replace" else module
     original, calls = getattr(owner, call), 0
@@ -102,7 +102,7 @@ def test_a_failure_leaves_a_whole_one(tmp_path: Path, monkeypatch: pytest.Monkey
             assert "cannot be written: " in str(error) and "No space left on device" in str(error)
             failed = True
     assert failed == (calls > number)
-    # The last thing that may fail is to make sure of the pointer, when it has been replaced.
+    # The last operation that may fail is the sync of the pointer, after it has been replaced.
     is_last = failed and call == "_sync" and number == 6
     assert read_all(tmp_path).steps_made == (5 if failed and not is_last else 6)
     write(tmp_path, 7)
@@ -205,7 +205,7 @@ def test_a_pointer_that_was_planted(tmp_path: Path, name: Any) -> None:
 
 
 def write_columns(folder: Path, columns: dict[str, torch.Tensor], told: dict[str, torch.Tensor]) -> None:
-    """A checkpoint of columns that the index says to be like others."""
+    """A checkpoint whose index declares other columns than its file holds."""
     root = folder / FOLDER
     name = module.make_folder(root, KIND, 1)
     entry = module.write_tables(root / name, 0, {ROBOTS: columns})
@@ -215,7 +215,7 @@ def write_columns(folder: Path, columns: dict[str, torch.Tensor], told: dict[str
 
 @pytest.mark.parametrize("problem", ["float64", "[30, 3]", "[30]", "missing"])
 def test_columns_of_other_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, problem: str) -> None:
-    """Than the index says."""
+    """Columns that differ from those in the index."""
     told = start_state().columns
     columns = {
         "float64": {**told, "position": told["position"].float()},

@@ -1,4 +1,4 @@
-"""Hashes: what they depend on and what not."""
+"""Hashes: dependence on the data only, not on order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The counter-based generator against the published answers, and its independence of what else is drawn."""
+"""The counter-based generator against the published results, and its independence of other draws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What robots do about collisions: they stop, turn round, and never overlap."""
+"""Response of robots to collisions: they stop, reverse, and never overlap."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_first_collisions_takes_the_smallest_of_each_body() -> None:
 
 
 def two_robots(distance: float) -> tuple[Model, RobotState]:
-    """Two robots that fly at each other along x."""
+    """Two robots that approach each other along x."""
     model = Model(ModelConfig(robots=2, speed=0.01))
     state = model.start()
     state.position = torch.tensor([[0.0, 0.0, 0.0], [distance, 0.0, 0.0]], dtype=torch.float64)
@@ -51,7 +51,7 @@ def test_a_robot_stops_just_before_its_toi_and_turns_round() -> None:
     assert torch.equal(after.position, state.position + resolved.fraction[:, None] * state.velocity)
     angle = 0.1 * float(resolved.fraction[0])
     assert after.orientation[0].tolist() == pytest.approx([np.cos(angle / 2), np.sin(angle / 2), 0.0, 0.0], abs=1e-15)
-    # On the way back they are free.
+    # After reversing they are free.
     assert len(pgccd.detect(scene, model.motion(after), nonzero_toi=True)) == 0
 
 
@@ -65,7 +65,7 @@ def test_a_robot_stops_for_one_that_stopped_in_its_way(resolve: Any) -> None:
 
     def find(changed: Tensor, fraction: Tensor) -> tuple[Tensor, Tensor]:
         asked.append((changed.tolist(), fraction.tolist()))
-        if len(asked) == 1:  # 2 runs into 1, which no longer makes way
+        if len(asked) == 1:  # 2 hits 1, which no longer yields
             return torch.tensor([[1, 2]]), torch.tensor([0.5], dtype=torch.float64)
         return NO_CONTACTS
 
@@ -92,7 +92,7 @@ def test_robots_that_could_hardly_move_stay(resolve: Any) -> None:
 
 
 def pierces(edges: np.ndarray, triangles: np.ndarray) -> bool:
-    """Does any segment (E, 2, 3) cross any triangle (T, 3, 3)? By the signs of volumes, all against all."""
+    """Does any segment (E, 2, 3) cross any triangle (T, 3, 3)? From signs of volumes, all against all."""
 
     def volume(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
         return np.einsum("...k,...k->...", np.cross(b - a, c - a), d - a)
@@ -106,7 +106,7 @@ def pierces(edges: np.ndarray, triangles: np.ndarray) -> bool:
 
 
 def overlapping_pairs(model: Model, state: RobotState) -> list[tuple[int, int]]:
-    """Pairs whose surfaces cross, by brute force in numpy, from the poses alone."""
+    """Pairs whose surfaces cross, by brute force in numpy, from the poses only."""
     from pgccd.viz.raster import rotation_matrices
 
     mesh = model.meshes.meshes[0]
@@ -131,7 +131,7 @@ def overlapping_pairs(model: Model, state: RobotState) -> list[tuple[int, int]]:
 
 @pytest.mark.parametrize("pattern", ["random", "skewed"])
 def test_robots_never_overlap(pattern: str) -> None:
-    # Fast robots in a small model, so that much happens in few steps.
+    # Fast robots in a small model: many contacts in few steps.
     model = Model(ModelConfig(robots=64, pattern=pattern, speed=0.25, spin=0.5, seed=3))
     scene, state, contacts = model.scene(model.start().id), model.start(), 0
     for index in range(60):
@@ -141,7 +141,7 @@ def test_robots_never_overlap(pattern: str) -> None:
         assert step.record["touching_at_t0"] == 0
     assert contacts > 100
     assert overlapping_pairs(model, state) == []
-    # The check itself sees overlap where there is some.
+    # The check itself detects an overlap.
     state.position[1] = state.position[0] + torch.tensor([0.5, 0.1, 0.0], dtype=torch.float64)
     assert (0, 1) in overlapping_pairs(model, state)
 
@@ -163,7 +163,7 @@ def test_collisions_do_not_pile_up() -> None:
 @settings(max_examples=40)
 @given(st.integers(0, 999), st.integers(0, 20))
 def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> None:
-    """To the bit, ghosts too; and what is found among their copies is what is found among all."""
+    """Bit for bit, also ghosts; and a search over the copied rows finds the same contacts as one over all rows."""
     model = Model(ModelConfig(robots=60, speed=0.5, seed=seed))
     state = model.plan(model.start(), 0)
     generator = torch.Generator().manual_seed(seed)
@@ -186,7 +186,7 @@ def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> N
 
 
 def test_affected_pairs_are_those_with_a_robot_that_changed(device: torch.device) -> None:
-    """And their robots move as they do among all, to the bit, in whatever order they are found."""
+    """Their robots move bit for bit as among all, in whatever order they are found."""
     model = Model(ModelConfig(robots=5000, seed=4))
     state = model.plan(model.start(), 0)
     generator = torch.Generator().manual_seed(2)
@@ -210,7 +210,7 @@ def test_affected_pairs_are_those_with_a_robot_that_changed(device: torch.device
         assert counts.tolist() == [count, 0, 0, written, int(capacity < count), 0, 0]
         assert len(found) == capacity and all(len(column) == 2 * capacity for column in bodies)
         found = found[:written].cpu()
-        if capacity < count:  # some of them
+        if capacity < count:  # a subset
             assert all(pair in expected for pair in found[::50].tolist())
         else:
             assert sorted(found.tolist()) == expected
@@ -246,7 +246,7 @@ def test_slowing_all_down(device: torch.device) -> None:
 
 def test_first_toi_of_padded_contacts(device: torch.device) -> None:
     first = torch.tensor([0.5, torch.inf, torch.inf, torch.inf], dtype=torch.float64, device=device)
-    robots = torch.tensor([0, 1, 0, 3, -1, -1], device=device)  # of which copies are
+    robots = torch.tensor([0, 1, 0, 3, -1, -1], device=device)  # the robot of each copied row
     pairs = torch.tensor([[0, 1], [2, 3], [-1, -1]], device=device)
     toi = torch.tensor([0.75, 0.25, torch.inf], dtype=torch.float64, device=device)
     ops.simulate_first_toi(first, robots, pairs, toi)

@@ -1,4 +1,4 @@
-"""The built-in robot: what is promised of its mesh."""
+"""The built-in robot: the properties its mesh is documented to have."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_is_a_closed_oriented_surface_of_genus_zero() -> None:
     assert set(directed.values()) == {1}
     assert all((b, a) in directed for a, b in directed)
     assert set(robot.faces.unique().tolist()) == set(range(VERTEX_COUNT))
-    assert VERTEX_COUNT - len(robot.edges) + FACE_COUNT == 2  # one component: every vertex is reached below
+    assert VERTEX_COUNT - len(robot.edges) + FACE_COUNT == 2  # connected: every vertex is reached below
     reached, front = {0}, [0]
     neighbours = {v: [b for a, b in directed if a == v] for v in range(VERTEX_COUNT)}
     while front:
@@ -38,7 +38,7 @@ def test_faces_look_outwards_and_have_area() -> None:
     robot = robot_mesh()
     a, b, c = robot.vertices[robot.faces.long()].unbind(1)
     volumes = torch.linalg.det(torch.stack([a, b, c], dim=1))
-    # The body frame's origin may lie off the inner point by a little: most faces, and the whole, must look outwards.
+    # The origin may lie slightly off the inner point: most faces, and the total volume, must be oriented outwards.
     assert volumes.sum() > 0
     assert (torch.linalg.cross(b - a, c - a).norm(dim=1) > 1e-4).all()
 

@@ -1,4 +1,4 @@
-"""Rounds of collision resolution: what the plain rule gives, however many are enqueued at once, in any capacity."""
+"""Rounds of collision resolution: equal to the plain rule, for any number of rounds per enqueue and any capacity."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_an_invalid_state(device: torch.device) -> None:
 
 
 class TwoAlike(OneRank):
-    """An exchange between two ranks of which the other one does as this one. Counts what the host waits for."""
+    """An exchange between two ranks where the other rank does the same as this one. Counts host waits."""
 
     ranks = 2
 
@@ -79,7 +79,7 @@ class TwoAlike(OneRank):
 
 
 class PlannedStep:
-    """A step about to be made.
+    """A planned step, not yet resolved.
 
     Args:
         model, state: the world and its robots as planned.
@@ -93,7 +93,7 @@ class PlannedStep:
 
     @property
     def rounds(self) -> int:
-        """How many the step takes."""
+        """Number of rounds the step takes."""
         return self.expected.resolution.rounds
 
     def part(self) -> Part:
@@ -125,13 +125,13 @@ class PlannedStep:
 def planned_step(seed: int, speed: float = 0.3, robots: int = 150) -> PlannedStep:
     model = Model(ModelConfig(robots=robots, speed=speed, seed=seed))
     state, scene = model.start(), model.scene(model.start().id)
-    for index in range(8):  # until they have left the lattice
+    for index in range(8):  # until the robots have left the lattice
         state = make_step(model, scene, state, index).after
     return PlannedStep(model, model.plan(state, 8))
 
 
 def many_rounds() -> PlannedStep:
-    """A step that takes several."""
+    """A step that takes at least three rounds."""
     for seed in range(40):
         made = planned_step(seed)
         if made.rounds >= 3:
@@ -140,7 +140,7 @@ def many_rounds() -> PlannedStep:
 
 
 def plan_after(rounds: int, plan: RoundPlan | None = None) -> RoundPlan:
-    """That of a simulation whose last step took so many rounds."""
+    """The plan of a simulation whose last step took this number of rounds."""
     plan = plan or RoundPlan()
     plan.learn(rounds, lambda: [Capacity.guess(400, 200)] * rounds)
     return plan
@@ -176,7 +176,7 @@ def test_one_rank_on_the_cpu_makes_the_rounds_it_needs(monkeypatch: pytest.Monke
 
 
 def test_too_little_capacity_in_a_round() -> None:
-    """As on a GPU: the round is made again in more, and so are those before it."""
+    """As on a GPU: the round and those before it are repeated with a larger capacity."""
     step = many_rounds()
     for lacking in range(step.rounds):
         calls: list[Capacity] = []
@@ -200,7 +200,7 @@ def test_too_little_capacity_in_a_round() -> None:
         plan._capacities, plan._recent = capacities, plan._recent.__class__([step.rounds])
         step.resolve(plan, TwoAlike(), Tight)
         assert len(calls) == 2 * step.rounds and calls[lacking].pairs == 0 < calls[step.rounds + lacking].pairs
-        # What each round needed has been learnt.
+        # The plan has recorded what each round needed.
         assert all(plan.capacity(round).pairs > 0 for round in range(step.rounds))
 
 
@@ -245,7 +245,7 @@ def test_no_robot_collides() -> None:
 
 
 def test_every_robot_collides() -> None:
-    """All fly through the middle in one step, not quite at the same time."""
+    """All fly through the middle in one step, at slightly different times."""
     tips = torch.tensor([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=torch.float64)
     faces = [[k, (k + 1) % 4, 4] for k in range(4)] + [[(k + 1) % 4, k, 5] for k in range(4)]
     octahedron = pgccd.Mesh(tips, torch.tensor(faces, dtype=torch.int32), "centroid")
@@ -263,7 +263,7 @@ def test_every_robot_collides() -> None:
 
 
 class Calls(TorchDispatchMode):
-    """Operators that take a GPU's time, and looks at what it has computed."""
+    """Counts operators that launch GPU work, and reads of their results."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -277,7 +277,7 @@ class Calls(TorchDispatchMode):
 
 
 class Unread(Partners):
-    """Does not look at the number of pairs, as on a GPU."""
+    """Does not read the number of pairs, as on a GPU."""
 
     def _search(self, changed: Tensor, fraction: Tensor, pairs: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
         given = self._own, self._ghosts, fraction, changed, pairs
@@ -300,7 +300,7 @@ def test_a_round_is_few_operators_and_no_wait() -> None:
             found = resolve_collisions(*given, exchange).resolution
         assert same(found, step.expected.resolution)
         calls.append(watch.calls)
-        assert watch.waits == 0  # the one look is that of the numbers gathered
+        assert watch.waits == 0  # the only read is that of the gathered counts
     assert calls[1] - calls[0] == 3
 
 

@@ -63,7 +63,7 @@ def test_same_seed_same_run_other_seed_other_run(finished: tuple[Path, sim.Run],
 
 def test_resumed_run_equals_an_uninterrupted_one(finished: tuple[Path, sim.Run], tmp_path: Path) -> None:
     sim.run(CONFIG, 9, tmp_path)
-    with open(tmp_path / LOG_FILE, "a") as file:  # a step after the checkpoint, and a torn line
+    with open(tmp_path / LOG_FILE, "a") as file:  # a step after the checkpoint, and a truncated line
         file.write('{"step": 9}\n{"step": 1')
     resumed = sim.resume(tmp_path, 24)
     assert without_times(log(tmp_path)) == without_times(log(finished[0]))
@@ -72,7 +72,7 @@ def test_resumed_run_equals_an_uninterrupted_one(finished: tuple[Path, sim.Run],
 
 
 class StopAfter:
-    """Sends this process a Ctrl-C after a number of steps."""
+    """Sends this process SIGINT after a number of steps."""
 
     def __init__(self, steps: int) -> None:
         self.left = steps
@@ -86,7 +86,7 @@ class StopAfter:
 def test_ctrl_c_leaves_a_checkpoint_that_continues(finished: tuple[Path, sim.Run], tmp_path: Path) -> None:
     handler = signal.getsignal(signal.SIGINT)
     run = sim.run(CONFIG, 24, tmp_path, progress=StopAfter(5))
-    # Told of the fifth when the sixth had been made.
+    # The signal came with the fifth step's record, after the sixth step had been made.
     assert run.interrupted and run.steps_made == 6 and len(log(tmp_path)) == 6
     assert signal.getsignal(signal.SIGINT) is handler
     resumed = sim.resume(tmp_path)
@@ -123,7 +123,7 @@ def test_lines_of_the_steps_before_a_failure(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr(replay, "make_step", fail)
     monkeypatch.setattr(torch.cuda, "is_initialized", lambda: on_gpu)
-    # The stages' times would be asked of a GPU.
+    # Stage times would need a GPU.
     monkeypatch.setattr(StageClock, "stage", lambda *_: nullcontext())
     with pytest.raises(RuntimeError, match="no more"):
         sim.run(CONFIG, 24, tmp_path)
@@ -144,13 +144,13 @@ def test_a_new_run_replaces_an_earlier_one_only_if_it_may(tmp_path: Path) -> Non
         sim.run(CONFIG, 2, tmp_path, progress=CrashAtOnce(), overwrite=True)
     with pytest.raises(FileNotFoundError, match="no checkpoint"):
         sim.resume(tmp_path)
-    sim.run(CONFIG, 1, tmp_path)  # nothing is lost
+    sim.run(CONFIG, 1, tmp_path)  # no run to lose
 
 
 def test_one_job_a_folder(tmp_path: Path) -> None:
     class Second:
         def advance(self, record: dict[str, Any]) -> None:
-            if record["step"] == 0:  # there is no checkpoint yet
+            if record["step"] == 0:  # no checkpoint yet
                 return
             for again in (lambda: sim.run(CONFIG, 2, tmp_path, overwrite=True), lambda: sim.resume(tmp_path)):
                 with pytest.raises(ValueError, match=f"in use by another job: process {os.getpid()} on .*, since"):

@@ -1,4 +1,4 @@
-"""What a rank's searches counted, part by part, as the numbers of one step."""
+"""The counts of a rank's searches, summed over its parts into the figures of one step."""
 
 from __future__ import annotations
 

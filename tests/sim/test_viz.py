@@ -1,4 +1,4 @@
-"""Pictures: that they show something, and the right thing."""
+"""Pictures: they are not empty, and show the right surfaces."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_canvas_draws_the_nearer_of_two_triangles_where_it_is() -> None:
     for scale in (1.0, 0.5):  # large triangles are filled, small ones splatted
         canvas = Canvas(camera, (0.0, 0.0, 0.0), (5.0, 15.0))
         canvas.draw(scale * square + [0.0, 0.0, 1.0], faces, np.tile([1.0, 0.0, 0.0], (2, 1)))
-        canvas.draw(scale * square, faces, np.tile([0.0, 1.0, 0.0], (2, 1)))  # behind
+        canvas.draw(scale * square, faces, np.tile([0.0, 1.0, 0.0], (2, 1)))  # behind the first
         canvas.draw(
             scale * square + [0.0, 0.0, 2.0], faces[:, ::-1], np.tile([0.0, 0.0, 1.0], (2, 1))
         )  # seen from behind

@@ -1,4 +1,4 @@
-"""Start, movement and boundaries of worlds."""
+"""Start, motion and boundaries of worlds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pgccd.sim.model import lattice_cells
 
 
 def drift(model: Model, steps: int) -> list[RobotState]:
-    """The planned states of a world without response to collisions."""
+    """The planned states of a world without collision response."""
     state, seen = model.start(), []
     for step in range(steps):
         state = model.plan(state, step)
@@ -137,7 +137,7 @@ def test_operators_have_consistent_fake_kernels() -> None:
     torch.library.opcheck(torch.ops.pgccd.simulate_respond, (columns, half))
     pairs, changed = torch.tensor([[0, 1], [1, 4], [-1, -1]]), torch.ones(5, dtype=torch.uint8)
     empty = [column[:0] for column in columns[:5]]
-    # All rows: those after the last pair are not set.
+    # All rows: those past the last pair are undefined.
     moving = (columns[:5], empty, half, changed, pairs, model.meshes.radius, 2)
     torch.library.opcheck(torch.ops.pgccd.simulate_affected_motion, moving)
     plan = [state.velocity, state.angular_velocity, state.target, state.stay_until]
@@ -171,4 +171,4 @@ def test_results_do_not_depend_on_the_number_of_threads() -> None:
         assert hashes() == alone
     finally:
         torch.set_num_threads(before)
-    assert len({contacts for contacts, _ in alone}) > 6  # there was something to find
+    assert len({contacts for contacts, _ in alone}) > 6  # the pairs have contacts

@@ -1,8 +1,8 @@
-"""Pairs of bodies that come into contact at a chosen time and place, and no further: grazing, resting, tip to tip.
+"""Pairs of bodies that touch at a chosen time and place and go no deeper: grazing, resting, tip to tip.
 
-Bodies at random almost never graze. Here the time and the place of contact are chosen first and the poses follow from
-them, so that the features named are as far apart at that time as `gap` says, to rounding; how far exactly can be
-computed from the result (`distance_at`), for it is these numbers that count. All generators take a NumPy generator.
+Random bodies almost never graze. Here the time and place of contact are chosen first and the poses follow from them, so
+that the features named are `gap` apart at that time, to rounding. The exact distance of the rounded poses is computed
+from the result (`distance_at`). All generators take a NumPy generator.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ X = np.array([1.0, 0.0, 0.0])
 
 @dataclass(frozen=True)
 class Meetings:
-    """n pairs of bodies, pair k of the bodies 2 k and 2 k + 1, which come into contact at time[k].
+    """n pairs of bodies that touch at time[k]; pair k is bodies 2 k and 2 k + 1.
 
-    `place` (n, 2) names by vertices of the two meshes what touches there: one vertex each, an edge, or a face.
+    `place` (n, 2) gives the vertices of each mesh that touch: one vertex, an edge, or a face.
     """
 
     bodies: Bodies
@@ -42,17 +42,17 @@ class Meetings:
 
     @property
     def pairs(self) -> np.ndarray:
-        """(n, 2) int64."""
+        """Body pairs (n, 2) int64."""
         return np.arange(2 * len(self)).reshape(-1, 2)
 
     def touching(self, k: int) -> set[Key]:
-        """The feature pairs (kind, feature of the first, of the second) that hold the place of contact of pair k."""
+        """Feature pairs (kind, feature of the first, of the second) that contain the place of contact of pair k."""
         first, second = self.bodies.meshes[2 * k : 2 * k + 2]
         return features_around(first, self.place[k][0], second, self.place[k][1])
 
 
 def features_around(a: pgccd.Mesh, of_a: Sequence[int], b: pgccd.Mesh, of_b: Sequence[int]) -> set[Key]:
-    """Feature pairs of which the one has all vertices `of_a`, the other all `of_b`."""
+    """Feature pairs whose first feature has all vertices `of_a` and second all `of_b`."""
 
     def having(rows: np.ndarray, wanted: Sequence[int]) -> list[int]:
         return np.flatnonzero((rows[:, :, None] == np.array(wanted)).any(axis=1).all(axis=1)).tolist()
@@ -66,14 +66,14 @@ def features_around(a: pgccd.Mesh, of_a: Sequence[int], b: pgccd.Mesh, of_b: Seq
     return found | {(int(pgccd.EE), e, f) for e in having(a.edges.numpy(), of_a) for f in edges}
 
 
-# Meshes whose features lie where dyadic numbers say, with the body frame's origin at exactly zero.
+# Meshes with dyadic vertex coordinates and the body frame's origin at exactly zero.
 
 
 def spindle(width: float = 0.125, level: int = 3, length: float = 1.0) -> pgccd.Mesh:
     """Two four-sided cones base to base along the x axis, of 8 (2^level - 1) faces: vertex 0 is the tip at +length,
     vertex 1 that at -length.
     """
-    count = 2**level - 1  # squares of vertices between the tips
+    count = 2**level - 1  # square rings of vertices between the tips
     corners = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     vertices = [np.array([[length, 0.0, 0.0], [-length, 0.0, 0.0]])]
     faces = []
@@ -101,7 +101,7 @@ def plate(cells: int = 4, half: float = 1.0) -> pgccd.Mesh:
 
 
 def wedge(width: float = 0.25) -> pgccd.Mesh:
-    """A rhombic bar: one edge, of the vertices 0 and 1, stands out at x = 1 from z = -1 to 1, another at x = -1."""
+    """A rhombic bar: edge (0, 1) protrudes at x = 1 from z = -1 to 1, another edge at x = -1."""
     ridges = [[x, 0.0, z] for x in (1.0, -1.0) for z in (-1.0, 1.0)]
     sides = [[0.0, y, z] for y in (width, -width) for z in (-1.0, 0.0, 1.0)]
     faces = []
@@ -113,7 +113,7 @@ def wedge(width: float = 0.25) -> pgccd.Mesh:
     return pgccd.Mesh(np.array(ridges + sides), np.array(faces))
 
 
-# Placing.
+# Placement.
 
 
 def exponential(rotation: np.ndarray) -> np.ndarray:
@@ -147,13 +147,13 @@ def meet(
     gap: np.ndarray,
     centre: np.ndarray | None = None,
 ) -> Meetings:
-    """Bodies (2 n) such that at `time` the point of the second body's place is `gap` (n, 3) away from the first's.
+    """Bodies (2 n) whose second contact point lies at the first plus `gap` (n, 3) at `time`.
 
     Args:
         orientation: (2 n, 4) at the time of contact.
         rotation: (2 n, 3) rotation vectors of the whole step.
         velocity: (2 n, 3) of the centres.
-        weights: of the places' vertices, for the points that meet.
+        weights: of each place's vertices; they define the two contact points.
         centre: (n, 3) of the first bodies at the time of contact, default the origin.
     """
     n = len(time)
@@ -176,8 +176,9 @@ def meet(
 
 
 def distance_at(meetings: Meetings, k: int, t: float | None = None) -> mpmath.mpf:
-    """Distance of the places of pair k at its time of contact, on the arcs, to 50 digits: of two points, a point and an
-    edge's line, two edges' lines, or a point and a face's plane."""
+    """Distance of the two places of pair k at its time of contact, on the arcs, to 50 digits: between two points, a
+    point and an edge's line, two edges' lines, or a point and a face's plane.
+    """
     bodies = meetings.bodies
     when = meetings.time[k] if t is None else t
     with mpmath.workdps(50):
@@ -215,16 +216,16 @@ def _squared(first: list[list[mpmath.mpf]], second: list[list[mpmath.mpf]]) -> m
 
 
 def least_separation(distance: mpmath.mpf) -> float:
-    """The least float64 that is not below a distance: with it as separation, what is so far apart just touches."""
+    """The least float64 not below a distance: with it as separation, features that far apart just touch."""
     found = float(distance)
     return found if mpmath.mpf(found) >= distance else float(np.nextafter(found, np.inf))
 
 
 def separation_at(start: np.ndarray, end: np.ndarray, t: float, is_face: bool) -> float:
-    """The same of an elementary query (4, 3) on straight paths, at time t, exactly."""
+    """The same for an elementary query (4, 3) on straight paths, at time t, exactly."""
     square = squared_distance_exact(start, end, Fraction(t), is_face)
     found = float(np.sqrt(float(square)))
-    for _ in range(4):  # the root is off by a unit at most
+    for _ in range(4):  # the root is off by one ulp at most
         found = float(np.nextafter(found, 0.0))
     while Fraction(found) ** 2 < square:
         found = float(np.nextafter(found, np.inf))
@@ -251,14 +252,14 @@ def tips(
     sizes: tuple[float, float] = (1.0, 1.0),
     level: int = 3,
 ) -> Meetings:
-    """Spindles that meet tip to tip, their axes in one line at that moment, along which their tips do not move.
+    """Spindles that meet tip to tip with collinear axes; at that moment the tips have no velocity along the line.
 
     Args:
-        turn: angles of the two in the step, about axes perpendicular to their own: each tip's arc bulges towards the
+        turn: angles of the two over the step, about axes perpendicular to their own: each tip's arc bulges towards the
             other.
         speed: of the second body, perpendicular to the line.
-        gap: between the tips at that moment.
-        time: (n,) default at random inside the step.
+        gap: between the tips at the contact.
+        time: (n,); default: random, inside the step.
     """
     along = directions(rng, n)
     when = rng.uniform(0.05, 0.95, n) if time is None else time
@@ -275,8 +276,8 @@ def tips(
 
 
 def resting(rng: np.random.Generator, kind: str, separation: float) -> Meetings:
-    """One pair at rest exactly at a distance (0 or dyadic), with all coordinates exact, along one of the axes: two tips
-    ("tips"), a tip above a face ("face"), or two crossed edges ("edges").
+    """One pair at rest exactly `separation` (0 or dyadic) apart along a coordinate axis, with exact coordinates: two
+    tips ("tips"), a tip above a face ("face"), or two crossed edges ("edges").
     """
     order = rng.permutation(3)
     axes = np.eye(3)[order] * rng.choice([-1.0, 1.0], (3, 1))
@@ -304,7 +305,7 @@ def resting(rng: np.random.Generator, kind: str, separation: float) -> Meetings:
 
 
 def lattice(count: int, pitch: float = 1.0) -> Bodies:
-    """count^3 equal cubes of edge `pitch`, all at rest and each in full contact with its neighbours: every toi ties."""
+    """count^3 equal cubes of edge `pitch` at rest, each in full contact with its neighbours: all toi tie."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * pitch
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     mesh = pgccd.Mesh(corners, np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]))

@@ -1,4 +1,4 @@
-"""Elementary queries on a coarse grid, where coinciding points, flat faces and exact touches are common."""
+"""Elementary queries on a coarse grid, where coincident points, flat faces and exact touches are common."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ def _grid(extent: int) -> st.SearchStrategy[np.ndarray]:
 
 @st.composite
 def feature_motions(draw: st.DrawFn, extent: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """Points (4, 3) at t0 and at t1, small integers times one power of two."""
+    """Points (4, 3) at t0 and at t1: small integers times a power of two."""
     factor = 2.0 ** draw(st.sampled_from([0, -3, 20, -40]))
     return draw(_grid(extent)) * factor, draw(_grid(extent)) * factor
 
 
 @st.composite
 def degenerate_features(draw: st.DrawFn, extent: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """The same, made degenerate: points that coincide, all in one plane or line, or without motion."""
+    """Degenerate queries: coincident points, all in one plane or line, or without motion."""
     start, end = draw(feature_motions(extent))
     kinds = draw(st.sets(st.sampled_from(["coincide", "plane", "line", "still", "together"]), min_size=1, max_size=2))
     if "coincide" in kinds:

@@ -31,7 +31,7 @@ def octahedron() -> Surface:
 
 
 def subdivided(surface: Surface) -> Surface:
-    """Each face cut into four: the same surface to the bit, with more features that touch together."""
+    """Each face split into four: the same surface, bit for bit, with more features touching at once."""
     vertices, faces = surface
     points = [tuple(v) for v in vertices.tolist()]
     number = {p: k for k, p in enumerate(points)}
@@ -52,12 +52,12 @@ def subdivided(surface: Surface) -> Surface:
 
 @dataclass(frozen=True)
 class Meetings:
-    """Pairs of a cube and an octahedron, each pair in a world of its own: bodies 2 k and 2 k + 1."""
+    """Pairs of a cube and an octahedron, each pair in its own world: bodies 2 k and 2 k + 1."""
 
     meshes: list[pgccd.Mesh]
     position_t0: np.ndarray  #: (2 n, 3)
     position_t1: np.ndarray
-    rotation: np.ndarray  #: (2 n, 3) of the step
+    rotation: np.ndarray  #: over the step
 
     @property
     def count(self) -> int:
@@ -65,13 +65,13 @@ class Meetings:
         return len(self.position_t0) // 2
 
     def scene(self, device: torch.device | str) -> pgccd.Scene:
-        """All pairs."""
+        """The scene of all pairs."""
         index = torch.arange(2, dtype=torch.int32).repeat(self.count)
         world = torch.arange(self.count).repeat_interleave(2)
         return pgccd.Scene(self.meshes, index, world=world, device=device)
 
     def motion(self, path: str, device: torch.device | str) -> pgccd.RigidMotion | pgccd.VertexMotion:
-        """`path`: rigid, linear, or vertices (which do not turn)."""
+        """Motion along `path`: rigid, linear, or vertices (without rotation)."""
         columns = [torch.from_numpy(c).to(device) for c in (self.position_t0, self.position_t1, self.rotation)]
         start, end, rotation = columns
         if path == "vertices":
@@ -84,7 +84,7 @@ class Meetings:
 
 
 def meetings(rng: np.random.Generator, count: int, subdivisions: int = 0, turning: bool = False) -> Meetings:
-    """Octahedra that fly at resting cubes along directions with small integer components."""
+    """Octahedra flying at cubes at rest along directions with small integer components."""
     surfaces = [cube(), octahedron()]
     for _ in range(subdivisions):
         surfaces = [subdivided(s) for s in surfaces]

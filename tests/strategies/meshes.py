@@ -1,4 +1,4 @@
-"""Triangle meshes: closed, open, non-manifold, in several pieces; all with finite coordinates of order one."""
+"""Triangle meshes: closed, open, non-manifold, disconnected; finite coordinates of order one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 @dataclass(frozen=True)
 class TriMesh:
-    """vertices (v, 3) float64, faces (f, 3) int64; no face names a vertex twice."""
+    """vertices (v, 3) float64, faces (f, 3) int64; the three vertices of a face are distinct."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -75,7 +75,7 @@ def boxes(draw: st.DrawFn) -> TriMesh:
 
 @st.composite
 def tetrahedra(draw: st.DrawFn) -> TriMesh:
-    """Closed, four faces; on a coarse grid, so that flat ones and coinciding corners occur."""
+    """Closed, four faces; on a coarse grid, so that flat ones and coincident corners occur."""
     grid = st.tuples(*[st.integers(-4, 4)] * 3)
     vertices = np.array([draw(grid) for _ in range(4)], dtype=np.float64) / 4.0
     return TriMesh(vertices, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], dtype=np.int64))
@@ -95,19 +95,19 @@ def flat_sheets(draw: st.DrawFn, most_cells: int = 6) -> TriMesh:
 
 @st.composite
 def soups(draw: st.DrawFn, most_faces: int = 24) -> TriMesh:
-    """Triangles that share nothing, or vertices at random."""
+    """Triangles that share no vertices, or faces of random vertices."""
     count = draw(st.integers(1, most_faces))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     if draw(st.booleans()):
         return TriMesh(rng.uniform(-1, 1, (3 * count, 3)), np.arange(3 * count, dtype=np.int64).reshape(-1, 3))
-    vertices = rng.uniform(-1, 1, (count + 3, 3))  # some of them in no face
+    vertices = rng.uniform(-1, 1, (count + 3, 3))  # some in no face
     faces = np.stack([rng.permutation(len(vertices))[:3] for _ in range(count)]).astype(np.int64)
     return TriMesh(vertices, faces)
 
 
 @st.composite
 def with_holes(draw: st.DrawFn) -> TriMesh:
-    """A closed mesh with some of its faces taken away; the vertices stay."""
+    """A closed mesh with some faces removed; all vertices stay."""
     mesh = draw(st.one_of(bumpy_spheres(1), boxes()))
     kept = draw(st.lists(st.booleans(), min_size=len(mesh.faces), max_size=len(mesh.faces)))
     faces = mesh.faces[np.array(kept)]
@@ -116,7 +116,7 @@ def with_holes(draw: st.DrawFn) -> TriMesh:
 
 @st.composite
 def non_manifold(draw: st.DrawFn) -> TriMesh:
-    """Three or more faces on one edge, or a vertex where otherwise separate fans meet, or the same face twice."""
+    """Three or more faces on one edge, separate fans meeting in a vertex, or the same face twice."""
     blades = draw(st.integers(3, 7))
     angle = 2 * np.pi * np.arange(blades) / blades
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(blades)], axis=1)
@@ -136,7 +136,7 @@ def non_manifold(draw: st.DrawFn) -> TriMesh:
 
 @st.composite
 def several_components(draw: st.DrawFn) -> TriMesh:
-    """Two to four meshes as one, apart or through one another."""
+    """Two to four meshes merged into one, disjoint or interpenetrating."""
     parts = draw(st.lists(st.one_of(boxes(), tetrahedra(), bumpy_spheres(1)), min_size=2, max_size=4))
     vertices, faces, count = [], [], 0
     for part in parts:

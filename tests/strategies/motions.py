@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 ROOT_HALF = 0.5**0.5
-# No turn, quarter and half turns about axes, and their negatives, which are the same orientations.
+# Identity, quarter and half turns about axes, and their negatives, which are the same orientations.
 SPECIAL = [
     (1.0, 0.0, 0.0, 0.0),
     (-1.0, 0.0, 0.0, 0.0),
@@ -29,7 +29,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class PoseMotion:
-    """Both ends of a step, and the rotation vector (3,) in the world frame that leads from the one to the other."""
+    """Both ends of a step, and the rotation vector (3,) in the world frame from the first to the second."""
 
     start: Pose
     end: Pose
@@ -38,7 +38,7 @@ class PoseMotion:
 
 @st.composite
 def unit_quaternions(draw: st.DrawFn) -> np.ndarray:
-    """(4,) float64, unit length up to rounding; special ones included."""
+    """Quaternion (4,) float64 of unit length up to rounding; special ones included."""
     if draw(st.booleans()):
         return np.array(draw(st.sampled_from(SPECIAL)))
     q = np.array(draw(st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda c: sum(x * x for x in c) > 0.01)))
@@ -71,8 +71,8 @@ def product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 def pose_motions(
     draw: st.DrawFn, scale: float | None = None, travel: float | None = None, most_turn: float = 3.0
 ) -> PoseMotion:
-    """A step from a pose at `scale`, by up to `travel` (default: the scale), turning by less than `most_turn` an
-    axis.
+    """A step from a pose at `scale`, by up to `travel` (default: the scale), turning by less than `most_turn` about
+    each axis.
     """
     size = draw(scales()) if scale is None else scale
     start = draw(poses(size))

@@ -1,1 +1,1 @@
-"""Helpers shared by the tests: shapes and motions at random, and the comparisons with the oracle."""
+"""Helpers shared by the tests: random shapes and motions, and comparison with the oracle."""

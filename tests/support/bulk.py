@@ -1,4 +1,4 @@
-"""Very many elementary queries through the product and through the batch oracle, compared in both directions."""
+"""Many elementary queries through the library and the batch oracle, compared in both directions."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ import pgccd
 from support.elementary import solve
 
 DIGITS = {torch.float64: 53, torch.float32: 24}
-# By how many units of the size the distance at a toi may be off.
+# Allowed error of the distance at a toi, in units of the size's ulp.
 ROUNDING = {torch.float64: 256, torch.float32: 16}
-QUERIES = 4096  # of one family, tolerance, separation and scale: one call
+QUERIES = 4096  # per call: one family, tolerance, separation and scale
 EXACT_QUERIES = 64
-# Shares that the batch oracle may leave open where features touch over whole intervals or hardly at all; elsewhere 2 %.
+# Fractions that the batch oracle may leave undecided where features touch over intervals or only just; 2 % elsewhere.
 # One in 16 calls of "passing" has a tolerance, and so a clearance, below its rounding.
 UNDECIDED = {
     "near boundary": 0.03,
@@ -35,10 +35,10 @@ UNDECIDED = {
 
 @dataclass
 class Tally:
-    """What came of some queries.
+    """Outcome counts of queries.
 
-    `near`: reported though they never touch, since they come within the tolerance. `undecided`: left by the batch
-    oracle to the exact one, or (on arcs) open.
+    `near`: reported without touching, because the distance falls below the tolerance. `undecided`: passed on by the
+    batch oracle to the exact one, or (on arcs) left undecided.
     """
 
     queries: int = 0
@@ -54,17 +54,17 @@ class Tally:
     examples: list[str] = field(default_factory=list)
 
     def add(self, other: Tally) -> None:
-        """Sums everything; keeps a few examples."""
+        """Adds all counts; keeps five examples."""
         for column in fields(self):
             setattr(self, column.name, getattr(self, column.name) + getattr(other, column.name))
         del self.examples[5:]
 
     def share(self, column: str) -> float:
-        """Of the queries."""
+        """Fraction of the queries counted in this column."""
         return float(getattr(self, column)) / max(self.queries, 1)
 
     def complaints(self, name: str) -> list[str]:
-        """Broken promises, unresolved queries, and an oracle undecided more often than usual; `name`: the family's."""
+        """Contract violations, unresolved queries, and an undecided fraction above the usual; `name`: the family's."""
         faults = {what: getattr(self, what) for what in ("missed", "late", "invented", "misplaced")}
         found = [f"{name}: {count} {what}" for what, count in faults.items() if count]
         if self.unresolved:
@@ -76,8 +76,8 @@ class Tally:
 
 @dataclass(frozen=True)
 class Answers:
-    """The product's (n,) status, (n,) toi and (n, 2) coordinates; and how far apart what it calls a touch may be (n,),
-    and the two points that the coordinates name (n,).
+    """The library's (n,) status, (n,) toi and (n, 2) coordinates; the distance (n,) allowed at a touch, and the
+    distance (n,) between the two points given by the coordinates.
     """
 
     status: np.ndarray
@@ -88,9 +88,9 @@ class Answers:
 
 
 def conditioning(x: np.ndarray, is_face: bool) -> np.ndarray:
-    """(n,): by how much rounding by one part in 1 may move the foot of a common normal; points (n, 4, 3) at one time.
+    """Shift (n,) of a common normal's foot per unit of relative rounding error; points (n, 4, 3) at one time.
 
-    The length of the features over the sine of the angle that spans their plane. Zero for features that have no plane.
+    Length of the features over the sine of the angle that spans their plane. Zero for features without a plane.
     """
     p, q, r, s = (x[:, k] for k in range(4))
     a, b = (r - q, s - q) if is_face else (q - p, s - r)
@@ -108,9 +108,9 @@ def compare(
     name: str,
     is_near: Callable[[int], bool] = lambda row: False,
 ) -> Tally:
-    """Section 5 of the design, query by query; `at_toi` (n, 4, 3): the points where a contact is reported, rounded.
+    """Section 5 of the design, query by query; `at_toi` (n, 4, 3): points at the reported toi, rounded.
 
-    `is_near` says exactly whether a touch is within what is allowed, of those that the batch oracle is not sure of.
+    `is_near` decides exactly whether a touch that the batch oracle left undecided is within the allowed distance.
     """
     status, toi, true = answers.status, answers.toi, truth.status == YES
     reported, touch = status != pgccd.FREE, status == pgccd.TOUCH
@@ -149,7 +149,7 @@ def _known(family: Family) -> Decisions:
 def check_straight(
     family: Family, is_face: bool, tolerance: float, dtype: torch.dtype, device: torch.device | str, name: str
 ) -> Tally:
-    """One call's worth of queries on straight paths. Truths that do not survive rounding to `dtype` are redone."""
+    """One call's worth of queries on straight paths. Truths invalidated by rounding to `dtype` are recomputed."""
     began = time.perf_counter()
     given = family.points_t0, family.points_t1
     start, end = (x.astype(np.float32).astype(np.float64) if dtype == torch.float32 else x for x in given)
@@ -183,7 +183,7 @@ def check_straight(
 
 
 def _scaled(rng: np.random.Generator, family: Family, dtype: torch.dtype) -> tuple[Family, float, str]:
-    """To around 1e-12, 1 or 1e8, or all of these mixed; with a tolerance of 1e-3 to 1e-14 of the size."""
+    """The queries scaled to around 1e-12, 1 or 1e8, or a mixture; with a tolerance of 1e-3 to 1e-14 of the size."""
     kind = rng.choice(["1", "1e-12", "1e8", "mixed"], p=[0.5, 0.2, 0.2, 0.1])
     tolerance = 10.0 ** -rng.uniform(3, 14 if dtype == torch.float64 else 7)
     if kind == "mixed" and family.separation == 0.0:
@@ -199,13 +199,13 @@ def _scaled(rng: np.random.Generator, family: Family, dtype: torch.dtype) -> tup
 
 
 def straight_families() -> dict[str, tuple[Maker, int]]:
-    """By name: the maker, and how many queries of it make one call."""
+    """Maker and number of queries per call, by name."""
     known = {maker.__name__.replace("_", " "): (maker, QUERIES) for maker in KNOWN}
     return known | {n: (m, QUERIES) for n, m in UNKNOWN.items()} | {n: (m, EXACT_QUERIES) for n, m in EXACT.items()}
 
 
 def accepts(dtype: torch.dtype) -> bool:
-    """Do the elementary tests take points of this type?"""
+    """Do the elementary tests accept points of this type?"""
     none = torch.zeros((0, 4, 3), dtype=dtype)
     try:
         pgccd.narrow.vertex_face(none, none)
@@ -221,7 +221,7 @@ def straight(
     device: torch.device | str = "cpu",
     share: int = 1,
 ) -> Iterator[tuple[str, Tally]]:
-    """All families once a round, faces and edges in turn; each call has 1 / `share` of its queries."""
+    """All families once per round, faces and edges in turn; each call has 1 / `share` of its queries."""
     for turn in rounds:
         for number, (name, (maker, count)) in enumerate(straight_families().items()):
             for is_face in (True, False):

@@ -20,10 +20,10 @@ UNIT = 2.0**-53
 
 
 def soup(rng: np.random.Generator, size: float) -> pgccd.Mesh:
-    """Triangles anywhere, a quarter of them slivers, some thousands of times as long as wide."""
+    """Random triangles, a quarter of them slivers with aspect ratios up to thousands."""
     middle = rng.normal(size=(FACES, 1, 3))
     corners = middle + 0.7 * rng.normal(size=(FACES, 3, 3))
-    # Of a quarter the last corner comes to lie next to the edge between the first two.
+    # A quarter get their last corner close to the edge between the first two.
     thin, width = corners[::4], 10.0 ** -rng.uniform(1, 3.5, (len(corners[::4]), 1))
     along = rng.random((len(thin), 1)) * (thin[:, 1] - thin[:, 0])
     corners[::4, 2] = thin[:, 0] + along + width * rng.normal(size=(len(thin), 3))
@@ -37,7 +37,7 @@ def _corners(mesh: pgccd.Mesh, feature: np.ndarray, what: str) -> np.ndarray:
     return vertices[(mesh.faces if what == "face" else mesh.edges).numpy()[feature]]
 
 
-# Of the first-named primitive and of the second; VF_BA names body i's face first, the oracle j's vertex.
+# Of the first and the second primitive; VF_BA lists body i's face first, the oracle j's vertex.
 FEATURES = {
     pgccd.VF_AB: ("vertex", "face"),
     pgccd.VF_BA: ("face", "vertex"),
@@ -62,7 +62,7 @@ def solve_candidates(
     ]
     position, orientation, end, rotation = (torch.from_numpy(c).to(device) for c in columns)
     motion = pgccd.RigidMotion.from_velocity(position, orientation, 0.0 * position, rotation, dt=1.0)
-    motion.position_t1 = end  # these very bits
+    motion.position_t1 = end  # exactly these bits
     scene = pgccd.Scene(meshes, torch.arange(2, dtype=torch.int32).repeat(n), device=device)
     moving = pgccd.MovingBodies(scene, motion)
     pairs = torch.arange(2 * n, device=device).view(n, 2)
@@ -120,7 +120,7 @@ def check_arcs(
 def arcs_checked(
     seed: int, rounds: Iterable[int], device: torch.device | str = "cpu", share: int = 1
 ) -> Iterator[tuple[str, Tally]]:
-    """All plans once a round with each kind of feature pair; each call has 1 / `share` of its queries."""
+    """All plans once per round with each kind of feature pair; each call has 1 / `share` of its queries."""
     for turn in rounds:
         for number, (name, plan) in enumerate(arcs.PLANS.items()):
             for kind in FEATURES:

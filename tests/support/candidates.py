@@ -1,4 +1,4 @@
-"""What the traversal and the narrow phase make of features that touch."""
+"""Checks that traversal and narrow phase find features that touch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def missed(
     path: Literal["rigid", "linear"] = "rigid",
     horizon: np.ndarray | None = None,
 ) -> list[int]:
-    """Which pairs' touching features are not all candidates."""
+    """Pairs with touching features that are missing from the candidates."""
     bodies = pgccd.MovingBodies(meetings.bodies.scene(device), meetings.bodies.motion(path, device))
     return missed_among(meetings, bodies, separation, tolerance, horizon)
 
@@ -32,7 +32,7 @@ def missed_among(
     tolerance: float = 0.0,
     horizon: np.ndarray | None = None,
 ) -> list[int]:
-    """The same of bodies in any motion."""
+    """As `missed`, for bodies in any motion."""
     pairs = torch.tensor(meetings.pairs, device=bodies.device)
     until = None if horizon is None else torch.tensor(horizon, device=bodies.device)
     found, _ = pgccd.traverse.bvtt(bodies, pairs, separation, tolerance, until)
@@ -43,7 +43,7 @@ def missed_among(
 
 
 def assert_touching(meetings: Meetings, separation: float) -> None:
-    """In exact arithmetic, at the times chosen."""
+    """Asserts, in exact arithmetic, that features touch at the chosen times."""
     assert all(contacts.distance_at(meetings, k) <= separation for k in range(len(meetings)))
     assert all(meetings.touching(k) for k in range(len(meetings)))
 
@@ -56,7 +56,7 @@ def found_contact(
     min_separation: float,
     tolerance: float | None = 0.0,
 ) -> tuple[torch.Tensor, ...] | None:
-    """What the narrow phase makes of one feature pair: None, or the columns of its contact."""
+    """Result of the narrow phase for one feature pair: None, or the columns of its contact."""
     pairs = torch.tensor(meetings.pairs[k : k + 1])
     candidate = torch.tensor([[0, *key]], dtype=torch.int32)
     rows = pgccd.narrow.contacts(moving, pairs, candidate, "all", min_separation, tolerance=tolerance)

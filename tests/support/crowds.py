@@ -1,4 +1,4 @@
-"""Scenes that are hard to distribute over ranks: in which pairs meet, where, and how large and fast bodies are."""
+"""Scenes that are hard to distribute over ranks: by where pairs meet, and by the bodies' sizes and speeds."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class Crowd:
     min_separation: float = 0.0
 
     def motion(self, rows: Tensor) -> pgccd.RigidMotion:
-        """Of some of the bodies."""
+        """Motion of some of the bodies."""
         columns = (self.position, self.orientation, self.velocity, self.rotation)
         return pgccd.RigidMotion.from_velocity(*(column[rows] for column in columns), dt=1.0)
 
     def detect(self, report: str) -> pgccd.Contacts:
-        """By one process."""
+        """Contacts found by one process."""
         scene = pgccd.Scene(self.meshes, self.mesh_index, **self.filters)
         every_body = torch.arange(len(self.position))
         return pgccd.detect(scene, self.motion(every_body), report, self.min_separation)
@@ -47,7 +47,7 @@ def _meshes() -> list[pgccd.Mesh]:
 
 @cache
 def _links() -> list[pgccd.Mesh]:
-    """With origins outside of them, the last one's far outside."""
+    """Meshes with origins outside of them, the last one's far outside."""
     return [
         recentred(mesh, joint) for mesh, joint in zip(_meshes()[:2], ([1.5, 0.0, 0.0], [0.0, 7.0, 2.0]), strict=True)
     ]
@@ -77,11 +77,11 @@ def _crowd(
 
 @cache
 def crowds() -> dict[str, Crowd]:
-    """By what is hard about them."""
+    """Crowds by what makes them hard."""
     rng = np.random.default_rng(11)
     spread = rng.uniform(0.0, 8.0, (60, 3))
     small = np.ones(60)
-    # Two come from the left and from below and meet where neither started.
+    # Two bodies come from the left and from below and meet where neither started.
     third = np.array([[1.0, 6.5, 4.0], [6.5, 1.0, 4.2], [1.2, 1.2, 4.0]])
     to_third = np.array([[5.4, 0.0, 0.1], [0.0, 5.4, -0.1], [0.1, 0.2, 0.0]])
     corners = np.array([[x, y, z] for x in (2.0, 4.0, 6.0) for y in (2.0, 4.0, 6.0) for z in (3.9, 4.1)])

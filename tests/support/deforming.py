@@ -1,4 +1,4 @@
-"""Bodies that deform, at random, and comparison of what was found of them."""
+"""Random deforming bodies, and comparison of their contacts."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal",
 
 
 def motion_of(*bodies: Ends, device: torch.device) -> pgccd.VertexMotion:
-    """Of bodies one after the other."""
+    """Motion of the bodies, concatenated."""
     return pgccd.VertexMotion(*tensors(*(np.concatenate([e[t] for e in bodies]) for t in (0, 1)), device=device))
 
 
 def noisy(rng: np.random.Generator, vertices: np.ndarray, size: float) -> np.ndarray:
-    """Normally distributed noise added."""
+    """The vertices with normally distributed noise added."""
     return vertices + size * rng.normal(size=vertices.shape)
 
 
 def crumpled(count: int, seed: int = 9) -> tuple[list[pgccd.Mesh], list[Ends]]:
-    """Bodies that deform strongly and meet one another."""
+    """Strongly deforming bodies that meet one another."""
     rng = np.random.default_rng(seed)
     bodies = approaching(rng, (1,) * count, tuple(rng.uniform(0.5, 1.5, count)), closeness=0.9)
     ends = [
@@ -35,7 +35,7 @@ def crumpled(count: int, seed: int = 9) -> tuple[list[pgccd.Mesh], list[Ends]]:
 
 
 def assert_same(a: pgccd.Contacts, b: pgccd.Contacts) -> None:
-    """Equal bits in all columns."""
+    """Asserts equal bits in all columns."""
     for column in COLUMNS:
         x, y = getattr(a, column), getattr(b, column)
         assert (x is None) == (y is None) and (x is None or torch.equal(x.cpu(), y.cpu())), column

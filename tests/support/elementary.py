@@ -1,4 +1,4 @@
-"""Elementary queries through the product and through the oracle, compared in both directions."""
+"""Elementary queries through the library and through the oracle, compared in both directions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def solve(
     device: torch.device | str = "cpu",
     dtype: torch.dtype = torch.float64,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Status, toi and coordinates of points (n, 4, 3) at both ends, which `dtype` holds exactly."""
+    """Status, toi and coordinates for points (n, 4, 3) at both ends that are exact in `dtype`."""
     points = [torch.tensor(x, dtype=dtype, device=device) for x in (start, end)]
     test = pgccd.narrow.vertex_face if is_face else pgccd.narrow.edge_edge
     found = test(*points, min_separation, tolerance, nonzero_toi)
@@ -32,14 +32,14 @@ def solve(
 
 
 def truth(start: np.ndarray, end: np.ndarray, is_face: bool, min_separation: float = 0.0) -> list[Hit | None]:
-    """First touch of each query, exactly; None if there is none."""
+    """First touch of each query, exactly; None if the features do not touch."""
     if min_separation:
         return separation.within_many(start, end, min_separation, is_face)
     return (linear.vertex_face_many if is_face else linear.edge_edge_many)(start, end)
 
 
 def rounding(start: np.ndarray, end: np.ndarray, dtype: torch.dtype = torch.float64) -> Fraction:
-    """By how much the distance at a toi of that precision may be off for one query (4, 3): some units of its size."""
+    """Allowed error of the distance at a toi of that precision for one query (4, 3): some units of its size's ulp."""
     units = 256 if dtype == torch.float64 else 16
     return units * UNIT[dtype] * Fraction(float(max(np.ptp(start, axis=0).max(), np.ptp(end, axis=0).max())))
 
@@ -55,7 +55,7 @@ def check(
     device: torch.device | str = "cpu",
     dtype: torch.dtype = torch.float64,
 ) -> int:
-    """The contract of section 5 of the design, query by query. Returns the number of true contacts."""
+    """Checks the contract of section 5 of the design query by query. Returns the number of true contacts."""
     status, toi, coordinates = solve(start, end, is_face, min_separation, tolerance, nonzero_toi, device, dtype)
     assert set(status.tolist()) <= {pgccd.FREE, pgccd.TOUCH, pgccd.UNRESOLVED}
     assert np.isinf(toi[status == pgccd.FREE]).all()

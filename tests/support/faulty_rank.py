@@ -1,6 +1,6 @@
-"""A run of which one rank goes wrong in step 3.
+"""A run in which one rank fails in step 3.
 
-Command line: the way it does, the device, how many seconds a rank may be late; and how long one is busy.
+Command line: kind of failure, device, timeout in seconds; and how many seconds a busy rank is busy.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 RANK, STEP = 1, 3
 BUSY_SECONDS = 12 if len(sys.argv) < 5 else int(sys.argv[4])
-guard.guard._GRACE_SECONDS = 2.0  # so that the test need not wait long
+guard.guard._GRACE_SECONDS = 2.0  # shortens the test
 
 
 def main(fault: str, kind: str, timeout: float) -> None:
@@ -37,7 +37,7 @@ def main(fault: str, kind: str, timeout: float) -> None:
                     threading.Event().wait()
                 if fault == "stops":
                     os.kill(os.getpid(), signal.SIGSTOP)
-                if fault == "busy":  # no other thread of the interpreter runs meanwhile
+                if fault == "busy":  # holds the interpreter lock, so no other Python thread runs
                     ctypes.PyDLL(None).sleep(BUSY_SECONDS)
                 if fault == "memory":
                     raise torch.OutOfMemoryError("tried to allocate more than there is")

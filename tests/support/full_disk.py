@@ -1,4 +1,4 @@
-"""`pgccd`, with a limit to the size of files on rank 1, as though its disk were full."""
+"""`pgccd` with a file size limit on rank 1, to act as a full disk."""
 
 from __future__ import annotations
 

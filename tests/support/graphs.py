@@ -1,4 +1,4 @@
-"""What stands in for CUDA graphs and events where there is no GPU: work that is done again."""
+"""Replacements for CUDA graphs and events where there is no GPU: a replay repeats the work."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pgccd.runtime import transaction
 
 
 class Recorded:
-    """A graph."""
+    """A graph; its replay repeats the work."""
 
     def __init__(self, work: Callable[[], Tensor]) -> None:
         self._work, self._found = work, work()
@@ -27,7 +27,7 @@ class Recorded:
 
 
 class Now:
-    """An event."""
+    """An event that has always completed."""
 
     def synchronize(self) -> None:
         pass
@@ -37,14 +37,14 @@ class Now:
 
 
 def record(work: Callable[[], Tensor], device: torch.device) -> tuple[Any, Tensor]:
-    """As `pgccd.runtime.graph.capture`."""
+    """Replaces `pgccd.runtime.graph.capture`."""
     work()
     graph = Recorded(work)
     return graph, graph._found
 
 
 def graphs_on(device: torch.device | str) -> ExitStack:
-    """A context in which steps can be captured on this device; "none": as without it."""
+    """A context in which steps can be captured on this device; "none": without graphs."""
     stack = ExitStack()
     if device != "none" and torch.device(device).type == "cpu":
         stack.enter_context(mock.patch.object(transaction, "capture", record))

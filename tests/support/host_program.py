@@ -1,4 +1,4 @@
-"""C++ programs over the headers of csrc, for what only devices do: compiled for the host, with the library's flags."""
+"""Host builds of C++ programs over csrc's headers, with the library's flags, to test device code on the host."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FLAGS = ("-std=c++20", "-march=x86-64-v3", "-ffp-contract=off")
 
 
 def run_program(text: str, folder: Path, optimization: str = "-O2") -> None:
-    """Fails with what the program prints unless it returns 0."""
+    """Compiles and runs a program; fails with its output unless it returns 0."""
     compiler = shutil.which("c++") or shutil.which("g++")
     if compiler is None:
         pytest.skip("no C++ compiler")

@@ -1,4 +1,4 @@
-"""Programs on several ranks, started as a user starts them."""
+"""Multi-rank programs, started as a user starts them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ import torch
 ROOT = Path(__file__).resolve().parents[2]
 SUPPORT = Path(__file__).resolve().parent
 SECONDS = 240
-# Open MPI refuses, unless told otherwise, to be started by root (in a container, say), and to start more ranks than
-# there are cores.
+# By default Open MPI refuses to run as root (e.g. in a container) and to start more ranks than there are cores.
 _OPEN_MPI = (
     "OMPI_ALLOW_RUN_AS_ROOT=1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1",
@@ -29,7 +28,7 @@ _OPEN_MPI = (
 
 
 def environment(**more: str) -> dict[str, str]:
-    """Of a process that finds pgccd and the tests, and no launcher of the one that runs the tests."""
+    """Environment in which a process finds pgccd and the tests, without the launcher variables of the test process."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PMI_", "OMPI_COMM_", "SLURM_"))}
     path = os.pathsep.join([str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")])
     return kept | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"} | more
@@ -42,8 +41,9 @@ def torchrun(ranks: int, *arguments: str) -> list[str]:
 
 
 def over_nccl(ranks: int, *program: str) -> list[str]:
-    """A program's arguments, for ranks that send over NCCL; they share GPUs if these are fewer. Skips the test where
-    there is none."""
+    """Arguments of a program whose ranks communicate over NCCL; ranks share GPUs if there are fewer GPUs than ranks.
+    Skips the test without a GPU.
+    """
     gpus = torch.cuda.device_count()
     if not gpus:
         pytest.skip("no CUDA device")
@@ -51,7 +51,7 @@ def over_nccl(ranks: int, *program: str) -> list[str]:
 
 
 def mpirun(ranks: int, *arguments: str) -> list[str]:
-    """The command; skips the test where there is no MPI."""
+    """The command; skips the test without MPI."""
     beside = Path(sys.executable).parent / "mpirun"
     program = str(beside) if beside.exists() else shutil.which("mpirun")
     probe = subprocess.run([sys.executable, "-c", "from mpi4py import MPI"], capture_output=True)
@@ -61,7 +61,7 @@ def mpirun(ranks: int, *arguments: str) -> list[str]:
 
 
 def finish(command: list[str], **more: str) -> subprocess.CompletedProcess[str]:
-    """Runs a command to its end; both its outputs as one text."""
+    """Runs a command to completion; merges stdout and stderr."""
     return subprocess.run(
         command,
         env=environment(**more),
@@ -74,12 +74,12 @@ def finish(command: list[str], **more: str) -> subprocess.CompletedProcess[str]:
 
 
 def children(process: int) -> list[int]:
-    """Numbers of the processes that it has started."""
+    """Ids of the processes started by `process`."""
     return [int(child) for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
 
 
 def start_ranks(ranks: int, program: list[str]) -> list[subprocess.Popen[str]]:
-    """Processes with the variables of torchrun, but no torchrun that would end them all with the first."""
+    """Ranks with torchrun's variables but without torchrun, which would end them all when the first one fails."""
     port = str(free_port())
     started = []
     for rank in range(ranks):
@@ -101,7 +101,7 @@ _ports = itertools.count()
 
 
 def free_port() -> int:
-    """One that is free, and that no other worker of the tests takes; below those that systems hand out."""
+    """A port that is free and used by no other test worker; below the ephemeral range."""
     worker = int(re.sub(r"\D", "", os.environ.get("PYTEST_XDIST_WORKER", "0")))
     for number in _ports:
         port = 20_000 + 100 * worker + number % 100

@@ -1,4 +1,4 @@
-"""Prints the addresses at which processes of this job listen, a line each, as Linux writes them."""
+"""Prints the addresses on which this job's processes listen, one per line, in Linux's notation."""
 
 from __future__ import annotations
 

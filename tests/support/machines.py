@@ -1,9 +1,9 @@
-"""Several machines on this one, for more ranks over NCCL than there are GPUs.
+"""Simulates several machines on this one, to run more NCCL ranks than there are GPUs.
 
     torchrun ... -m support.machines -m MODULE | FILE, ARGUMENTS
 
-NCCL wants a GPU of its own for every rank of a machine. Told by NCCL_HOSTID that ranks stand on several machines, it
-lets a rank of each share a GPU, and sends by sockets what passes between machines.
+NCCL requires a separate GPU for every rank of a machine. With different NCCL_HOSTID values it treats ranks as running
+on several machines, lets one rank of each share a GPU, and uses sockets between machines.
 """
 
 import os

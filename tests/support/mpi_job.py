@@ -1,4 +1,4 @@
-"""What the tests do over Gloo, over MPI: run by mpirun. Writes a file a rank when all went well."""
+"""The Gloo tests over MPI: run by mpirun. Each rank writes a file on success."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests do over Gloo, over NCCL: run by torchrun, with how many steps a world of robots is followed."""
+"""The Gloo tests over NCCL: run by torchrun, with the number of steps for which a world of robots is simulated."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ with connect("cuda", "nccl") as comm:
         test_motions.follow(comm, report, False, device)
     for partition in ("cells", "bisection"):
         assert test_captured_world.follow(comm, "cost", partition, True, str(device), False)["replayed"] > 6
-    # With cells distributed at random, and a rank whose capacity is exceeded now and then.
+    # With cells assigned at random, and a rank whose capacity overflows now and then.
     seen = test_distributed_simulation.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
     assert seen["contacts"] > 100 and seen["arrived"] > 20
     seen = test_distributed_simulation.follow_bisected(comm, "skewed", "cost", int(sys.argv[1]), True, str(device))

@@ -1,4 +1,4 @@
-"""Bodies whose origins are anywhere."""
+"""Bodies with arbitrary origins."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ STILL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def beam(breaks: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """A closed square tube along x with rings of vertices at `breaks`, in the coordinates given."""
+    """A closed square tube along x with rings of vertices at `breaks`, in its own coordinates."""
     half = 0.5 * width
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     rings = [np.column_stack([np.full(4, x), corners]) for x in breaks]
@@ -31,12 +31,12 @@ def about_z(angle: float) -> np.ndarray:
 
 
 def recentred(mesh: pgccd.Mesh, origin: np.ndarray | list[float]) -> pgccd.Mesh:
-    """The same triangles about another origin, a point relative to the old one."""
+    """The same triangles about another origin, given relative to the old one."""
     return pgccd.Mesh(mesh.vertices, mesh.faces, origin)
 
 
 def moved_to(bodies: Bodies, origins: list[np.ndarray]) -> Bodies:
-    """Each body with another origin (3,), relative to its old one, and where its triangles were at t = 1/2."""
+    """Each body with another origin (3,), relative to its old one, and its triangles unmoved at t = 1/2."""
     meshes = [recentred(mesh, origin) for mesh, origin in zip(bodies.meshes, origins, strict=True)]
     half_way = np.array([turn_of(0.5 * w) for w in bodies.rotation])
     orientation = np.array([product(h, q) for h, q in zip(half_way, bodies.orientation_t0, strict=True)])

@@ -1,4 +1,4 @@
-"""Processes that stand ready to be ranks: starting Python with torch takes seconds, a job takes a fraction of one."""
+"""A pool of rank processes: starting Python with torch takes seconds, a job a fraction of one."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ import torch.distributed as dist
 from pgccd.distributed import Alone, TorchComm
 
 MOST_RANKS = 4
-# A job that takes longer has hung.
+# A job that takes longer hangs.
 _SECONDS = 120
 
 
 class RankPool:
-    """Up to four processes. `run` makes as many as asked for ranks of one world, over Gloo."""
+    """Up to four processes. `run` uses the requested number of them as the ranks of one world, over Gloo."""
 
     def __init__(self) -> None:
-        # One process imports torch, and forks the ranks before it has started any thread.
+        # One process imports torch, and forks the ranks before it starts any thread.
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["pgccd.distributed"])
         self._pipes, self._processes = [], []
@@ -36,7 +36,7 @@ class RankPool:
 
     def run(self, size: int, job: Callable[..., Any], *arguments: Any) -> list[Any]:
         """job(comm, *arguments) on every rank; returns their results. `job` is a module's function."""
-        # One store a job, kept by this process, so that no port is taken twice.
+        # One store per job, in this process, so that no port is used twice.
         store = dist.TCPStore("127.0.0.1", 0, size + 1, is_master=True, wait_for_workers=False)
         for pipe in self._pipes[:size]:
             pipe.send((store.port, size, job, arguments))
@@ -51,14 +51,14 @@ class RankPool:
         return [result for result, _ in answers]
 
     def close(self) -> None:
-        """Ends the processes."""
+        """Kills the processes."""
         for process in self._processes:
             process.kill()
 
 
 def _serve(rank: int, pipe: multiprocessing.connection.Connection) -> None:
     torch.set_num_threads(1)
-    os.environ["GLOO_SOCKET_IFNAME"] = "lo"  # without asking for the machine's own name, which can take seconds
+    os.environ["GLOO_SOCKET_IFNAME"] = "lo"  # avoids resolving the host's name, which can take seconds
     while True:
         pipe.send(_work(rank, *pipe.recv()))
 

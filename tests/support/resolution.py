@@ -1,4 +1,4 @@
-"""Collision resolution by the plain rule: every round is a detection, and all is looked at one row after the other."""
+"""Reference collision resolution: every round detects among all robots, and rows are processed one by one."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from pgccd.sim import Model, Resolution, RobotState, contacts_hash, respond, sta
 from pgccd.sim.partners import Partners, toi_of
 from pgccd.sim.resolution import RoundPlan, resolve_collisions
 
-#: Contacts of robots of which some have changed (N,) bool, each making a fraction (N,) of its step.
+#: Contacts of the robots that changed (N,) bool, each moving by its fraction (N,) of the step.
 Find = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 @dataclass
 class PlainStep:
-    """A step that was resolved by the plain rule."""
+    """A step resolved by the reference."""
 
     resolution: Resolution
     contacts: pgccd.Contacts
 
 
 def plain_step(model: Model, planned: RobotState) -> PlainStep:
-    """Every round detects among all robots, and drops the pairs of which neither has changed."""
+    """Every round detects among all robots, and drops the pairs in which neither robot changed."""
     scene = model.scene(planned.id)
     contacts = pgccd.detect(scene, model.motion(planned), nonzero_toi=True)
 
@@ -67,10 +67,10 @@ def plain_resolution(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Reso
 
 
 def resolve_given(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Resolution:
-    """What `resolve_collisions` makes of these contacts, and of those that `find` says rounds have."""
+    """Result of `resolve_collisions` for these contacts, and for those that `find` returns for later rounds."""
 
     class GivenPart:
-        """Pairs whose contacts are known."""
+        """Pairs with given contacts."""
 
         bodies = SimpleNamespace(device=pairs.device)
 
@@ -87,7 +87,7 @@ def resolve_given(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Resolut
             return torch.zeros(len(COUNT_ROWS), dtype=torch.int64)
 
     class GivenRounds:
-        """Rounds whose contacts are known."""
+        """Rounds with given contacts."""
 
         def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
             counts = torch.zeros(len(COUNT_ROWS), dtype=torch.int64)
@@ -103,7 +103,7 @@ def resolve_given(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Resolut
 
 
 def plain_run(model: Model, steps: int) -> list[dict[str, Any]]:
-    """Steps from the start: what their lines in the log say that does not depend on who made them."""
+    """Steps from the start: their log lines, without fields that depend on the number of ranks."""
     state, lines = model.start(), []
     for index in range(steps):
         planned = model.plan(state, index)

@@ -1,4 +1,4 @@
-"""Meshes and motions at random, seeded, for tests that need many of them."""
+"""Random meshes and motions, seeded."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def bumpy(rng: np.random.Generator, subdivisions: int = 1, height: float = 0.25,
 
 
 def tetrahedron(size: float = 1.0) -> pgccd.Mesh:
-    """A regular one; `size` is its SBV radius."""
+    """A regular tetrahedron; `size` is its SBV radius."""
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * (size / 3**0.5)
     return pgccd.Mesh(corners, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
 
@@ -81,7 +81,7 @@ def directions(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def tensors(*arrays: np.ndarray, device: torch.device | str = "cpu") -> list[Tensor]:
-    """Copies as tensors."""
+    """Copies of arrays as tensors."""
     return [torch.tensor(np.asarray(a), device=device) for a in arrays]
 
 
@@ -101,11 +101,11 @@ class Bodies:
         return self.position_t0 + self.velocity
 
     def scene(self, device: torch.device | str = "cpu") -> pgccd.Scene:
-        """One body a mesh."""
+        """A scene with one body per mesh."""
         return pgccd.Scene(self.meshes, device=device)
 
     def motion(self, path: Literal["rigid", "linear"] = "rigid", device: torch.device | str = "cpu") -> RigidMotion:
-        """By velocity, so that any turn is possible."""
+        """Motion from velocities, so that any turn is possible."""
         columns = tensors(self.position_t0, self.orientation_t0, self.velocity, self.rotation, device=device)
         return RigidMotion.from_velocity(*columns, dt=1.0, path=path)
 
@@ -118,9 +118,10 @@ def approaching(
     offset: float = 0.0,
     closeness: float = 0.9,
 ) -> Bodies:
-    """Bodies that travel about their own size, spin by up to `turn` radians, and come near the first one.
+    """Bodies that travel about their own size, turn by up to `turn` radians, and come near the first one.
 
-    At some time inside the step the spheres of each and of the first overlap, to `closeness` of just touching at most.
+    At some time inside the step the sphere of each overlaps that of the first: their distance is at most `closeness` of
+    the sum of radii.
     """
     count = len(sizes)
     meshes = [bumpy(rng, s, size=size) for s, size in zip(subdivisions, sizes, strict=True)]
@@ -135,7 +136,7 @@ def approaching(
 
 
 def on_the_surface(rng: np.random.Generator, ratio: float, turn: float = 1.0) -> Bodies:
-    """A body `ratio` times as large as another, which at some time inside the step sits on one of its corners."""
+    """Two bodies, one `ratio` times as large as the other; inside the step the small one sits on a corner of it."""
     large, small = bumpy(rng, 1, size=ratio), bumpy(rng, 0)
     orientation = unit_quaternions(rng, 2)
     corner = turned(orientation[:1], large.vertices.numpy()[[rng.integers(len(large.vertices))]])[0]

@@ -1,4 +1,4 @@
-"""What the oracle says about two bodies, and the comparison of a product's answer with it, in both directions."""
+"""Oracle results for two bodies, and comparison with detection results in both directions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Rows = dict[Key, Row]
 
 
 def rows_of(hits: pgccd.Contacts, i: int = 0, j: int = 1) -> Rows:
-    """The contacts of bodies i < j; fails if one is listed twice."""
+    """The contacts of bodies i < j; fails on duplicates."""
     mine = ((hits.pairs[:, 0] == i) & (hits.pairs[:, 1] == j)).nonzero().flatten().tolist()
     columns = [c.tolist() for c in (hits.toi, hits.status, hits.coordinates, hits.point, hits.normal)]
     keys = [(int(hits.kind[k]), *hits.features[k].tolist()) for k in mine]
@@ -41,7 +41,7 @@ def rows_of(hits: pgccd.Contacts, i: int = 0, j: int = 1) -> Rows:
 
 
 def body_motion(bodies: Bodies, body: int) -> rigid.BodyMotion:
-    """For the rigid oracle."""
+    """A body's motion for the rigid oracle."""
     columns = (bodies.position_t0, bodies.orientation_t0, bodies.position_t1, bodies.rotation)
     return rigid.BodyMotion.from_rotation(*(c[body] for c in columns))
 
@@ -54,7 +54,9 @@ def rigid_truth(bodies: Bodies, i: int = 0, j: int = 1, min_separation: float = 
 
 
 def end_positions(bodies: Bodies, body: int, seen_from: int | None = None) -> list[np.ndarray]:
-    """World positions (V, 3) of a body's vertices at t0 and t1, or relative to the centre of another; rounded once."""
+    """World positions (V, 3) of a body's vertices at t0 and t1, optionally relative to another body's position; rounded
+    once.
+    """
     poses = (bodies.position_t0, bodies.orientation_t0, bodies.position_t1, bodies.rotation)
     pose = [c[body] for c in poses]
     points, ends = bodies.meshes[body].vertices.numpy(), []
@@ -78,20 +80,20 @@ def self_truth(ends: list[np.ndarray], faces: np.ndarray, min_separation: float 
 
 
 def assert_nothing_invented(rows: Rows, truth: detect.Detection) -> None:
-    """Every contact reported on straight paths of the vertices given happens, unless it stayed unresolved."""
+    """Asserts that every contact reported on these straight vertex paths is true or unresolved."""
     invented = {key for key in rows.keys() - truth.keys() if rows[key].status != pgccd.UNRESOLVED}
     assert invented == set(), "invented"
 
 
 def assert_nothing_missed(rows: Rows, truth: detect.Detection) -> None:
-    """Every contact that certainly happens is reported, not later than it happens."""
+    """Asserts that every certain contact is reported, and not later than it happens."""
     assert truth.keys() - rows.keys() == set(), "missed"
     late = [c for c in truth.contacts if Fraction(rows[c.kind, c.feature_a, c.feature_b].toi) > Fraction(c.toi_upper)]
     assert late == [], "a toi is late"
 
 
 def feature_indices(faces: tuple[np.ndarray, np.ndarray], keys: list[Key], kind: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertex numbers of the first-named and of the second-named primitive of contacts of one kind."""
+    """Vertex indices of the first and of the second primitive of all contacts of one kind."""
     a, b = (np.array([key[k] for key in keys]) for k in (1, 2))
     if kind == pgccd.EE:
         return unique_edges(faces[0])[a], unique_edges(faces[1])[b]
@@ -99,7 +101,7 @@ def feature_indices(faces: tuple[np.ndarray, np.ndarray], keys: list[Key], kind:
 
 
 def assert_rigid_rows_close(rows: Rows, bodies: Bodies, within: float, i: int = 0, j: int = 1) -> None:
-    """At its toi each reported pair on rigid arcs is at most `within` apart, and lies where the row says."""
+    """Asserts that each reported pair on rigid arcs is at most `within` apart at its toi, at the reported point."""
     faces = (bodies.meshes[i].faces.long().numpy(), bodies.meshes[j].faces.long().numpy())
     for kind in KINDS:
         keys = [key for key, row in rows.items() if key[0] == kind and row.status == pgccd.TOUCH]
@@ -122,14 +124,16 @@ def assert_rigid_rows_close(rows: Rows, bodies: Bodies, within: float, i: int = 
 def assert_rigid_pair_agrees(
     hits: pgccd.Contacts, bodies: Bodies, i: int = 0, j: int = 1, separation: float = 0.0
 ) -> int:
-    """All contacts of one pair (report="all", default tolerance) against brute force. Returns how many are true."""
+    """Checks all contacts of one pair (report="all", default tolerance) against brute force. Returns the number of true
+    contacts.
+    """
     rows, truth = rows_of(hits, i, j), rigid_truth(bodies, i, j, separation)
     assert_nothing_missed(rows, truth)
     meshes = bodies.meshes[i], bodies.meshes[j]
     size = np.abs(bodies.position_t0[j] - bodies.position_t0[i]).max() + sum(mesh.radius for mesh in meshes)
     tolerance = 1e-6 * min(mesh.radius for mesh in meshes)
     assert_rigid_rows_close(rows, bodies, separation + tolerance + 1e-12 * size, i, j)
-    # What the oracle calls free comes within the tolerance all the same, or stayed unresolved, and is counted as that.
+    # Contacts that the oracle does not have come within the tolerance or are unresolved, and are counted as such.
     assert hits.stats.unresolved >= sum(row.status == pgccd.UNRESOLVED for row in rows.values())
     if truth.contacts and rows:
         assert min(row.toi for row in rows.values()) <= float(truth.toi_upper)
@@ -151,7 +155,7 @@ def _assert_places(rows: list[Row], points: np.ndarray, centre: np.ndarray, kind
     assert np.abs(here - np.array([row.point for row in rows])).max() <= 1e-12 * size
     normal = np.array([row.normal for row in rows])
     assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-12
-    # Where the gap is long against rounding, the normal is its direction, from body i to body j.
+    # Where the gap is much longer than rounding, the normal is its direction, from body i to body j.
     clear = (length > 1e-9 * size).ravel()
     towards = gap * (-1.0 if kind == pgccd.VF_BA else 1.0) / np.maximum(length, 1e-300)
     assert ((towards * normal).sum(axis=1)[clear] > 0.999).all()
@@ -167,7 +171,7 @@ def linear_points(
 
 
 def assert_linear_rows_close(rows: Rows, ends: list[list[np.ndarray]], faces: list[np.ndarray], within: float) -> None:
-    """At its toi each reported pair of features on straight paths is at most `within` apart."""
+    """Asserts that each reported feature pair on straight paths is at most `within` apart at its toi."""
     for kind in KINDS:
         keys = [key for key, row in rows.items() if key[0] == kind and row.status == pgccd.TOUCH]
         if keys:

@@ -1,4 +1,4 @@
-"""Detection by ranks that torchrun started, on the device named: the contacts of one process on a CPU."""
+"""Detection by ranks that torchrun started, on the given device: equal to the contacts of one CPU process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-// Bounds: what moves, in the form that the later stages read.
+// Bounds: motion in the form that later stages read.
 #pragma once
 
 #include <cstdint>
@@ -9,16 +9,16 @@
 
 namespace pgccd {
 
-// Rotation vectors of the turns between two orientations, (count, 4) each -> (count, 3), world frame, the shorter way.
+// Rotation vectors between two orientations, (count, 4) each -> (count, 3), world frame, the shorter way.
 void rotations_between_cpu(const Executor& executor, const double* orientation_t0, const double* orientation_t1,
                            int64_t count, double* rotation);
 
-// Positions (count, 3) and unit quaternions (count, 4) of bodies at a time each.
+// Positions (count, 3) and unit quaternions (count, 4) of bodies, each at its own time.
 void poses_at_cpu(const Executor& executor, const RigidPoses& poses, int64_t count, double* position,
                   double* orientation);
 
-// Where SBV centres are at both ends (bodies, 3), and the radius of a ball about the straight way between them that
-// holds the body all along (bodies,).
+// SBV centres at both ends (bodies, 3), and the radius (bodies,) of the sphere moving straight between them that
+// contains the body throughout.
 struct MovingSpheres {
   double* centre_t0;
   double* centre_t1;
@@ -39,7 +39,7 @@ struct DeformingInput {
   const int64_t* block_begin;   // (bodies,)
 };
 
-// Is the mesh of a body there, with rows for its vertices and node blocks?
+// True if the body's mesh exists and its rows of vertices and node blocks are in range.
 PGCCD_HD bool is_sound(const DeformingInput& input, int64_t body) {
   const int32_t mesh = input.mesh_index[body];
   if (!is_within(mesh, input.meshes.mesh_count)) return false;
@@ -48,7 +48,7 @@ PGCCD_HD bool is_sound(const DeformingInput& input, int64_t body) {
          are_within(input.block_begin[body], rows[1].block - rows[0].block, input.block_count);
 }
 
-// Everything of DeformingBodies that depends on where the vertices are.
+// The members of DeformingBodies that depend on vertex positions.
 struct DeformingBounds {
   double* position_t0;  // (bodies, 3)
   double* position_t1;  // (bodies, 3)

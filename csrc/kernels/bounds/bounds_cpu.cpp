@@ -38,7 +38,7 @@ void refit_body(const DeformingInput& input, const DeformingBounds& bounds, int6
   const NodeLink* links = input.meshes.node_links + offsets.block * kBlockWidth;
   std::vector<NodeBounds> nodes(block_count * kBlockWidth);
   const int64_t first = input.block_begin[body];
-  // Blocks of parents precede those of their children, so backwards is bottom-up.
+  // Blocks of parents precede those of their children, so reverse order is bottom-up.
   for (int64_t block = block_count - 1; block >= 0; --block) {
     for (int slot = 0; slot < kBlockWidth; ++slot) {
       refit_node(shape, triangles, links, block, slot, nodes.data(), bounds.blocks_t0 + first + block,

@@ -6,21 +6,21 @@
 namespace pgccd {
 namespace {
 
-// Work is shared out by the rows of all bodies' node blocks: a large body has many, small ones few.
+// Work is distributed by node blocks of all bodies, whose number is proportional to a body's size.
 struct Refit {
   DeformingInput input;
   DeformingBounds bounds;
-  Vec3<double>* chunk_sums[2];          // (blocks); a mesh never has more chunks of faces than blocks of nodes
-  unsigned long long* largest_squared;  // (bodies) bits of the squared radius so far, which are in the same order
+  Vec3<double>* chunk_sums[2];          // (blocks); a mesh has no more chunks of faces than node blocks
+  unsigned long long* largest_squared;  // (bodies) bits of the largest squared radius so far, which have the same order
   NodeBounds* nodes;                    // (blocks, 8)
   int32_t* body_of_block;               // (blocks)
   int32_t* parent;                      // (blocks) block of the parent node, local to its body
-  int32_t* pending;                     // (blocks) children's blocks not done yet
+  int32_t* pending;                     // (blocks) number of children's blocks not finished yet
 };
 
 constexpr int32_t kNoBody = -1;
 
-// A body's mesh and its rows.
+// A body's mesh and rows.
 struct RefitBody {
   int64_t index;
   int64_t first_block, block_count, face_count;
@@ -58,7 +58,7 @@ __device__ BodyShape body_shape(const Refit& refit, int64_t body) {
   return shape;
 }
 
-// Sums of `value(k)`, k below `count`, in order: a warp fetches many of them at a time, and three of its lanes add up a
+// Sums of `value(k)` for k < count, in order: a warp fetches kStaged values at a time, and three of its lanes sum one
 // coordinate each. The result is in lane 0.
 constexpr int kStaged = 96;
 template <class Value>
@@ -75,12 +75,12 @@ __device__ Vec3<double> sum_in_order(int64_t count, double (&staged)[kStaged][3]
     }
     __syncwarp();
     for (int k = 0; lane < 3 && k < taken; ++k) sum = sum + staged[k][lane];
-    __syncwarp();  // the next ones may overwrite them
+    __syncwarp();  // before the buffer is overwritten
   }
   return {__shfl_sync(kAllLanes, sum, 0), __shfl_sync(kAllLanes, sum, 1), __shfl_sync(kAllLanes, sum, 2)};
 }
 
-// One warp a body.
+// One warp per body.
 __global__ void __launch_bounds__(kBlockThreads) name_bodies(Refit refit) {
   const int64_t index = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
   if (index >= refit.input.body_count) return;
@@ -93,7 +93,7 @@ __global__ void __launch_bounds__(kBlockThreads) name_bodies(Refit refit) {
   }
 }
 
-// One warp a row of the blocks and end of the step: the chunk of that number, if the mesh has as many.
+// One warp per node block and end of the step: sums the chunk with the block's number, if the mesh has one.
 __global__ void __launch_bounds__(kBlockThreads) sum_chunks(Refit refit) {
   __shared__ double staged[kWarpsPerBlock][kStaged][3];
   const int64_t task = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
@@ -111,7 +111,7 @@ __global__ void __launch_bounds__(kBlockThreads) sum_chunks(Refit refit) {
   if (threadIdx.x % kWarp == 0) refit.chunk_sums[end][row] = sum;
 }
 
-// One warp a body and end of the step.
+// One warp per body and end of the step.
 __global__ void __launch_bounds__(kBlockThreads) place_centres(Refit refit) {
   __shared__ double staged[kWarpsPerBlock][kStaged][3];
   const int64_t task = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
@@ -127,7 +127,7 @@ __global__ void __launch_bounds__(kBlockThreads) place_centres(Refit refit) {
   }
 }
 
-// One warp a row of the blocks: an equal share of its body's corners, and which blocks hang below this one.
+// One warp per node block: measures an equal share of its body's corners, and records the blocks below this one.
 __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
   const int lane = threadIdx.x % kWarp;
   const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
@@ -156,8 +156,8 @@ __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
   }
 }
 
-// Eight threads a block, one for each slot. Bottom up from the blocks without children: the thread that finishes a
-// block's last child goes on with that block (Karras 2012).
+// Eight threads per block, one for each slot. Bottom-up from the blocks without children: the thread that finishes a
+// block's last child continues with that block (Karras 2012).
 __global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
   const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, leader = lane - slot;
   const unsigned members = 0xffu << leader;
@@ -179,7 +179,7 @@ __global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
                refit.bounds.blocks_t0 + first + block, refit.bounds.blocks_t1 + first + block);
     if (block == 0) return;
     __threadfence();
-    __syncwarp(members);  // all eight are written before the parent hears of it
+    __syncwarp(members);  // all eight slots are written before the parent is signalled
     const int64_t parent = refit.parent[first + block];
     int32_t pending = 0;
     if (slot == 0) pending = atomicSub(refit.pending + first + parent, 1);

@@ -1,4 +1,4 @@
-// Looking for rows of the input that are not what they should be.
+// Search for faulty rows of the input.
 #pragma once
 
 #include <cmath>
@@ -12,7 +12,7 @@ namespace pgccd {
 
 enum class RowCheck : int32_t {
   kMagnitude = 0,   // of each number: at most the limit
-  kUnitLength = 1,  // off by at most the limit
+  kUnitLength = 1,  // differs from 1 by at most the limit
   kLength = 2,      // at most the limit
 };
 
@@ -24,7 +24,7 @@ struct RowColumn {
   double limit;
 };
 
-// What is not a number is faulty.
+// NaN is faulty.
 PGCCD_HD bool is_faulty(const RowColumn& column, int64_t row) {
   const double* values = column.values + row * column.width;
   double squared = 0.0;
@@ -38,7 +38,7 @@ PGCCD_HD bool is_faulty(const RowColumn& column, int64_t row) {
   return !((column.check == RowCheck::kUnitLength ? std::fabs(length - 1.0) : length) <= column.limit);
 }
 
-// To `first`: the first faulty row of each column, or its number of rows; then 1 if there is any, else 0.
+// Writes to `first` the first faulty row of each column, or its number of rows; then 1 if any row is faulty, else 0.
 void first_faults_cpu(const Executor& executor, const std::vector<RowColumn>& columns, int64_t* first);
 
 }  // namespace pgccd

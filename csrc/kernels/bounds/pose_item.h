@@ -1,4 +1,4 @@
-// Where a rigid body on its arc is at a time, by the arithmetic of the narrow phase.
+// Pose of a rigid body on its arc at a given time, by the same arithmetic as the narrow phase.
 #pragma once
 
 #include <cmath>
@@ -21,7 +21,7 @@ PGCCD_HD void pose_at(const RigidPoses& poses, int64_t row, double* position, do
              (1.0 - t) * load_vec3(poses.position_t0 + 3 * row) + t * load_vec3(poses.position_t1 + 3 * row));
   const Spin spin = make_spin(load_vec3(poses.rotation + 3 * row));
   const double half_angle = 0.5 * (spin.angle * t);
-  Quaternion turn{NAN, {NAN, NAN, NAN}};  // of input that checks report
+  Quaternion turn{NAN, {NAN, NAN, NAN}};  // of invalid input, reported by checks
   if (half_angle <= kLargestAngle) {
     const SineCosine half = sine_cosine(half_angle);
     turn = {half.cosine, half.sine * spin.axis};

@@ -1,5 +1,5 @@
-// Bounds of bodies that deform: the SBV of a step, and spheres of the hierarchy's nodes at both ends of it. One radius
-// serves both ends: by convexity it then serves every blend between them.
+// Bounds of deforming bodies: the SBV of a step, and spheres of the hierarchy's nodes at both ends of it, with one
+// radius. By convexity they bound the nodes at every interpolated time.
 #pragma once
 
 #include "core/mesh_set.h"
@@ -7,7 +7,7 @@
 
 namespace pgccd {
 
-// One body's vertices at t0 and t1 (world) and its centre there.
+// One body's vertices at t0 and t1 (world), and its centres.
 struct BodyShape {
   const double* vertices[2];
   Vec3<double> centre[2];
@@ -17,8 +17,8 @@ struct BodyShape {
   }
 };
 
-// The mean of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1) is summed in chunks of so many
-// faces, and then over the chunks, always in order: the same bits however many threads share the work.
+// The mean of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1) is summed in chunks of this
+// many faces, then over the chunks, always in order: bitwise equal for any number of threads.
 constexpr int64_t kMeanChunk = 256;
 
 PGCCD_HD Vec3<double> corner_sum(const int32_t* faces, int64_t face_count, int64_t chunk, const double* vertices) {
@@ -30,21 +30,21 @@ PGCCD_HD Vec3<double> corner_sum(const int32_t* faces, int64_t face_count, int64
   return sum;
 }
 
-// Number of used slots: they come first.
+// Number of used slots, which come first.
 PGCCD_HD int used_slots(const NodeLink* links, int64_t block) {
   int count = 0;
   while (count < kBlockWidth && links[block * kBlockWidth + count].triangle_count >= 0) ++count;
   return count;
 }
 
-// What a node covers, at both ends of the step, relative to the body's centre.
+// Bounds of a node at both ends of the step, relative to the body's centre.
 struct NodeBounds {
   Vec3<double> lower[2], upper[2];
   Vec3<float> centre[2];
   double radius;
-  Vec3<double> area_normal;  // sum of the triangles' cross products, at both ends
+  Vec3<double> area_normal;  // sum of the triangles' cross products over both ends
   Vec3<float> normal;
-  double low[2], high[2];  // along it, from the centres
+  double low[2], high[2];  // along the normal, from the centres
   int32_t first_triangle, triangle_count;
 };
 
@@ -116,8 +116,8 @@ PGCCD_HD NodeBounds leaf_bounds(const BodyShape& shape, const Triangle* triangle
   return node;
 }
 
-// Small nodes measure their vertices; large ones take the better of two bounds, the box's corner and the children's
-// spheres.
+// Small nodes measure their vertices; large ones take the smaller of two bounds, from the box's corner and from the
+// children's spheres.
 PGCCD_HD NodeBounds parent_bounds(const BodyShape& shape, const Triangle* triangles, const NodeBounds* children,
                                   int count) {
   constexpr int32_t kMeasured = 32;
@@ -160,7 +160,7 @@ PGCCD_HD void store_node(const NodeBounds& node, int end, int slot, NodeBlock& b
   block.normal_x[slot] = node.normal.x;
   block.normal_y[slot] = node.normal.y;
   block.normal_z[slot] = node.normal.z;
-  // One slab for both ends; outward by more than the rounding of the projections.
+  // One slab for both ends, widened by more than the rounding of the projections.
   const double slack = 0x1p-22 * node.radius;
   block.low[slot] = static_cast<float>(smaller(node.low[0], node.low[1]) - slack);
   block.high[slot] = static_cast<float>(larger(node.high[0], node.high[1]) + slack);
@@ -171,7 +171,7 @@ PGCCD_HD void store_empty(int slot, NodeBlock& block) {
   block.normal_x[slot] = block.normal_y[slot] = block.normal_z[slot] = block.low[slot] = block.high[slot] = NAN;
 }
 
-// One node, once the block below it is done, and its spheres at both ends; or an empty slot.
+// Computes one node from the finished block below it, and stores its spheres at both ends; or stores an empty slot.
 PGCCD_HD void refit_node(const BodyShape& shape, const Triangle* triangles, const NodeLink* links, int64_t block,
                          int slot, NodeBounds* nodes, NodeBlock* at_t0, NodeBlock* at_t1) {
   if (slot >= used_slots(links, block)) {

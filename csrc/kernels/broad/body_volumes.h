@@ -1,6 +1,5 @@
-// Continuous bounding volumes as the broad phase sees them. Which pairs belong to the PCS is decided by one predicate,
-// `is_potentially_colliding`; every broad phase may only skip pairs for which it is certainly false, so all of them
-// agree.
+// Continuous bounding volumes for the broad phase. A single predicate, `is_potentially_colliding`, decides the PCS; a
+// broad phase may only skip pairs for which it is certainly false, so all of them return the same pairs.
 #pragma once
 
 #include <cstdint>
@@ -19,11 +18,11 @@ struct BroadBodies {
   const uint8_t* is_static;  // (count,) 0 or 1, or null: none
   double separation;
   double tolerance;  // as in pair_tolerance
-  // Nonzero if the input is invalid, which the host has not read yet: then no pairs are found. May be null.
+  // Nonzero if the input is invalid, which the host has not read yet; no pairs are then found. May be null.
   const int64_t* is_invalid = nullptr;
 
   PGCCD_HD bool invalid() const { return is_invalid != nullptr && *is_invalid != 0; }
-  // Padding: a row without a body has a radius below zero. No broad phase finds it, nor does it reach any cell.
+  // Padding rows have a negative radius. No broad phase pairs them, and they reach no cell.
   PGCCD_HD bool is_absent(int64_t body) const { return centres.radius[body] < 0.0; }
 };
 
@@ -36,11 +35,11 @@ PGCCD_HD bool may_collide(const BroadBodies& bodies, int64_t i, int64_t j) {
   return (group_i & mask_j) != 0 && (group_j & mask_i) != 0;
 }
 
-// Distances below this may vanish when they are squared. They count as zero.
+// Smaller distances may underflow when squared, and count as zero.
 constexpr double kVanishing = 0x1p-500;
 
-// Do the capsules' moving spheres come within separation + tolerance, what the narrow phase may report, at some time of
-// the step? Never false when they do in exact arithmetic. Order matters to the last bit: i < j.
+// True if the moving spheres come within separation + tolerance (what the narrow phase may report) at some time of the
+// step. Never false if they do in exact arithmetic. Requires i < j, since the order affects the last bit.
 PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int64_t j) {
   if (!may_collide(bodies, i, j) || bodies.is_absent(i) || bodies.is_absent(j)) return false;
   const RelativeCentre offset = relative_centre(bodies.centres, i, j);
@@ -48,8 +47,8 @@ PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int
   const double length_squared = norm_squared(travel);
   double nearest = 0.0;
   if (length_squared > 0.0) nearest = unit_clamp(-dot(offset.at_t0, travel) / length_squared);
-  // Offsets, travel and the point at `nearest` are each off by a few roundings of the larger offset; a wrong `nearest`
-  // by second order only.
+  // Offsets, travel and the point at `nearest` each have a few roundings of the larger offset; an error of `nearest`
+  // has a second-order effect only.
   const double rounding = 0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1)) + kVanishing;
   const double kept = bodies.separation + pair_tolerance(bodies.centres, i, j, bodies.tolerance);
   // 2^-42: the narrow phase computes points of the bodies to within kRigidPointUnits.
@@ -57,29 +56,29 @@ PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int
   return !(norm_squared(offset.at_t0 + nearest * travel) > reach * reach);
 }
 
-// Radius of a CBV with half of what may be kept between it and any other body, wide enough for the roundings of the
-// predicate: a tolerance relative to the smaller radius is at most that of this one.
+// Radius of a CBV grown by half of separation + tolerance, and by the rounding of the predicate. A tolerance relative
+// to the smaller radius is at most that relative to this one.
 PGCCD_HD double swept_reach(const BroadBodies& bodies, int64_t body, Vec3<double> travel) {
   const double radius = bodies.centres.radius[body];
   const double kept = bodies.separation + (bodies.tolerance < 0.0 ? -bodies.tolerance * radius : bodies.tolerance);
   return (radius + 0.5 * kept) * (1.0 + 0x1p-40) + 0x1p-40 * max_abs(travel) + kVanishing;
 }
 
-// Its box. Ends are rounded where the world's coordinates are coarse, but all alike: boxes that overlap before do so
-// afterwards, and every test that compares ends keeps them.
+// The box of a swept sphere. Its ends are rounded to world coordinates, monotonically: exact boxes that overlap also
+// overlap as computed, and tests that compare ends keep them.
 struct SweptBox {
   Vec3<double> lower, upper;
 };
 
-// The middle of a computed box is off that of the exact one by at most a quarter of a unit in the last place of its
-// largest end on each of three axes, where the body is less than 2^-20 of that end. For the centres then are multiples
-// of the spacing S of doubles at the outer end or, across a power of two, of S / 2. With one spacing, both ends are
-// rounded outward by as much, or inward. With S at one end and S / 2 at the other, they are not, but centre + reach
-// rounded to S and centre - reach rounded to S / 2 differ from mirror images by at most S / 2.
+// The middle of a computed box differs from the exact one by at most a quarter of a unit in the last place of its
+// largest end on each of three axes, if the body is smaller than 2^-20 of that end. The centres are then multiples of
+// the spacing S of doubles at the outer end or, across a power of two, of S / 2. With equal spacing, both ends are
+// rounded outward, or inward, by the same amount. With S at one end and S / 2 at the other, centre + reach rounded to S
+// and centre - reach rounded to S / 2 differ from mirror images by at most S / 2.
 constexpr double kBoxRounding = 1.7320508075688774 * 0x1p-54;
 
 PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
-  if (bodies.invalid()) return {};  // rather than anything that is not a number
+  if (bodies.invalid()) return {};  // avoids NaN
   const Vec3<double> p0 = load_vec3(bodies.centres.position_t0 + 3 * body);
   const Vec3<double> p1 = load_vec3(bodies.centres.position_t1 + 3 * body);
   const double reach = swept_reach(bodies, body, p1 - p0);
@@ -90,8 +89,8 @@ PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
 
 PGCCD_HD double component(Vec3<double> v, int axis) { return axis == 0 ? v.x : (axis == 1 ? v.y : v.z); }
 
-// Float32 bounds measured from the scene's origin, rounded outward: by more than subtraction and conversion may be off,
-// and by less than 2^-21 of themselves.
+// Float32 bounds relative to the scene's origin, rounded outward by more than the error of subtraction and conversion,
+// and by less than 2^-21 of their magnitude.
 PGCCD_HD double outward(double x) { return 0x1p-22 * std::fabs(x) + 0x1p-130; }
 PGCCD_HD float float_below(double x) { return static_cast<float>(x - outward(x)); }
 PGCCD_HD float float_above(double x) { return static_cast<float>(x + outward(x)); }

@@ -8,7 +8,7 @@
 
 namespace pgccd {
 
-// By the one chosen.
+// Runs the chosen broad phase.
 void find_pairs_cpu(const Executor& executor, const BroadBodies& bodies, const BroadPhaseChoice& choice,
                     const PairOutput& make_output);
 

@@ -10,10 +10,10 @@
 
 namespace pgccd {
 
-// An output of exactly the size needed, whose count the host waits for; or a padded one, without waiting.
+// An output of exactly the size needed, whose count the host reads; or a padded one, without synchronising.
 using PairSink = std::variant<PairOutput, PaddedPairs>;
 
-// By the one chosen.
+// Runs the chosen broad phase.
 void find_pairs_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadPhaseChoice& choice,
                      const PairSink& out);
 

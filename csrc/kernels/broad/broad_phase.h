@@ -1,11 +1,11 @@
-// The broad phases there are. All of them hand over the same rows: every pair with is_potentially_colliding, sorted.
+// The broad phases. All of them return the same rows: every pair with is_potentially_colliding, sorted.
 #pragma once
 
 #include <cstdint>
 
 namespace pgccd {
 
-// pgccd/detection/broad.py names them in this order.
+// Names in the same order: pgccd/detection/broad.py.
 enum class BroadPhase : int64_t {
   kSweep = 0,
   kGrid = 1,
@@ -15,7 +15,7 @@ constexpr int64_t kBroadPhases = 3;
 
 struct BroadPhaseChoice {
   BroadPhase phase;
-  int axis = -1;  // of a sweep: 0, 1, 2, or -1 for that of the largest variance of centres
+  int axis = -1;  // of a sweep: 0, 1, 2, or -1 for the axis with the largest variance of centres
 };
 
 }  // namespace pgccd

@@ -1,5 +1,5 @@
-// What broad phases test before the predicate: 32 bytes a body in float32, every bound rounded outward, measured from
-// an origin in the scene.
+// Bounds that broad phases test before the predicate: 32 bytes per body in float32, rounded outward, relative to an
+// origin in the scene.
 #pragma once
 
 #include <limits>
@@ -11,13 +11,13 @@ namespace pgccd {
 
 struct alignas(32) FilterBox {
   float lower[3];
-  float radius;  // of the ball around the middle of the box that holds the CBV
+  float radius;  // of the sphere around the middle of the box that contains the CBV
   float minus_upper[3];
   int32_t body;
 };
 
 PGCCD_HD FilterBox filter_box(const BroadBodies& bodies, Vec3<double> origin, int64_t body) {
-  if (bodies.is_absent(body)) {  // a box that overlaps none
+  if (bodies.is_absent(body)) {  // a box that overlaps nothing
     constexpr float kNowhere = std::numeric_limits<float>::infinity();
     return {{kNowhere, kNowhere, kNowhere}, 0.0f, {kNowhere, kNowhere, kNowhere}, static_cast<int32_t>(body)};
   }
@@ -26,9 +26,9 @@ PGCCD_HD FilterBox filter_box(const BroadBodies& bodies, Vec3<double> origin, in
   const SweptBox box = swept_box(bodies, body);
   const Vec3<double> lower = box.lower - origin, upper = box.upper - origin;
   const double radius = (swept_reach(bodies, body, travel) + 0.5 * norm(travel)) * (1.0 + 0x1p-20);
-  // `balls_meet` forms the middle of the rounded box, which is off by up to 2^-21 of the largest coordinate an axis,
-  // and the difference of two middles; 2^-19 is twice as much in all. The middle of the box itself is off by the
-  // rounding of the world's coordinates, which may be far larger; for large bodies 2^-20 covers it.
+  // `balls_meet` computes the middle of the rounded box, with an error of up to 2^-21 of the largest coordinate per
+  // axis, and the difference of two middles; 2^-19 is twice the total. The middle of the box itself has the rounding
+  // error of world coordinates, which may be far larger; for large bodies 2^-20 covers it.
   const double rounding =
       0x1p-19 * larger(max_abs(lower), max_abs(upper)) + kBoxRounding * larger(max_abs(box.lower), max_abs(box.upper));
   return {{float_below(lower.x), float_below(lower.y), float_below(lower.z)},
@@ -37,7 +37,7 @@ PGCCD_HD FilterBox filter_box(const BroadBodies& bodies, Vec3<double> origin, in
           static_cast<int32_t>(body)};
 }
 
-// Also of nodes that begin with such bounds.
+// Also for nodes, which begin with the same members.
 template <class Box>
 PGCCD_HD bool boxes_overlap(const FilterBox& a, const Box& b) {
   bool overlap = true;
@@ -45,8 +45,8 @@ PGCCD_HD bool boxes_overlap(const FilterBox& a, const Box& b) {
   return overlap;
 }
 
-// False only if the CBVs certainly stay apart. NaN (of boxes beyond the range of floats) and underflow count as
-// meeting.
+// False only if the CBVs certainly stay apart. NaN (from boxes beyond the range of floats) and underflow count as
+// overlap.
 PGCCD_HD bool balls_meet(const FilterBox& a, const FilterBox& b) {
   float distance_squared = 0.0f;
   for (int k = 0; k < 3; ++k) {
@@ -59,7 +59,7 @@ PGCCD_HD bool balls_meet(const FilterBox& a, const FilterBox& b) {
 
 #if !defined(__CUDACC__)
 
-// One box against many, a comparison each.
+// One box against many, with one comparison each.
 class BoxOverlap {
  public:
   explicit BoxOverlap(const FilterBox& self)

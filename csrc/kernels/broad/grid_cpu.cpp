@@ -40,17 +40,17 @@ GridFrame choose_frame(const BroadBodies& bodies) {
 // Bodies in the order of their buckets.
 struct SortedCells {
   GridTables tables;
-  std::unique_ptr<uint32_t[]> start;  // position of each bucket's first body; one more than there are buckets
+  std::unique_ptr<uint32_t[]> start;  // index of each bucket's first body; one more entry than buckets
   std::unique_ptr<FilterBox[]> boxes;
   std::unique_ptr<GridCell[]> cells;
-  int64_t count;  // of bodies
+  int64_t count;  // number of bodies
 };
 
 uint32_t world_of(const BroadBodies& bodies, int64_t body) {
   return bodies.world ? static_cast<uint32_t>(bodies.world[body]) : 0u;
 }
 
-// Of all bodies, and how many there are in each level.
+// The cells of all bodies, and the number of bodies in each level.
 std::unique_ptr<GridCell[]> find_cells(const Executor& executor, const BroadBodies& bodies, const GridFrame& frame,
                                        uint32_t (&level_counts)[kGridLevels]) {
   auto cells = std::make_unique_for_overwrite<GridCell[]>(bodies.count);
@@ -115,7 +115,7 @@ class GridSearch {
         world_(world_of(bodies, sorted.boxes[position].body)),
         collector_(collector) {}
 
-  // Among the bodies of one level, in which the body's box starts in `cell`.
+  // Searches the bodies of one level, in which the body's box starts in `cell`.
   template <bool kLater>
   void look_around(const GridCell& cell) {
     const GridTable& table = sorted_.tables.of_level[cell.level()];

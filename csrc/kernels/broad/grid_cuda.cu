@@ -9,7 +9,7 @@
 namespace pgccd {
 namespace {
 
-// By one block.
+// One block.
 __global__ void __launch_bounds__(kSampleThreads) choose_frame(BroadBodies bodies, GridFrame* frame) {
   __shared__ BlockSample sample;
   const double weight = sample_weight(bodies.count);
@@ -53,7 +53,7 @@ __global__ void __launch_bounds__(kBlockThreads)
   for (uint32_t level = threadIdx.x; level < kGridLevels; level += blockDim.x) block_counts.of_level[level] = 0;
   __syncthreads();
   const GridFrame own_frame = *frame;
-  // A thread's bodies are mostly of one level.
+  // Consecutive bodies of a thread are mostly of one level.
   uint32_t level = 0, run = 0;
   const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
   for (int64_t b = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; b < bodies.count; b += stride) {
@@ -74,9 +74,9 @@ __global__ void __launch_bounds__(kBlockThreads)
     if (block_counts.of_level[k] != 0) atomicAdd(&counts->of_level[k], block_counts.of_level[k]);
 }
 
-// By one block.
+// One block.
 __global__ void make_tables(const LevelCounts* counts, int64_t body_count, GridTables* tables) {
-  __shared__ LevelCounts own;  // one read instead of one after the other
+  __shared__ LevelCounts own;  // a single read instead of sequential ones
   if (threadIdx.x < kGridLevels) own.of_level[threadIdx.x] = counts->of_level[threadIdx.x];
   __syncthreads();
   if (threadIdx.x == 0) divide_buckets(own.of_level, body_count, *tables);
@@ -88,7 +88,7 @@ struct Place {
 
 struct SortedCells {
   const GridTables* tables;
-  const uint32_t* start;  // position of each bucket's first body; one more than there are buckets
+  const uint32_t* start;  // index of each bucket's first body; one more entry than buckets
   int64_t bucket_count;
   const FilterBox* boxes;
   const GridCell* cells;
@@ -154,7 +154,7 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
   make_tables<<<1, kBlockThreads, 0, context.stream>>>(level_counts, count, tables);
   check_cuda(cudaGetLastError(), "broad phase");
 
-  // Counting sort by bucket; the order within one does not matter.
+  // Counting sort by bucket; the order within a bucket does not matter.
   const int64_t bucket_count = most_buckets(count);
   uint32_t* start = context.allocate<uint32_t>(bucket_count + 1);
   fill_bytes(context, start, 0, bucket_count + 1);

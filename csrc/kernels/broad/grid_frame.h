@@ -1,5 +1,4 @@
-// Grid broad phase: how large cells are and where they start, from a sample of the bodies. It decides how long the
-// search takes, never what it finds.
+// Grid broad phase: size and origin of the cells, from a sample of the bodies. It affects only the time of the search.
 #pragma once
 
 #include "kernels/broad/grid_item.h"
@@ -7,10 +6,10 @@
 
 namespace pgccd {
 
-// A body of unit size is a cell at about this level: a million times smaller ones have levels of their own.
+// Level of a body of unit size: bodies a million times smaller still have levels of their own.
 constexpr int kGridUnitLevel = 20;
 
-// Starts in the middle of the scene; a body of mean extent is one cell of level 0 on each axis.
+// Origin in the middle of the scene; a body of mean extent is one cell of level 0 on each axis.
 PGCCD_HD GridFrame unit_frame(const double (&mean_middle)[3], const double (&mean_extent)[3]) {
   GridFrame frame;
   for (int k = 0; k < 3; ++k) {
@@ -26,7 +25,7 @@ PGCCD_HD double unit_size(const GridFrame& frame, const SweptBox& box) {
   return larger(larger(extent.x * frame.scale[0], extent.y * frame.scale[1]), extent.z * frame.scale[2]);
 }
 
-// Sizes are looked at modulo powers of two, in four classes to the octave.
+// Sizes modulo powers of two are divided into four classes per octave.
 constexpr int kSizeClasses = 4;
 PGCCD_HD double class_end(int size_class) {
   return size_class == 0 ? 0.594603557501360533
@@ -41,8 +40,8 @@ PGCCD_HD int size_class(double size) {
   return found;
 }
 
-// The end of a class that, taken for the size of cells, makes them exceed their bodies least (volumes weighted by
-// counts): sizes that are much the same should not fall on both sides of it.
+// The end of a class that, used as cell size, minimises the excess of cells over their bodies (volumes weighted by
+// counts): similar sizes should not be on both sides of it.
 PGCCD_HD double best_end(const double (&counts)[kSizeClasses]) {
   double best_cost = INFINITY, best = 1.0;
   for (int end = 0; end < kSizeClasses; ++end) {
@@ -66,7 +65,8 @@ PGCCD_HD double folded_size(double size, double end) {
   return fraction > end ? 0.5 * fraction : fraction;
 }
 
-// Cells a little larger than `cell_size` (in cells of the unit frame), since bodies outside the sample may be.
+// Cells slightly larger than `cell_size` (in cells of the unit frame), since bodies outside of the sample may be
+// larger.
 PGCCD_HD GridFrame scaled_frame(GridFrame unit, double cell_size) {
   if (!(cell_size < 0x1p1000)) cell_size = 1.0;
   for (double& scale : unit.scale) scale *= static_cast<double>(1 << kGridUnitLevel) / (cell_size * (1.0 + 1.0 / 64.0));

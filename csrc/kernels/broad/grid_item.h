@@ -1,10 +1,10 @@
 // Grid broad phase: levels and cells.
 //
-// Levels (hierarchical grid, Ericson 2005, Real-Time Collision Detection, 7.2): cells double in size from level to
-// level. A body belongs to the first level where its swept box spans at most two cells an axis, and lies in the cell of
-// its lower corner. So bodies of one level that meet lie in neighbouring cells, and partners of a body are searched for
-// in its own level (in the half of the neighbours that comes later) and in coarser ones, never in finer ones: a body as
-// large as the scene is found by the others, each for itself.
+// Levels (hierarchical grid, Ericson 2005, Real-Time Collision Detection, 7.2): the cell size doubles from level to
+// level. A body belongs to the first level where its swept box spans at most two cells per axis, and is stored in the
+// cell of its lower corner. So overlapping bodies of one level are in neighbouring cells, and a body is tested in its
+// own level (the later half of the neighbours) and in coarser ones, never in finer ones: a body as large as the scene
+// is found by each of the others.
 #pragma once
 
 #include "core/bits.h"
@@ -12,20 +12,20 @@
 
 namespace pgccd {
 
-// Where coordinates start and how many cells of level 0 a length is, on each axis.
+// Origin and number of level-0 cells per length unit, on each axis.
 struct GridFrame {
   double origin[3];
   double scale[3];
 };
 
-// Corners of a swept box in cells of level 0. Monotone in the position, which is all that correctness needs: however
-// coordinates are rounded, boxes that overlap have overlapping spans.
+// Corners of a swept box in cells of level 0. Monotone in the position, which suffices for correctness: with any
+// rounding, boxes that overlap have overlapping spans.
 struct GridSpan {
   int64_t lower[3], upper[3];
 };
 
 PGCCD_HD int64_t grid_coordinate(double x, double origin, double scale) {
-  constexpr double kLimit = 0x1p61;  // so that differences fit
+  constexpr double kLimit = 0x1p61;  // so that differences do not overflow
   return static_cast<int64_t>(std::floor(larger(-kLimit, smaller((x - origin) * scale, kLimit))));
 }
 
@@ -40,15 +40,15 @@ PGCCD_HD GridSpan grid_span(const GridFrame& frame, const SweptBox& box) {
 
 constexpr uint32_t kGridLevels = 63;
 
-// The first level whose cells are as large as the span; two intervals of one cell's length share an end at least.
+// The first level whose cells are as large as the span: a span then covers at most two cells.
 PGCCD_HD uint32_t grid_level(const GridSpan& span) {
   int64_t longest = 1;
   for (int k = 0; k < 3; ++k) longest = larger(longest, span.upper[k] - span.lower[k]);
   return static_cast<uint32_t>(bit_width(static_cast<uint64_t>(longest - 1)));
 }
 
-// Only the low bits of coordinates are looked at: cells 2^20 apart are taken for one another, which costs tests and
-// changes nothing.
+// Only the low bits of coordinates are compared: cells 2^20 apart count as equal, which costs tests but does not change
+// the result.
 constexpr int kCoordinateBits = 20;
 PGCCD_HD uint32_t low_bits(uint32_t coordinate) { return coordinate & ((1u << kCoordinateBits) - 1u); }
 
@@ -72,8 +72,8 @@ PGCCD_HD GridCell grid_cell(const GridSpan& span, uint32_t level) {
   return cell;
 }
 
-// The same in a coarser level, from the cell itself. Bits get lost at the upper end: none that are looked at if the
-// level is at most kCoarserLevels above.
+// The cell in a coarser level, from the cell itself. The shift loses upper bits; none that are compared if the level is
+// at most kCoarserLevels above.
 constexpr uint32_t kCoarserLevels = 32 - kCoordinateBits - 1;
 PGCCD_HD GridCell coarser_cell(const GridCell& cell, uint32_t level) {
   GridCell coarser;

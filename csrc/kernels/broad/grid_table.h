@@ -1,9 +1,9 @@
-// Grid broad phase: the bodies of each cell, and the cells in which partners of a body may lie.
+// Grid broad phase: the bodies of each cell, and the cells that may contain partners of a body.
 //
-// Cells are hashed, so that memory is proportional to the bodies, wherever they are. Each level has a table of its own.
-// The low bits of a cell's coordinates keep its place in a tile as large as the table; the tile and the world only
-// shift that place. In a scene that one tile holds, nothing collides; cells next to one another along x are so in the
-// table as well.
+// Cells are hashed, so that memory is proportional to the number of bodies, whatever their positions. Each level has
+// its own table. The low bits of a cell's coordinates are its place in a tile as large as the table; the tile and the
+// world only shift that place. In a scene within one tile there are no collisions of hashes, and cells adjacent along x
+// are adjacent in the table.
 #pragma once
 
 #include "kernels/broad/grid_item.h"
@@ -16,7 +16,7 @@ struct GridRun {
   uint32_t first_bucket, last_bucket;
   bool starts_at_home;  // in the cell of the body itself
 
-  // Of a cell of the same level.
+  // True if the run contains a cell of the same level.
   PGCCD_HD bool contains(const GridCell& cell) const {
     return low_bits(cell.lower[1]) == low_bits(y) && low_bits(cell.lower[2]) == low_bits(z) &&
            low_bits(cell.lower[0] - x_first) <= x_last - x_first;
@@ -25,7 +25,7 @@ struct GridRun {
 
 class GridTable {
  public:
-  int bits[3];  // of the tile on each axis; at least 2, so that a cell's neighbours in a tile are distinct
+  int bits[3];  // bits of the tile on each axis; at least 2, so that a cell's neighbours in a tile are distinct
   uint32_t begin;
 
   PGCCD_HD uint32_t bucket(const GridCell& cell, uint32_t world) const {
@@ -33,16 +33,16 @@ class GridTable {
     return bucket(x, y, z, salt(x, y, z, world));
   }
 
-  // Do the cell and all its neighbours lie in one tile? Then they have buckets of their own; else several may share
-  // one, and the cell of what is found there must be compared.
+  // True if the cell and all its neighbours are in one tile. Then each has a bucket of its own; else several may share
+  // one, and the cell of each body found must be compared.
   PGCCD_HD bool in_one_tile(const GridCell& cell) const {
     bool inside = true;
     for (int k = 0; k < 3; ++k) inside &= tile(cell.lower[k] - 1u, k) == tile(cell.lower[k] + 1u, k);
     return inside;
   }
 
-  // The runs of cells in which partners of a body may lie whose box starts in `cell`; each cell once. If kLater, only
-  // those that come after it in the order of (z, y, x), and itself, the first cell of the first run.
+  // Visits the runs of cells that may contain partners of a body whose box starts in `cell`, each cell once. With
+  // kLater, only cells after it in the order of (z, y, x), and itself, as the first cell of the first run.
   template <bool kLater, class Visit>
   PGCCD_HD void visit_runs(const GridCell& cell, uint32_t world, Visit&& visit) const {
     const uint32_t last_of_tile = (1u << bits[0]) - 1u;
@@ -57,7 +57,7 @@ class GridTable {
     });
   }
 
-  // The same for a cell `in_one_tile`.
+  // As visit_runs, for a cell `in_one_tile`.
   template <bool kLater, class Visit>
   PGCCD_HD void visit_runs_in_tile(const GridCell& cell, uint32_t world, Visit&& visit) const {
     const uint32_t own_salt = salt(cell.lower[0], cell.lower[1], cell.lower[2], world);
@@ -73,7 +73,7 @@ class GridTable {
   PGCCD_HD uint32_t salt(uint32_t x, uint32_t y, uint32_t z, uint32_t world) const {
     uint32_t hash = tile(x, 0) * 0x9e3779b1u ^ tile(y, 1) * 0x85ebca77u ^ tile(z, 2) * 0xc2b2ae3du;
     hash ^= world * 0x165667b1u;
-    hash = (hash ^ (hash >> 15)) * 0x2c1b3c6du;  // so that tiles in a row do not end up in a row
+    hash = (hash ^ (hash >> 15)) * 0x2c1b3c6du;  // so that consecutive tiles are not consecutive in the table
     return hash ^ (hash >> 13);
   }
 
@@ -99,23 +99,23 @@ class GridTable {
 
 struct GridTables {
   GridTable of_level[kGridLevels];
-  uint64_t levels;  // bit set of those that hold bodies
+  uint64_t levels;  // bit set of levels with bodies
 };
 
-// Those of a bit set of levels that are coarser than `level`.
+// The levels of a bit set that are coarser than `level`.
 PGCCD_HD uint64_t coarser_levels(uint64_t levels, uint32_t level) { return levels >> level >> 1 << level << 1; }
 
 constexpr int kFewestBucketBits = 6, kMostBucketBits = 30;
-// Two to four buckets a body for all levels together.
+// Two to four buckets per body, over all levels.
 PGCCD_HD int bucket_bits(int64_t body_count) {
   return smaller(bit_width(static_cast<uint64_t>(2 * body_count)), kMostBucketBits);
 }
-// At least as many as `divide_buckets` gives out.
+// An upper bound of the buckets that `divide_buckets` assigns.
 PGCCD_HD int64_t most_buckets(int64_t body_count) {
   return (int64_t{4} << bucket_bits(body_count)) / 3 + (kGridLevels << kFewestBucketBits);
 }
 
-// Gives each level its share, as a power of two.
+// Assigns each level its share, a power of two.
 PGCCD_HD void divide_buckets(const uint32_t (&level_counts)[kGridLevels], int64_t body_count, GridTables& tables) {
   const double all = static_cast<double>(int64_t{1} << bucket_bits(body_count));
   tables.levels = 0;
@@ -123,7 +123,7 @@ PGCCD_HD void divide_buckets(const uint32_t (&level_counts)[kGridLevels], int64_
   for (uint32_t level = 0; level < kGridLevels; ++level) {
     if (level_counts[level] == 0) continue;
     const double share = all * static_cast<double>(level_counts[level]) / static_cast<double>(body_count);
-    // Rounded up where little is missing: all tables together exceed the shares by a third at most.
+    // Rounded up from three quarters of a power of two: the tables exceed the shares by at most a third.
     int bits = kFewestBucketBits;
     while (0.75 * static_cast<double>(int64_t{2} << bits) <= share) ++bits;
     tables.of_level[level] = {{(bits + 2) / 3, (bits + 1) / 3, bits / 3}, begin};

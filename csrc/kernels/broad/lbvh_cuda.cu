@@ -5,7 +5,7 @@
 namespace pgccd {
 namespace {
 
-// By one block.
+// One block.
 __global__ void __launch_bounds__(kSampleThreads) choose_frame(BroadBodies bodies, LbvhFrame* frame) {
   __shared__ BlockSample sample;
   const double weight = sample_weight(bodies.count);
@@ -25,9 +25,9 @@ __global__ void __launch_bounds__(kBlockThreads) build_nodes(LbvhTree tree, unsi
   const int64_t p = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   if (p >= tree.leaf_count) return;
   const int32_t top = climb(tree, static_cast<int32_t>(p), [&](int32_t node) {
-    __threadfence();  // what was written here, before the arrival is seen
+    __threadfence();  // releases writes before the arrival is visible
     const bool second = atomicExch(&arrivals[node], 1u) != 0u;
-    __threadfence();  // what the first wrote, after its arrival was seen
+    __threadfence();  // acquires the first child's writes
     return second;
   });
   if (top >= 0) *root = top;

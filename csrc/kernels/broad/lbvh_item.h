@@ -1,8 +1,8 @@
 // Linear bounding volume hierarchy over bodies in Morton order (Lauterbach et al. 2009; the radix tree of Karras 2012,
-// built from the leaves up as in Apetrei 2014): keys, nodes, the climb that builds it, and one body's traversal.
+// built bottom-up as in Apetrei 2014): keys, nodes, the construction, and one body's traversal.
 //
-// A pair is reported by its smaller body, sizes rounded to octaves, and within an octave by the one that comes first.
-// So a body as large as the scene does not walk the whole tree: the others find it, each for itself.
+// A pair is reported by its smaller body, with sizes rounded to octaves, and within an octave by the first one. So a
+// body as large as the scene does not traverse the whole tree: each of the others finds it.
 #pragma once
 
 #include "core/bits.h"
@@ -11,7 +11,7 @@
 
 namespace pgccd {
 
-// Positions are squeezed into (-1, 1), so that a few bodies far away leave digits to the others.
+// Positions are mapped into (-1, 1), so that a few distant bodies do not use up the digits of the others.
 struct LbvhFrame {
   double origin[3];
   double spread;
@@ -35,11 +35,11 @@ PGCCD_HD uint64_t spread_bits(uint64_t x) {  // two zero bits after each of 21
   return (x | (x << 2)) & 0x1249249249249249ull;
 }
 
-// Morton code of the middle of the box; the world above it, so that each world is a part of the tree of its own.
+// Morton code of the middle of the box, with the world in the upper bits, so that each world is a subtree.
 constexpr int kWorldShift = 32;
 PGCCD_HD uint64_t lbvh_key(const BroadBodies& bodies, const LbvhFrame& frame, int64_t body) {
   constexpr int kDigits = 21, kDigitsBelowWorld = 10;
-  if (bodies.is_absent(body)) return ~uint64_t{0};  // behind all
+  if (bodies.is_absent(body)) return ~uint64_t{0};  // after all others
   const Vec3<double> middle = middle_of(swept_box(bodies, body));
   uint64_t code = 0;
   for (int k = 0; k < 3; ++k) {
@@ -58,7 +58,7 @@ PGCCD_HD int32_t octave(const FilterBox& box) {
   return static_cast<int32_t>(std::bit_cast<uint32_t>(box.radius) >> 23);
 }
 
-// Node k divides its leaves between k and k + 1. Children below zero are leaves: ~position. Begins like a FilterBox.
+// Node k separates its leaves between k and k + 1. Negative children are leaves: ~index. Begins like a FilterBox.
 struct alignas(16) LbvhNode {
   float lower[3];
   int32_t top_octave;
@@ -69,7 +69,7 @@ struct alignas(16) LbvhNode {
   int32_t padding;
 };
 
-// Do leaves k and k + 1 have less in common than leaves m and m + 1? Equal keys are ordered by their positions.
+// True if leaves k and k + 1 have a shorter common prefix than leaves m and m + 1. Equal keys are ordered by index.
 PGCCD_HD bool divides_above(const uint64_t* keys, int64_t k, int64_t m) {
   const uint64_t at_k = keys[k] ^ keys[k + 1], at_m = keys[m] ^ keys[m + 1];
   if (at_k != at_m) return at_k > at_m;
@@ -79,7 +79,7 @@ PGCCD_HD bool divides_above(const uint64_t* keys, int64_t k, int64_t m) {
 struct LbvhTree {
   const uint64_t* keys;  // sorted
   const FilterBox* leaves;
-  LbvhNode* nodes;  // one fewer
+  LbvhNode* nodes;  // leaf_count - 1
   int64_t leaf_count;
   bool has_worlds;
 };
@@ -95,15 +95,15 @@ PGCCD_HD LbvhNode leaf_node(const FilterBox& box, int32_t position) {
           0};
 }
 
-// The node that a subtree other than the whole tree hangs from.
+// The parent of a subtree other than the whole tree.
 PGCCD_HD int32_t parent_of(const LbvhTree& tree, const LbvhNode& subtree) {
   if (subtree.first == 0) return subtree.last;
   if (subtree.last == tree.leaf_count - 1) return subtree.first - 1;
   return divides_above(tree.keys, subtree.first - 1, subtree.last) ? subtree.last : subtree.first - 1;
 }
 
-// Builds the nodes above leaf p as long as it is the second of two children to arrive. arrive(node) says whether it is;
-// then it sees what the first wrote, and lets the others see what was written here. Returns the root to the very last.
+// Builds the nodes above leaf p as long as this thread is the second child to arrive. arrive(node) returns whether it
+// is; it must acquire the writes of the first child and release those of this one. Returns the root to the last thread.
 template <class Arrive>
 PGCCD_HD int32_t climb(const LbvhTree& tree, int32_t p, Arrive&& arrive) {
   LbvhNode subtree = leaf_node(tree.leaves[p], p);
@@ -131,10 +131,10 @@ PGCCD_HD int32_t climb(const LbvhTree& tree, int32_t p, Arrive&& arrive) {
   }
 }
 
-// A path from the root loses a bit of (key, position) at every node.
+// Each node on a path from the root fixes one more bit of (key, index).
 constexpr int kLongestPath = 64 + 31;
 
-// Calls found(q) for leaves q that leaf p must be tested with. overlaps(bounds) compares a node or leaf with p's box.
+// Calls found(q) for leaves q to be tested with leaf p. overlaps(bounds) compares a node or leaf with p's box.
 template <class Overlaps, class Found>
 PGCCD_HD void traverse_lbvh(const LbvhTree& tree, int32_t root, int32_t p, Overlaps&& overlaps, Found&& found) {
   const int32_t own_octave = octave(tree.leaves[p]);

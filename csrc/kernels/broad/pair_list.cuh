@@ -1,5 +1,4 @@
-// How the broad phases on the device collect the pairs they come across, in any number, test them, and put them in
-// order.
+// Collection, test and sort of pairs in the broad phases on the device.
 #pragma once
 
 #include "kernels/broad/broad_cuda.h"
@@ -7,14 +6,14 @@
 
 namespace pgccd {
 
-// Packed pairs. What does not fit is counted all the same.
+// Packed pairs. Pairs beyond the capacity are counted.
 struct PairList {
   unsigned long long* count;
   uint64_t* pairs;
   int64_t capacity;
   const int64_t* is_invalid = nullptr;  // of the bodies
 
-  // Pairs of invalid bodies are discarded; there could be very many.
+  // Pairs of invalid bodies are dropped; there could be very many.
   __device__ bool is_wanted() const { return is_invalid == nullptr || *is_invalid == 0; }
 
   // Threads of a warp that append together share one atomic.
@@ -29,7 +28,7 @@ struct PairList {
   }
 };
 
-// A block's part of a list, in shared memory: one atomic on the list for hundreds of pairs.
+// A block's buffer of a list, in shared memory: one atomic on the list for hundreds of pairs.
 class PairBuffer {
  public:
   __device__ void clear() {
@@ -38,7 +37,7 @@ class PairBuffer {
   }
 
   __device__ void append(const PairList& list, uint64_t pair) {
-    // Once it is full it is counted no further: there may be more than 2^32.
+    // A full buffer is not counted further: the count could exceed 2^32.
     const bool is_full = *static_cast<volatile unsigned*>(&count_) >= kCapacity;
     const unsigned at = is_full ? kCapacity : atomicAdd(&count_, 1u);
     if (at < kCapacity) {
@@ -48,7 +47,7 @@ class PairBuffer {
     }
   }
 
-  // Moves all to the list and calls moved(position, pair) for each that fits. By all threads of the block.
+  // Moves all pairs to the list and calls moved(position, pair) for each that fits. Called by all threads of the block.
   template <class Moved>
   __device__ void flush(const PairList& list, Moved&& moved) {
     __syncthreads();
@@ -76,16 +75,16 @@ class PairBuffer {
 };
 
 // `launch(list)` fills the list with candidates on the stream, each pair at most once; those with
-// is_potentially_colliding are handed over. Where the output has the size needed, this waits for that number, and
-// `launch` is called once more, with enough capacity, if the first guess was too small.
+// is_potentially_colliding are written to the output. For an output of exact size this synchronises to read the count,
+// and calls `launch` again with enough capacity if the first estimate was too small.
 using CandidateLaunch = std::function<void(const PairList& list)>;
 void collect_pairs(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out,
                    const CandidateLaunch& launch);
 
-// Before any work.
+// Records the start time; called before any work.
 void note_beginning(const DeviceContext& context, const PairSink& out);
 
-// The output of a scene without pairs.
+// Writes the output of a scene without pairs.
 void write_no_pairs(const DeviceContext& context, const PairSink& out);
 
 }  // namespace pgccd

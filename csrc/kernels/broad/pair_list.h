@@ -1,4 +1,4 @@
-// How the broad phases on the CPU test the pairs they come across, collect them, and put them in order.
+// Test, collection and sort of pairs in the broad phases on the CPU.
 #pragma once
 
 #include <vector>
@@ -9,13 +9,13 @@
 
 namespace pgccd {
 
-// Packed pairs in any order.
+// Packed pairs, unsorted.
 using FoundPairs = std::vector<uint64_t>;
 
-// `scan` may read, and ignores, so many entries past the end of its input: arrays are padded by them.
+// `scan` may read this many entries past the end of its input, and ignores them: arrays are padded accordingly.
 constexpr int64_t kScanPadding = 4;
 
-// One worker's collector of candidates among sorted boxes. They are tested in batches, so that the predicate's
+// One worker's collector of candidates among sorted boxes. Candidates are tested in batches, so that the predicate's
 // scattered reads overlap.
 class PairCollector {
  public:
@@ -26,10 +26,10 @@ class PairCollector {
     batch_[size_++] = {static_cast<int32_t>(a), static_cast<int32_t>(b)};
   }
 
-  // Those of the boxes [begin, end) that overlap box `self`, and that `keep(position)` agrees to.
+  // Adds those of the boxes [begin, end) that overlap box `self` and for which `keep(position)` is true.
   template <class Keep>
   void scan(int64_t self, const BoxOverlap& overlap, int64_t begin, int64_t end, Keep&& keep) {
-    // A few at a time and no branch on the outcome: how many boxes there are and which overlap is hard to foretell.
+    // In packs and without branches on the outcome: the number of boxes and the overlaps are hard to predict.
     do {
       if (size_ > kBatch - kScanPadding) test_batch();
       for (int64_t other = begin; other < begin + kScanPadding; ++other) {
@@ -66,7 +66,7 @@ inline std::vector<FoundPairs> take_all(std::vector<PairCollector>& collectors) 
   return found;
 }
 
-// Hands over what all workers found.
+// Sorts and writes the pairs of all workers.
 void write_sorted(const Executor& executor, const std::vector<FoundPairs>& found, int64_t body_count,
                   const PairOutput& make_output);
 

@@ -32,7 +32,7 @@ void PairCollector::test_batch() {
 
 namespace {
 
-// Rows of pairs with one i are short on the whole.
+// Rows of pairs with the same i are mostly short.
 void sort_row(int32_t* first, int32_t* last) {
   constexpr int64_t kShort = 16;
   if (last - first > kShort) return std::sort(first, last);
@@ -46,7 +46,7 @@ void sort_row(int32_t* first, int32_t* last) {
 
 }  // namespace
 
-// Counting sort by i, then each row by itself.
+// Counting sort by i, then a sort of each row.
 void write_sorted(const Executor& executor, const std::vector<FoundPairs>& found, int64_t body_count,
                   const PairOutput& make_output) {
   int64_t total = 0;
@@ -56,7 +56,7 @@ void write_sorted(const Executor& executor, const std::vector<FoundPairs>& found
 
   const bool alone = found.size() == 1;
   const int64_t parts = static_cast<int64_t>(found.size());
-  std::vector<int64_t> end(body_count + 1, 0);  // first counts, then where the next j of each row goes
+  std::vector<int64_t> end(body_count + 1, 0);  // first counts, then the next free index of each row
   parallel_chunks(executor, parts, 1, [&](int, int64_t part, int64_t) {
     for (const uint64_t pair : found[part]) add_shared(end[first_of(pair) + 1], int64_t{1}, alone);
   });

@@ -6,7 +6,7 @@
 namespace pgccd {
 namespace {
 
-// A row of at most so many pairs is sorted by one thread.
+// Rows of at most this many pairs are sorted by one thread.
 constexpr uint32_t kLongestShortRow = 32;
 
 struct PairCounts {
@@ -14,7 +14,7 @@ struct PairCounts {
   unsigned has_long_row;
 };
 
-// The pairs found, and how many there are with each i; a pair's rank is its place among those.
+// The pairs found, and their number for each i; a pair's rank is its place among those.
 struct RankedPairs {
   PairList list;
   uint32_t* rank;
@@ -28,7 +28,7 @@ __global__ void __launch_bounds__(kBlockThreads)
   buffer.clear();
   const int64_t listed = smaller(static_cast<int64_t>(*candidates.count), candidates.capacity);
   const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
-  // All threads of a block make the same number of rounds; the buffer holds what one round can add.
+  // All threads of a block run the same number of rounds; the buffer holds the pairs of one round.
   for (int64_t first = static_cast<int64_t>(blockIdx.x) * blockDim.x; first < listed; first += stride) {
     const int64_t k = first + threadIdx.x;
     if (k < listed) {
@@ -48,14 +48,14 @@ __device__ void write_row(int64_t* out, int64_t row, int64_t i, int64_t j) {
   out[2 * row + 1] = j;
 }
 
-// What was found, on the device.
+// The pairs found, on the device.
 struct Found {
   RankedPairs ranked;
   PairCounts* counts;
   const uint32_t* row_begin;
 };
 
-// Counting sort by i, then each row by itself: the pairs pass through memory twice. Leaves long rows alone.
+// Counting sort by i, then a sort of each row: two passes through memory. Long rows are not sorted.
 void write_by_rows(const DeviceContext& context, const Found& found, int64_t capacity, int64_t body_count,
                    int64_t* out) {
   int32_t* second = context.allocate<int32_t>(capacity);

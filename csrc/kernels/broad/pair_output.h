@@ -1,4 +1,4 @@
-// How every broad phase hands over the PCS.
+// Output of the broad phases.
 #pragma once
 
 #include <cstdint>
@@ -9,10 +9,10 @@
 
 namespace pgccd {
 
-// Called once with the number of pairs; returns where their rows (i, j) go: i < j, sorted by i, then j.
+// Called once with the number of pairs; returns the memory for their rows (i, j): i < j, sorted by i, then j.
 using PairOutput = std::function<int64_t*(int64_t count)>;
 
-// A pair while it is collected: the smaller index in the upper half.
+// A packed pair: the smaller index in the upper half.
 PGCCD_HD uint64_t pack_pair(int32_t a, int32_t b) {
   return (static_cast<uint64_t>(smaller(a, b)) << 32) | static_cast<uint32_t>(larger(a, b));
 }

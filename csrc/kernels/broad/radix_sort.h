@@ -14,8 +14,8 @@ struct KeyedBody {
   int32_t body;
 };
 
-// Least significant digit first; digits that all keys share are skipped. Few items are compared instead, in the same
-// order: setting the buckets to zero would take longer.
+// Least significant digit first; digits common to all keys are skipped. Small inputs are sorted by comparisons, with
+// the same result, because clearing the buckets would take longer.
 inline void radix_sort(std::vector<KeyedBody>& items) {
   constexpr size_t kFew = 128;
   if (items.size() <= kFew) {

@@ -9,10 +9,10 @@ namespace pgccd {
 
 constexpr int kSampleThreads = 512;
 
-// In shared memory.
+// Storage in shared memory.
 class BlockSample {
  public:
-  // look(box) for this thread's share.
+  // Calls look(box) for this thread's share.
   template <class Look>
   __device__ static void for_each(const BroadBodies& bodies, Look&& look) {
     const int64_t stride = sample_stride(bodies.count);
@@ -21,7 +21,7 @@ class BlockSample {
     }
   }
 
-  // Over all threads, for all threads; always in one order.
+  // Reductions over all threads, with the result on all threads; always in the same order.
   __device__ double sum(double own) { return shared(Reduce(scratch_).Sum(own)); }
   __device__ double maximum(double own) {
     return shared(Reduce(scratch_).Reduce(own, [](double a, double b) { return larger(a, b); }));

@@ -1,6 +1,6 @@
-// Which rank owns which part of space. Every function of a point is monotone along each axis, rounding included, so
-// that the cell of a point in a box lies between those of the box's corners, and a box reaches the side of a plane on
-// which a point of it lies.
+// Ownership of space by ranks. Every function of a point is monotone along each axis, rounding included: the cell of a
+// point in a box is between those of the box's corners, and a box reaches the side of a plane on which one of its
+// points lies.
 #pragma once
 
 #include <cmath>
@@ -16,19 +16,19 @@ struct Cell {
 // Equal cells; those at the boundary extend to infinity.
 struct CellFrame {
   double lower[3];
-  double per_length[3];  // cells a length unit
+  double per_length[3];  // cells per length unit
   int64_t count[3];
 
   PGCCD_HD int64_t along(int axis, double x) const {
     const double at = std::floor((x - lower[axis]) * per_length[axis]), last = static_cast<double>(count[axis] - 1);
-    return at > 0.0 ? static_cast<int64_t>(at < last ? at : last) : 0;  // 0 for NaN too
+    return at > 0.0 ? static_cast<int64_t>(at < last ? at : last) : 0;  // 0 also for NaN
   }
   PGCCD_HD Cell cell(Vec3<double> point) const { return {along(0, point.x), along(1, point.y), along(2, point.z)}; }
   PGCCD_HD int64_t index(const Cell& cell) const { return (cell.x * count[1] + cell.y) * count[2] + cell.z; }
   PGCCD_HD int64_t cell_count() const { return count[0] * count[1] * count[2]; }
 };
 
-// The cells a box reaches, numbered 0 to count() - 1.
+// The cells that a box reaches, numbered 0 to count() - 1.
 struct CellRange {
   Cell first, extent;
 
@@ -43,8 +43,8 @@ struct CellRange {
   }
 };
 
-// A plane of a recursive bisection, as a row of float64 numbers. What lies below it, and what does not, are a plane
-// further down in the table, or rank r as -1 - r.
+// A plane of a recursive bisection, as a row of float64 numbers. Its children below and above are a later row of the
+// table, or rank r as -1 - r.
 struct BisectionPlane {
   double axis, at, below, above;
 
@@ -58,21 +58,21 @@ struct BisectionPlane {
 
 PGCCD_HD bool is_sound(const BisectionPlane& plane, int64_t row, int64_t plane_count, int64_t ranks) {
   for (const double side : {plane.below, plane.above}) {
-    // Towards the end of the table, so that every way ends.
+    // Children are later rows, so that every path ends.
     if (!(side < 0.0 ? side >= -static_cast<double>(ranks) : side > row && side < plane_count)) return false;
     if (side != std::floor(side)) return false;
   }
   return plane.axis == 0.0 || plane.axis == 1.0 || plane.axis == 2.0;
 }
 
-// Planes below one another, at most.
+// Maximum depth of the tree of planes.
 constexpr int kMostPlaneDepth = 64;
 
-// Which rank owns which part of space: cells, or what planes bound.
+// The partition of space as seen by one rank: by cells or by planes.
 struct Subdomain {
-  CellFrame frame;               // of the world, where it is divided into cells; else of this rank's part
-  const int64_t* owner;          // (cells,) rank of each; null: planes
-  const BisectionPlane* planes;  // (plane_count,) the first is the root; without any all belongs to rank 0
+  CellFrame frame;               // of the world for a partition by cells; else of this rank's part
+  const int64_t* owner;          // (cells,) rank of each; null for planes
+  const BisectionPlane* planes;  // (plane_count,) the first is the root; without planes rank 0 owns everything
   int64_t plane_count;
   int64_t rank;
 
@@ -83,8 +83,8 @@ struct Subdomain {
     return -1 - at;
   }
 
-  // visit(rank) for all ranks that own a part of what the box reaches, perhaps several times, until it returns true.
-  // Cells are dealt out to `threads`.
+  // Calls visit(rank) for all ranks whose parts the box reaches, possibly several times, until it returns true. Cells
+  // are distributed over `threads`.
   template <class Visit>
   PGCCD_HD bool any_owner(const SweptBox& box, Visit visit, int64_t thread = 0, int64_t threads = 1) const {
     if (owner == nullptr) return thread == 0 && any_bisected(box, visit);

@@ -1,4 +1,4 @@
-// Ranks whose cells the sweeps of bodies reach: for distributing bodies over ranks.
+// Ranks whose parts of space the swept spheres of bodies reach, used to distribute bodies over ranks.
 #pragma once
 
 #include <vector>
@@ -8,19 +8,18 @@
 
 namespace pgccd {
 
-// `rows` is as long as the input; the rows found come first, in ascending order. `found` is their number.
+// `rows` has the length of the input; the rows found come first, in ascending order. `found` is their number.
 struct FoundRows {
   int64_t* rows;
   int64_t* found;
 };
 
-// Bodies that reach cells of other ranks, and rows of -1 after them. reach (count,): 1 for them, or 0.
+// Finds bodies that reach cells of other ranks; the remaining rows are -1. reach (count,): 1 for these bodies, else 0.
 void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain,
                          uint8_t* reach, const FoundRows& boundary);
 
-// Bodies whose replica ranks are wanted: `rows` (row_count,), -1 for padding. If `received` is not empty, they are
-// ghosts in the order of the ranks they came from, so many from each (with padding), which are replica ranks of them
-// too.
+// Bodies whose replica ranks are computed: `rows` (row_count,), -1 for padding. If `received` is not empty, they are
+// ghosts ordered by source rank, with this number from each (padding included); the source is a replica rank too.
 struct ReplicaRanksInput {
   BroadBodies bodies;
   Subdomain subdomain;
@@ -29,7 +28,8 @@ struct ReplicaRanksInput {
   const std::vector<int64_t>& received;
 };
 
-// replica_ranks (row_count, ranks): 1 for other ranks that hold the body, or 0; counts (ranks,): bodies of each rank.
+// replica_ranks (row_count, ranks): 1 for other ranks that hold the body, else 0; counts (ranks,): number of bodies per
+// rank.
 struct ReplicaRanks {
   int64_t ranks;
   uint8_t* replica_ranks;
@@ -38,18 +38,18 @@ struct ReplicaRanks {
 
 void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input, const ReplicaRanks& out);
 
-// Bodies, and the other ranks whose parts they reach: how many there are of each (row_count,), some counted several
-// times; or, where it is known at which place those of each row begin, the ranks.
+// Bodies, and the other ranks whose parts they reach: the number of ranks of each (row_count,), with repetitions; or,
+// given the first index of each row, the ranks.
 struct ReachedRanks {
   BroadBodies bodies;
   Subdomain subdomain;
   const int64_t* rows;
   int64_t row_count;
-  const int64_t* begin;  // (row_count,); null: they are counted
-  int64_t places;        // for the ranks of all rows
+  const int64_t* begin;  // (row_count,); null to count
+  int64_t places;        // total number of ranks of all rows
   int64_t ranks;
 
-  // Sets the k-th count, or its ranks. False: there is no place for them.
+  // Stores the k-th count, or its ranks. False if they do not fit.
   PGCCD_HD bool store(int64_t k, int64_t* out) const {
     const int64_t count = store_reached(bodies, subdomain, rows[k], nullptr);
     if (begin == nullptr) {
@@ -72,15 +72,15 @@ struct HeldRows {
   const int64_t* counts;
 };
 
-// The rows that rank 0 holds, then those of rank 1, and so on, each padded to the capacity of its rank with
-// -1. Rows beyond the capacity are dropped.
+// The rows that rank 0 holds, then those of rank 1, ..., each padded with -1 to the capacity of the rank. Rows beyond
+// the capacity are dropped.
 void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank);
 
-// Whether all rows fit.
+// Test whether all rows fit.
 struct CapacityInput {
-  const int64_t* counts;  // (ranks,) of rows for each rank
-  const int64_t* found;   // (1,) rows in all
-  int64_t capacity;       // of all rows together
+  const int64_t* counts;  // (ranks,) number of rows for each rank
+  const int64_t* found;   // (1,) total number of rows
+  int64_t capacity;       // of the total
 
   // `capacities`: of each rank.
   PGCCD_HD bool is_short(const int64_t* capacities, int64_t ranks) const {
@@ -91,24 +91,24 @@ struct CapacityInput {
   }
 };
 
-// messages (ranks, 2): the count of each rank, and 1 if rows were dropped anywhere.
+// messages (ranks, 2): the count for each rank, and 1 if any rows were dropped.
 void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* messages);
 
-// Pairs whose reference point lies in a cell of the subdomain's rank, in the first places of owned (pair_count, 2),
-// then pairs of -1; `found` is how many there are.
+// Selects pairs whose reference point is in a cell of the subdomain's rank: owned (pair_count, 2), padded with -1;
+// `found` is their number.
 void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found);
 
-// Bodies that overlap the box around all ghosts in a cell of the subdomain's rank which they reach.
+// Finds bodies that overlap the box around all ghosts in a cell of the subdomain's rank that they reach.
 void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const BroadBodies& ghosts,
                      const Subdomain& subdomain, const FoundRows& near);
 
 struct LeavingRows {
-  int64_t* rows;            // as long as the input; those found come first, ascending
-  int64_t* by_destination;  // the same rows, those to each rank together
-  int64_t* counts;          // (ranks,) how many to each
+  int64_t* rows;            // as long as the input; rows found come first, ascending
+  int64_t* by_destination;  // the same rows, grouped by destination rank
+  int64_t* counts;          // (ranks,) number of rows per destination
 };
 
-// Bodies whose centre lies in a cell of another rank.
+// Finds bodies whose position is in a cell of another rank.
 void leaving_bodies_cpu(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain,
                         int64_t ranks, const LeavingRows& leaving);
 

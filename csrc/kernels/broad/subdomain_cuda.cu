@@ -9,10 +9,10 @@
 namespace pgccd {
 namespace {
 
-// Cells of a body are dealt out to so many threads: a large one reaches very many.
+// Cells of a body are distributed over this many threads, since a large body reaches very many.
 constexpr int kBodyThreads = 32;
 
-// Into which bodies that leave are divided, each for one thread; and of shares and ranks together.
+// Leaving bodies are divided into shares, one per thread; limits of the number of shares, and of shares times ranks.
 constexpr int64_t kMostShares = 4096, kMostSlots = int64_t{1} << 20;
 
 __device__ void lower_to(int64_t* target, int64_t value) {
@@ -23,7 +23,7 @@ __device__ void raise_to(int64_t* target, int64_t value) {
   if (*target < value) atomicMax(reinterpret_cast<long long*>(target), static_cast<long long>(value));
 }
 
-// How many rows of each column are set: a row of blocks a column.
+// Number of nonzero rows of each column; one row of thread blocks per column.
 __global__ void __launch_bounds__(kBlockThreads) count_columns(const uint8_t* table, int64_t rows, int64_t* counts) {
   using Reduce = cub::BlockReduce<int64_t, kBlockThreads>;
   __shared__ typename Reduce::TempStorage storage;
@@ -40,7 +40,7 @@ __global__ void __launch_bounds__(kBlockThreads) count_columns(const uint8_t* ta
 
 struct IsReplicaRank {
   HeldRows held;
-  // Of (rank, row) in the order in which they are wanted.
+  // Items are ordered by (rank, row).
   __device__ bool operator()(int64_t item) const {
     return held.replica_ranks[(item % held.row_count) * held.ranks + item / held.row_count] != 0;
   }
@@ -51,7 +51,7 @@ struct Numbers {
   int64_t values[kMost];
 };
 
-// Numbers of the host on the device. As arguments of kernels, of which a captured graph keeps a copy.
+// Copies host values to the device as kernel arguments, which a captured graph stores.
 const int64_t* on_device(const DeviceContext& context, const std::vector<int64_t>& numbers) {
   const auto count = static_cast<int64_t>(numbers.size());
   int64_t* const there = context.allocate<int64_t>(count);
@@ -64,7 +64,7 @@ const int64_t* on_device(const DeviceContext& context, const std::vector<int64_t
   return there;
 }
 
-// Where the part of each of several that follow one another ends, for the device.
+// End offsets of consecutive parts, on the device.
 const int64_t* ends_of(const DeviceContext& context, std::vector<int64_t> sizes) {
   std::partial_sum(sizes.begin(), sizes.end(), sizes.begin());
   return on_device(context, sizes);
@@ -199,8 +199,8 @@ void leaving_bodies_cuda(const DeviceContext& context, const BodyPositions& bodi
     require_on_device(is_within(owner_of(subdomain, bodies, body), ranks), "owner: expected ranks");
     return is_leaving(subdomain, bodies, body);
   });
-  // A counting sort, since their number is known on the device only. Each block goes through its rows in order, so
-  // that those to one rank stay in order. next (ranks, shares): where a share's next row to a rank comes.
+  // A counting sort, since the count is on the device only. Each share is processed in order, so rows to one rank stay
+  // in order. next (ranks, shares): index of a share's next row to a rank.
   int64_t* next = context.allocate<int64_t>(slots);
   const int64_t* rows = leaving.rows;
   for_each_item(context, shares, [=] __device__(int64_t share) {

@@ -1,4 +1,4 @@
-// Whose cells bodies reach, on the device: contracts as in subdomain.h.
+// Ranks whose parts of space bodies reach, on the device: contracts as in subdomain.h.
 #pragma once
 
 #include "kernels/broad/subdomain.h"

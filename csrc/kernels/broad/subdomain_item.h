@@ -1,4 +1,4 @@
-// One body, and the parts of space it reaches.
+// The parts of space that a body reaches.
 #pragma once
 
 #include "kernels/broad/space_partition.h"
@@ -10,7 +10,7 @@ PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Subdomain& subdoma
   return subdomain.any_owner(swept_box(bodies, body), [&](int64_t rank) { return rank != subdomain.rank; });
 }
 
-// The other ranks whose parts a body reaches, perhaps several times, to `out` unless that is null. Returns their
+// Writes the other ranks whose parts a body reaches, possibly repeated, to `out` unless it is null. Returns their
 // number.
 PGCCD_HD int64_t store_reached(const BroadBodies& bodies, const Subdomain& subdomain, int64_t body, int64_t* out) {
   int64_t count = 0, last = subdomain.rank;
@@ -25,11 +25,11 @@ PGCCD_HD int64_t store_reached(const BroadBodies& bodies, const Subdomain& subdo
   return count;
 }
 
-// Pairs of some of the bodies held, of which own ones come first, then ghosts.
+// Pairs of some of the held bodies, which are numbered with own ones first, then ghosts.
 struct OwnedPairs {
   BroadBodies bodies;
   Subdomain subdomain;
-  const int64_t* rows;   // which of the bodies held each is; null: these are the own ones, all of them
+  const int64_t* rows;   // index among the held bodies of each body; null: the bodies are all own ones
   const uint8_t* reach;  // (own_count,) bits
   int64_t own_count;     // of bodies held
   const int64_t* id;     // (held_count,) of bodies held
@@ -40,7 +40,7 @@ struct OwnedPairs {
   PGCCD_HD int64_t held(int64_t body) const { return rows != nullptr ? rows[body] : body; }
 };
 
-// Padding, or a pair of bodies that are there?
+// True for padding, or for a pair of valid bodies.
 PGCCD_HD bool is_sound(const OwnedPairs& input, int64_t k) {
   if (input.pairs[2 * k] < 0) return true;
   for (int side = 0; side < 2; ++side) {
@@ -50,23 +50,23 @@ PGCCD_HD bool is_sound(const OwnedPairs& input, int64_t k) {
   return true;
 }
 
-// The reference point of two boxes that overlap is the lower corner of their intersection. It lies in both, so it is in
-// a cell of this rank for certain if one of them reaches no other. With `rows`, pairs of two own bodies are left out:
-// the search among own bodies has them. A body and itself belong to its owner.
+// The reference point of two overlapping boxes is the lower corner of their intersection. It lies in both, so it is
+// certainly in a cell of this rank if one of them reaches no other rank. With `rows`, pairs of two own bodies are
+// excluded, since the search among own bodies has them. The owner of a body tests it against itself.
 PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t k) {
   const int64_t i = input.pairs[2 * k], j = input.pairs[2 * k + 1];
   if (i < 0) return false;
   const int64_t held_i = input.held(i), held_j = input.held(j);
   const bool own_i = held_i < input.own_count, own_j = held_j < input.own_count;
   if (input.rows != nullptr && own_i && own_j) return false;
-  if (held_i == held_j) return own_i;  // a body that is tested against itself
+  if (held_i == held_j) return own_i;  // a body tested against itself
   if ((own_i && input.reach[held_i] == 0) || (own_j && input.reach[held_j] == 0)) return true;
   const Vec3<double> a = swept_box(input.bodies, i).lower, b = swept_box(input.bodies, j).lower;
   const Vec3<double> reference{larger(a.x, b.x), larger(a.y, b.y), larger(a.z, b.z)};
   return input.subdomain.owner_of(reference) == input.subdomain.rank;
 }
 
-// The k-th pair that is owned, the smaller id first; `found` (found_count,) of all.
+// Stores the k-th owned pair, the smaller id first; `found` (found_count,) are the indices of all.
 PGCCD_HD void store_owned_pair(const OwnedPairs& input, const int64_t* found, int64_t found_count, int64_t k,
                                int64_t* out) {
   if (k >= found_count) {
@@ -79,16 +79,16 @@ PGCCD_HD void store_owned_pair(const OwnedPairs& input, const int64_t* found, in
   out[2 * k + 1] = in_order ? j : i;
 }
 
-// Integers in the order of the numbers they stand for, so that devices have atomics for them.
+// Integers with the same order as the doubles, for device atomics.
 PGCCD_HD int64_t ordered(double x) {
   union {
     double number;
     int64_t bits;
-  } value{x + 0.0};  // both zeros alike
+  } value{x + 0.0};  // both zeros become equal
   return value.bits >= 0 ? value.bits : value.bits ^ INT64_MAX;
 }
 
-// Boxes around all ghosts in each cell: (cells, 6) ordered lower and upper corners.
+// Boxes around all ghosts in each cell: (cells, 6) lower and upper corners by `ordered`.
 constexpr int64_t kEmptyLower = INT64_MAX, kEmptyUpper = INT64_MIN;
 
 PGCCD_HD void ordered_corners(const SweptBox& box, int64_t (&corners)[6]) {
@@ -118,7 +118,7 @@ PGCCD_HD bool is_near(const BroadBodies& bodies, const CellFrame& frame, const i
 
 struct BodyPositions {
   const double* position;  // (count, 3)
-  const int64_t* id;       // (count,) below zero in rows of padding; null: there are none
+  const int64_t* id;       // (count,) negative for padding; null: there is no padding
   int64_t count;
 };
 

@@ -15,7 +15,7 @@ namespace {
 namespace simd = std::experimental;
 using FloatPack = simd::native_simd<float>;
 
-// From a sample: the axis decides how long the sweep takes, never what it finds.
+// From a sample: the axis affects the time of the sweep, not its result.
 int axis_of_largest_variance(const BroadBodies& bodies) {
   constexpr int64_t kSample = 8192;
   const int64_t stride = std::max<int64_t>(1, bodies.count / kSample);
@@ -39,10 +39,10 @@ int axis_of_largest_variance(const BroadBodies& bodies) {
   return best_axis;
 }
 
-// Bodies in the order of their lower ends, one array a bound, padded so that whole packs can be read.
+// Bodies in the order of their lower ends, one array per bound, padded so that whole packs can be read.
 struct SortedIntervals {
   std::vector<int32_t> body;
-  std::vector<int64_t> end;      // first position whose lower end lies past this body's upper end
+  std::vector<int64_t> end;      // first index whose lower end is past this body's upper end
   std::vector<float> bounds[4];  // lower and upper on the second axis, lower and upper on the third
 };
 
@@ -91,7 +91,7 @@ SortedIntervals sort_intervals(const Executor& executor, const BroadBodies& bodi
   return sorted;
 }
 
-// Tests position p against positions [begin, end): boxes on the other two axes in packs, then the predicate.
+// Tests index p against [begin, end): boxes on the other two axes in packs, then the predicate.
 void scan(const BroadBodies& bodies, const SortedIntervals& sorted, int64_t p, int64_t begin, int64_t end,
           FoundPairs& out) {
   constexpr int64_t kWidth = static_cast<int64_t>(FloatPack::size());
@@ -120,7 +120,7 @@ void sweep_cpu(const Executor& executor, const BroadBodies& bodies, int axis, co
   }
   const SortedIntervals sorted = sort_intervals(executor, bodies, axis < 0 ? axis_of_largest_variance(bodies) : axis);
 
-  // Workers draw equal numbers of tests, not of bodies: one interval as long as the scene is shared by many of them.
+  // Workers take equal numbers of tests, not of bodies, so that several share an interval as long as the scene.
   std::vector<int64_t> first_test(bodies.count + 1, 0);
   for (int64_t p = 0; p < bodies.count; ++p) first_test[p + 1] = first_test[p] + (sorted.end[p] - p - 1);
   constexpr int64_t kTestGrain = 1 << 15;

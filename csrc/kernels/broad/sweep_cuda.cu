@@ -6,7 +6,7 @@
 namespace pgccd {
 namespace {
 
-// Doubles as unsigned integers of the same order, so that minima need no lock.
+// Doubles as unsigned integers of the same order, for atomic minima.
 __device__ unsigned long long ordered_bits(double x) {
   const auto bits = static_cast<unsigned long long>(__double_as_longlong(x));
   return (bits >> 63) ? ~bits : (bits | 0x8000000000000000ull);
@@ -21,14 +21,14 @@ struct Frame {
   int axis;
 };
 
-// From a sample: the axis decides how long the sweep takes, never what it finds.
+// From a sample: the axis affects the time of the sweep, not its result.
 __global__ void choose_axis(BroadBodies bodies, int given, Frame* frame) {
   constexpr int kSample = 8192;
   __shared__ double sums[3], squares[3];
   if (threadIdx.x < 3) sums[threadIdx.x] = squares[threadIdx.x] = 0.0;
   __syncthreads();
   const int64_t stride = bodies.count > kSample ? bodies.count / kSample : 1;
-  const double* reference = bodies.centres.position_t0;  // about the first body, to keep digits
+  const double* reference = bodies.centres.position_t0;  // relative to the first body, to preserve precision
   double sum[3] = {}, square[3] = {};
   for (int64_t b = threadIdx.x * stride; b < bodies.count; b += blockDim.x * stride) {
     if (bodies.is_absent(b)) continue;
@@ -77,15 +77,16 @@ struct SortedInterval {
   float lower_1, upper_1, lower_2, upper_2;  // on the two axes not swept
 };
 
-// One warp a piece of a body's interval; pieces are short, so that an interval as long as the scene is shared by many.
+// One warp per piece of a body's interval; pieces are short, so that several warps share an interval as long as the
+// scene.
 constexpr int64_t kPieceTests = 2048;
 
 struct SweepArrays {
   const uint64_t* key;  // sorted lower ends
   const int32_t* body;  // in that order
   const SortedInterval* box;
-  const int32_t* end;          // first position past the upper end
-  const int64_t* first_piece;  // exclusive prefix sum of pieces a body, then the total
+  const int32_t* end;          // first index past the upper end
+  const int64_t* first_piece;  // exclusive prefix sum of pieces per body, then the total
 };
 
 __global__ void __launch_bounds__(kBlockThreads) sweep_pieces(int64_t body_count, SweepArrays arrays, PairList out) {
@@ -95,7 +96,7 @@ __global__ void __launch_bounds__(kBlockThreads) sweep_pieces(int64_t body_count
   const int64_t pieces = arrays.first_piece[body_count];
   for (int64_t piece = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / 32; piece < pieces;
        piece += warps) {
-    int64_t low = 0, high = body_count;  // the body whose pieces include this one: last first_piece <= piece
+    int64_t low = 0, high = body_count;  // binary search of the piece's body: the last with first_piece <= piece
     while (high - low > 1) {
       const int64_t middle = (low + high) / 2;
       (arrays.first_piece[middle] <= piece ? low : high) = middle;
@@ -161,7 +162,7 @@ void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axi
     const double origin[3] = {from_ordered_bits(frame->lower[0]), from_ordered_bits(frame->lower[1]),
                               from_ordered_bits(frame->lower[2])};
     const uint64_t upper = sweep_key(bodies, b, float_above(component(box.upper, swept) - origin[swept]));
-    int64_t low = p, high = bodies.is_absent(b) ? p + 1 : count;  // first position whose key is past `upper`
+    int64_t low = p, high = bodies.is_absent(b) ? p + 1 : count;  // first index whose key is past `upper`
     while (low < high) {
       const int64_t middle = (low + high) / 2;
       if (sorted_keys[middle] <= upper) {

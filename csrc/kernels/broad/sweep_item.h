@@ -7,17 +7,16 @@
 
 namespace pgccd {
 
-// Unsigned integers in the order of the floats.
+// Unsigned integers with the same order as the floats.
 PGCCD_HD uint32_t ordered_bits(float x) {
   const uint32_t bits = std::bit_cast<uint32_t>(x);
   return (bits & 0x80000000u) ? ~bits : (bits | 0x80000000u);
 }
 
-// Above the key of any number, also where only the lower half is sorted by.
+// Above the key of any number, also in its lower half.
 constexpr uint64_t kBehindAll = ~uint64_t{0};
 
-// The world above the position: intervals of different worlds never overlap, so each world is swept on its own in one
-// sort.
+// The world in the upper bits: intervals of different worlds never overlap, so one sort sweeps all worlds separately.
 PGCCD_HD uint64_t sweep_key(const BroadBodies& bodies, int64_t body, float position) {
   if (bodies.is_absent(body)) return kBehindAll;
   const uint32_t world = bodies.world ? static_cast<uint32_t>(bodies.world[body]) : 0u;

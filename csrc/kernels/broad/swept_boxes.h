@@ -1,4 +1,4 @@
-// Boxes of swept spheres, for distributing bodies over ranks.
+// Boxes of swept spheres, used to distribute bodies over ranks.
 #pragma once
 
 #include "kernels/broad/body_volumes.h"
@@ -6,8 +6,8 @@
 
 namespace pgccd {
 
-// lower and upper (count, 3): the box of every CBV with half the separation. Boxes of pairs that are potentially
-// colliding overlap (closed, as rounded): both ends of exact boxes are rounded alike, which keeps their order.
+// lower and upper (count, 3): the box of every CBV grown by half of separation and tolerance. Boxes of potentially
+// colliding pairs overlap (closed, as rounded), since rounding is monotone.
 void swept_boxes_cpu(const Executor& executor, const BroadBodies& bodies, double* lower, double* upper);
 
 }  // namespace pgccd

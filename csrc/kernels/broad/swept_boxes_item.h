@@ -1,4 +1,4 @@
-// The box of one swept sphere as rows of two tables.
+// Stores the box of one swept sphere in two tables.
 #pragma once
 
 #include "kernels/broad/body_volumes.h"

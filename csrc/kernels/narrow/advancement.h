@@ -1,7 +1,6 @@
-// Certified advancement: the interval iteration of the narrow phase. At time t the nearest points propose directions;
-// each direction certifies a further stretch of time as free; t moves to its end, and so on, until the primitives are
-// within tolerance, or the step is over. Every advance is proven, so the reported time of impact is never late; nothing
-// else in the loop can affect safety.
+// Certified advancement: the iteration of the narrow phase. At time t the nearest points give directions; each
+// direction certifies a further interval as free; t advances to its end, until the primitives are within tolerance or
+// the step is over. Every advance is proven, so toi is never late; no other part of the loop affects safety.
 #pragma once
 
 #include <type_traits>
@@ -12,35 +11,35 @@
 
 namespace pgccd {
 
-// A search goes through up to three phases. Most candidates are free, and most of those are seen to be in the first;
-// nearly all others end in the second, which considers the interiors of slender features too. Only the third copes with
-// tiny features, takes long strides past grazing ones, clears whole turns of spinning bodies, and tells near misses
-// from touches: all that would slow the others down.
+// A search has up to three phases. Most candidates are free, and the first phase shows that for most of them; nearly
+// all others end in the second, which also considers the interiors of slender features. The third handles tiny
+// features, takes long strides past grazing ones, clears full turns of spinning bodies, and distinguishes near misses
+// from touches, which would slow down the other phases.
 enum class Phase { kQuick, kPlain, kPatient };
 constexpr int kQuickAdvances = 2;
 constexpr int kPlainAdvances = 24;
 constexpr int kMaxAdvances = 1024;
-// Spent, once within tolerance, on telling a near miss from a touch.
+// Advances used, once within tolerance, to distinguish a near miss from a touch.
 constexpr int kMaxRefinements = 64;
-// After so many advances each, whole turns of spinning bodies are tried to be cleared at once.
+// Number of advances between attempts to clear full turns of spinning bodies.
 constexpr int kSpinPeriod = 32;
 
-// From `progress` on, to which it writes where it stopped; or nothing, where another goal was tried.
+// Continues from `progress`, and stores the state at which it stopped there; or a reset state if the goal was changed.
 template <bool kEdgeEdge, Phase kPhase, class T, class Path>
 PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
   constexpr bool kIsPatient = kPhase == Phase::kPatient;
   constexpr T unit(Precision<T>::unit);
   const PairError<T> error = path.error();
-  // Below the error of the distance itself nothing can be decided.
+  // Nothing can be decided below the error of the distance itself.
   T noise = T(4) * error.point + T(64) * unit * error.extent;
   const T separation = settings.separation * path.scale();
-  // A sixteenth of what the caller tolerates leaves few near misses.
+  // A sixteenth of the tolerance leaves few near misses.
   const T wanted = settings.tolerance * path.scale() * T(0.0625);
   T goal = larger(wanted, noise);
 
   T t = progress.t;
   FeaturePair<T> now = path.at(t);
-  // The plain phase begins as the quick one: it makes no difference whether that came before.
+  // The plain phase starts like the quick one, so the result does not depend on whether that ran before.
   bool with_slender = kIsPatient || (kPhase == Phase::kPlain && progress.advances >= kQuickAdvances);
   Nearest<T> nearest = nearest_points<kEdgeEdge>(now, with_slender);
   T distance = norm(nearest.offset);
@@ -65,7 +64,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
   for (; advances < most_advances; ++advances) {
     if constexpr (kIsPatient) {
       if (if_spent == Status::kUndecided && distance > separation + T(16) * wanted) {
-        // They have passed each other: what comes later is another matter.
+        // The features have passed each other; continue with the original goal.
         goal = larger(wanted, noise);
         if_spent = Status::kUnresolved;
         most_advances = advances + 1 + kMaxAdvances;
@@ -147,22 +146,22 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
   return stop(if_spent);
 }
 
-// Kept apart from the phases that most searches end in: its registers and its stack would be theirs too.
+// A separate function, so that its registers and stack are not part of the common phases.
 template <bool kEdgeEdge, class T, class Path>
 PGCCD_HD_RARE Outcome<T> advance_patiently(const Path& path, const SearchSettings<T>& settings, Progress<T> progress) {
   return advance_in_phase<kEdgeEdge, Phase::kPatient>(path, settings, progress);
 }
 
-// True if the first phase shows that the pair is free. Otherwise `progress` is where to go on from.
+// True if the first phase certifies that the pair is free. Otherwise `progress` is the state to continue from.
 template <bool kEdgeEdge, class T, class Path>
 PGCCD_HD bool is_quickly_free(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
   return advance_in_phase<kEdgeEdge, Phase::kQuick>(path, settings, progress).status == Status::kFree;
 }
 
-// To the end, from the start of the step or from what `is_quickly_free` has left.
+// Runs to the end, from the start of the step or from the state left by `is_quickly_free`.
 template <bool kEdgeEdge, class T, class Path>
 PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, Progress<T> progress) {
-  if constexpr (!std::is_same_v<T, DoubleDouble>) {  // for which few searches are left
+  if constexpr (!std::is_same_v<T, DoubleDouble>) {  // few searches need it
     const Outcome<T> outcome = advance_in_phase<kEdgeEdge, Phase::kPlain>(path, settings, progress);
     if (outcome.status != Status::kOpen) return outcome;
   }
@@ -170,7 +169,7 @@ PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>
   return advance_patiently<kEdgeEdge>(copy, settings, progress);
 }
 
-// From a time before which the pair is known to be free.
+// Starts at a time before which the pair is known to be free.
 template <bool kEdgeEdge, class T, class Path>
 PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, T begin = T(0)) {
   return advance_to_contact<kEdgeEdge>(path, settings, Progress<T>{begin});

@@ -1,4 +1,4 @@
-// One candidate: from body poses to its outcome, and from an outcome to the contact's place and normal.
+// One candidate: from body poses to its outcome, and from the outcome to the contact's point and normal.
 #pragma once
 
 #include <type_traits>
@@ -11,7 +11,7 @@ namespace pgccd {
 PGCCD_HD bool uses_arcs(const RigidBodies& bodies) { return !bodies.linear_path; }
 PGCCD_HD bool uses_arcs(const DeformingBodies&) { return false; }
 
-// Calls `use` with the path of the feature pair, in double.
+// Calls `use` with the path of the feature pair, in double precision.
 template <bool kEdgeEdge, class Bodies, class Pair, class Use>
 PGCCD_HD auto with_path(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, const Use& use) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
@@ -22,14 +22,14 @@ PGCCD_HD auto with_path(const Bodies& bodies, const Pair& pair, const FeatureVer
   return use(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error));
 }
 
-// `progress`: none, or what a quick rejection has left.
+// `progress`: initial, or as left by the quick phase.
 template <bool kEdgeEdge, class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
                                         const SearchSettings<double>& settings, Progress<double> progress) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
     Outcome<double> outcome = with_path<kEdgeEdge>(
         bodies, pair, f, [&](const auto& path) { return advance_to_contact<kEdgeEdge>(path, settings, progress); });
-    // What rounding did to the points themselves, no finer arithmetic would undo.
+    // Higher precision would not remove rounding errors of the points themselves.
     if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
     return outcome;
   } else {
@@ -39,9 +39,9 @@ PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, 
   }
 }
 
-// A candidate is dropped only if the toi that it would report, a double, is later than `latest`. A finer arithmetic
-// rounds its toi down to a double: until the next double is reached, that toi could still be equal to `latest`, and
-// among equal ones the smallest features win.
+// A candidate is dropped only if the toi that it would report, a double, is later than `latest`. Higher precision
+// rounds its toi down to a double: before the next double, that toi could still be equal to `latest`, and among equal
+// ones the smallest features win.
 PGCCD_HD double prune_time(double latest) { return std::nextafter(latest, static_cast<double>(INFINITY)); }
 
 template <class Bodies, class Pair>
@@ -52,7 +52,7 @@ PGCCD_HD SearchSettings<double> search_settings(const Bodies& bodies, const Pair
   return {separation, tolerance, prune_time(latest), settings.nonzero_toi};
 }
 
-// The answer of `solve_candidate` where the quick phase finds it: true if free.
+// True if the quick phase certifies that the candidate is free.
 template <class Bodies, class Pair>
 PGCCD_HD bool is_quickly_free(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
                               const NarrowSettings& settings, Progress<double>& progress) {
@@ -66,7 +66,7 @@ PGCCD_HD bool is_quickly_free(const Bodies& bodies, const Pair& pair, const Cand
                           [&](const auto& path) { return is_quickly_free<false>(path, search, progress); });
 }
 
-// The answer of `solve_candidate` where the plain phase finds it, kOpen otherwise.
+// The outcome of `solve_candidate` if the plain phase finds it, else kOpen.
 template <class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_plainly(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
                                        const NarrowSettings& settings, double latest, Progress<double> progress) {

@@ -1,14 +1,13 @@
-// Certificates of freedom: proofs that two primitives stay further apart than a threshold over the first part of a time
-// window. Vertices move on chords from `start` to `end`; the window's own time s runs from 0 to 1. Each function
-// returns s such that [0, s] is certainly free: 0 when nothing is proven, 1 when the whole window is (its end
-// included).
+// Certificates: proofs that two primitives stay further apart than a threshold over the first part of a time window.
+// Vertices move on chords from `start` to `end`; the window's own time s runs from 0 to 1. Each function returns s such
+// that [0, s] is certainly free: 0 if nothing is proven, 1 for the whole window (end included).
 #pragma once
 
 #include "kernels/narrow/nearest_points.h"
 
 namespace pgccd {
 
-// What rounding may have done to the difference vectors of this pair, over the whole step.
+// Bounds of the rounding error of this pair's difference vectors, over the whole step.
 template <class T>
 struct PairError {
   T point;   // each point, absolute
@@ -28,13 +27,13 @@ PGCCD_HD FeatureLengths<T> lengths_of(const FeaturePair<T>& start, const Feature
           root_three * larger(max_abs(start.b), max_abs(end.b))};
 }
 
-// By how much a difference vector may be off: its points, and the blend of its ends.
+// Error bound of a difference vector: of its points, and of the interpolation between its ends.
 template <class T>
 PGCCD_HD T difference_error(PairError<T> error) {
   return T(2) * error.point + T(8) * T(Precision<T>::unit) * error.extent;
 }
 
-// By how much a computed coplanarity cubic may be off, its repeated clipping included.
+// Error bound of a computed coplanarity cubic, repeated clipping included.
 template <class T>
 PGCCD_HD T determinant_rounding(FeatureLengths<T> length, PairError<T> error) {
   const T product = length.a * length.b;
@@ -44,7 +43,7 @@ PGCCD_HD T determinant_rounding(FeatureLengths<T> length, PairError<T> error) {
 
 namespace certificate_detail {
 
-// Where a line from `from` above the threshold falls to it; 0 for what is not a number.
+// Where a line that starts at `from`, above the threshold, reaches it; 0 for NaN.
 template <class T>
 PGCCD_HD T prefix_of_line(T from, T to, T threshold) {
   if (to > threshold) return T(1);
@@ -54,8 +53,9 @@ PGCCD_HD T prefix_of_line(T from, T to, T threshold) {
 
 }  // namespace certificate_detail
 
-// A fixed direction: along it, the gap of two straight-moving convex sets is a minimum of linear functions of time, so
-// the moment it falls to the threshold is known in closed form. `direction` has unit length to within 4 roundings.
+// A fixed direction: along it, the gap of two convex sets on straight paths is a minimum of linear functions of time,
+// so the time at which it reaches the threshold is known in closed form. `direction` has unit length to within 4
+// roundings.
 template <bool kEdgeEdge, class T>
 PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& end, Vec3<T> direction, T distance,
                            PairError<T> error) {
@@ -89,9 +89,9 @@ PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& en
   return prefix;
 }
 
-// A direction that turns from `direction0` to `direction1` (unit vectors, the directions of the nearest points at the
-// window's ends): n(s) = (1 - s) direction0 + s direction1. It follows features that turn, so that what it loses of the
-// gap is of second order in the window's length, where a fixed direction loses in proportion to it. Each vertex pair's
+// A direction that rotates from `direction0` to `direction1` (unit vectors, the directions of the nearest points at the
+// window's ends): n(s) = (1 - s) direction0 + s direction1. It follows rotating features, so its loss of the gap is of
+// second order in the window's length, whereas that of a fixed direction is proportional to it. Each vertex pair's
 // projection is a quadratic, as is the bound |n(s)| <= (1 + |n(s)|^2) / 2 = 1 - s (1 - s) (1 - direction0 .
 // direction1).
 template <bool kEdgeEdge, class T>
@@ -108,8 +108,8 @@ PGCCD_HD T turning_direction(const FeaturePair<T>& start, const FeaturePair<T>& 
   const T b1 = T(0.5) * (dot(direction0, end.b) + dot(direction1, start.b));
   const T r2 = dot(direction1, end.r), a2 = dot(direction1, end.a), b2 = dot(direction1, end.b);
   T prefix = T(1);
-  // Of a quadratic with control points (0, c0), (1/2, c1), (1, c2), all lie above the steepest line from the first to
-  // one of the others, hence so does the curve.
+  // All control points (0, c0), (1/2, c1), (1, c2) of a quadratic lie above the steepest line from the first to one of
+  // the others, hence so does the curve.
   const auto limit = [&](T p0, T p1, T p2) {
     const T c0 = p0 - at_ends, c1 = p1 - in_middle, c2 = p2 - at_ends;
     const T steepest = smaller(T(2) * (c1 - c0), c2 - c0);
@@ -131,9 +131,8 @@ PGCCD_HD T turning_direction(const FeaturePair<T>& start, const FeaturePair<T>& 
   return prefix;
 }
 
-// The direction that moves with the features, n(s) = a(s) x b(s): the gap along it is the coplanarity cubic r . (a x
-// b), taken in Bernstein form, where the control polygon bounds it. Its first root is bracketed from the left by
-// repeated clipping.
+// The direction that moves with the features, n(s) = a(s) x b(s): the gap along it is the coplanarity cubic r . (a x b)
+// in Bernstein form, bounded by its control polygon. Its first root is bracketed from the left by repeated clipping.
 template <class T>
 PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end, T distance, PairError<T> error) {
   constexpr T u(Precision<T>::unit);
@@ -151,7 +150,7 @@ PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end,
     c3 = -c3;
   }
   const T longest_squared = larger(larger(norm_squared(n0), T(0.25) * norm_squared(n1)), norm_squared(n2));
-  // Exact enough where c0 is above the rounding: the normal is longer than (u extent)^2 then, whose square is far from
+  // Accurate if c0 is above the rounding: the normal is then longer than (u extent)^2, whose square is far from
   // underflow.
   const T longest = square_root(longest_squared);
   const T rounding = determinant_rounding(lengths_of(start, end), error);
@@ -164,7 +163,7 @@ PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end,
   for (int clip = 0; clip < kMaxClips; ++clip) {
     // The polynomial on [prefix, 1] has control points c0 .. c3; c0 is above the threshold.
     if (c1 > threshold && c2 > threshold && c3 > threshold) return T(1);
-    // A window of one and a half Newton steps hugs the curve; no wider than what is left.
+    // A window of one and a half Newton steps fits the curve closely; it is limited to the remaining interval.
     const T fall = T(3) * (c0 - c1);
     const T reach = fall > T(0) ? smaller(T(1.5) * (c0 - threshold) / fall, T(1)) : T(1);
     const T d01 = c0 + reach * (c1 - c0), d12 = c1 + reach * (c2 - c1), d23 = c2 + reach * (c3 - c2);
@@ -181,7 +180,7 @@ PGCCD_HD T moving_normal(const FeaturePair<T>& start, const FeaturePair<T>& end,
       break;
     }
     prefix = advanced;
-    // Restrict to what lies beyond.
+    // Restrict to the remaining interval.
     const T e01 = c0 + step * (c1 - c0), e12 = c1 + step * (c2 - c1), e23 = c2 + step * (c3 - c2);
     const T e012 = e01 + step * (e12 - e01), e123 = e12 + step * (e23 - e12);
     c0 = e012 + step * (e123 - e012);

@@ -1,4 +1,4 @@
-// Where a contact is and how the bodies face each other there.
+// The point of a contact, and its normal.
 #pragma once
 
 #include <type_traits>
@@ -28,7 +28,7 @@ PGCCD_HD void positions_at(const Bodies& bodies, const Pair& pair, const Feature
   for (int k = 0; k < 4; ++k) x[k] = (1.0 - t) * t0[k] + t * t1[k];
 }
 
-// Origin of the coordinates in which `positions_at` answers.
+// Origin of the coordinates of `positions_at`.
 PGCCD_HD Vec3<double> frame_origin(const RigidBodies& bodies, const RigidPair& pair, const FeatureVertices& f,
                                    double t) {
   const int64_t body = pair.body[f.swapped ? 1 : 0];
@@ -39,7 +39,7 @@ PGCCD_HD Vec3<double> frame_origin(const DeformingBodies&, const DeformingPair&,
   return {0.0, 0.0, 0.0};
 }
 
-// From SBV centre to SBV centre.
+// Offset between the SBV centres.
 PGCCD_HD Vec3<double> centre_offset(const RigidBodies& bodies, const RigidPair& pair, double t) {
   Vec3<double> offset = (1.0 - t) * pair.centre.at_t0 + t * pair.centre.at_t1;
   for (int side = 0; side < 2; ++side) {
@@ -68,8 +68,8 @@ PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const Featur
   const Vec3<double> on_second = kEdgeEdge ? x[2] + v * features.b : x[1] + (u * features.a + v * features.b);
   const Vec3<double> middle = frame_origin(bodies, pair, f, toi) + 0.5 * (on_first + on_second);
 
-  // The gap gives the normal unless rounding drowns it; then the features' own normal does, turned to lead from centre
-  // to centre.
+  // The gap gives the normal unless it is below rounding; then the features' own normal does, oriented from centre to
+  // centre.
   Vec3<double> normal = nearest_points<kEdgeEdge>(features).offset;
   if (!(norm(normal) > 0x1p-40 * extent(features))) {
     normal = cross(features.a, features.b);

@@ -6,7 +6,7 @@ namespace {
 
 constexpr int64_t kQueryGrain = 256;
 
-// Columns of a feature pair's nine coordinates, a lane a query.
+// Nine columns of a feature pair's coordinates, one lane per query.
 struct LaneColumns {
   alignas(32) float column[9][kLanes];
 
@@ -24,7 +24,7 @@ struct LaneColumns {
   FeaturePair<Float8> pairs() const { return {vector(0), vector(1), vector(2)}; }
 };
 
-// Which of up to kLanes queries are culled: one bit each.
+// Culled queries, of up to kLanes, one bit each.
 template <bool kEdgeEdge, class T>
 uint32_t culled_lanes(const T* points_t0, const T* points_t1, int64_t count, float distance) {
   if (count < kLanes) {

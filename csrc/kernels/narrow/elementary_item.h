@@ -1,4 +1,4 @@
-// One elementary query on straight paths; the points given are the truth.
+// One elementary query on straight paths; the given points are exact.
 #pragma once
 
 #include "core/fixed_directions.h"
@@ -15,7 +15,7 @@ struct ElementaryColumns {
   int8_t* significant_bits;
 };
 
-// Four points (., 3) at one end of the step, as float differences.
+// Four points (., 3) at one end of the step, as differences in float32.
 template <bool kEdgeEdge, class T>
 PGCCD_HD FeaturePair<float> rounded_differences(const T* points) {
   const FeaturePair<T> p =
@@ -23,7 +23,7 @@ PGCCD_HD FeaturePair<float> rounded_differences(const T* points) {
   return {cast<float>(p.r), cast<float>(p.a), cast<float>(p.b)};
 }
 
-// All that a contact may be reported at, rounded up.
+// The largest distance of a reported contact, rounded up.
 PGCCD_HD float cull_distance(const NarrowSettings& settings) {
   return round_up<float>((settings.separation + settings.tolerance) * (1.0 + 0x1p-50));
 }

@@ -12,7 +12,7 @@
 namespace pgccd {
 
 enum class Report : int32_t {
-  kAny = 0,    // which pairs touch; feature and toi are those of some contact
+  kAny = 0,    // which pairs touch; features and toi are those of an arbitrary contact
   kFirst = 1,  // earliest contact of each pair
   kAll = 2,    // every touching feature pair
 };
@@ -26,15 +26,15 @@ struct NarrowInput {
   const double* latest = nullptr;  // (pair_count,) later contacts need not be found; or null. Only the CPU looks
 };
 
-// Capacity of a narrow phase that runs without the host waiting for its counts.
+// Capacity of a narrow phase that does not synchronise.
 struct ContactCapacity {
-  int64_t open;      // candidates that the quick phase leaves
+  int64_t open;      // candidates left by the quick phase
   int64_t contacts;  // rows
 };
 
-constexpr int64_t kExactly = -1;  // as many rows as contacts: only on the CPU, where the count is always known
+constexpr int64_t kExactly = -1;  // as many rows as contacts: only on the CPU, where the count is known
 
-// Counts of it; the number of rows may be too small where the open candidates, or what came before, did not fit.
+// Its counts; the number of rows may be too small if the open candidates, or an earlier stage, overflowed.
 enum ContactCount : int {
   kOpenNeeded,
   kContactsNeeded,
@@ -44,15 +44,15 @@ enum ContactCount : int {
   kContactCounts
 };
 
-// Whose first toi becomes known: of each pair's two sides, and each one's so far.
+// Output of first toi only: the two owners of each pair, and their first toi so far.
 struct FirstToi {
-  const int64_t* owners;  // (pair_count, 2) rows of `first`
+  const int64_t* owners;  // (pair_count, 2) indices into `first`
   double* first;
 };
 
-// Rows in canonical order: by pair, then kind and features (all), or one row a pair (any, first).
+// Rows in canonical order: by pair, then kind and features (kAll), or one row per pair (kAny, kFirst).
 struct ContactRows {
-  std::vector<int32_t> pair;  // row in `pairs`
+  std::vector<int32_t> pair;  // index into `pairs`
   std::vector<int8_t> kind;
   std::vector<int32_t> features;  // (rows, 2)
   std::vector<int8_t> status;
@@ -62,9 +62,9 @@ struct ContactRows {
   std::vector<double> normal;       // (rows, 3)
 };
 
-// Where contact rows go; columns as in ContactRows.
+// Memory for contact rows; columns as in ContactRows.
 struct ContactColumns {
-  int32_t* pair;    // or null, as the next
+  int32_t* pair;    // either this or `bodies` may be null
   int64_t* bodies;  // (rows, 2)
   int8_t* kind;
   int32_t* features;
@@ -78,10 +78,10 @@ struct ContactColumns {
 // Called once with the number of rows.
 using ContactOutput = std::function<ContactColumns(int64_t count)>;
 
-// The first `count` rows, but for bodies.
+// Copies the first `count` rows, except bodies.
 void copy_rows(const ContactRows& rows, int64_t count, const ContactColumns& out);
 
-// A padding row, beyond the number of contacts.
+// Stores a padding row, after the last contact.
 PGCCD_HD void pad_row(const ContactColumns& out, int64_t row) {
   if (out.pair != nullptr) out.pair[row] = -1;
   if (out.bodies != nullptr) out.bodies[2 * row] = out.bodies[2 * row + 1] = -1;
@@ -96,7 +96,8 @@ PGCCD_HD void pad_row(const ContactColumns& out, int64_t row) {
 template <class Bodies>
 ContactRows narrow_phase_cpu(const Executor& executor, const Bodies& bodies, const NarrowInput& input);
 
-// Elementary tests on straight paths. points_*: (count, 4, 3). kEdgeEdge false: vertex, face x 3; true: edge, edge.
+// Elementary tests on straight paths. points_*: (count, 4, 3). kEdgeEdge false: vertex, three face points; true: edge,
+// edge.
 template <bool kEdgeEdge, class T>
 void elementary_cpu(const Executor& executor, const T* points_t0, const T* points_t1, int64_t count,
                     const NarrowSettings& settings, const ElementaryColumns<T>& out);

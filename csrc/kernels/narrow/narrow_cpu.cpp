@@ -33,8 +33,8 @@ double latest_useful(Report report, const double& best) {
   return seen;
 }
 
-// Every contact that was not certainly later than another of its pair. Which losers are cut off
-// early depends on timing; the winner does not: it is never later than any bound.
+// Finds every contact that is not certainly later than another of its pair. Which contacts are pruned depends on
+// timing; the first one does not, since it is never later than any bound.
 template <class Bodies>
 std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& bodies, const NarrowInput& input) {
   const bool bounded = input.report != Report::kAll;
@@ -63,7 +63,7 @@ std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& 
   return all;
 }
 
-// Canonical order, then one row a pair where the report asks for that.
+// Sorts into canonical order, then keeps one row per pair if the report requires it.
 void select(std::vector<FoundContact>& found, const NarrowInput& input) {
   const auto features = [&](const FoundContact& f) {
     const Candidate& c = input.candidates.items[f.candidate];

@@ -7,13 +7,13 @@
 namespace pgccd {
 namespace {
 
-// Kind and features in canonical order.
+// Sort key of kind and features in canonical order.
 __device__ unsigned long long feature_key(const Candidate& c) {
   return (static_cast<unsigned long long>(c.kind) << 62) | (static_cast<unsigned long long>(c.feature_i) << 31) |
          static_cast<unsigned long long>(c.feature_j);
 }
 
-// One thread a pair.
+// One thread per pair.
 __global__ void __launch_bounds__(kBlockThreads) lower_owners(Search search, FirstToi known, int64_t* counts) {
   SearchCounters& seen = *search.counters;
   const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
@@ -33,7 +33,7 @@ __global__ void __launch_bounds__(kBlockThreads) lower_owners(Search search, Fir
   counts[kNarrowEnded] = nanoseconds();
 }
 
-// The contacts to report, in canonical order: one a pair.
+// The contacts to report in canonical order, one per pair.
 int32_t* select_first(const DeviceContext& context, const Search& search) {
   const int64_t pair_count = search.input.pair_count;
   for_each_counted(context, &search.counters->contacts, search.capacity, [=] __device__(int64_t k) {
@@ -55,7 +55,7 @@ int32_t* select_first(const DeviceContext& context, const Search& search) {
   return selected;
 }
 
-// All, sorted by pair, kind and features: two stable sorts, the less significant key first.
+// All contacts, sorted by pair, kind and features: two stable sorts, the less significant key first.
 int32_t* sort_all(const DeviceContext& context, const Search& search) {
   const int64_t count = search.capacity;
   uint64_t* keys = context.allocate<uint64_t>(count);
@@ -84,10 +84,10 @@ int32_t* sort_all(const DeviceContext& context, const Search& search) {
 
 struct SelectedContacts {
   Search search;
-  const int32_t* rows;  // of search.contacts, in canonical order; null: there are none
+  const int32_t* rows;  // indices into search.contacts, in canonical order; null if there are none
 };
 
-// To all rows of `out`: contacts, then padding.
+// Writes all rows of `out`: contacts, then padding.
 template <class Bodies>
 void write_rows(const DeviceContext& context, const Bodies& bodies, const SelectedContacts& selected, int64_t rows,
                 const ContactColumns& out) {
@@ -116,7 +116,7 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Select
   });
 }
 
-// Without waiting: `rows` of the search's counters is then their number, if all open candidates fitted.
+// Does not synchronise: `rows` of the search's counters is the number of contacts, if all open candidates fit.
 template <class Bodies>
 SelectedContacts select_contacts(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                                  int64_t most_open) {
@@ -137,7 +137,7 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
     make_output(0);
     return;
   }
-  // About one in four is open; all of them may be.
+  // Initial estimate: about one in four is open; all of them may be.
   int64_t capacity = smaller<int64_t>(input.candidates.size, input.candidates.size / 2 + 65536);
   for (;;) {
     const SelectedContacts selected = select_contacts(context, bodies, input, capacity);

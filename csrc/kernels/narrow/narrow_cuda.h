@@ -10,14 +10,14 @@ template <class Bodies>
 void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                        const ContactOutput& make_output);
 
-// As narrow_phase_cuda, without waiting. Rows of `out` after the last contact are filled: pair and features -1, toi
-// infinite, the rest 0.
+// As narrow_phase_cuda, without synchronising. Unused rows of `out` are filled: pair and features -1, toi infinite, the
+// rest 0.
 template <class Bodies>
 void narrow_phase_padded(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                          const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts);
 
-// Of each pair only the first toi, to which that of its owners is lowered. Contacts needed are pairs that have one;
-// unresolved ones are not told apart.
+// Lowers the first toi of the owners of each pair; writes no contacts. kContactsNeeded counts pairs with a contact;
+// unresolved ones are not counted separately.
 template <class Bodies>
 void lower_first_toi(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, int64_t most_open,
                      const FirstToi& known, int64_t* counts);

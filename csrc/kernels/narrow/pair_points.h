@@ -7,9 +7,9 @@
 
 namespace pgccd {
 
-// Which mesh point plays which part: x0 .. x3, and whether the first-named primitive belongs to body i or j.
+// The mesh points x0 .. x3 of a candidate, and whether the first primitive belongs to body i or j.
 struct FeatureVertices {
-  int64_t vertex[4];  // local to their meshes
+  int64_t vertex[4];  // indices within their meshes
   bool swapped;       // first primitive belongs to body j
 };
 
@@ -30,18 +30,18 @@ PGCCD_HD FeatureVertices feature_vertices(const MeshSetView& meshes, int32_t mes
   return {{c.feature_j, f[0], f[1], f[2]}, true};
 }
 
-// Relative error of the centre offset, and of adding it to a point.
+// Error of the centre offset, and of adding it to a point.
 PGCCD_HD double centre_error(const RelativeCentre& centre) {
   return 8.0 * Precision<double>::unit * larger(max_abs(centre.at_t0), max_abs(centre.at_t1));
 }
 
-// What all candidates of a body pair share.
+// Values shared by all candidates of a body pair.
 struct RigidPair {
   int64_t body[2];
   int32_t mesh[2];
   Mat3<double> orientation[2];
   Spin spin[2];
-  RelativeCentre centre;  // of body j's origin, seen from body i's
+  RelativeCentre centre;  // offset of body j's origin from body i's
   double point_error;
 
   PGCCD_HD RigidPair(const RigidBodies& bodies, int64_t i, int64_t j)
@@ -52,7 +52,7 @@ struct RigidPair {
     }
     point_error = centre_error(centre);
     for (int side = 0; side < 2; ++side) {
-      // The angle at a time is rounded relatively, which moves a point by so much more the further it has turned.
+      // The angle at a time has a relative rounding error, which moves a point in proportion to the angle.
       const double units = kRigidPointUnits + 8.0 * spin[side].angle;
       point_error += units * Precision<double>::unit * mesh_reach(bodies, body[side]);
     }
@@ -72,7 +72,7 @@ struct RigidPair {
     return (k < PointSplit<kEdgeEdge>::first_count) == f.swapped ? 1 : 0;
   }
 
-  // Offset of the second-named primitive's body from the first-named one's.
+  // Offset of the second primitive's body from the first primitive's.
   PGCCD_HD RelativeCentre named_centre(const FeatureVertices& f) const {
     if (!f.swapped) return centre;
     return {-centre.at_t0, -centre.at_t1};
@@ -86,7 +86,7 @@ struct RigidPair {
     return {base, spin[first], spin[second], named_centre(f), point_error};
   }
 
-  // End positions relative to the first-named body's centre.
+  // End positions relative to the origin of the first primitive's body.
   template <bool kEdgeEdge>
   PGCCD_HD void end_positions(const RigidBodies& bodies, const FeatureVertices& f, Vec3<double> t0[4],
                               Vec3<double> t1[4]) const {
@@ -104,14 +104,14 @@ struct RigidPair {
 };
 
 struct DeformingPair {
-  static constexpr double point_error = 0.0;  // the vertices given are the truth
+  static constexpr double point_error = 0.0;  // the given vertices are exact
   int64_t body[2];
   int32_t mesh[2];
 
   PGCCD_HD DeformingPair(const DeformingBodies& bodies, int64_t i, int64_t j)
       : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]} {}
 
-  // World coordinates as given: only differences of them are used, so no shift is needed.
+  // World coordinates: only their differences are used, so no shift is needed.
   template <bool kEdgeEdge>
   PGCCD_HD void end_positions(const DeformingBodies& bodies, const FeatureVertices& f, Vec3<double> t0[4],
                               Vec3<double> t1[4]) const {

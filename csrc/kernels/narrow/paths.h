@@ -1,5 +1,5 @@
-// How the four points of a feature pair move through the step. A path gives the pair at any time, and how far the
-// points may stray from the chord between two times.
+// Paths of the four points of a feature pair through the step: the pair at any time, and a bound of the points'
+// deviation from the chord between two times.
 #pragma once
 
 #include "core/bodies.h"
@@ -7,32 +7,32 @@
 
 namespace pgccd {
 
-// Which of the points x0 .. x3 belong to the second-named body: the face's three, or the second edge's two.
+// Number of the points x0 .. x3 that belong to the first primitive: the vertex, or the first edge's two.
 template <bool kEdgeEdge>
 struct PointSplit {
   static constexpr int first_count = kEdgeEdge ? 2 : 1;
 };
 
-// Straight vertex paths: differences of linear functions are linear, so the differences themselves are blended.
+// Straight vertex paths: differences of linear functions are linear, so the differences themselves are interpolated.
 template <bool kEdgeEdge, class T>
 class LinearPath {
  public:
-  // Proofs of touching, and a finer arithmetic, make sense here.
+  // Proofs of contact and higher precision apply only to straight paths.
   static constexpr bool kStraight = true;
 
-  // `point_error`: by how much a given point may differ from the intended one (0 when the given points are the truth).
+  // `point_error`: error bound of the given points (0 if they are exact).
   PGCCD_HD LinearPath(const Vec3<T> t0[4], const Vec3<T> t1[4], T point_error)
       : t0_(feature_pair<kEdgeEdge>(t0[0], t0[1], t0[2], t0[3])),
         t1_(feature_pair<kEdgeEdge>(t1[0], t1[1], t1[2], t1[3])) {
     const T size = larger(extent(t0_), extent(t1_));
-    // To about unit size, by a power of two: exact, and products of six lengths neither overflow nor vanish.
+    // Scaled to about unit size, by a power of two: exact, and products of six lengths neither overflow nor underflow.
     scale_ = size > T(0) ? static_cast<T>(inverse_power_of_two(static_cast<double>(size))) : T(1);
     t0_ = {scale_ * t0_.r, scale_ * t0_.a, scale_ * t0_.b};
     t1_ = {scale_ * t1_.r, scale_ * t1_.a, scale_ * t1_.b};
     error_ = {scale_ * point_error, scale_ * size};
   }
 
-  // All lengths that the path speaks of are given ones times this.
+  // All lengths of the path are the given ones times this.
   PGCCD_HD T scale() const { return scale_; }
 
   PGCCD_HD FeaturePair<T> at(T t) const {
@@ -51,7 +51,7 @@ class LinearPath {
   PairError<T> error_;
 };
 
-// A mesh point turning about its body's origin: base + sin(angle t) quarter + versin(angle t) inward (Rodrigues).
+// A mesh point that rotates about its body's origin: base + sin(angle t) quarter + versin(angle t) inward (Rodrigues).
 struct ArcPoint {
   Vec3<double> base;
   Vec3<double> quarter;  // axis x base; its length is the distance from the axis
@@ -67,7 +67,7 @@ PGCCD_HD Vec3<double> arc_position(const ArcPoint& p, const SineCosine& at) {
   return p.base + (at.sine * p.quarter + at.versine * p.inward);
 }
 
-// Rigid arcs, relative to the origin of the first-named body.
+// Rigid arcs, relative to the origin of the first primitive's body.
 template <bool kEdgeEdge>
 class ArcPath {
  public:
@@ -83,7 +83,7 @@ class ArcPath {
       double& radius = is_first ? first_radius : second_radius;
       radius = larger(radius, norm(points_[k].quarter));
     }
-    // |x''| <= angle^2 radius for each body; the factor covers the rounding of this very expression.
+    // |x''| <= angle^2 radius for each body; the factor covers the rounding of this expression.
     curvature_ =
         (1.0 + 0x1p-40) * (first.angle * first.angle * first_radius + second.angle * second.angle * second_radius);
     double reach = 0.0;
@@ -97,7 +97,7 @@ class ArcPath {
     positions(t, x);
     return feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
   }
-  // Relative to the first-named body's origin at t.
+  // Relative to the origin at t of the first primitive's body.
   PGCCD_HD void positions(double t, Vec3<double> x[4]) const {
     const SineCosine first = sine_cosine(first_angle_ * t);
     const SineCosine second = sine_cosine(second_angle_ * t);
@@ -108,23 +108,23 @@ class ArcPath {
       if (!is_first) x[k] = shift + x[k];
     }
   }
-  // A window over which the chords stray by no more than a quarter of the gap.
+  // A window over which the chords deviate by no more than a quarter of the gap.
   PGCCD_HD double window(double gap, double remaining) const {
     if (!(curvature_ * remaining * remaining > 2.0 * gap)) return remaining;
     return square_root(2.0 * gap / curvature_);
   }
-  // Linear interpolation of a curve strays by at most max |x''| duration^2 / 8, for the two bodies together.
+  // Linear interpolation of a curve deviates by at most max |x''| duration^2 / 8, for both bodies together.
   PGCCD_HD double deviation(double duration) const { return curvature_ * duration * duration * 0.125; }
   PGCCD_HD PairError<double> error() const { return error_; }
 
-  // Windows get short where bodies spin fast.
+  // Windows are short for fast spinning bodies.
   PGCCD_HD int more_advances() const { return static_cast<int>(smaller(2.0 * (first_angle_ + second_angle_), 0x1p20)); }
 
-  // Body of a point: 0 for the first-named one, 1 for the second.
+  // Body of a point: 0 for that of the first primitive, 1 for that of the second.
   PGCCD_HD static int side_of(int k) { return k < PointSplit<kEdgeEdge>::first_count ? 0 : 1; }
   PGCCD_HD const ArcPoint& point(int k) const { return points_[k]; }
   PGCCD_HD double angle(int side) const { return side == 0 ? first_angle_ : second_angle_; }
-  // Of the second body's centre.
+  // Offset of the second body's origin.
   PGCCD_HD Vec3<double> shift_at(double t) const { return (1.0 - t) * centre_.at_t0 + t * centre_.at_t1; }
 
  private:

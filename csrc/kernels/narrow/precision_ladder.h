@@ -1,6 +1,6 @@
-// A query is solved in the arithmetic of its points first; where rounding leaves it open, again in the next finer one,
-// from the time already certified: float, double, double-double. The last has no near miss of inputs of ordinary size
-// left to mistake for a touch.
+// A query is first solved in the precision of its points; if rounding leaves it undecided, in the next higher one, from
+// the time already certified: float, double, double-double. In the last, near misses of inputs of ordinary size are
+// distinguished from touches.
 #pragma once
 
 #include "kernels/narrow/advancement.h"
@@ -8,7 +8,7 @@
 
 namespace pgccd {
 
-// Caller's settings for a whole call; tolerance as in pair_tolerance.
+// Settings of a call; tolerance as in pair_tolerance.
 struct NarrowSettings {
   double separation;
   double tolerance;
@@ -18,7 +18,7 @@ struct NarrowSettings {
 template <class T>
 struct Answer {
   Outcome<T> outcome;
-  int8_t significant_bits;  // of the arithmetic that decided it
+  int8_t significant_bits;  // of the precision that decided
 };
 
 namespace ladder_detail {
@@ -41,7 +41,7 @@ struct Rung<DoubleDouble> {
   static constexpr int8_t significant_bits = 106;
 };
 
-// Never less strict than the caller's tolerance.
+// Rounded so that it is at least as strict as the caller's tolerance.
 template <class T>
 PGCCD_HD SearchSettings<T> in_precision(const SearchSettings<double>& settings) {
   return {round_up<T>(settings.separation), round_down<T>(settings.tolerance), round_up<T>(settings.prune_at),
@@ -82,7 +82,7 @@ PGCCD_HD_RARE Answer<Input> climb(const Vec3<Input> (&t0)[4], const Vec3<Input> 
 
 }  // namespace ladder_detail
 
-// The points given, at both ends of straight paths, are the truth.
+// The given points, at both ends of straight paths, are exact.
 template <bool kEdgeEdge, class Input>
 PGCCD_HD Answer<Input> solve_straight(const Vec3<Input> (&t0)[4], const Vec3<Input> (&t1)[4],
                                       const SearchSettings<double>& settings) {

@@ -1,5 +1,4 @@
-// The state of a search for contacts on a device: what the kernels of search_candidates.cuh hand to each other, and the
-// memory for it.
+// State of a search for contacts on a device, shared by the kernels of search_candidates.cuh, and its memory.
 #pragma once
 
 #include "kernels/device.cuh"
@@ -8,7 +7,7 @@
 
 namespace pgccd {
 
-// toi >= 0, so its bits are in order; all ones is later than any.
+// toi >= 0, so its bits have the same order; all ones is later than any toi.
 __device__ inline unsigned long long toi_bits(double toi) {
   return static_cast<unsigned long long>(__double_as_longlong(toi));
 }
@@ -20,37 +19,37 @@ struct FoundContact {
 };
 
 struct SearchCounters {
-  uint32_t open;        // candidates that the quick phase leaves, those that did not fit included
-  uint32_t patient;     // among them: those that the plain phase leaves
-  uint32_t contacts;    // among them; of first toi: pairs that have one
-  uint32_t unresolved;  // of the rows written
+  uint32_t open;        // candidates left by the quick phase, including those beyond the capacity
+  uint32_t patient;     // those of them left by the plain phase
+  uint32_t contacts;    // contacts among them; for first toi only, the number of pairs with a contact
+  uint32_t unresolved;  // rows with status unresolved
   uint32_t blocks_done;
-  uint32_t unused;  // instead of padding, which would be copied unset
-  int64_t rows;     // to report
+  uint32_t unused;  // explicit padding, so that no uninitialised bytes are copied
+  int64_t rows;     // number of rows to report
 };
 
 struct OpenCandidate {
-  double t, goal;  // the progress that the quick phase made, as the next
+  double t, goal;  // with `advances`: the progress of the quick phase
   int32_t advances;
-  int32_t row;  // of the candidates
+  int32_t row;  // index of the candidate
   int32_t pair;
-  int32_t unused;  // instead of padding, which would be copied unset
+  int32_t unused;  // explicit padding, so that no uninitialised bytes are copied
 
   PGCCD_HD Progress<double> progress() const { return {t, goal, advances}; }
 };
 
-// Contacts, in any order; and per pair the earliest toi so far, unless all are to be reported.
+// Contacts, unsorted; and per pair the earliest toi so far, unless all are reported.
 struct Search {
   NarrowInput input;
   OpenCandidate* open;
-  uint32_t* patient;             // rows of `open`
+  uint32_t* patient;             // indices into `open`
   uint32_t capacity;             // of both
-  FoundContact* contacts;        // or null, as the next four
+  FoundContact* contacts;        // null if no contacts are written; so may be the next four
   unsigned long long* best;      // bits of the toi
   unsigned long long* least;     // bits of the time before which no open candidate of the pair can touch
-  unsigned long long* best_key;  // as the next, to choose among equal ones
-  int32_t* winner;               // the contact
-  int64_t words;                 // of eight bytes, that these four take
+  unsigned long long* best_key;  // with `winner`: chooses among contacts with equal toi
+  int32_t* winner;               // index of the contact
+  int64_t words;                 // of eight bytes: size of these four arrays
   SearchCounters* counters;
 
   __device__ bool has_contact(int64_t contact) const { return contact < static_cast<int64_t>(counters->contacts); }
@@ -62,10 +61,10 @@ struct Search {
   }
 };
 
-// What is known when the search for the contact of an open candidate begins.
+// Bounds for the search of an open candidate, from earlier contacts of its pair.
 struct Prospect {
-  double latest;   // a contact certainly later than that is of no interest
-  bool is_needed;  // false: whether there is a contact is of no interest either
+  double latest;   // certainly later contacts are dropped
+  bool is_needed;  // false: the candidate need not be solved at all
 };
 
 __device__ inline Prospect prospect_of(const Search& search, const OpenCandidate& open) {
@@ -74,17 +73,17 @@ __device__ inline Prospect prospect_of(const Search& search, const OpenCandidate
   return {__longlong_as_double(static_cast<long long>(best)), search.input.report != Report::kAny};
 }
 
-// Searches that are cut short since their contacts would be later than the pair's best do not change which is first.
+// Searches pruned because their contacts would be later than the pair's best do not change the first contact.
 __device__ inline void report(const Search& search, const OpenCandidate& open, const Outcome<double>& outcome) {
   if (outcome.status != Status::kTouch && outcome.status != Status::kUnresolved) return;
   if (search.best != nullptr) atomicMin(search.best + open.pair, toi_bits(outcome.toi));
   if (search.contacts == nullptr) return;
-  // There are no more contacts than open candidates, so the capacity suffices.
+  // There are at most as many contacts as open candidates, so the capacity suffices.
   search.contacts[warp_append(&search.counters->contacts, 1)] = {open.row, static_cast<int32_t>(outcome.status),
                                                                  outcome.toi, outcome.u, outcome.v};
 }
 
-// `most_open`: candidates that the quick phase may leave.
+// `most_open`: capacity for candidates left by the quick phase.
 inline Search make_search(const DeviceContext& context, const NarrowInput& input, int64_t most_open) {
   Search search{};
   search.input = input;
@@ -95,8 +94,8 @@ inline Search make_search(const DeviceContext& context, const NarrowInput& input
   return search;
 }
 
-// Memory for the first contact of each pair known so far, and for its row where the report needs it. In one piece, so
-// that one launch fills all.
+// Memory for the first contact of each pair, and for its row if needed by the report. One allocation, so that one
+// launch initialises all.
 inline void allocate_first(const DeviceContext& context, Search& search, bool with_winner) {
   const int64_t pairs = search.input.pair_count;
   search.words = with_winner ? 3 * pairs + (pairs + 1) / 2 : 2 * pairs;

@@ -1,14 +1,14 @@
-// From candidates to contacts, in the phases of advancement.h, each of which is a kernel: the quick phase for every
-// candidate, the plain one for those it leaves open, the patient one for the few that are open even then. Of each pair
-// the candidate with the smallest certified lower bound of its toi is likely to be the first contact: the plain phase
-// takes those before the others, most of which need not be solved then.
+// From candidates to contacts, in the phases of advancement.h, one kernel each: the quick phase for every candidate,
+// the plain one for those it leaves open, the patient one for the few still open. The candidate of a pair with the
+// smallest certified lower bound of toi is likely the first contact: the plain phase solves these first, so that most
+// others can be skipped.
 #pragma once
 
 #include "kernels/narrow/search.cuh"
 
 namespace pgccd {
 
-// Long searches, spread over many multiprocessors.
+// Small blocks spread long searches over many multiprocessors.
 constexpr int kSolveThreads = 64;
 
 template <class Bodies>
@@ -16,7 +16,7 @@ __device__ typename PairOf<Bodies>::type pair_of(const Bodies& bodies, const Nar
   return {bodies, input.pairs[2 * int64_t(c.pair)], input.pairs[2 * int64_t(c.pair) + 1]};
 }
 
-// One thread a candidate.
+// One thread per candidate.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies, Search search) {
   const CandidateSpan candidates = search.input.candidates;
@@ -51,8 +51,8 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
   }
 }
 
-// The first of two launches takes the candidates that may well be first contacts, or all, where each has a thread; the
-// second those that may still be earlier than the contacts found. A warp collects them, so that its lanes are full.
+// The first of two launches solves the candidates that are likely first contacts, or all if there is a thread for each;
+// the second those that may be earlier than the contacts found. A warp collects them, so that its lanes are full.
 template <class Bodies>
 __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies, Search search, bool is_first) {
   __shared__ uint32_t all_waiting[kSolveThreads / kWarp][2 * kWarp];
@@ -70,7 +70,7 @@ __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies
   };
   uint32_t collected = 0;
   for (uint32_t base = blockIdx.x * blockDim.x + threadIdx.x - lane;; base += threads) {
-    const bool is_last = base >= count;  // solve what is left
+    const bool is_last = base >= count;  // solve the remaining ones
     if (!is_last) {
       const uint32_t item = base + lane;
       const bool wanted = item < count && is_wanted(item);
@@ -83,13 +83,13 @@ __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies
     const uint32_t some = smaller<uint32_t>(collected, kWarp);
     collected -= some;
     const uint32_t mine = lane < some ? waiting[collected + lane] : 0u;
-    __syncwarp();  // others may be written over them
+    __syncwarp();  // before other lanes overwrite them
     if (lane < some) solve_open(bodies, search, mine);
     if (is_last) return;
   }
 }
 
-// The patient phase, with the plain one once more before it: its progress is not kept.
+// The patient phase, after repeating the plain one, whose progress is not stored.
 template <class Bodies>
 __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies, Search search) {
   const uint32_t count = search.counters->patient, threads = gridDim.x * blockDim.x;
@@ -107,7 +107,7 @@ __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies,
 template <class Bodies>
 void run_search(const DeviceContext& context, const Bodies& bodies, const Search& search) {
   const int64_t pairs = search.input.pair_count;
-  // No toi, no key and no winner yet.
+  // Initialises toi, keys and winners.
   for_each_item(context, larger<int64_t>(1, search.words), [=] __device__(int64_t k) {
     if (k == 0) *search.counters = {};
     if (k < search.words) search.best[k] = ~0ull;

@@ -1,4 +1,4 @@
-// What a search for the first contact of a candidate is given, how far it has come, and how it ended.
+// Settings, progress and outcome of the search for the first contact of a candidate.
 #pragma once
 
 #include <cstdint>
@@ -12,17 +12,17 @@ enum class Status : int8_t {
   kFree = 0,
   kTouch = 1,
   kUnresolved = 2,  // iteration budget spent: counts as a contact
-  kPruned = 3,      // certainly later than the limit given; never leaves the kernels
-  kUndecided = 4,   // within tolerance, but this arithmetic cannot tell a touch from a miss; never leaves the kernels
-  kOpen = 5,        // a later phase has to go on; never leaves the kernels
+  kPruned = 3,      // certainly later than the limit; internal
+  kUndecided = 4,   // within tolerance, but undecided in this precision; internal
+  kOpen = 5,        // a later phase must continue; internal
 };
 
 template <class T>
 struct SearchSettings {
   T separation;
-  T tolerance;       // a contact comes at least this close, beyond the separation
-  T prune_at;        // give up (kPruned) once free until this time
-  bool nonzero_toi;  // shrink the tolerance rather than answer toi = 0 for a pair that starts further apart than the
+  T tolerance;       // a contact comes within separation + tolerance
+  T prune_at;        // stop (kPruned) once free until this time
+  bool nonzero_toi;  // reduce the tolerance rather than return toi = 0 for a pair that starts further apart than the
                      // separation
 };
 
@@ -33,11 +33,11 @@ struct Outcome {
   T u, v;
 };
 
-// How far a search has come: enough to go on as if it had never stopped.
+// Progress of a search, from which it can be continued.
 template <class T>
 struct Progress {
   T t = T(0);      // free before it
-  T goal = T(-1);  // how near is near enough; negative where that is still to be decided
+  T goal = T(-1);  // distance at which the search ends; negative: not chosen yet
   int advances = 0;
 };
 

@@ -1,5 +1,5 @@
-// Proofs of contact, for straight paths: that two primitives do touch within a short stretch of time. They spare near
-// misses from being reported; without one, the query is solved again in finer arithmetic.
+// Proofs of contact on straight paths: that two primitives touch within a short interval. They prevent near misses from
+// being reported; without a proof, the query is solved again in higher precision.
 #pragma once
 
 #include "kernels/narrow/certificates.h"
@@ -8,8 +8,7 @@ namespace pgccd {
 
 namespace touching_detail {
 
-// A product of two vectors in the plane that drops one coordinate, over a window of time: a quadratic in Bernstein
-// form.
+// A product of two vectors in the plane without one coordinate, over a time window: a quadratic in Bernstein form.
 template <class T>
 struct Quadratic {
   T control[3];
@@ -45,9 +44,9 @@ PGCCD_HD T determinant(const FeaturePair<T>& p) {
 
 }  // namespace touching_detail
 
-// True if the primitives certainly pass through one another between the two times. Seen along a coordinate axis, the
-// vertex stays inside the triangle, or the edges cross, throughout; and the side on which the features see each other
-// changes. So there is a moment when they are coplanar, and there they meet. `start` and `end` are on straight paths.
+// True if the primitives certainly pass through one another between the two times: seen along a coordinate axis, the
+// vertex stays inside the triangle, or the edges cross, throughout; and the sign of the determinant changes. So they
+// are coplanar at some time, and touch then. `start` and `end` are on straight paths.
 template <bool kEdgeEdge, class T>
 PGCCD_HD bool pass_through(const FeaturePair<T>& start, const FeaturePair<T>& end, PairError<T> error) {
   using namespace touching_detail;
@@ -78,7 +77,7 @@ PGCCD_HD bool pass_through(const FeaturePair<T>& start, const FeaturePair<T>& en
   return true;
 }
 
-// Looks for such a proof just after a time at which the primitives are `distance` apart, by one Newton step.
+// Tries to find such a proof just after a time at which the primitives are `distance` apart, by one Newton step.
 // `with_slender` as for `nearest_points`.
 template <bool kEdgeEdge, class T, class Path>
 PGCCD_HD bool certainly_touch(const Path& path, T t, const FeaturePair<T>& now, const Nearest<T>& nearest, T distance,

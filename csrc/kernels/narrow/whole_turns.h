@@ -1,6 +1,6 @@
-// Clears many turns of a spinning body at once. A body that spins fast is replaced by all places that it takes in a
-// turn: along a direction n, a point reaches as far as the centre of its circle and the circle's extent, |n x axis|
-// times its radius. What is left in time is the straight way of the centre.
+// Clears many turns of a spinning body at once. A fast spinning body is replaced by all positions that it takes in a
+// full turn: along a direction n, a point reaches as far as the centre of its circle plus |n x axis| times its radius.
+// Only the straight motion of the centre then depends on time.
 #pragma once
 
 #include "kernels/narrow/paths.h"
@@ -9,7 +9,7 @@ namespace pgccd {
 
 namespace whole_turns_detail {
 
-// Radians from which on a body counts as spinning fast: a window of chords would be cut into many.
+// Remaining rotation, in radians, from which a body counts as spinning fast: chords would need many windows.
 constexpr double kFastSpin = 4.0;
 
 template <bool kEdgeEdge>
@@ -22,7 +22,8 @@ class SpunPair {
   PGCCD_HD bool any() const { return spins_[0] || spins_[1]; }
   PGCCD_HD bool spins(int k) const { return spins_[path_.side_of(k)]; }
 
-  // The features at t, points of spinning bodies replaced by the centres of their circles, or (`height` 0) of the body.
+  // The features at t, with points of spinning bodies replaced by the centres of their circles, or (`height` 0) of the
+  // body.
   PGCCD_HD FeaturePair<double> hubs(double height) const {
     Vec3<double> x[4];
     path_.positions(t_, x);
@@ -34,9 +35,9 @@ class SpunPair {
     return feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
   }
 
-  // A time until which the features stay apart along `n`, where the gap is the least projection of the second feature
-  // less the largest of the first. Spinning bodies' projections are constant but for the straight way of the centres,
-  // others' are those of chords less their deviation.
+  // A time until which the features stay apart along `n`; the gap is the smallest projection of the second feature
+  // minus the largest of the first. Projections of spinning bodies are constant except for the motion of the centres,
+  // others are those of chords minus their deviation.
   PGCCD_HD double free_until(Vec3<double> n, double separation) const {
     constexpr double u = Precision<double>::unit;
     double bend = 0.0;  // |x''| of the bodies that do not spin fast
@@ -56,7 +57,7 @@ class SpunPair {
   }
 
  private:
-  // On the axis, relative to the body's centre.
+  // Centre of the point's circle on the axis, relative to the body's origin.
   PGCCD_HD Vec3<double> hub(int k) const { return path_.point(k).base + path_.point(k).inward; }
 
   PGCCD_HD double gap(double t, Vec3<double> n) const {
@@ -95,9 +96,9 @@ class SpunPair {
 
 }  // namespace whole_turns_detail
 
-// A time until which the features stay apart, or `t` itself if nothing is gained. Directions tried: the one given;
-// those between the nearest points where spinning features are shrunk to the centres of their circles, or to the centre
-// of the body; and the axes.
+// A time until which the features stay apart, or `t` itself if nothing is gained. Directions: the given one; those
+// between the nearest points with spinning features shrunk to the centres of their circles, or to the centre of the
+// body; and the axes.
 template <bool kEdgeEdge>
 PGCCD_HD double free_while_spinning(const ArcPath<kEdgeEdge>& path, double t, Vec3<double> direction,
                                     double separation) {
@@ -116,7 +117,7 @@ PGCCD_HD double free_while_spinning(const ArcPath<kEdgeEdge>& path, double t, Ve
   return until;
 }
 
-// Straight paths do not turn.
+// Straight paths do not rotate.
 template <bool kEdgeEdge, class T>
 PGCCD_HD T free_while_spinning(const LinearPath<kEdgeEdge, T>&, T t, Vec3<T> /*direction*/, T /*separation*/) {
   return t;

@@ -11,7 +11,7 @@ int64_t nanoseconds() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
 }
 
-// Traversal and narrow phase of some of the pairs. Adds to the counts, and the time of the narrow phase.
+// Traversal and narrow phase of some of the pairs. Adds to the counts and to the time of the narrow phase.
 template <class Bodies>
 ContactRows search_once(const Executor& executor, const Bodies& bodies, const TraverseInput& traversal,
                         NarrowInput narrow, int64_t* traverse_counts, int64_t& narrow_time) {
@@ -28,7 +28,7 @@ ContactRows search_once(const Executor& executor, const Bodies& bodies, const Tr
   return found;
 }
 
-// Contacts of the pairs there are. Sets all counts but those of rows written.
+// Contacts of the valid pairs. Sets all counts except those of rows written.
 template <class Bodies>
 ContactRows search_all(const Executor& executor, const Bodies& bodies, const ContactSearch& search) {
   TraverseInput traversal = search.traversal;
@@ -42,8 +42,8 @@ ContactRows search_all(const Executor& executor, const Bodies& bodies, const Con
   int64_t narrow_time = 0;
   std::vector<double> horizon;
   if (narrow.report == Report::kFirst) {
-    // A good guess at each pair's first contact bounds the times at which an earlier one must be searched for. A GPU
-    // has searched all of it sooner than it has found the guess.
+    // An early contact of each pair bounds the time that must be searched. On a GPU the full search is faster than
+    // finding this bound first.
     traversal.leading = true;
     const ContactRows guess = search_once(executor, bodies, traversal, narrow, counts, narrow_time);
     traversal.leading = false;

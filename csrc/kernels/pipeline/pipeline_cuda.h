@@ -1,4 +1,4 @@
-// The order of stages on the device: contracts as in pipeline.h. Nothing waits, and all lists have given capacities.
+// The order of stages on the device: contracts as in pipeline.h. Does not synchronise; all lists have given capacities.
 #pragma once
 
 #include "kernels/device_context.h"

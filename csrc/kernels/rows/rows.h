@@ -1,5 +1,4 @@
-// Rows of columns: chosen, packed side by side, merged. Columns are bytes. Throws for rows that are not
-// there.
+// Rows of columns: selected, packed, merged. Columns are processed as bytes. Throws for rows out of range.
 #pragma once
 
 #include <vector>
@@ -11,7 +10,7 @@ namespace pgccd {
 
 void copy_rows_cpu(const Executor& executor, const std::vector<ColumnCopy>& columns, const ChosenRows& rows);
 
-// The first array of each column's source is what is there, the second what is added.
+// The first array of each column's source has the present rows, the second the added ones.
 void merge_rows_cpu(const Executor& executor, const std::vector<ColumnCopy>& columns, const RowChange& change);
 
 }  // namespace pgccd

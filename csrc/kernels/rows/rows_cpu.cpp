@@ -43,7 +43,7 @@ auto copy_column_of(uint32_t width) {
   }
 }
 
-// find_sources(begin, end, sources): where the rows [begin, end) come from.
+// find_sources(begin, end, sources): computes the sources of rows [begin, end).
 template <class Rows, class FindSources>
 void copy_chunks(const Executor& executor, const std::vector<ColumnCopy>& columns, const Rows& rows,
                  const char* expected, const FindSources& find_sources) {

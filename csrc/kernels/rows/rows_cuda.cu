@@ -10,17 +10,17 @@
 namespace pgccd {
 namespace {
 
-constexpr size_t kGroupColumns = 16;  // of one launch
-constexpr int64_t kTileRows = 32;     // that a block copies at a time
+constexpr size_t kGroupColumns = 16;  // columns per launch
+constexpr int64_t kTileRows = 32;     // rows that a block copies at a time
 
-// Columns by value: no launch needs anything that must be brought to the device first.
+// Columns by value: nothing has to be copied to the device before a launch.
 struct ColumnGroup {
   ColumnCopy columns[kGroupColumns];
   uint32_t word_bytes[kGroupColumns];        // 8, 4 or 1
-  uint32_t words_before[kGroupColumns + 1];  // words that a row has in the columns before each, and in all
+  uint32_t words_before[kGroupColumns + 1];  // words per row in the columns before each, and in total
 };
 
-// The longest words of which all that is copied consists.
+// The largest word size that divides all addresses, strides and the width.
 uint32_t word_bytes(const ColumnCopy& column) {
   const auto address = [](const void* pointer) { return reinterpret_cast<uintptr_t>(pointer); };
   const uintptr_t pointers = address(column.first) | address(column.second) | address(column.target);
@@ -44,7 +44,7 @@ __device__ void copy_word(const uint8_t* source, uint8_t* target, uint32_t word)
   reinterpret_cast<Word*>(target)[word] = source == nullptr ? Word{0} : reinterpret_cast<const Word*>(source)[word];
 }
 
-// A block finds where the rows of its tile come from, once for all columns. Neighbouring threads then copy neighbouring
+// A block computes the sources of its tile's rows once for all columns. Neighbouring threads then copy neighbouring
 // words of the same column.
 template <class Rows>
 __global__ void __launch_bounds__(kBlockThreads)
@@ -76,7 +76,7 @@ __global__ void __launch_bounds__(kBlockThreads)
         copy_word<uint8_t>(source, target, word);
       }
     }
-    __syncthreads();  // before the next tile's sources
+    __syncthreads();  // before the next tile's sources are written
   }
 }
 
@@ -113,7 +113,7 @@ void merge_rows_cuda(const DeviceContext& context, const std::vector<ColumnCopy>
   int64_t* places = context.allocate<int64_t>(added_count);
   int64_t* order = context.allocate<int64_t>(added_count);
   if (added_count > 0) {
-    // By merging: few rows come, and of so few a radix sort of 64 bits takes more launches.
+    // Merge sort: few rows are added, for which a 64-bit radix sort needs more launches.
     int64_t* id = context.allocate<int64_t>(added_count);
     const thrust::counting_iterator<int64_t> row(0);
     const auto unsorted = thrust::make_transform_iterator(row, AddedId{change});

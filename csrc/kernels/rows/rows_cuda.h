@@ -1,4 +1,4 @@
-// Rows of columns, on the device: contracts as in rows.h. Nothing waits.
+// Rows of columns, on the device: contracts as in rows.h. Does not synchronise.
 #pragma once
 
 #include "kernels/device_context.h"

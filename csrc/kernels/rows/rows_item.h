@@ -1,4 +1,4 @@
-// Which rows come where, and a column's bytes on their way.
+// Selection of rows, and copies of a column's bytes.
 #pragma once
 
 #include <cstdint>
@@ -8,16 +8,15 @@
 
 namespace pgccd {
 
-// Rows of one column, copied as bytes: what they mean does not matter. The source is two arrays, one after the other;
-// row -1 is zeros.
+// A copy of rows of one column, as bytes. The source is two consecutive arrays; row -1 is zeros.
 struct ColumnCopy {
   const uint8_t* first;
   const uint8_t* second;
   uint8_t* target;
-  int64_t first_stride, second_stride, target_stride;  // bytes from a row to the next
+  int64_t first_stride, second_stride, target_stride;  // bytes between rows
   uint32_t width;                                      // bytes of a row, at least 1
 
-  // Null: zeros.
+  // Null for a row of zeros.
   PGCCD_HD const uint8_t* source(int64_t row, int64_t first_count) const {
     if (row < 0) return nullptr;
     return row < first_count ? first + row * first_stride : second + (row - first_count) * second_stride;
@@ -30,44 +29,44 @@ struct ChosenRows {
   int64_t count, first_count, source_count;
 
   PGCCD_HD int64_t operator()(int64_t row) const { return rows == nullptr ? row : rows[row]; }
-  // -1 is no row.
+  // -1 stands for a row of zeros.
   PGCCD_HD bool is_source(int64_t row) const { return row >= -1 && row < source_count; }
 };
 
-// Rows by ascending id, of which some go and others come.
+// A change of rows sorted by id: some removed, others added.
 struct RowChange {
   const int64_t* id;  // (count,) ascending
   int64_t count;
   const int64_t* removed;  // (removed_count,) rows, ascending
   int64_t removed_count;
   const uint8_t* added;  // (added_count,) rows in any order, each beginning with its id
-  int64_t added_stride;  // bytes from a row to the next
+  int64_t added_stride;  // bytes between rows
   int64_t added_count;
 
   PGCCD_HD int64_t merged_count() const { return count - removed_count + added_count; }
   PGCCD_HD int64_t added_id(int64_t row) const {
     int64_t id;
-    memcpy(&id, added + row * added_stride, sizeof(id));  // which may lie anywhere
+    memcpy(&id, added + row * added_stride, sizeof(id));  // may be unaligned
     return id;
   }
-  // Where an id comes to be if so many of those added are smaller.
+  // New index of an id, given the number of smaller added ids.
   PGCCD_HD int64_t place(int64_t new_id, int64_t smaller_added) const {
     const int64_t smaller = count_leading(count, [&](int64_t row) { return id[row] < new_id; });
     return smaller - count_leading(removed_count, [&](int64_t k) { return removed[k] < smaller; }) + smaller_added;
   }
 };
 
-// Row k of the target is what comes k-th by id: one of those kept, or (after them in the source) of those added.
+// Row k of the target is the k-th by id: a kept row, or an added one (which follow in the source).
 struct MergedRows {
   RowChange change;
-  const int64_t* places;  // (added_count,) of rows added, ascending
-  const int64_t* order;   // (added_count,) which of the rows added each is
+  const int64_t* places;  // (added_count,) new indices of added rows, ascending
+  const int64_t* order;   // (added_count,) index of the added row at each of these
   int64_t count, first_count;
 
-  // Not so if ids do not ascend, or rows removed.
+  // False if ids or removed rows do not ascend.
   PGCCD_HD bool is_source(int64_t row) const { return row >= 0 && row < change.count + change.added_count; }
 
-  // How many rows were added before a row, and how many removed before it if it is one of those kept.
+  // Number of rows added before a row, and removed before it if it is kept.
   struct Before {
     int64_t added, removed;
   };
@@ -78,7 +77,7 @@ struct MergedRows {
     const int64_t added = count_leading(change.added_count, [&](int64_t k) { return is_added_before(k, row); });
     return {added, count_leading(change.removed_count, [&](int64_t k) { return is_removed_before(k, row - added); })};
   }
-  // From the same of an earlier row.
+  // Advances the numbers to a later row.
   PGCCD_HD void advance(Before& known, int64_t row) const {
     while (known.added < change.added_count && is_added_before(known.added, row)) ++known.added;
     while (known.removed < change.removed_count && is_removed_before(known.removed, row - known.added)) ++known.removed;

@@ -1,5 +1,5 @@
-// The hash of one row of columns; rows are summed modulo 2^64, so that the sum depends neither on their order nor on
-// the rank that holds them. And all else that is summed up of a step.
+// The hash of a row of columns; rows are summed modulo 2^64, so that the sum depends neither on their order nor on the
+// ranks that hold them. And the other sums of a step.
 #pragma once
 
 #include <cstdint>
@@ -8,11 +8,11 @@
 
 namespace pgccd {
 
-// Columns of 8-byte numbers, floating-point ones as their bits.
+// Columns of 8-byte numbers, processed as bits.
 struct HashColumns {
   static constexpr int kMost = 8;
   const uint64_t* column[kMost];
-  int64_t width[kMost];  // numbers a row
+  int64_t width[kMost];  // numbers per row
   int columns;
   int64_t count;  // rows
 };
@@ -34,7 +34,7 @@ PGCCD_HD uint64_t row_hash(const HashColumns& columns, int64_t row) {
   return hash;
 }
 
-// Numbers in the order of `simulate_tally`; hashes modulo 2^64.
+// Values in the order of `simulate_tally`; hashes modulo 2^64.
 struct StepTally {
   int64_t robots;
   uint64_t contacts_hash;
@@ -45,12 +45,11 @@ struct StepTally {
 };
 constexpr int kTallyCounts = sizeof(StepTally) / sizeof(int64_t);
 
-// What came of a step: robots afterwards, what part of it each made, and contacts, which may be padded with rows of
-// negative pairs.
+// Outcome of a step: robots after it, the part that each moved, and contacts, which may be padded with negative pairs.
 struct StepOutcome {
   HashColumns state;       // the first column: ids
   const double* fraction;  // (state.count,)
-  const int64_t* id;       // (id_count,) of the robots that pairs name
+  const int64_t* id;       // (id_count,) ids of the robots that pairs index
   int64_t id_count;
   const int64_t* pairs;  // (contact_count, 2)
   const double* toi;     // (contact_count,)
@@ -60,7 +59,7 @@ struct StepOutcome {
     const int64_t i = pairs[2 * contact], j = pairs[2 * contact + 1];
     return i < 0 || (i < id_count && j >= 0 && j < id_count);
   }
-  // Rows of negative ids are padding.
+  // Rows with negative ids are padding.
   PGCCD_HD void add_robot(int64_t row, StepTally& tally) const {
     if (static_cast<int64_t>(state.column[0][row]) < 0) return;
     ++tally.robots;

@@ -1,4 +1,4 @@
-// The slowed-down motion of the two robots of each pair that is affected, wherever the columns of each are.
+// The slowed motion of the two robots of each affected pair.
 #pragma once
 
 #include "kernels/simulate/resolution_item.h"
@@ -6,7 +6,7 @@
 
 namespace pgccd {
 
-// What moves a robot, as columns.
+// Columns that define a robot's motion.
 struct MovingRobots {
   const int64_t* id;
   const double* position;          // (count, 3)
@@ -32,14 +32,14 @@ struct AffectedMotion {
   MovingRobots own, ghosts;   // rows of ghosts follow those of own robots
   const double* fraction;     // (own + ghosts)
   const double* mesh_radius;  // (mesh_count,)
-  int64_t mesh_count;         // the robot with id k is of kind k modulo their number
+  int64_t mesh_count;         // the robot with id k has mesh k modulo this number
 
   int64_t capacity;
-  int64_t* pairs;  // (capacity, 2) those found; rows beyond their number are not written, here and in the motion
+  int64_t* pairs;  // (capacity, 2) pairs found; unused rows are not written, here and in the motion
   PairMotion motion;
   int64_t* counts;  // (kPairCounts)
 
-  // Writes one robot of a pair that was found, in row `at`, unless the capacity is exceeded.
+  // Writes one robot of a found pair to row `at`, unless that exceeds the capacity.
   PGCCD_HD void store(int64_t pair, int side, int64_t at) const {
     if (at >= capacity) return;
     const int64_t row = 2 * at + side, held = affected.pairs[2 * pair + side];

@@ -1,4 +1,4 @@
-// How far a robot goes that was to collide.
+// The fraction of the step that a colliding robot moves.
 #pragma once
 
 #include <cstdint>
@@ -16,23 +16,23 @@ struct SlowedDown {
   bool changes;
 };
 
-// Robots that do not move at all can only touch where they did before: nothing is left to decide about them.
+// Robots that do not move can only touch where they did before, so they do not change.
 PGCCD_HD SlowedDown slowed_down(double first, double former, double approach, double smallest) {
   if (!(first <= 1.0 && former > 0.0)) return {former, false};
   const double allowed = former * first * approach;
   return {allowed < smallest ? 0.0 : allowed, true};
 }
 
-// All robots, in place.
+// Slows down all robots in place.
 struct SlowAllDown {
-  double* first;     // (count,) first toi in what each robot was to make of the step, inf: none; inf afterwards
-  double* fraction;  // (count,) what each robot makes of the step
+  double* first;     // (count,) first toi relative to the part that each robot was to move, inf for none; reset to inf
+  double* fraction;  // (count,) part of the step that each robot moves
   uint8_t* changed;  // (count,)
   int64_t count;
-  double approach;  // part of the way to the toi that a robot goes
-  double smallest;  // a robot whose fraction would be smaller does not move at all
+  double approach;  // fraction of the toi by which a robot moves
+  double smallest;  // a robot with a smaller fraction does not move at all
 
-  // Whether the robot changes.
+  // Returns whether the robot changes.
   PGCCD_HD bool slow_down(int64_t row) const {
     const double toi = first[row];
     const bool looks = toi <= 1.0;
@@ -44,15 +44,15 @@ struct SlowAllDown {
   }
 };
 
-// Contacts (count,) of pairs of copies of robots; rows of padding have negative pairs.
+// Contacts (count,) of pairs of copies of robots; padding has negative pairs.
 struct FirstToiInput {
-  const int64_t* robots;  // of each copy; null: each is its own
+  const int64_t* robots;  // robot of each copy; null if copies are robots
   const int64_t* pairs;   // (count, 2) copies
   const double* toi;      // (count,) >= 0
   int64_t count;
   int64_t copy_count, robot_count;
 
-  // One side of a pair, of 2 count: padding, or a copy of a robot?
+  // True if one side of a pair (of 2 count) is padding or a copy of a robot.
   PGCCD_HD bool is_sound(int64_t side) const {
     const int64_t copy = pairs[side];
     if (copy < 0) return true;
@@ -62,7 +62,7 @@ struct FirstToiInput {
   PGCCD_HD int64_t robot(int64_t copy) const { return robots != nullptr ? robots[copy] : copy; }
 };
 
-// Pairs of which at least one robot has changed.
+// Pairs with at least one changed robot.
 struct AffectedPairs {
   const int64_t* pairs;    // (pair_count, 2), padding negative
   const uint8_t* changed;  // (robot_count,)
@@ -79,7 +79,7 @@ struct AffectedPairs {
   }
 };
 
-// Counts of `found` pairs of which `capacity` at most are written. Counts of overlaps and times stay as they are.
+// Stores the counts of `found` pairs, of which at most `capacity` are written; all other counts are 0.
 PGCCD_HD void store_counts(int64_t found, int64_t capacity, int64_t* counts) {
   for (int count = 0; count < kPairCounts; ++count) counts[count] = 0;
   counts[kPairsNeeded] = found;

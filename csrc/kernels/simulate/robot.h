@@ -1,4 +1,4 @@
-// One robot of the nanorobot world, and robots as columns.
+// One robot of the nanorobot simulation, and robots as columns.
 #pragma once
 
 #include <cstdint>
@@ -16,19 +16,19 @@ struct Robot {
   int64_t stay_until;
 };
 
-// Robots as columns; any subset of the world's robots in any order.
+// Robots as columns; any subset in any order.
 struct RobotColumns {
   const int64_t* id;
   const double* position;          // (count, 3)
   const double* orientation;       // (count, 4)
-  const double* velocity;          // (count, 3), length a step
-  const double* angular_velocity;  // (count, 3), radians a step, world frame
-  const int64_t* target;           // corner 0 .. 7, bit k set: upper end of axis k; or kNoTarget
-  const int64_t* stay_until;       // first step of the next journey, or kNotStaying
+  const double* velocity;          // (count, 3), length per step
+  const double* angular_velocity;  // (count, 3), radians per step, world frame
+  const int64_t* target;           // corner 0 .. 7 (bit k: upper end of axis k), or kNoTarget
+  const int64_t* stay_until;       // first step of the next course, or kNotStaying
   int64_t count;
 };
 
-// Where results go; the columns that an operation does not change stay null.
+// Memory for results; null for columns that an operation does not change.
 struct RobotResults {
   double* position = nullptr;
   double* orientation = nullptr;

@@ -1,4 +1,4 @@
-// One robot of the nanorobot world: how it starts, what it plans for a step, and how it answers a collision.
+// One robot of the nanorobot simulation: its initial state, its plan for a step, and its response to a collision.
 #pragma once
 
 #include "core/random.h"
@@ -18,11 +18,11 @@ enum Stream : uint32_t {
 };
 
 constexpr double kTwoPi = 0x1.921fb54442d18p+2;
-// Of the gap between neighbouring spheres at the start; the rest keeps them apart for certain.
+// Fraction of the gap between neighbouring spheres at the start that is used for jitter; the rest keeps them apart.
 constexpr double kJitter = 0.95;
-// A robot's heading strays from the straight way by about this angle.
+// A robot's heading deviates from the straight course by about this angle, in radians.
 constexpr double kHeadingSpread = 0.3;
-// Robots that stay mill about at this fraction of their speed.
+// Fraction of their speed at which robots move while staying in a corner.
 constexpr double kStayingSpeed = 0.25;
 
 PGCCD_HD Uniforms draw(const World& world, int64_t id, int64_t step, Stream stream) {
@@ -75,7 +75,7 @@ PGCCD_HD void plan_skewed(const World& world, int64_t id, int64_t step, Robot& r
   const Uniforms decision = draw(world, id, step, kDecisionStream);
   if (robot.stay_until != kNotStaying) {
     if (step >= robot.stay_until) {
-      // Along an edge of the box: all ways across it would meet in the middle.
+      // Along an edge of the box: courses across it would all meet in the middle.
       robot.target ^= int64_t{1} << static_cast<int>(3.0 * decision.u[1]);
       robot.stay_until = kNotStaying;
       set_course_to_target(world, id, step, robot);
@@ -94,7 +94,7 @@ PGCCD_HD void plan_skewed(const World& world, int64_t id, int64_t step, Robot& r
     robot.stay_until = step + world.stay_shortest + static_cast<int64_t>(choices * decision.u[1]);
     set_random_course(world, id, step, kStayingSpeed, robot);
   } else if (thrown_back && decision.u[2] < world.course_change) {
-    // A robot that cannot get through gives way; otherwise crowds that meet would block one another for ever.
+    // A blocked robot gives way; otherwise opposing crowds would block each other forever.
     robot.target = nearest_corner(robot.position);
     set_course_to_target(world, id, step, robot);
   } else if (decision.u[0] < world.resumption) {
@@ -102,7 +102,7 @@ PGCCD_HD void plan_skewed(const World& world, int64_t id, int64_t step, Robot& r
   }
 }
 
-// Turns the velocity inwards where the step would take the SBV through a wall.
+// Reverses the velocity component if the step would move the SBV through a wall.
 PGCCD_HD double reflected(double position, double velocity, double reach) {
   if (position + velocity > reach) return -std::fabs(velocity);
   if (position + velocity < -reach) return std::fabs(velocity);
@@ -111,8 +111,7 @@ PGCCD_HD double reflected(double position, double velocity, double reach) {
 
 }  // namespace robot_detail
 
-// Cells are dealt out so that the empty ones, if any, are spread over the lattice. Below 2^31 robots no product
-// overflows.
+// Cells are assigned so that empty ones are distributed over the lattice. Below 2^31 robots no product overflows.
 PGCCD_HD Robot start_robot(const World& world, int64_t id) {
   using namespace robot_detail;
   const uint64_t cell_count = static_cast<uint64_t>(world.cells[0] * world.cells[1] * world.cells[2]);
@@ -142,10 +141,10 @@ PGCCD_HD Robot start_robot(const World& world, int64_t id) {
   return robot;
 }
 
-// Decides the velocities of the step. Step 0 keeps those of the start.
+// Computes the velocities of the step. Step 0 keeps the initial ones.
 PGCCD_HD void plan_robot(const World& world, int64_t id, int64_t step, Robot& robot) {
   using namespace robot_detail;
-  if (id < 0) return;  // padding, which stands still
+  if (id < 0) return;  // padding does not move
   if (step > 0) {
     if (world.pattern == MovementPattern::kSkewed) {
       plan_skewed(world, id, step, robot);
@@ -159,8 +158,8 @@ PGCCD_HD void plan_robot(const World& world, int64_t id, int64_t step, Robot& ro
                     reflected(robot.position.z, robot.velocity.z, half.z - world.radius)};
 }
 
-// Makes `fraction` of the step, up to where the robot collides; a robot that does not make all of it turns round (the
-// simple response of Du, Liu & Suzumura 2017).
+// Moves by `fraction` of the step; a robot with a fraction below 1 reverses (the simple response of Du, Liu & Suzumura
+// 2017).
 PGCCD_HD void respond_robot(double fraction, Robot& robot) {
   robot.position = robot.position + fraction * robot.velocity;
   robot.orientation = normalized(exponential(fraction * robot.angular_velocity) * robot.orientation);

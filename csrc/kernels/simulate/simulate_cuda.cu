@@ -32,7 +32,7 @@ __global__ void __launch_bounds__(kBlockThreads) tally_step(StepOutcome outcome,
   }
   const uint64_t* own = reinterpret_cast<const uint64_t*>(&part);
   for (int k = 0; k < kTallyCounts; ++k) {
-    __syncthreads();  // the storage is free again
+    __syncthreads();  // before the storage is reused
     const uint64_t sum = Reduce(storage).Sum(own[k]);
     if (threadIdx.x == 0 && sum != 0) {
       atomicAdd(reinterpret_cast<unsigned long long*>(tally) + k, static_cast<unsigned long long>(sum));
@@ -45,8 +45,8 @@ struct FoundPairs {
   uint32_t blocks_done;
 };
 
-// One in some ten pairs is found, of which each is a hundred bytes to read and to write: a block first gathers those of
-// many, then all its threads have work.
+// About one in ten pairs is affected, with a hundred bytes to read and write each: a block first collects the affected
+// ones of many pairs, so that all its threads have work.
 constexpr int kTilePairs = 8 * kBlockThreads;
 
 __global__ void __launch_bounds__(kBlockThreads) affected_motion(AffectedMotion given, FoundPairs* found) {
@@ -125,12 +125,12 @@ void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int
 
 void slow_all_down_cuda(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes) {
   for_each_item(context, robots.count, [=] __device__(int64_t row) {
-    if (robots.slow_down(row)) *changes = 1;  // all threads that write, write the same
+    if (robots.slow_down(row)) *changes = 1;  // all threads write the same value
   });
 }
 
 void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts, double* first) {
-  // Doubles that are not negative are in the order of their bits.
+  // Non-negative doubles have the same order as their bits.
   static_assert(sizeof(long long) == sizeof(double));
   for_each_item(context, 2 * contacts.count, [=] __device__(int64_t side) {
     const int64_t copy = contacts.pairs[side];

@@ -1,4 +1,4 @@
-// The nanorobot world on the device: contracts as in simulate.h.
+// The nanorobot simulation on the device: contracts as in simulate.h.
 #pragma once
 
 #include "kernels/device_context.h"
@@ -10,7 +10,7 @@
 
 namespace pgccd {
 
-// The robots `id` (count,) at the start. Fills all columns.
+// Initial states of the robots `id` (count,). Fills all columns.
 void start_cuda(const DeviceContext& context, const World& world, const int64_t* id, int64_t count,
                 const RobotResults& results);
 
@@ -18,11 +18,11 @@ void start_cuda(const DeviceContext& context, const World& world, const int64_t*
 void plan_cuda(const DeviceContext& context, const World& world, const RobotColumns& robots, const int64_t* step,
                const RobotResults& results);
 
-// Poses at the end of the step and velocities after it. fraction (count,): how much of the step each robot makes.
+// Poses at the end of the step and velocities after it. fraction (count,): part of the step that each robot moves.
 void respond_cuda(const DeviceContext& context, const RobotColumns& robots, const double* fraction,
                   const RobotResults& results);
 
-// The same, unless `discard` (1,) is nonzero: then nothing is written. Results may be the columns themselves.
+// As respond_cuda, unless `discard` (1,) is nonzero: then nothing is written. Results may alias the columns.
 void commit_cuda(const DeviceContext& context, const RobotColumns& robots, const double* fraction,
                  const int64_t* discard, const RobotResults& results);
 
@@ -30,13 +30,13 @@ void commit_cuda(const DeviceContext& context, const RobotColumns& robots, const
 void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
                           uint32_t stream, double* uniforms);
 
-// Slows all robots down that are about to collide, in place; changes (1,) becomes 1 if any robot changes.
+// Slows down all robots that are about to collide, in place; changes (1,) is set to 1 if any robot changes.
 void slow_all_down_cuda(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes);
 
 // Lowers the first toi of robots to that of their contacts.
 void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts, double* first);
 
-// The pairs affected, in any order, and how their robots move, as many as the capacity holds.
+// The affected pairs, in any order, and the motion of their robots, up to the capacity.
 void affected_motion_cuda(const DeviceContext& context, const AffectedMotion& given);
 
 // The sum of the rows' hashes modulo 2^64.

@@ -1,4 +1,4 @@
-// The nanorobot world: its fixed numbers.
+// Parameters of the nanorobot world.
 #pragma once
 
 #include <cstdint>
@@ -9,10 +9,10 @@ namespace pgccd {
 
 enum class MovementPattern : int64_t {
   kRandom = 0,  // straight courses in uniformly random directions
-  kSkewed = 1,  // to one of the eight corners, there for a while, then to another
+  kSkewed = 1,  // to one of the eight corners, a stay there, then to another corner
 };
 
-// The numbers of a world as the operators take them; pgccd/sim/model.py has the same fields.
+// The parameters as the operators take them; pgccd/sim/model.py has the same fields.
 struct WorldIntegers {
   int64_t robot_count;
   int64_t cells_x, cells_y, cells_z;
@@ -35,12 +35,12 @@ struct World {
   int64_t stay_shortest, stay_longest;  // steps
   double radius;                        // largest SBV radius
   double spacing;                       // of the start lattice, in radii, > 2
-  double speed;                         // mean displacement a step, in radii
-  double spin;                          // largest rotation a step, radians
-  double course_change;                 // chance of a new course, a step
-  double resumption;                    // chance that a robot (again) turns to its corner, a step
-  double arrival;                       // a robot this near to its corner has arrived; in smallest box edges
-  double crowd;                         // a robot that is thrown back this near to its corner stays too
+  double speed;                         // mean displacement per step, in radii
+  double spin;                          // largest rotation per step, radians
+  double course_change;                 // probability of a new course, per step
+  double resumption;                    // probability that a robot turns to its corner (again), per step
+  double arrival;                       // arrival at a corner: distance relative to the smallest box edge
+  double crowd;                         // a robot reversed within this distance of its corner stays too
 
   // The box is centred on the origin.
   PGCCD_HD Vec3<double> half_extent() const {

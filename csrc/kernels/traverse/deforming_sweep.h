@@ -7,8 +7,8 @@ namespace pgccd {
 
 struct alignas(16) DeformingSweep : PairFrame {
   float inflation;
-  int32_t unused = 0;                  // instead of padding, which would be copied unset
-  static constexpr float tilt = 0.0f;  // normals do not turn
+  int32_t unused = 0;                  // explicit padding, so that no uninitialised bytes are copied
+  static constexpr float tilt = 0.0f;  // normals do not rotate
   static constexpr int segment_count = 1;
 
   PGCCD_HD DeformingSweep(const DeformingBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings,
@@ -18,7 +18,7 @@ struct alignas(16) DeformingSweep : PairFrame {
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
   }
 
-  // A body may be tested against itself: both sides are one tree then, and of mirror images one is wanted.
+  // In a test of a body against itself both sides are one tree, and only one of two mirror images is needed.
   static constexpr bool may_be_one_body = true;
   PGCCD_HD bool is_one_body() const { return body[0] == body[1]; }
 

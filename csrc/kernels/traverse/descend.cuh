@@ -1,7 +1,6 @@
-// From pairs of roots to pairs of leaves. Eight threads take a task, one for each child of a split, and work through
-// their part of the tree depth first with a small stack of their own; after some rounds they hand what is left back as
-// new tasks. So body pairs whose costs differ a thousandfold still load the device evenly, and most never leave their
-// group.
+// From pairs of roots to pairs of leaves. Eight threads process a task, one for each child of a split, depth first with
+// a small stack of their own; after some rounds they return the remaining node pairs as new tasks. So body pairs whose
+// costs differ by a factor of a thousand still load the device evenly, and most stay within their group.
 #pragma once
 
 #include "kernels/traverse/start_self_pairs.cuh"
@@ -13,10 +12,11 @@ namespace pgccd {
 constexpr int kGroupsPerWarp = kWarp / kBlockWidth;
 constexpr int kGroupsPerBlock = kBlockThreads / kBlockWidth;
 constexpr int kStackSize = 64;
-// Rounds before a group hands back. While there are not tasks enough to fill the device, few; as launches go on, more:
-// what is left is spread by then. Very few tasks are spread at once, since most of the device waits for them.
+// Rounds before a group returns its stack: few while there are not enough tasks to fill the device, more in later
+// launches, when the work is already distributed. Very few tasks are distributed at once, since most of the device
+// waits for them.
 constexpr uint32_t kTasksThatFill = 16384, kFewTasks = 2048;
-// The last launch, where it is known to be that, hands back only what its stacks cannot hold.
+// The last launch, if known to be the last, returns only node pairs beyond its stacks' capacity.
 constexpr int kLastLaunch = 1 << 20;
 PGCCD_HD int rounds_of_launch(int launch, uint32_t task_count) {
   if (launch == kLastLaunch) return kLastLaunch;
@@ -25,7 +25,7 @@ PGCCD_HD int rounds_of_launch(int launch, uint32_t task_count) {
   return task_count >= kTasksThatFill && rounds < 20 ? 20 : rounds;
 }
 
-// A group's memory: its stack, and what it reads over and over. Two poses serve all pairs that turn little in a step.
+// A group's memory: its stack and frequently read data. Two poses suffice for pairs that rotate little in a step.
 constexpr int kPosesAtHand = 2;
 template <class Sweep>
 struct GroupShared {
@@ -34,7 +34,7 @@ struct GroupShared {
   NodePair stack[kStackSize];
 };
 
-// The eight threads' view of their task.
+// The state of a group of eight threads.
 struct Group {
   const LocalPose* poses = nullptr;
   int size = 0;
@@ -42,7 +42,7 @@ struct Group {
   int32_t pair = 0;
 };
 
-// `task_at(item)` for the items of the queue. All groups of a warp split one node pair a round, each of its own task.
+// `task_at(item)` for the items of the queue. In each round every group of a warp splits one node pair of its task.
 template <class Bodies, class TaskAt>
 __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue& queue, TaskAt&& task_at,
                         TaskList leaves, TaskList rest, Counter* node_tests) {
@@ -79,13 +79,13 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       group.pair = task.pair;
     }
     if (__ballot_sync(kAllLanes, group.size > 0) == 0) break;
-    __syncwarp();  // what is shared is written
+    __syncwarp();  // after writes to shared memory
     bool meets = false, is_leaf = false;
     Task child{group.pair, {0, 0}};
     if (group.size > 0) {
       const PairTree<Bodies> tree(pairs.bodies, shared.sweep, group.poses);
       const NodePair nodes = shared.stack[group.size - 1];
-      if (tree.is_leaf_pair(nodes)) {  // only where the roots are
+      if (tree.is_leaf_pair(nodes)) {  // only possible for the roots
         child.nodes = nodes;
         meets = is_leaf = slot == 0;
       } else {
@@ -102,12 +102,12 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
     }
     const uint32_t leaf_lanes = __ballot_sync(kAllLanes, is_leaf);
     const uint32_t inner_lanes = (__ballot_sync(kAllLanes, meets && !is_leaf) >> shift) & 0xffu;
-    __syncwarp();  // every group has read the top of its stack
+    __syncwarp();  // after every group has read the top of its stack
     if (meets && !is_leaf) shared.stack[group.size + __popc(inner_lanes & lanes_below(slot))] = child.nodes;
     group.size += __popc(inner_lanes);
     waiting = buffer.add(waiting, leaf_lanes, child, lane, leaves.count, put_leaf);
 
-    __syncwarp();  // the stacks are written
+    __syncwarp();  // after writes to the stacks
     const bool hands_back =
         group.size > 0 && (group.rounds >= group.most_rounds || group.size > kStackSize - kBlockWidth);
     if (__ballot_sync(kAllLanes, hands_back) == 0) continue;
@@ -138,7 +138,7 @@ __global__ void __launch_bounds__(kBlockThreads)
   descend(pairs, 0, queue, roots, leaves, rest, node_tests);
 }
 
-// What earlier launches left.
+// Tasks left by earlier launches.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     descend_further(Pairs<Bodies> pairs, int launch, TaskHandover rest, TaskList leaves, Counter* node_tests) {

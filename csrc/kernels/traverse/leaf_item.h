@@ -1,4 +1,4 @@
-// A pair of leaves: from triangles to candidate feature pairs. Every feature is spoken for by one of its triangles
+// A pair of leaves: from triangles to candidate feature pairs. Every feature is represented by one of its triangles
 // (representative triangles, Curtis, Tamstorf & Manocha 2008), so that no feature pair is emitted twice.
 #pragma once
 
@@ -22,7 +22,7 @@ PGCCD_HD MovingPoints<3, T> moving_triangles(const PairTree<Bodies>& tree, int s
   return out;
 }
 
-// Bits of the feature pairs that two triangles stand for: vertex c of i and the face of j (c), vertex c of j and the
+// Bits of the feature pairs that two triangles represent: vertex c of i and the face of j (c), vertex c of j and the
 // face of i (3 + c), edge c of i and edge d of j (6 + 3 c + d).
 constexpr int kFirstEdgeBit = 6;
 constexpr int kFeaturePairBits = 15;
@@ -36,7 +36,7 @@ PGCCD_HD uint32_t represented_pairs(const Triangle& ti, const Triangle& tj) {
   return bits;
 }
 
-// Those of all 15 whose features have no vertex in common, for two triangles of one body: others are not tested.
+// Feature pairs, of all 15, without a common vertex, for two triangles of one body: only these are tested.
 PGCCD_HD uint32_t pairs_without_common_vertex(const Triangle& ti, const Triangle& tj) {
   uint32_t common = 0;  // bit 3 c + d: corner c of i is corner d of j
   for (int c = 0; c < 3; ++c) {
@@ -45,7 +45,7 @@ PGCCD_HD uint32_t pairs_without_common_vertex(const Triangle& ti, const Triangle
   if (common == 0) return (1u << kFeaturePairBits) - 1u;
   const uint32_t corners_i = ((common & 7u) ? 1u : 0u) | ((common & 0x38u) ? 2u : 0u) | ((common & 0x1c0u) ? 4u : 0u);
   const uint32_t corners_j = (common | common >> 3 | common >> 6) & 7u;
-  // Edge c of i joins its corners c and c + 1, edge d of j likewise: a row or a column and the next.
+  // Edge c of i joins its corners c and c + 1, edge d of j likewise: adjacent rows or columns.
   const uint32_t with_next_d = common | (common >> 1 & 0xdbu) | (common & 0x49u) << 2;
   const uint32_t edges = with_next_d | with_next_d >> 3 | (with_next_d & 7u) << 6;
   return ~(corners_i | corners_j << 3 | edges << kFirstEdgeBit) & ((1u << kFeaturePairBits) - 1u);

@@ -1,4 +1,4 @@
-// What a warp keeps in shared memory while it visits pairs of leaves, and how its candidates leave it.
+// Shared memory of a warp that visits pairs of leaves, and its output of candidates.
 #pragma once
 
 #include "kernels/traverse/leaf_item.h"
@@ -10,27 +10,27 @@ constexpr int kHalf = kWarp / 2;
 constexpr int kTrianglePairs = kMaxLeafTriangles * kMaxLeafTriangles;
 static_assert(kMaxLeafTriangles == 8 && kHalf == 2 * kMaxLeafTriangles);
 
-// Triangles that a warp holds at a time.
+// Maximum number of triangles that a warp stores at a time.
 constexpr int kSlots = 64;
 static_assert(kSlots >= kWarp && kSlots * kSlots * 16 <= 1 << 16);
 
 struct LeafShared {
-  // A column a triangle, so that lanes that read different triangles use different banks: x, y, z of three corners at
+  // One column per triangle, so that lanes reading different triangles use different banks: x, y, z of three corners at
   // the start of the segment, then at its end.
   float coordinate[18][kSlots];
   const Triangle* triangle[kSlots];
   float distance[kSlots];
   int32_t pair[kSlots];
-  uint8_t lane[kSlots];                           // that placed it: leaf pair, side, row
-  bool remembers[kSlots];                         // segments are many, in which the same feature pair may meet
+  uint8_t lane[kSlots];                           // that loaded it: leaf pair, side, row
+  bool remembers[kSlots];                         // many segments, in which the same feature pair may meet
   bool is_one_body[kSlots], is_one_leaf[kSlots];  // both sides are; written where a body may be tested against itself
   uint16_t triangle_pairs[5 * kWarp];             // waiting: slot of i * kSlots + slot of j
   uint16_t features[kWarp * (kFeaturePairBits + 1)];  // waiting: triangle pair * 16 + bit
-  uint16_t near[2 * kWarp];                           // likewise: those that are not plainly apart
-  alignas(4) uint16_t met[2 * kTrianglePairs];        // feature pairs emitted so far, where segments are many
+  uint16_t near[2 * kWarp];                           // likewise: feature pairs left by the float32 test
+  alignas(4) uint16_t met[2 * kTrianglePairs];        // feature pairs emitted so far, if there are many segments
 };
 
-// Where in `met` two triangles are, by the lanes that placed them.
+// Position of two triangles in `met`, by the lanes that loaded them.
 __device__ inline int met_place(const LeafShared& shared, int slot_i, int slot_j) {
   const int i = shared.lane[slot_i], j = shared.lane[slot_j];
   return i / kHalf * kTrianglePairs + i % kMaxLeafTriangles * kMaxLeafTriangles + j % kMaxLeafTriangles;
@@ -71,9 +71,10 @@ __device__ __forceinline__ uint32_t kept_of_half(uint32_t reaching, int half) {
   return both ? reaching & (0xffffu << (kHalf * half)) : 0;
 }
 
-// Of the triangles in the lanes `kept`, stored from slot `first_slot` on, where those of one side of a leaf pair follow
-// one another. Returns the number of pairs.
-__device__ __forceinline__ int list_triangle_pairs(LeafShared& shared, uint32_t kept, int first_slot, int queued, int lane) {
+// Lists the pairs of the triangles in the lanes `kept`, which are stored from slot `first_slot` on; those of one side
+// of a leaf pair have consecutive slots. Returns the number of pairs.
+__device__ __forceinline__ int list_triangle_pairs(LeafShared& shared, uint32_t kept, int first_slot, int queued,
+                                                   int lane) {
   const int i0 = __popc(rows_of(kept, 0, 0)), j0 = __popc(rows_of(kept, 0, 1));
   const int i1 = __popc(rows_of(kept, 1, 0)), j1 = __popc(rows_of(kept, 1, 1));
   const int of_first = i0 * j0, count = of_first + i1 * j1;
@@ -87,7 +88,7 @@ __device__ __forceinline__ int list_triangle_pairs(LeafShared& shared, uint32_t 
   return count;
 }
 
-// Sum over the lanes before this one; the total goes to `total`.
+// Sum over the lanes before this one; `total` is the sum over all lanes.
 __device__ inline int sum_before(int value, int lane, int& total) {
   int sum = value;
   for (int step = 1; step < kWarp; step *= 2) {
@@ -98,7 +99,7 @@ __device__ inline int sum_before(int value, int lane, int& total) {
   return sum - value;
 }
 
-// Candidates of both kinds on their way out.
+// Output buffers of candidates of both kinds.
 struct CandidateBuffers {
   WarpBuffer<Candidate> edge_edge, vertex_face;
 };

@@ -1,5 +1,5 @@
-// Tests of the bounding volume test tree: do two moving spheres, triangles or features certainly stay apart over a
-// segment? Written for T = float and, on the host, for eight lanes of it.
+// Tests of the bounding volume test tree: whether two moving spheres, triangles or features certainly stay apart over a
+// segment. For T = float and, on the host, for eight lanes of it.
 #pragma once
 
 #include "core/lanes.h"
@@ -14,14 +14,14 @@ PGCCD_HD Vec3<float> nearest_offset(Vec3<float> start, Vec3<float> end) {
   return start + unit_clamp(-dot(start, travel) / norm_squared(travel)) * travel;  // 0 / 0 becomes 0
 }
 
-// A slab whose normal goes from one direction to another while its centre moves. Along their mean it is thicker, by at
-// most `tilt` times the difference of the two.
+// A slab whose normal rotates while its centre moves. Along the mean direction it is thicker, by at most `tilt` times
+// the difference of the two.
 struct TurningSlab {
   Vec3<float> normal_start, normal_end;
   float low, high, tilt;
 };
 
-// Is a sphere certainly on one side of the slab? Offsets of its centre from the slab's.
+// True if a sphere is certainly on one side of the slab, given the offsets of its centre from the slab's.
 PGCCD_HD bool slab_separates(const TurningSlab& slab, Vec3<float> start, Vec3<float> end, float reach) {
   const Vec3<float> direction = 0.5f * (slab.normal_start + slab.normal_end);
   const float grown = slab.tilt * std::sqrt(norm_squared(slab.normal_end - slab.normal_start));
@@ -31,7 +31,7 @@ PGCCD_HD bool slab_separates(const TurningSlab& slab, Vec3<float> start, Vec3<fl
   return larger(above, below) > reach;
 }
 
-// N points that move straight from start to end, and whose hull is meant.
+// The convex hull of N points that move straight from start to end.
 template <int N, class T>
 struct MovingPoints {
   Vec3<T> start[N];
@@ -64,7 +64,7 @@ PGCCD_HD Vec3<T> sum(const Vec3<T> (&x)[N]) {
   return total;
 }
 
-// Of the hull's two first edges, at the middle of the segment.
+// Mean over the segment of the edge from point 0 to point `tip`, times 2.
 template <int N, class T>
 PGCCD_HD Vec3<T> mean_edge(const MovingPoints<N, T>& p, int tip) {
   return (p.start[tip] - p.start[0]) + (p.end[tip] - p.end[0]);
@@ -72,8 +72,8 @@ PGCCD_HD Vec3<T> mean_edge(const MovingPoints<N, T>& p, int tip) {
 
 }  // namespace overlap_detail
 
-// Along a fixed direction the gap between straight-moving convex sets is concave in time: open at both ends, it is open
-// throughout.
+// Along a fixed direction the gap between convex sets on straight paths is concave in time: positive at both ends, it
+// is positive throughout.
 template <int N, int M, class T>
 PGCCD_HD auto separates(const MovingPoints<N, T>& i, const MovingPoints<M, T>& j, Vec3<T> direction, float distance) {
   using namespace overlap_detail;
@@ -112,7 +112,7 @@ PGCCD_HD auto triangles_stay_apart(const MovingPoints<3, T>& i, const MovingPoin
   return apart;
 }
 
-// True where a triangle certainly stays out of a moving ball. Cheap: it spares whole rows of triangle tests.
+// True if a triangle certainly stays outside of a moving sphere. Cheap, and saves whole rows of triangle tests.
 template <class T>
 PGCCD_HD auto stays_out(const MovingPoints<3, T>& triangle, const MovingPoints<1, T>& centre, float reach) {
   using namespace overlap_detail;

@@ -22,13 +22,13 @@ struct SplitPair {
   }
 };
 
-// A body is tested against itself from the pairs of nodes that share a block, in all of its blocks, and the pairs of a
-// leaf and itself: below these, every two leaves meet once, not twice as mirror images. They are many and small, so
-// that the work is spread from the beginning.
+// The test of a body against itself starts from the pairs of nodes that share a block, in all of its blocks, and the
+// pairs of a leaf and itself: below these, every two leaves are paired once, not twice as mirror images. They are many
+// and small, so the work is distributed from the start.
 constexpr int kPairsInBlock = kBlockWidth * (kBlockWidth - 1) / 2;
 PGCCD_HD SplitPair with_siblings(int32_t block, int slot) { return {block, block * kBlockWidth + slot, false}; }
 
-// Decision by the clearance of two nodes; keeps them if it is not a number.
+// Decision by the clearance of two nodes; keeps them for NaN.
 PGCCD_HD bool may_meet(float clearance) { return !(clearance > 0.0f); }
 
 // Poses at all segment boundaries of a pair are kept by the caller: segment_count + 1 of them.
@@ -47,13 +47,13 @@ class PairTree {
   PGCCD_HD NodeLink link(int side, int32_t node) const {
     return bodies_.meshes.node_links[sweep_.first_block[side] * kBlockWidth + node];
   }
-  // Of the first body.
+  // Number of node blocks of the first body's hierarchy.
   PGCCD_HD int32_t block_count() const {
     const MeshOffsets* offsets = bodies_.meshes.offsets + bodies_.mesh_index[sweep_.body[0]];
     return static_cast<int32_t>(offsets[1].block - offsets[0].block);
   }
   PGCCD_HD bool is_leaf(int side, int32_t node) const { return link(side, node).triangle_count > 0; }
-  // False for empty slots too: nothing is looked for below them, whatever their bounds are.
+  // False for empty slots too: nothing is below them, whatever their bounds.
   PGCCD_HD bool has_children(int side, int32_t node) const { return link(side, node).triangle_count == 0; }
   PGCCD_HD bool is_leaf_pair(NodePair nodes) const {
     return !has_children(0, nodes.first) && !has_children(1, nodes.second);
@@ -107,9 +107,9 @@ class PairTree {
     return {moving_centre(side, split.other, k), turning_slab(side, b, slot, k), local_radius(side, split.other)};
   }
 
-  // Not positive if a child and the other node may meet over segment k: squared distance of the spheres less their
-  // squared reach, at the nearest moment, unless the slab of one keeps the other's sphere out. Positive for an empty
-  // slot, the only one whose radius is not a number.
+  // Positive if a child and the other node certainly stay apart over segment k: squared distance of the spheres minus
+  // their squared reach, at the time of the smallest distance, or the slab of one excludes the other's sphere. Positive
+  // for an empty slot, the only one with a NaN radius.
   PGCCD_HD float clearance(const SplitPair& split, const OtherNode& other, int k, int slot) const {
     const int side = split.first_is_split ? 0 : 1;
     const NodeBlock& b = sweep_.block(bodies_, side, split.block);
@@ -137,7 +137,7 @@ class PairTree {
     return sweep_.block(bodies_, side, node / kBlockWidth).radius[node % kBlockWidth];
   }
 
-  // Of all children. A loop without branches over plain arrays: compilers turn it into eight lanes.
+  // Clearances of all children. A branch-free loop over plain arrays, vectorised to eight lanes.
   PGCCD_HD void clearances(const SplitPair& split, int k, float out[kBlockWidth]) const {
     const OtherNode other = other_node(split, k);
     for (int slot = 0; slot < kBlockWidth; ++slot) out[slot] = clearance(split, other, k, slot);

@@ -1,4 +1,4 @@
-// Which local frame serves which kind of bodies.
+// Selects the local frame by the kind of bodies.
 #pragma once
 
 #include "kernels/traverse/deforming_sweep.h"

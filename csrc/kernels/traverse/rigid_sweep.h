@@ -6,12 +6,12 @@
 
 namespace pgccd {
 
-// What is known of the way of the second body's SBV centre relative to the first's. Where both are at their bodies'
-// origins it is straight, and all but the offset is zero.
+// Bounds of the path of the second body's SBV centre relative to the first's. If both are at their bodies' origins it
+// is straight, and all members except the offset are zero.
 struct CentrePath {
   double offset;                     // bound of its coordinates during the step
   double from_axis[2] = {0.0, 0.0};  // of each centre: distance from the axis through the origin
-  double rounding = 0.0;             // of the computed centres, and what the narrow phase cannot tell from a touch
+  double rounding = 0.0;  // of the computed centres, plus the distance that the narrow phase treats as touching
 
   PGCCD_HD CentrePath(const RigidBodies& bodies, int64_t i, int64_t j) {
     const RelativeCentre origins = relative_centre(bodies.centres, i, j);
@@ -39,7 +39,7 @@ struct CentrePath {
     }
     if (is_straight) return;
     offset = sweep_detail::largest_coordinate(centres) + bulge;
-    // As in the narrow phase, which takes a distance below 4 point errors and 64 units of the extent for a touch; and
+    // As in the narrow phase, which treats a distance below 4 point errors and 64 units of the extent as touching; and
     // once more the error of points, for the centres.
     const double apart = sweep_detail::largest_coordinate(origins);
     point_error += 8.0 * Precision<double>::unit * apart;
@@ -50,14 +50,14 @@ struct CentrePath {
 
 struct alignas(16) RigidSweep : PairFrame {
   float inflation;  // distance to keep, chord deviation and rounding, local units
-  // By how much of |n_end - n_start|, times a node's radius, its slab is thicker along the mean of the two normals.
-  // With normals n0 and n1 that belong to rotations at the ends of the segment: half, since the mean differs from each
-  // by half of it. With straight vertex paths up to a horizon h, offsets at the end are blends of offsets under both
-  // rotations of the whole step, n_end = n0 + h (n1 - n0) is not the normal of one, and the blend of both excesses is
-  // |n1 - n0| (3/2 h - h^2) <= 3/2 |n_end - n0|.
+  // Extra slab thickness along the mean of the two normals, in units of |n_end - n_start| times the node's radius.
+  // For normals n0 and n1 of rotations at the ends of the segment: half, since the mean differs from each by half of
+  // |n_end - n_start|. With straight vertex paths up to a horizon h, offsets at the end are blends of offsets under
+  // both rotations of the whole step, n_end = n0 + h (n1 - n0) is not the normal of one, and the blend of both excesses
+  // is |n1 - n0| (3/2 h - h^2) <= 3/2 |n_end - n0|.
   float tilt;
   int segment_count;
-  int32_t unused[3] = {};  // instead of padding, which would be copied unset
+  int32_t unused[3] = {};  // explicit padding, so that no uninitialised bytes are copied
 
   PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until)
       : RigidSweep(bodies, i, j, settings, until, CentrePath(bodies, i, j)) {}
@@ -76,8 +76,8 @@ struct alignas(16) RigidSweep : PairFrame {
       // The distance of a body's points from its axis, which goes through its origin, is at most:
       const double rho_i = path.from_axis[0] + ri, rho_j = path.from_axis[1] + rj;
       const double bend = 0.125 * (horizon * horizon) * (turn_i * rho_i + turn_j * rho_j);
-      // Chords may stray by a fiftieth of the smaller body; with the last segment count they may stray further, and
-      // that is still covered.
+      // Chords may deviate by a fiftieth of the smaller body; with the largest segment count they may deviate further,
+      // which is still covered.
       const double wanted = std::sqrt(bend / (0.02 * smaller(ri, rj)));
       segment_count = wanted > kMaxSegments ? kMaxSegments : (wanted > 1.0 ? static_cast<int>(std::ceil(wanted)) : 1);
       deviation = bend / (static_cast<double>(segment_count) * segment_count);
@@ -122,7 +122,7 @@ struct alignas(16) RigidSweep : PairFrame {
   // Relative to the SBV centre, body axes -> local frame, at the boundary with pose p.
   template <class T>
   PGCCD_HD static Vec3<T> place(const LocalPose& p, int side, Vec3<T> v) {
-    // One path through the code for both sides: on a device they share a warp.
+    // One code path for both sides, since they share a warp on a device.
     const Vec3<T> turned = sweep_detail::transform(side == 0 ? p.first : p.second, v);
     return side == 0 ? turned : sweep_detail::shifted(p.shift, turned);
   }
@@ -132,20 +132,20 @@ struct alignas(16) RigidSweep : PairFrame {
     return inverse_scale * sweep_detail::transform(side == 0 ? p.first : p.second, direction);
   }
 
-  // One of eight vertices of a leaf (T = float) or all, relative to the SBV centre, body axes; the same at both ends of
-  // a segment.
+  // One of eight vertices of a leaf, or (T = Float8) all eight; relative to the SBV centre, body axes. They are the
+  // same at both ends of a segment.
   template <class T>
   PGCCD_HD static Vec3<T> leaf_points(const RigidBodies&, const LeafPoints& points, int, int slot, int) {
     return {load<T>(points.x + slot), load<T>(points.y + slot), load<T>(points.z + slot)};
   }
 
-  // The direction whose product with v is that of `direction` with the place of v, but for the shift.
+  // The direction in body axes: its dot product with v is that of `direction` with the rotated v.
   PGCCD_HD static Vec3<float> pulled_back(const LocalPose& p, int side, Vec3<float> direction) {
     const Mat3<float>& m = side == 0 ? p.first : p.second;
     return direction.x * m.r0 + direction.y * m.r1 + direction.z * m.r2;
   }
 
-  // Of one triangle, or of it and the seven that follow.
+  // Corners of one triangle, or (T = Float8) of eight successive ones.
   template <class T>
   PGCCD_HD Corners<T> corners(const RigidBodies& bodies, int side, int32_t triangle, int) const {
     const CornerColumns& columns = bodies.meshes.corners;

@@ -1,4 +1,4 @@
-// Where the test of a body against itself begins: pairs of nodes that share a block, and pairs of a leaf and itself.
+// Start of the test of a body against itself: pairs of nodes that share a block, and pairs of a leaf and itself.
 #pragma once
 
 #include "kernels/traverse/task_queue.cuh"
@@ -6,11 +6,11 @@
 
 namespace pgccd {
 
-// Rounds before a group hands back what it has of a body and itself: a few large parts of the tree hold most of the
-// work, and are soon spread.
+// Rounds before a group returns its stack in a test of a body against itself: a few large parts of the tree hold most
+// of the work, and should be distributed soon.
 constexpr int kSelfPairRounds = 8;
 
-// The rows of the body pairs that are a body and itself, and the blocks of their hierarchies one after the other.
+// The rows of self pairs, and the blocks of their hierarchies, concatenated.
 struct SelfPairs {
   Counter* reserved;  // the number of rows in the upper half, of blocks in the lower
   Counter* blocks;    // all of them: the lower half may not hold them
@@ -26,7 +26,7 @@ struct SelfPairs {
       const int32_t count = PairTree<Bodies>(bodies, sweep, nullptr).block_count();
       atomicAdd(this->blocks, static_cast<Counter>(count));
       const Counter at = atomicAdd(reserved, (Counter{1} << 32) + static_cast<uint32_t>(count));
-      // A carry out of the lower half shifts rows, but then the result is discarded; no row is past the last one given.
+      // A carry out of the lower half shifts rows, but then the result is discarded; no row is past the last one.
       const Counter place = at >> 32;
       if (!has_place(place, most)) return;
       begin[place] = static_cast<uint32_t>(at);
@@ -35,7 +35,7 @@ struct SelfPairs {
   }
 };
 
-// One warp a block.
+// One warp per block.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     start_self_pairs(Pairs<Bodies> pairs, SelfPairs self_pairs, TaskList leaves, TaskList rest, Counter* node_tests) {
@@ -46,7 +46,7 @@ __global__ void __launch_bounds__(kBlockThreads)
   const int lane = threadIdx.x % kWarp;
   uint32_t visited = 0;
   for (uint32_t item = (blockIdx.x * blockDim.x + threadIdx.x) / kWarp; item < block_count; item += warps) {
-    // The last row that begins there or before.
+    // The last row whose first block is not after this one.
     uint32_t row = 0;
     for (uint32_t end = row_count; end - row > 1;) {
       const uint32_t middle = row + (end - row) / 2;

@@ -1,6 +1,6 @@
-// A body pair as the traversal sees it, from t = 0 to a horizon: both hierarchies in one local frame that moves with
-// the first body's SBV centre, scaled by a power of two to about unit size, in float32. Time is cut into segments short
-// enough for chords to follow the rotation; the inflation covers what is left of the arcs, and all float32 rounding.
+// A body pair in the traversal, from t = 0 to a horizon: both hierarchies in one local frame that moves with the first
+// body's SBV centre, scaled by a power of two to about unit size, in float32. Time is divided into segments short
+// enough for chords to follow the rotation; the inflation covers the deviation of the arcs, and all float32 rounding.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,7 @@ constexpr int kMaxSegments = 64;
 // directions together stay below 64 units of float32 rounding.
 constexpr float kLocalRounding = 64.0f * Precision<float>::unit;
 
-// Pairs of features are kept if they may come within separation + tolerance: what the narrow phase may report at all.
+// Pairs of features are kept if they may come within separation + tolerance, which the narrow phase may report.
 struct SweepSettings {
   double separation;
   double tolerance;  // as in pair_tolerance
@@ -39,9 +39,9 @@ struct Corners {
 
 namespace sweep_detail {
 
-// Scales that float holds, and their inverses. Of smaller pairs everything lies within the rounding that is allowed for
-// in the local frame, so that nothing of them is dropped. Of pairs so far apart that the scale is smaller, the bodies
-// themselves vanish in the local frame (their radii are 1e30 at most), and slabs are left out.
+// Range of scales and their inverses in float. In smaller pairs all distances are within the rounding allowed in the
+// local frame, so nothing is dropped. In pairs so far apart that the scale is smaller, the bodies vanish in the local
+// frame (their radii are at most 1e30), and slabs are not used.
 constexpr double kSmallestSize = 0x1p-126;
 constexpr double kSmallestScale = 0x1p-126;
 
@@ -82,7 +82,8 @@ PGCCD_HD Vec3<T> shifted(Vec3<float> shift, Vec3<T> v) {
 
 }  // namespace sweep_detail
 
-// What both kinds of sweeps share: the bodies' rows of the mesh set (read at every node), their frame, and the scale.
+// Members shared by both kinds of sweeps: the bodies' rows of the mesh set (read at every node), their frame, and the
+// scale.
 struct PairFrame {
   int64_t body[2];
   int64_t first_face[2], first_block[2], first_points[2];  // rows of the bodies' meshes in the mesh set

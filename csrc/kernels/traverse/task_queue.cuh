@@ -1,5 +1,5 @@
-// Work lists of the traversal on the device. Lists count what did not fit as well, so that the host sees how much
-// capacity is needed: nothing is dropped without being counted.
+// Work lists of the traversal on the device. Lists also count items beyond their capacity, so that the host can read
+// the capacity needed.
 #pragma once
 
 #include "core/candidate.h"
@@ -28,14 +28,14 @@ struct DeviceList {
 
 using TaskList = DeviceList<Task>;
 
-// Tasks from one launch to the next. Three counts take turns, so that none needs a launch of its own to be set to zero:
-// one is read, one is written, and one is made ready for the launch to come; likewise how many are taken.
+// Tasks passed from one launch to the next. Three counters rotate, so that none needs a launch to reset it: one is
+// read, one is written, and one is reset for the next launch; likewise the number of tasks taken.
 struct TaskHandover {
   TaskList from, to;
   uint32_t* taken;
   Counter* next_count;
   uint32_t* next_taken;
-  Counter* most;  // tasks ever handed over at once
+  Counter* most;  // largest number of tasks passed on at once
 
   __device__ void prepare_next() const {
     if (blockIdx.x != 0 || threadIdx.x != 0) return;
@@ -88,15 +88,15 @@ __device__ inline Counter reserve(Counter* count, uint32_t wanted, int lane) {
   return __shfl_sync(kAllLanes, first, 0);
 }
 
-// A warp's items on their way to a list: appended many at a time, since every append is an atomic on the same word. All
+// A warp's buffer of items for a list: appended many at a time, since every append is an atomic on the same word. All
 // members are called by whole warps.
 template <class T>
 struct WarpBuffer {
   static constexpr int kFlushAt = 64;
   T items[kFlushAt + kWarp];
 
-  // Adds the items of the lanes in `lanes`, of which this lane may be one. Returns how many wait now; `put` and
-  // `reserve` are those of the list.
+  // Adds the items of the lanes in `lanes`. Returns the number of buffered items; `put` and `count` are those of the
+  // list.
   template <class Put>
   __device__ int add(int waiting, uint32_t lanes, const T& item, int lane, Counter* count, Put&& put) {
     if (lanes >> lane & 1u) items[waiting + __popc(lanes & lanes_below(lane))] = item;

@@ -13,29 +13,29 @@ namespace pgccd {
 struct TraverseInput {
   const int64_t* pairs;  // (pair_count, 2) body indices
   int64_t pair_count;
-  const double* horizon;  // (pair_count,) latest time searched; null: the whole step
+  const double* horizon;  // (pair_count,) end of the time searched; null: the whole step
   SweepSettings settings;
   bool leading;  // only the leaf pair that overlaps most, found by greedy descent: where contact is likely first; none
                  // of a body and itself
 };
 
-// Of a body pair. What is no time of the step means all of it.
+// The horizon of a body pair; values outside of [0, 1] mean the whole step.
 PGCCD_HD double horizon_of(const TraverseInput& input, int64_t pair) {
   const double horizon = input.horizon != nullptr ? input.horizon[pair] : 1.0;
   return horizon >= 0.0 && horizon <= 1.0 ? horizon : 1.0;
 }
 
-// Capacity of a traversal that runs without the host waiting for its counts.
+// Capacity of a traversal that does not synchronise.
 struct TraverseCapacity {
   int64_t poses;  // at all segment boundaries of all body pairs
-  int64_t tasks;  // node pairs handed from launch to launch
+  int64_t tasks;  // node pairs passed from launch to launch
   int64_t leaf_pairs;
   int64_t candidates;
   int64_t launches;  // after the first
 };
 
-// Counts of a traversal: the capacity needed (as far as it went), how many node pairs were left when launches ended,
-// and how many were tested. Times as for the broad phase.
+// Counts of a traversal: the capacity needed (as far as it ran), and the numbers of node pairs left after the last
+// launch and of node tests. Times as for the broad phase.
 enum TraverseCount : int {
   kPosesNeeded,
   kTasksNeeded,
@@ -60,7 +60,7 @@ struct CandidateList {
   }
 };
 
-// Every feature pair that may come within separation + tolerance until the horizon is listed, and none twice; unless
+// Lists every feature pair that may come within separation + tolerance until the horizon exactly once, unless
 // `leading`.
 template <class Bodies>
 CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input);

@@ -1,4 +1,4 @@
-// Counters of a traversal on a device, and its capacities. Overflow is decided here, by the counts alone.
+// Counters of a traversal on a device, and its capacities. Overflow is determined from the counts alone.
 #pragma once
 
 #include "core/counter.h"
@@ -8,7 +8,7 @@
 namespace pgccd {
 
 struct TraverseCounters {
-  Counter rest[3];  // tasks handed back: launches take turns, see TaskHandover
+  Counter rest[3];  // tasks returned: launches rotate, see TaskHandover
   Counter most_rest;
   Counter leaves, meeting_leaves;  // pairs of leaves that the descent found; those that culling left
   Counter edge_edge, vertex_face;  // candidates
@@ -16,25 +16,25 @@ struct TraverseCounters {
   Counter node_tests;
   Counter self_pairs;   // see SelfPairs
   Counter self_blocks;  // of all of these pairs
-  Counter unsound;      // rows that name bodies, or bodies that name meshes, that are not there
-  uint32_t taken[3];    // tasks, of those that fitted
+  Counter unsound;      // rows with invalid bodies, or bodies with invalid meshes
+  uint32_t taken[3];    // tasks taken, of those stored
 };
 
 PGCCD_HD Counter candidates_of(const TraverseCounters& seen) { return seen.edge_edge + seen.vertex_face; }
 
-// Blocks of all bodies that are tested against themselves are numbered by 32 bits.
+// Blocks of all bodies tested against themselves have 32-bit numbers.
 constexpr int64_t kMostSelfBlocks = 0xffffffff;
 
 struct TraverseListSizes {
   uint32_t poses, tasks, leaves, candidates;
 
-  // Of tasks, only those that one launch left to the next are counted.
+  // Of the tasks, only those passed from one launch to the next use capacity.
   PGCCD_HD bool holds(const TraverseCounters& seen) const {
     return fits(seen.poses, poses) && fits(seen.most_rest, tasks) && fits(seen.leaves, leaves) &&
            fits(candidates_of(seen), candidates) && fits(seen.self_blocks, kMostSelfBlocks);
   }
 
-  // Can a larger capacity help?
+  // Whether a larger capacity can help.
   bool can_grow(const TraverseCounters& seen) const {
     return fits(seen.poses, kMostRows) && fits(seen.most_rest, kMostRows) && fits(seen.leaves, kMostRows) &&
            fits(candidates_of(seen), kMostRows) && fits(seen.self_blocks, kMostSelfBlocks);
@@ -53,7 +53,7 @@ struct TraverseListSizes {
   }
 };
 
-// To the counts (kTraverseCounts) but for times; `last`: which of `rest` the last launch left.
+// Stores all counts (kTraverseCounts) except times; `last`: index in `rest` of the last launch's remaining tasks.
 PGCCD_HD void store_traverse_counts(const TraverseCounters& seen, const TraverseListSizes& capacity, int last,
                                     int64_t* counts) {
   const Counter left = seen.rest[last];

@@ -65,7 +65,7 @@ MovingPoints<N, Float8> in_all_lanes(const MovingPoints<N, float>& points) {
   return out;
 }
 
-// Those of a leaf's triangles that may reach into the other leaf's sphere over segment k.
+// Triangles of a leaf, one bit each, that may reach into the other leaf's sphere over segment k.
 template <class Bodies>
 uint32_t triangles_reaching(const PairTree<Bodies>& tree, const MovingPoints<3, Float8>& triangles, int count, int side,
                             int32_t other_leaf, int k) {
@@ -140,7 +140,7 @@ int64_t start_self_pairs(const PairTree<Bodies>& tree, int32_t pair, std::vector
   return int64_t{kPairsInBlock} * blocks;
 }
 
-// A few large pairs are cut into many tasks, level by level, so that every worker has some; order is kept.
+// Splits a few large pairs into many tasks, level by level, so that every worker has some; order is kept.
 template <class Bodies>
 std::vector<Task> make_tasks(const Bodies& bodies, const TraverseInput& input, int workers, int64_t& node_tests) {
   std::vector<Task> tasks;

@@ -1,5 +1,5 @@
-// The launches of the traversal. All lists have given capacities and are counted on the device, so that nothing waits
-// for the host on the way; the counts then show whether everything fitted.
+// The launches of the traversal. All lists have given capacities and are counted on the device, without synchronising;
+// the counts then show whether everything fit.
 #include <cub/cub.cuh>
 
 #include "kernels/traverse/cull_leaves.cuh"
@@ -11,8 +11,8 @@
 namespace pgccd {
 namespace {
 
-// Blocks come in so many waves: as long as one lasts, kernels of other streams, of whatever priority, find no place.
-// Of four, the time of a search does not show.
+// Number of waves of blocks: kernels of other streams, of any priority, can only start between waves. Four waves do not
+// measurably slow down a search.
 constexpr int kWaves = 4;
 
 // Enough for the standard scene, see Traversal::enqueue.
@@ -22,12 +22,12 @@ constexpr const char* kUnsoundPairs =
     "pairs: a row names a body that is not there; or the body a mesh, vertices or node blocks that are not there";
 constexpr const char* kTooMuchForOneCall = "pairs: need more than 2^31 rows on the way; give fewer in one call";
 
-// Of bodies that may be tested against themselves.
+// Number of vertices of the bodies that may be tested against themselves.
 int64_t deforming_vertices(const RigidBodies&) { return 0; }
 int64_t deforming_vertices(const DeformingBodies& bodies) { return bodies.vertex_count; }
 
-// What the standard scene needs, twice over; and bodies that are tested against themselves, up to a size: each vertex
-// of folded cloth stands for some ten pairs of leaves, and as many candidates.
+// Twice what the standard scene needs; and for bodies tested against themselves, up to a size, about ten pairs of
+// leaves and as many candidates per vertex of folded cloth.
 TraverseListSizes guess_sizes(const TraverseInput& input, int64_t vertex_count) {
   const auto sum = [&](int64_t each_pair, int64_t each_vertex = 0) {
     return rows_of(each_pair * input.pair_count + 65536 +
@@ -37,7 +37,7 @@ TraverseListSizes guess_sizes(const TraverseInput& input, int64_t vertex_count) 
   return {sum(3), sum(1, 4), sum(16, 16), sum(12, 24)};
 }
 
-// All public: device lambdas may not be made in private members.
+// All public, since device lambdas are not allowed in private members.
 template <class Bodies>
 struct Traversal {
   using Sweep = typename SweepOf<Bodies>::type;
@@ -66,8 +66,8 @@ struct Traversal {
     return on_device;
   }
 
-  // Without waiting: overflow is counted, never dropped. `launches`: after the first, each of which continues tasks
-  // that warps have handed back. Their number grows by two orders of magnitude with each, until the device is full.
+  // Does not synchronise; overflow is counted. `launches`: after the first one; each continues tasks that warps have
+  // returned, whose number grows by two orders of magnitude per launch, until the device is full.
   CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches) {
     CandidateSink out;
     const TaskList leaves = start(capacity, out);
@@ -83,7 +83,7 @@ struct Traversal {
     return out;
   }
 
-  // Repeated until everything fits.
+  // Repeats the traversal with larger capacities until everything fits.
   TraverseCounters run(CandidateSink& out) {
     TraverseListSizes capacity = guess_sizes(input_, deforming_vertices(bodies_));
     for (int64_t launches = kLaunches;; launches *= 2) {
@@ -135,7 +135,7 @@ struct Traversal {
     for_each_counted(context_, pairs_.given_count, input.pair_count, [=] __device__(int64_t pair) {
       const int64_t i = input.pairs[2 * pair], j = input.pairs[2 * pair + 1];
       if (!is_sound(bodies, i) || !is_sound(bodies, j)) {
-        counters->unsound = 1;  // then there are no pairs at all
+        counters->unsound = 1;  // then no pairs are searched
         return;
       }
       const Sweep sweep(bodies, i, j, input.settings, horizon_of(input, pair));
@@ -156,7 +156,7 @@ struct Traversal {
     check_cuda(cudaGetLastError(), "descend_greedily");
   }
 
-  // What the launch leaves.
+  // Tasks left over by the launch.
   TaskList rest_of(int launch) { return {tasks_[launch % 2], &counters_->rest[launch % 3], task_capacity_}; }
 
   void descend_roots(TaskList leaves) {

@@ -1,5 +1,5 @@
-// From pairs of leaves to candidates. A warp places the triangles of two leaf pairs at a time. Triangle pairs, and then
-// feature pairs, wait in lists until there are enough for all lanes: on average a leaf pair has nine and five.
+// From pairs of leaves to candidates. A warp loads the triangles of two leaf pairs at a time. Triangle pairs, and then
+// feature pairs, are collected in lists until all lanes have one: on average a leaf pair has nine and five.
 #pragma once
 
 #include "kernels/traverse/leaf_shared.cuh"
@@ -14,7 +14,7 @@ class LeafVisitor {
   __device__ LeafVisitor(const Pairs<Bodies>& pairs, LeafShared& shared, CandidateWriter& writer)
       : pairs_(pairs), shared_(shared), writer_(writer), lane_(threadIdx.x % kWarp) {}
 
-  // `tasks`: two of them, one at the end of the list, or none after it: then all that waits is tested.
+  // `tasks`: two of them, one at the end of the list, or none after it: then all collected pairs are tested.
   __device__ __forceinline__ void visit(const Task* tasks, int count) {
     const int half = lane_ / kHalf;
     const int side = lane_ % kHalf / kMaxLeafTriangles, row = lane_ % kMaxLeafTriangles;
@@ -32,7 +32,7 @@ class LeafVisitor {
       for (int k = lane_; k < 2 * kTrianglePairs; k += kWarp) shared_.met[k] = 0;
     }
     for (int k = 1; k <= segments; ++k) {
-      // Which triangles reach into the other leaf's sphere?
+      // Does this triangle reach into the other leaf's sphere?
       bool reaches = false;
       MovingPoints<3, float> moving;
       if (k <= own_segments && row < triangle_count) {
@@ -45,7 +45,7 @@ class LeafVisitor {
       }
       const uint32_t reaching = __ballot_sync(kAllLanes, reaches);
       const uint32_t kept = kept_of_half(reaching, 0) | kept_of_half(reaching, 1);
-      // Work is called for in one place, so that it is inlined and reads shared memory as such.
+      // A single call of `work`, so that it is inlined and reads shared memory directly.
       for (bool stored = false; !stored;) {
         stored = filled_ + __popc(kept) <= kSlots;
         if (stored && kept != 0) {
@@ -78,7 +78,7 @@ class LeafVisitor {
     }
   }
 
-  // Tests what fills all lanes; or `all` that waits, and then slots are free.
+  // Tests full warps of collected pairs, or with `all` everything, which frees the slots.
   __device__ __forceinline__ void work(bool all) {
     for (;;) {
       if (near_ >= kWarp || (all && queued_ == 0 && waiting_ == 0 && near_ > 0)) {
@@ -94,7 +94,7 @@ class LeafVisitor {
     if (all) filled_ = 0;
   }
 
-  // One waiting triangle pair a lane: lists the feature pairs it represents, unless the triangles stay apart.
+  // One waiting triangle pair per lane: lists the feature pairs it represents, unless the triangles stay apart.
   __device__ __forceinline__ void test_triangles(int count) {
     queued_ -= count;
     uint32_t wanted = 0;
@@ -131,7 +131,7 @@ class LeafVisitor {
     return moving_features(corner_of, listed % 16);
   }
 
-  // One waiting feature pair a lane: lists those that are not plainly apart.
+  // One waiting feature pair per lane: lists those that the float32 test does not reject.
   __device__ __forceinline__ void test_plainly(int count) {
     waiting_ -= count;
     const bool is_given = lane_ < count;

@@ -1,5 +1,5 @@
-// Structures copied 16 bytes at a time: a thread that reads or writes a row of its own does so in few instructions,
-// which is what counts where neighbouring threads' rows lie far apart.
+// Structures copied 16 bytes at a time: a thread then reads or writes its row in few instructions, which matters when
+// neighbouring threads' rows are far apart.
 #pragma once
 
 #include <cstring>
@@ -15,7 +15,7 @@ constexpr int kWordsOf = static_cast<int>(sizeof(T) / sizeof(uint4));
 template <class T>
 constexpr bool kIsOfWords = std::is_trivially_copyable_v<T> && sizeof(T) % sizeof(uint4) == 0 && alignof(T) >= 16;
 
-// By one thread, to memory of the device.
+// Copies with one thread to device memory.
 template <class T>
 __device__ void store_words(const T& source, T& target) {
   static_assert(kIsOfWords<T>);
@@ -24,7 +24,7 @@ __device__ void store_words(const T& source, T& target) {
   for (int k = 0; k < kWordsOf<T>; ++k) reinterpret_cast<uint4*>(&target)[k] = words[k];
 }
 
-// By threads with slots 0 to `threads` - 1 together.
+// Copies with the threads of slots 0 to `threads` - 1.
 template <class T>
 __device__ void copy_words(const T& source, T& target, int slot, int threads) {
   static_assert(kIsOfWords<T>);

@@ -1,5 +1,5 @@
-// Distributes the items of a launch over warps. Costs differ widely, so a warp takes more items when it has none left,
-// and all warps end at about the same time.
+// Distributes the items of a launch over warps. Costs differ widely, so a warp takes more items when it runs out, and
+// all warps end at about the same time.
 #pragma once
 
 #include "kernels/device.cuh"
@@ -9,10 +9,10 @@ namespace pgccd {
 constexpr uint32_t kNoItem = ~0u;
 
 struct WorkQueue {
-  uint32_t* next;  // how many were taken from the queue: 0 when the launch begins
+  uint32_t* next;  // number of items taken from the queue: 0 at the start of the launch
   uint32_t count;  // items
   uint32_t
-      most_of_block;  // a block ends after so many items from the queue, so that its multiprocessor can start another
+      most_of_block;  // a block ends after this many items of the queue, so that its multiprocessor can start another
 };
 
 // A warp's part of the queue. All members are called by whole warps.
@@ -29,10 +29,11 @@ class WorkShare {
     give(warp * groups_a_warp, groups_a_warp);
   }
 
-  // Nothing is left for this warp.
+  // True if no items remain for this warp.
   __device__ bool is_over() const { return is_over_; }
 
-  // Of the next items one for each of the lanes in `lanes`; kNoItem for some if few are at hand: ask again.
+  // Takes one of the next items for each of the lanes in `lanes`; kNoItem for some lanes if few are available: call
+  // again.
   __device__ uint32_t take(uint32_t lanes, int lane) {
     if (begin_ == end_) refill();
     const uint32_t item = begin_ + __popc(lanes & lanes_below(lane)), end = end_;

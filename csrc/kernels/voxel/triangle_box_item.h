@@ -1,4 +1,4 @@
-// Boxes of the sweeps of a rigid body's triangles.
+// Boxes of a rigid body's swept triangles.
 #pragma once
 
 #include <stdexcept>
@@ -13,8 +13,8 @@ struct CornerBox {
   float lower[3], upper[3];
 };
 
-// Calls use(box) for each triangle of the body; `corners` is scratch memory. Each box holds the triangle at every time
-// of the step, and half of the distance at which a contact with another body may be reported.
+// Calls use(box) for each triangle of the body; `corners` is scratch memory. Each box contains the triangle at every
+// time of the step, grown by half of the distance at which a contact with another body may be reported.
 template <class Use>
 void for_each_triangle_box(const VoxelBodies& input, int64_t body, std::vector<CornerBox>& corners, const Use& use) {
   const RigidBodies& bodies = input.bodies;
@@ -26,10 +26,10 @@ void for_each_triangle_box(const VoxelBodies& input, int64_t body, std::vector<C
   if (!(spin.angle <= 2.0 * kLargestAngle)) throw std::invalid_argument("bodies: a rotation is too large");
   const SineCosine turn = sine_cosine(spin.angle);
   const double reach = mesh_reach(bodies, body);
-  // Half of two bodies' own tolerances together is at least that of the smaller one.
+  // Half of the sum of two bodies' own tolerances is at least that of the smaller one.
   const double tolerance = input.tolerance < 0.0 ? -input.tolerance * bodies.centres.radius[body] : input.tolerance;
   const double margin = bodies.centres.margin == nullptr ? 0.0 : bodies.centres.margin[body];
-  // Of offsets, of adding them to positions, and of boxes in float32.
+  // Errors of offsets, of adding them to positions, and of boxes in float32.
   const double farthest = larger(max_abs(p0), max_abs(p1)) + reach;
   const double rounding = Precision<double>::unit * ((kRigidPointUnits + 8.0 * spin.angle) * reach + 8.0 * farthest);
   const double separation = 0.5 * (input.separation + tolerance) + margin;

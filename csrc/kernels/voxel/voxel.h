@@ -1,9 +1,9 @@
 // Collision detection by voxels, after Lawlor & Kale, "A voxel-based parallel collision detection algorithm" (ICS
-// 2002), with triangles that move through a step: the baseline that pgccd is compared with. CPU only.
+// 2002), with moving triangles: the baseline for comparison. CPU only.
 //
-// A sparse regular grid of voxels, several times as large as a triangle. The box of every triangle's sweep is put into
-// all voxels that it touches; each voxel finds the pairs of boxes that overlap. A pair that two voxels could find is
-// accepted by the one that holds the point of the largest lower coordinates.
+// A sparse regular grid of voxels, several times as large as a triangle. The box of every swept triangle is put into
+// all voxels that it touches; each voxel finds the pairs of overlapping boxes. A pair in several voxels is accepted by
+// the one that contains the point of the largest lower coordinates.
 #pragma once
 
 #include <cstdint>
@@ -14,20 +14,20 @@
 
 namespace pgccd {
 
-// Of one triangle's sweep, grown by half of the distance at which a contact may be reported; rounded outwards.
+// The box of one swept triangle, grown by half of the distance at which a contact may be reported; rounded outward.
 struct TriangleBox {
   float lower[3], upper[3];
-  int32_t body;      // row of the bodies that were given
+  int32_t body;      // row of the given bodies
   int32_t triangle;  // row of its mesh's triangles
 };
 static_assert(sizeof(TriangleBox) == 32);
 
-// Voxel (x, y, z) holds the points with x <= coordinate / size < x + 1, likewise y and z.
+// Voxel (x, y, z) contains the points with x <= coordinate / size < x + 1, likewise y and z.
 struct Voxel {
   int32_t x, y, z;
 };
 
-// Coordinates of voxels are below this in magnitude.
+// Bound of the magnitude of voxel coordinates.
 constexpr int32_t kVoxelLimit = int32_t{1} << 20;
 
 struct VoxelBodies {
@@ -37,8 +37,8 @@ struct VoxelBodies {
   double tolerance;  // as in pair_tolerance
 };
 
-// The voxels that boxes touch, by ascending coordinates, and how many boxes each gets. `make_output(count)` returns
-// memory for so many of both.
+// The voxels touched by boxes, by ascending coordinates, and the number of boxes of each. `make_output(count)` returns
+// memory for `count` of both.
 struct TouchedVoxels {
   Voxel* voxels;
   int64_t* counts;
@@ -46,12 +46,12 @@ struct TouchedVoxels {
 void voxels_touched_cpu(const Executor& executor, const VoxelBodies& input,
                         const std::function<TouchedVoxels(int64_t)>& make_output);
 
-// The boxes of each voxel, one voxel after another in the order given; in any order within a voxel. Throws
-// invalid_argument if voxels or counts are not those of `voxels_touched_cpu`, in whichever order.
+// The boxes of each voxel, grouped in the given order of voxels, unsorted within a voxel. Throws invalid_argument if
+// voxels or counts are not those of `voxels_touched_cpu`, in any order.
 void voxel_boxes_cpu(const Executor& executor, const VoxelBodies& input, const Voxel* voxels, const int64_t* counts,
                      int64_t voxel_count, TriangleBox* boxes);
 
-// Boxes [begin, begin + count) of one sender. Their bodies are rows from `first_body` on of all bodies.
+// Boxes [begin, begin + count) of one sender. `first_body` is the number of its first body.
 struct BoxSegment {
   int64_t begin, count, first_body;
 };
@@ -60,7 +60,7 @@ struct VoxelContents {
   const TriangleBox* boxes;
   const BoxSegment* segments;
   const Voxel* voxels;
-  const int64_t* first_segment;  // (voxels + 1): the segments of a voxel end where the next one's begin
+  const int64_t* first_segment;  // (voxels + 1): a voxel's segments end where the next one's begin
   int64_t voxel_count;
   double voxel_size;
 };
@@ -69,7 +69,7 @@ struct TrianglePair {
   int64_t body_a, triangle_a, body_b, triangle_b;  // body_a < body_b
 };
 
-// Pairs of triangles of two bodies whose boxes overlap, each once over all voxels; in any order.
+// Pairs of triangles of two bodies with overlapping boxes, each once over all voxels; unsorted.
 void voxel_pairs_cpu(const Executor& executor, const VoxelContents& contents,
                      const std::function<TrianglePair*(int64_t)>& make_output);
 

@@ -6,7 +6,7 @@
 namespace pgccd {
 namespace {
 
-// With so few boxes all pairs are tested.
+// Up to this number of boxes all pairs are tested.
 constexpr int64_t kMostHomes = 10;
 constexpr int64_t kVoxelGrain = 8;
 
@@ -34,9 +34,9 @@ bool overlap(const PlacedBox& a, const Box& b) {
          a.lower[2] <= b.upper[2] && b.lower[2] <= a.upper[2];
 }
 
-// The pairs of one voxel's boxes. A box is at home on one side of every bisection, by its lower coordinate; boxes of
-// the lower side that reach into the upper one go there as guests. So two boxes that overlap meet once: where the one
-// on the upper side is at home.
+// Finds the pairs of one voxel's boxes. Every bisection assigns a box to one side, its home, by its lower coordinate;
+// boxes of the lower side that reach into the upper one are added there as guests. So two overlapping boxes are tested
+// once: where the one on the upper side is at home.
 class VoxelSearch {
  public:
   VoxelSearch(const VoxelGrid& grid, std::vector<TrianglePair>& found) : grid_(grid), found_(found) {}
@@ -68,7 +68,7 @@ class VoxelSearch {
       if (static_cast<int64_t>(homes.size()) <= kMostHomes) return test_all(homes, guests);
       int64_t at = 0;
       for (int tries = 0; tries < 3 && at == 0; ++tries, axis = (axis + 1) % 3) at = split(homes, axis);
-      if (at == 0) return test_all(homes, guests);  // all begin at the same point
+      if (at == 0) return test_all(homes, guests);  // all have the same lower corner
       const BoxRows upper(homes.begin() + at, homes.end());
       homes.resize(at);
       const Bounds below = bounds_of(homes), above = bounds_of(upper);
@@ -92,7 +92,7 @@ class VoxelSearch {
     return std::all_of(guests.begin(), guests.end(), is_same) && std::all_of(homes.begin(), homes.end(), is_same);
   }
 
-  // Puts those below the median first; how many, or 0 where all begin at one coordinate.
+  // Partitions by the median, lower boxes first; returns their number, or 0 if all have the same coordinate.
   int64_t split(BoxRows& homes, int axis) const {
     const auto place = [&](int32_t row) { return boxes_[row].lower[axis]; };
     const auto middle = homes.begin() + static_cast<int64_t>(homes.size() / 2);

@@ -40,7 +40,7 @@ class VoxelGrid {
   double per_length_;
 };
 
-// 21 bits an axis, in the order of coordinates, x first.
+// 21 bits per axis, in the order of coordinates, x first.
 inline uint64_t voxel_key(Voxel v) {
   const auto bits = [](int32_t place) { return static_cast<uint64_t>(place + kVoxelLimit); };
   return bits(v.x) << 42 | bits(v.y) << 21 | bits(v.z);
@@ -51,7 +51,7 @@ inline Voxel voxel_of_key(uint64_t key) {
   return {place(key >> 42), place(key >> 21), place(key)};
 }
 
-// A number for each voxel; a hash table with open addressing.
+// Maps voxels to numbers; a hash table with open addressing.
 class VoxelTable {
  public:
   struct Entry {
@@ -65,7 +65,7 @@ class VoxelTable {
     slots_.assign(size, {kEmpty, 0});
   }
 
-  // That of the voxel, 0 at first. Valid until the next call.
+  // The voxel's number, initially 0. Valid until the next call.
   int64_t& operator[](uint64_t key) {
     size_t slot = find(key);
     if (slots_[slot].key == kEmpty) {
@@ -84,7 +84,7 @@ class VoxelTable {
     return entry.key == kEmpty ? nullptr : &entry.value;
   }
 
-  // In any order.
+  // Unsorted.
   std::vector<Entry> entries() const {
     std::vector<Entry> all;
     for (const Entry& entry : slots_) {
@@ -97,7 +97,7 @@ class VoxelTable {
   static constexpr uint64_t kEmpty = ~uint64_t{0};
 
   size_t find(uint64_t key) const {
-    // Multiplication by 2^64 over the golden ratio (Knuth, TAOCP 6.4); its upper bits are the well mixed ones.
+    // Multiplication by 2^64 over the golden ratio (Knuth, TAOCP 6.4), whose upper bits are well mixed.
     const uint64_t mixed = key * 0x9e3779b97f4a7c15u;
     size_t slot = (mixed ^ mixed >> 32) & (slots_.size() - 1);
     while (slots_[slot].key != key && slots_[slot].key != kEmpty) slot = (slot + 1) & (slots_.size() - 1);

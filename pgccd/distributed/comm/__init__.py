@@ -1,1 +1,1 @@
-"""Messages between ranks: one interface, `Comm`, over torch.distributed and MPI, and rows of columns."""
+"""Communication between ranks: one interface, `Comm`, over torch.distributed and MPI, and exchange of rows."""

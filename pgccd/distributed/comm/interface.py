@@ -1,7 +1,6 @@
-"""How ranks talk: one interface over torch.distributed and MPI; a world of one rank needs neither.
+"""Communication between ranks: one interface over torch.distributed and MPI; a single rank needs neither.
 
-Whatever moves bodies or contacts between ranks goes through `Comm`. Only `torch_comm` and `mpi_comm` know what is
-below.
+All transfers of bodies and contacts use `Comm`. Only `torch_comm` and `mpi_comm` depend on a communication library.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from torch import Tensor
 
 from pgccd.distributed.guard import Guard, RankFailureError, is_of_all_ranks
 
-# With more ranks than this, rows go to and come from neighbours alone; up to it, one collective call is faster.
+# Above this number of ranks, rows are exchanged point-to-point with neighbours; below, one collective call is faster.
 _NEIGHBOURS_ABOVE = 32
 
 
@@ -24,11 +23,11 @@ class Closeable(Protocol):
 
 
 class Pending:
-    """A message under way. What it was made of stays alive until `wait`.
+    """A pending message. Its send buffer is kept alive until `wait`.
 
     Args:
-        wait: returns what was received.
-        guard: notified when the rank waits for others; None if it never does.
+        wait: returns the received rows.
+        guard: notified while the rank waits for others; None if it never does.
     """
 
     def __init__(self, wait: Callable[[], Tensor], guard: Guard | None = None) -> None:
@@ -36,7 +35,7 @@ class Pending:
         self._guard = guard
 
     def wait(self) -> Tensor:
-        """What was received, on the device of what was sent."""
+        """The received rows, on the device of those sent."""
         if self._guard is None:
             return self._wait()
         with self._guard.waiting("exchange"):
@@ -44,47 +43,49 @@ class Pending:
 
 
 class Background:
-    """Small picklable values between ranks, from a thread of its own while others exchange messages. Here of one rank;
-    every method must be called by all ranks, in the same order.
+    """Exchange of small picklable values from a separate thread, concurrent with other messages. This class is for one
+    rank; every method must be called by all ranks, in the same order.
     """
 
     def gather(self, value: Any) -> list[Any]:
-        """That of every rank, on rank 0; nothing on others."""
+        """The values of all ranks on rank 0; an empty list on the others."""
         return [value]
 
     def broadcast(self, value: Any) -> Any:
-        """Rank 0's."""
+        """Rank 0's value."""
         return value
 
 
 class Comm(ABC):
-    """Ranks 0 to size - 1, this one among them. Every method must be called by all of them, in the same order.
+    """Communication among ranks 0 to size - 1. Every method must be called by all ranks, in the same order.
 
-    Tensors are given and returned on any device; where the transport cannot read a GPU's memory, they are staged
-    through the host.
+    Tensors may be on any device, and results are on the same device; if the transport cannot read GPU memory, they are
+    staged through the host.
     """
 
-    #: What carries the messages: "none", "nccl", "gloo", "mpi", ...
+    #: The communication library: "none", "nccl", "gloo", "mpi", ...
     transport: str
     rank: int
     size: int
-    #: Finds the rank at fault when a message does not come.
+    #: Finds the rank at fault when a message does not arrive.
     guard: Guard
-    #: With more ranks than this, `exchange` sends to neighbours one by one.
+    #: Above this number of ranks, `exchange` sends point-to-point to neighbours.
     neighbours_above = _NEIGHBOURS_ABOVE
 
     @property
     def goes_with_the_stream(self) -> bool:
-        """Whether messages between GPUs are sent by their current stream, so that the host waits for nothing."""
+        """Whether messages between GPUs are enqueued on the current stream, so that the host does not wait."""
         return self.transport == "nccl"
 
     @abstractmethod
     def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
-        """Ragged all-to-all of rows (K, bytes) uint8: `sent[r]` of them go to rank r, in order; `received[r]` come."""
+        """Ragged all-to-all of rows (K, bytes) uint8: the first `sent[0]` go to rank 0, and so on; `received[r]` come
+        from r.
+        """
 
     @abstractmethod
     def exchange_counts(self, counts: Tensor) -> Tensor:
-        """counts (size, ...) int64, a row for each rank -> what each rank has for this one."""
+        """counts (size, ...) int64, one row per rank -> the row for this rank of every rank."""
 
     @abstractmethod
     def all_gather(self, values: Tensor) -> Tensor:
@@ -96,40 +97,41 @@ class Comm(ABC):
 
     @abstractmethod
     def any(self, flag: bool) -> bool:
-        """True if it is on any rank."""
+        """True if the flag is set on any rank."""
 
     @abstractmethod
     def gather_objects(self, value: Any) -> list[Any]:
-        """A small picklable value of every rank, by rank."""
+        """A small picklable value of every rank, ordered by rank."""
 
     def broadcast_object(self, value: Any) -> Any:
         """Rank 0's small picklable value."""
         return self.gather_objects(value if self.rank == 0 else None)[0]
 
     def barrier(self) -> None:
-        """Returns once every rank has come here."""
+        """Returns once every rank has called it."""
         self.any(False)
 
     @property
     @abstractmethod
     def background(self) -> Background:
-        """Asked for by all ranks at once."""
+        """The background exchange; created by a call on all ranks."""
 
     def close_before(self, graph: Closeable) -> None:
-        """Closes a graph that sends messages before the connection, if it still exists then: NCCL does not end while
-        there are graphs with messages of its own."""
-        return  # other transports do not wait for graphs
+        """Closes a graph with messages before the connection, if it still exists then: NCCL's shutdown blocks while
+        graphs with its messages exist.
+        """
+        return  # other transports do not block on graphs
 
     @abstractmethod
     def close(self) -> None:
-        """Ends the connection; the last thing every rank calls."""
+        """Ends the connection; the last call on every rank."""
 
     def __enter__(self) -> Comm:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _traceback: object) -> None:
         if isinstance(error, RankFailureError):
-            self.guard.close()  # ending the connection properly would wait for a rank that is no more
+            self.guard.close()  # a regular shutdown would wait for the dead rank
             return
         if error is not None and not is_of_all_ranks(error):
             self.guard.report(error)
@@ -137,7 +139,7 @@ class Comm(ABC):
 
 
 class Alone(Comm):
-    """A world of one rank: every exchange is the identity.
+    """Communication of a single rank: every exchange is the identity.
 
     Example:
         >>> world = pgccd.distributed.World([mesh], lower, upper, position, comm=pgccd.distributed.Alone())

@@ -1,4 +1,4 @@
-"""Ranks over MPI by mpi4py. GPU memory is passed to CUDA-aware libraries, else staged through the host."""
+"""Ranks over MPI by mpi4py. CUDA-aware libraries read GPU memory directly; otherwise it is staged through the host."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pgccd.distributed.comm.interface import Background, Comm, Pending, split_ro
 from pgccd.distributed.comm.torch_comm import GlooBackground
 from pgccd.distributed.guard import Guard
 
-# Environment variables that make MPI libraries read GPU memory.
+# Environment variables that make MPI libraries read GPU memory, or declare that they do.
 _CUDA_SWITCHES = {
     "MPICH_GPU_SUPPORT_ENABLED": "1",  # Cray MPICH
     "MPIR_CVAR_ENABLE_GPU": "1",  # MPICH
@@ -27,15 +27,15 @@ _CUDA_SWITCHES = {
 
 
 class MpiComm(Comm):
-    """The ranks of MPI's world.
+    """The ranks of MPI_COMM_WORLD.
 
     Args:
-        control: a torch.distributed group for objects and checkpoints; None: there are no checkpoints.
-        guard: default: one without connection to the other ranks.
-        on_close: called at the end.
+        control: a torch.distributed group for objects and checkpoints; without it there are no checkpoints.
+        guard: default: one that is not connected to other ranks.
+        on_close: called by `close`.
 
     Raises:
-        ImportError: mpi4py is not installed, or finds no MPI library.
+        ImportError: mpi4py is not installed, or there is no MPI library.
 
     Example:
         >>> comm = pgccd.distributed.MpiComm()  # under mpirun
@@ -54,7 +54,7 @@ class MpiComm(Comm):
         except RuntimeError as error:
             raise ImportError(f"mpi4py: {error}") from error
         self._mpi = MPI
-        self._world = MPI.COMM_WORLD.Dup()  # messages of the user's own do not get between ours
+        self._world = MPI.COMM_WORLD.Dup()  # separates our messages from the user's
         self.control = control
         self.rank, self.size = self._world.Get_rank(), self._world.Get_size()
         self.guard = guard or Guard()
@@ -66,12 +66,12 @@ class MpiComm(Comm):
             return tensor
         if not self.reads_gpu:
             return tensor.cpu()
-        torch.cuda.current_stream().synchronize()  # MPI does not follow CUDA streams
+        torch.cuda.current_stream().synchronize()  # MPI is not ordered with CUDA streams
         return tensor
 
     @staticmethod
     def _buffer(tensor: Tensor) -> Any:
-        """As mpi4py takes it: an array, or a tensor that offers the CUDA array interface."""
+        """As mpi4py expects it: an array, or a tensor with the CUDA array interface."""
         return tensor if tensor.is_cuda else tensor.numpy()
 
     def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
@@ -83,7 +83,7 @@ class MpiComm(Comm):
             else:
                 requests = [self._to_all(rows, arriving, sent, received)]
 
-        def wait(rows: Tensor = rows) -> Tensor:  # holds what is being sent
+        def wait(rows: Tensor = rows) -> Tensor:  # keeps the send buffer alive
             self._mpi.Request.Waitall(requests)
             return arriving.to(device)
 

@@ -1,4 +1,6 @@
-"""How NCCL is set up, so that the guard ends a rank whose messages never come. NCCL does not name the rank at fault."""
+"""Configuration of NCCL: the guard, not NCCL or torch, ends a rank whose messages never arrive, and names the rank at
+fault.
+"""
 
 from __future__ import annotations
 
@@ -12,21 +14,20 @@ import torch
 import torch.distributed as dist
 
 _ERROR_HANDLING = "TORCH_NCCL_ASYNC_ERROR_HANDLING"
-# Torch's own monitor, which leaves a sign in the launcher's store when a message is lost: ranks that are started again
-# would find it there, and not end.
+# Torch's own monitor marks a lost message in the launcher's store. Restarted ranks would find the mark there and hang.
 _MONITOR = ("TORCH_NCCL_ENABLE_MONITORING", "TORCH_NCCL_DUMP_ON_TIMEOUT")
-# Seconds that the guard has before torch's watchdog, which does not name the rank at fault.
+# Seconds that the guard has before torch's watchdog acts, which does not name the rank at fault.
 _MARGIN = 60.0
 
 
 def make_default_group(store: dist.Store, rank: int, size: int, timeout: float) -> Callable[[], bool]:
-    """Makes the default group of torch.distributed, with the guard's time-out in seconds.
+    """Makes the default process group, with the guard's time-out in seconds.
 
     Returns:
-        Returns whether torch has seen an error in it.
+        A function that returns whether torch has recorded an error in the group.
     """
     patience = timedelta(seconds=timeout + _MARGIN)
-    # Messages have priority over kernels that run at the same time.
+    # Messages have priority over concurrent kernels.
     options = dist.ProcessGroupNCCL.Options(is_high_priority_stream=True)
     options._timeout = patience
     with _errors_left_to_the_guard():
@@ -41,8 +42,8 @@ def _watch(group: Any) -> Callable[[], bool]:
 
 @contextmanager
 def _errors_left_to_the_guard() -> Iterator[None]:
-    """Settings of groups made in this context; other groups of the process keep theirs."""
-    # Else torch ends the process as soon as a message between machines is lost (torchrun requests that), before the
+    """Disables torch's error handling for groups made in this context; other groups of the process are not affected."""
+    # Otherwise torch ends the process as soon as a message between machines is lost (torchrun sets that), before the
     # guard has found the rank at fault.
     names = (_ERROR_HANDLING, *_MONITOR)
     before = {name: os.environ.get(name) for name in names}

@@ -1,4 +1,4 @@
-"""Ranks over torch.distributed: NCCL for GPUs, Gloo for CPUs, MPI where torch was built with it."""
+"""Ranks over torch.distributed: NCCL for GPUs, Gloo for CPUs, MPI if torch was built with it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pgccd.distributed.guard import Guard
 
 
 class GlooBackground(Background):
-    """Over a group of its own."""
+    """Background exchange over a separate Gloo group."""
 
     def __init__(self, group: dist.ProcessGroup) -> None:
         self._group = group
@@ -37,10 +37,10 @@ class TorchComm(Comm):
     """The ranks of a process group.
 
     Args:
-        group: default: the default group, which must have been initialised.
-        control: a group that carries objects between CPUs; default: `group`, if its backend does that.
-        guard: default: one without connection to the other ranks.
-        on_close: called at the end.
+        group: default: the default process group, which must be initialised.
+        control: a group for objects and checkpoints, on CPUs; default: `group`.
+        guard: default: one that is not connected to other ranks.
+        on_close: called by `close`.
 
     Example:
         >>> torch.distributed.init_process_group("nccl")
@@ -67,7 +67,7 @@ class TorchComm(Comm):
         self._graphs: weakref.WeakSet[Closeable] = weakref.WeakSet()
 
     def _stage(self, tensor: Tensor) -> Tensor:
-        """Where the backend can read it: NCCL takes GPUs' memory alone, Gloo the host's."""
+        """Moves a tensor to memory that the backend can read: GPU memory for NCCL, host memory for Gloo."""
         if self.transport == "nccl":
             return tensor if tensor.is_cuda else tensor.cuda()
         return tensor.cpu() if self.transport == "gloo" else tensor
@@ -76,16 +76,16 @@ class TorchComm(Comm):
         device, rows = rows.device, self._stage(rows).contiguous()
         arriving = rows.new_empty((sum(received), rows.shape[1]))
         with self.guard.waiting("exchange"):
-            # NCCL sends nothing where there are no rows, and of its calls this one can be captured in a graph.
+            # NCCL sends no empty messages, and this call can be captured in a graph.
             if self.size > self.neighbours_above and self.transport != "nccl":
                 works = self._to_neighbours(rows, arriving, sent, received)
             else:
-                # NCCL does it on the current stream; on one of its own it would begin and end later.
+                # NCCL sends on the current stream, which is faster than on a separate one.
                 later = self.transport != "nccl"
                 work = dist.all_to_all_single(arriving, rows, received, sent, group=self._group, async_op=later)
                 works = [work] if later else []
 
-        def wait(rows: Tensor = rows) -> Tensor:  # holds what is being sent
+        def wait(rows: Tensor = rows) -> Tensor:  # keeps the send buffer alive
             for work in works:
                 work.wait()
             return arriving.to(device)
@@ -114,7 +114,7 @@ class TorchComm(Comm):
         staged = self._stage(values)
         gathered = staged.new_empty((self.size, len(staged)))
         with self.guard.waiting("all-gather"):
-            if self.transport == "nccl":  # in one piece, without copies
+            if self.transport == "nccl":  # one buffer, no copies
                 dist.all_gather_into_tensor(gathered, staged, group=self._group)
             else:
                 dist.all_gather(list(gathered.unbind()), staged, group=self._group)
@@ -150,7 +150,7 @@ class TorchComm(Comm):
         self.guard.close()
         for graph in list(self._graphs):
             graph.close()
-        # Nothing may hold a group once Python ends: Gloo's threads would still let go of its tensors.
+        # Groups must be released before Python exits: Gloo's threads release tensors of theirs.
         vars(self).pop("_group", None)
         vars(self).pop("control", None)
         vars(self).pop("background", None)

@@ -1,1 +1,1 @@
-"""Detection by many ranks: each finds the contacts of its share of pairs."""
+"""Detection on many ranks: each finds the contacts of its share of pairs."""

@@ -1,4 +1,4 @@
-"""Moving bodies as columns, to be sent and taken by rows, and the reverse."""
+"""Conversion of moving bodies to columns, which can be sent and indexed by rows, and back."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOTION = ("position_t0", "orientation_t0", "position_t1", "rotation")
 
 
 def columns_of(bodies: MovingBodies) -> Columns:
-    """All that a scene and a rigid motion say of each body; of bodies that deform, all but their vertices."""
+    """All per-body columns of a scene and a rigid motion; for deforming bodies, all except their vertices."""
     columns = {} if bodies.deforming else {name: getattr(bodies.motion, name) for name in _MOTION}
     names = ("mesh_index", *(() if bodies.deforming else ("radius",)), *OPTIONAL_COLUMNS)
     columns |= {name: getattr(bodies.scene, name) for name in names}
@@ -25,11 +25,11 @@ def columns_of(bodies: MovingBodies) -> Columns:
 
 
 def bodies_of(like: MovingBodies, columns: Columns, vertices: Vertices | None = None) -> MovingBodies:
-    """The reverse: bodies of the same meshes on paths of the same kind, which their owners have checked.
+    """The inverse: bodies with the same meshes and kind of path, already validated by their owners.
 
     Args:
-        like: other bodies.
-        columns: as of `columns_of`.
+        like: bodies with these meshes and this kind of path.
+        columns: as from `columns_of`.
         vertices: of bodies that deform.
     """
     optional = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
@@ -43,7 +43,7 @@ def bodies_of(like: MovingBodies, columns: Columns, vertices: Vertices | None = 
 
 
 def of_checked(scene: Scene, motion: RigidMotion | VertexMotion) -> MovingBodies:
-    """Of bodies whose owners have checked them."""
+    """Moving bodies that their owners have validated."""
     if isinstance(motion, VertexMotion):
         return MovingBodies(scene, VertexMotion.of_checked(motion.x_t0, motion.x_t1))
     pose = motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
@@ -51,6 +51,6 @@ def of_checked(scene: Scene, motion: RigidMotion | VertexMotion) -> MovingBodies
 
 
 def take_bodies(bodies: MovingBodies, ghosts: MovingBodies, rows: Tensor) -> Columns:
-    """Columns of both: own bodies first."""
+    """Rows of the columns of both, numbered with own bodies first."""
     own, more = columns_of(bodies), columns_of(ghosts)
     return dict(zip(own, ops.take_rows(list(own.values()), [more[name] for name in own], rows), strict=True))

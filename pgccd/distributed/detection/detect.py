@@ -1,4 +1,4 @@
-"""Detection by many ranks: every pair of bodies is tested by exactly one of them."""
+"""Detection on many ranks: every pair of bodies is tested by exactly one rank."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from pgccd.runtime.stages import StageClock
 
 @dataclass(frozen=True)
 class Detection:
-    """What one rank found in one step."""
+    """Contacts that one rank found in one step."""
 
-    share: Share  #: whose parts have been searched
-    contacts: Contacts  #: as rows of bodies held
+    share: Share  #: its parts have been searched
+    contacts: Contacts  #: as rows of the held bodies
 
     @property
     def held(self) -> Held:
@@ -36,11 +36,11 @@ class Detection:
 
     @cached_property
     def pairs(self) -> Tensor:
-        """(P, 2) int64: the PCS as rows of bodies held, that of the smaller id first."""
+        """(P, 2) int64: the PCS as rows of the held bodies, the one with the smaller id first."""
         return torch.cat([part.in_step(_pairs_of(part)) for part in self.share.parts])
 
     def places(self, position: Tensor) -> Places:
-        """Where the work was, given the positions (N, 3) of the rank's own bodies."""
+        """The positions of the work, given the positions (N, 3) of the rank's own bodies."""
         parts = self.share.parts
         lower = [ops.swept_boxes(*centres_of(part.bodies), *self.share.kept)[0] for part in parts]
         of_pairs = [_corners(corner, _pairs_of(part)) for part, corner in zip(parts, lower, strict=True)]
@@ -67,7 +67,7 @@ def detect_distributed(
     capacity: HaloCapacity | None = None,
     vertices: Vertices | None = None,
 ) -> Detection:
-    """Finds the contacts of this rank's share of pairs; the shares of all ranks together are all pairs, once each.
+    """Finds the contacts of this rank's share of pairs; every pair is in the share of exactly one rank.
 
     Arguments as for `OwnSearch`.
     """

@@ -1,5 +1,5 @@
-"""What one rank tests in one step, as in `share`, in fixed capacities: the host waits for nothing, so that the step can
-be part of a CUDA graph. Rows that are not needed have no body: their id is -1, their radius below zero.
+"""One rank's share of a step, as in `share`, in fixed capacities, without synchronising, so that the step can be part
+of a CUDA graph. Unused rows are padding: id -1 and negative radius.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.side_stream import SideStream
 
-# Bodies that stay with their rank after they have left its cells reach far into those of others.
+# Bodies that have left their rank's cells, and stay until migration, reach far into those of others.
 _NEAR_SLACK = 2
-# Rows for bodies that come, besides those that there are: a share of these, and some.
+# Spare rows for arriving bodies: this fraction of the own bodies, plus a constant.
 _OWN_SHARE, _OWN_MORE = 16, 256
 
 
@@ -39,21 +39,21 @@ def can_replay(comm: Comm, device: torch.device) -> bool:
 
 
 def rows_with_slack(count: int) -> int:
-    """Rows of a graph for so many bodies that a rank owns."""
+    """Rows of a graph for `count` own bodies."""
     return count + count // _OWN_SHARE + _OWN_MORE
 
 
 @dataclass(frozen=True)
 class ShareCapacity:
-    """Padded counts of bodies; what two ranks share, both derive from the last step alike."""
+    """Padded counts of bodies; two ranks compute equal values from the last step for what they exchange."""
 
     halo: HaloCapacity
     near: int  #: own bodies near ghosts
-    common: list[int]  #: bodies that this rank and each other one hold
+    common: list[int]  #: bodies held both by this rank and by each other rank
 
     @classmethod
     def after(cls, share: Share, common: Sequence[int]) -> ShareCapacity:
-        """Of a step like one that had this share, and so many bodies in common with each rank."""
+        """Capacities for a step like the one with this share, with `common` bodies in common with each rank."""
         rows = share.parts[-1].rows
         near = 0 if rows is None else len(rows) - share.held.ghost_count
         return cls(
@@ -63,13 +63,13 @@ class ShareCapacity:
 
 @dataclass(frozen=True)
 class PaddedShare:
-    """The searches of one rank's step, enqueued."""
+    """The enqueued searches of one rank's step."""
 
     held: Held
     parts: list[Part]
-    ghost_centres: Centres  #: of all bodies, if there is one rank
+    ghost_centres: Centres  #: centres of ghosts; of all bodies on a single rank
     kept: tuple[float, float]  #: min_separation and tolerance, as the operators take them
-    failed: Tensor  #: (1,) int64, nonzero: a capacity was exceeded, or a pose is invalid
+    failed: Tensor  #: (1,) int64, nonzero if a capacity was exceeded or a pose is invalid
 
 
 def search_padded_share(
@@ -83,12 +83,12 @@ def search_padded_share(
     discard: Tensor,
     slack: float,
 ) -> PaddedShare:
-    """Sends ghosts and enqueues both searches. Waits for nothing, where messages go with the stream.
+    """Sends ghosts and enqueues both searches. Does not synchronise if messages are sent on the stream.
 
     Args:
         comm, partition, build, options, estimates: as for `OwnSearch`; the motion is rigid.
-        own: columns of the bodies this rank owns, "id" ascending, then padding: id -1, in a valid pose.
-        capacity: of everything that has to do with ghosts.
+        own: columns of this rank's own bodies, "id" ascending, then padding with id -1 and a valid pose.
+        capacity: of the halo and of bodies near ghosts.
         discard, slack: see `find_part`.
     """
     kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
@@ -115,7 +115,9 @@ def search_padded_share(
         held = halo.padded()
         for name, column in held.ghosts.items():
             if name.startswith("orientation"):
-                column[:, 0].masked_fill_(held.ghosts["id"] < 0, 1.0)  # padding is zeros, which is no pose
+                column[:, 0].masked_fill_(
+                    held.ghosts["id"] < 0, 1.0
+                )  # padding is zeros, which is not a unit quaternion
         ghosts = of_checked(*_build_padded(build, held.ghosts))
         near, near_count = ops.near_ghosts(centres, centres_of(ghosts), *kept, subdomain)
         near = _first_rows(near[: capacity.near], near_count)
@@ -136,7 +138,7 @@ def search_padded_share(
 
 
 def _build_padded(build: Build, columns: Columns) -> tuple[Scene, RigidMotion]:
-    """Rows of padding are bodies with a radius below zero, which meet none."""
+    """Scene and motion; padding gets a negative radius, so no pair contains it."""
     scene, motion = build(columns)
     assert isinstance(motion, RigidMotion)
     scene.radius = torch.where(columns["id"] < 0, -torch.inf, scene.radius)

@@ -1,4 +1,4 @@
-"""Contacts on their way from the rank that found them to those whose bodies they concern."""
+"""Transfer of contacts from the rank that found them to the owners of their bodies."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pgccd.distributed.detection.detect import Detection
 
 
 def tell_owners(comm: Comm, found: Detection) -> Contacts:
-    """All contacts of the bodies this rank owns, in global ids, sorted by them.
+    """All contacts of the bodies that this rank owns, in global ids, sorted by id.
 
     Args:
         comm: between the ranks.
-        found: what each rank found among the pairs it tested.
+        found: contacts of the pairs that this rank tested.
     """
     columns = _in_global_ids(found)
     owner = found.held.owner[found.contacts.pairs]
@@ -32,12 +32,12 @@ def tell_owners(comm: Comm, found: Detection) -> Contacts:
 
 
 def earliest_for_all(comm: Comm, found: Detection, ids: int | None = None) -> Contacts:
-    """The first contact of the scene, on every rank: of equal toi that of the smallest pair.
+    """The first contact of the scene, on every rank; ties are broken by the smallest pair.
 
     Args:
         comm: between the ranks.
-        found: contacts that each rank found, at least the earliest one of the pairs that it tested.
-        ids: of a trajectory, how many each segment has, see `segments`: the first segment comes first.
+        found: contacts of the pairs that this rank tested, at least the earliest one.
+        ids: for a trajectory, the number of ids per segment, see `segments`; earlier segments come first.
     """
     columns = _in_global_ids(found)
     i, j = columns["pairs"].unbind(dim=1)
@@ -46,7 +46,7 @@ def earliest_for_all(comm: Comm, found: Detection, ids: int | None = None) -> Co
     columns = {name: column[row] for name, column in columns.items()}
     mine = torch.full((4,), torch.iinfo(torch.int64).max, device=i.device)
     if len(row):
-        # The bits of floats >= 0 are in the floats' order.
+        # Floats >= 0 have the same order as their bits.
         mine = torch.cat([segment[row], columns["toi"].view(torch.int64), i[row], j[row]])
     of_all_ranks = comm.all_gather(mine).tolist()
     first = min(range(comm.size), key=lambda rank: of_all_ranks[rank])
@@ -65,7 +65,7 @@ def _all_fields(columns: Columns) -> dict[str, Any]:
 
 
 def _canonical_order(pairs: Tensor) -> Tensor:
-    """By first id, then second; contacts of one pair come from one rank, which has put them in order."""
+    """Ordered by first id, then second; contacts of one pair come from one rank, in order."""
     by_second = torch.argsort(pairs[:, 1], stable=True)
     return by_second[torch.argsort(pairs[by_second, 0], stable=True)]
 

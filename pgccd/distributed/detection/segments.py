@@ -1,5 +1,4 @@
-"""Trajectories of bodies that are spread over ranks: each segment's bodies are bodies of their own, in worlds of their
-own, of one step."""
+"""Trajectories on many ranks: one step with a copy of each body per segment, in separate worlds."""
 
 from __future__ import annotations
 
@@ -22,15 +21,15 @@ _MOST_WORLDS, _MOST_IDS = 2**31, 2**62
 
 @dataclass(frozen=True)
 class Segments:
-    """How the bodies of all segments are numbered, the same on all ranks."""
+    """Numbering of the copies in all segments, the same on all ranks."""
 
-    count: int  #: of segments
-    ids: int  #: of each: body `id` of segment k has the id k * ids + id
-    worlds: int  #: of each, likewise
+    count: int  #: number of segments
+    ids: int  #: ids per segment: body `id` of segment k has the id k * ids + id
+    worlds: int  #: worlds per segment
 
     @classmethod
     def agreed(cls, comm: Comm, count: int, own: Columns) -> Segments:
-        """For bodies with these ids and worlds, and those of other ranks.
+        """Agrees with the other ranks on the numbering, given this rank's bodies.
 
         Raises:
             ValueError: ranks have different numbers of segments, or there are too many; on all ranks.
@@ -47,7 +46,7 @@ class Segments:
         return cls(count, ids, worlds)
 
     def repeat(self, own: Columns) -> Columns:
-        """The columns of the bodies of all segments, one segment after the other."""
+        """The columns of the bodies of all segments, concatenated."""
         bodies, device = len(own["id"]), own["id"].device
         columns = {name: column.repeat(self.count) for name, column in own.items()}
         segment = torch.arange(self.count, device=device).repeat_interleave(bodies)
@@ -57,19 +56,19 @@ class Segments:
         return columns
 
     def contacts_for_owners(self, comm: Comm, found: Detection, report: narrow.Report) -> TrajectoryContacts:
-        """What `pgccd.detect` returns of the trajectory, of the bodies that this rank owns.
+        """The contacts of the bodies that this rank owns, as `pgccd.detect` returns them for a trajectory.
 
         Args:
             comm: between the ranks.
-            found: in the bodies of all segments, of `report`; of "earliest" the first contacts.
-            report: what is asked.
+            found: contacts of the bodies of all segments by `report`; for "earliest", the first contacts.
+            report: as for `pgccd.detect`.
         """
         if report == "earliest":
             return self._of(earliest_for_all(comm, found, self.ids))
         contacts = self._of(tell_owners(comm, found))
         if report == "all":
             return contacts
-        # Stable: of each pair the first segment comes first.
+        # Stable: the first segment of each pair comes first.
         by_second = torch.argsort(contacts.pairs[:, 1], stable=True)
         order = by_second[torch.argsort(contacts.pairs[by_second, 0], stable=True)]
         pairs = contacts.pairs[order]
@@ -79,7 +78,7 @@ class Segments:
         return _rows_of(contacts, chosen)
 
     def _of(self, contacts: Contacts) -> TrajectoryContacts:
-        """Of contacts of bodies of all segments."""
+        """From contacts of the bodies of all segments."""
         names = (field.name for field in fields(Contacts) if field.init)
         columns: dict[str, Any] = {name: getattr(contacts, name) for name in names}
         segment = torch.div(contacts.pairs[:, 0], self.ids, rounding_mode="floor")

@@ -1,7 +1,7 @@
-"""What one rank tests in one step: the pairs of its own bodies, then those with ghosts.
+"""One rank's share of a step: pairs of own bodies, then pairs with ghosts.
 
-Which pairs of own bodies a rank must test does not depend on ghosts. These pairs are searched while ghosts are on their
-way; ghosts then meet the own bodies near them, on a GPU beside that search.
+Which pairs of own bodies a rank must test does not depend on ghosts. These pairs are searched while ghosts are sent;
+then ghosts are paired with the own bodies near them, on a GPU concurrently with that search.
 """
 
 from __future__ import annotations
@@ -39,34 +39,34 @@ from pgccd.runtime.stages import StageClock
 
 T = TypeVar("T")
 
-#: From columns of bodies to their scene and motion: the same bits on every rank that holds a body. Where bodies deform
-#: the columns of their vertices are among them.
+#: From columns of bodies to their scene and motion, bitwise equal on every rank that holds a body. For deforming bodies
+#: the columns include those of their vertices.
 Build = Callable[[Columns], tuple[Scene, RigidMotion | VertexMotion]]
 
 
 @dataclass(frozen=True)
 class Options:
-    """What `pgccd.detect` is asked for, see there; and how."""
+    """Options of `pgccd.detect`, and how to run it."""
 
     report: narrow.Report = "first"
     min_separation: float = 0.0
     tolerance: float | None = None
     nonzero_toi: bool = False
     broad_phase: broad.BroadPhase = "auto"
-    #: Whether pairs of own bodies are searched while ghosts are under way. The result does not depend on it.
+    #: Whether pairs of own bodies are searched while ghosts are sent. The result does not depend on it.
     overlap: bool = True
 
     @property
     def query(self) -> Query:
-        """What each part is asked."""
-        # Rows are not in the order of ids, which decides among equal ones.
+        """The options of each part."""
+        # Rows are not in the order of ids, which breaks ties.
         report: narrow.Report = "first" if self.report == "earliest" else self.report
         return Query(report, self.min_separation, self.tolerance, self.nonzero_toi)
 
 
 @dataclass
 class PartEstimates:
-    """What the parts of the last step needed; belongs to a simulation or `World`."""
+    """Capacity estimates of the parts; owned by a simulation or `World`."""
 
     own: CapacityEstimate = field(default_factory=CapacityEstimate)
     with_ghosts: CapacityEstimate = field(default_factory=CapacityEstimate)
@@ -74,37 +74,40 @@ class PartEstimates:
 
 @dataclass(frozen=True)
 class Share:
-    """What one rank tests in one step: pairs of own bodies, and if there are other ranks those with ghosts."""
+    """One rank's share of a step: pairs of own bodies and, with several ranks, pairs with ghosts."""
 
     held: Held
     parts: list[Part]
-    ghosts: MovingBodies | None  #: if there are other ranks
+    ghosts: MovingBodies | None  #: None on a single rank
     kept: tuple[float, float]  #: min_separation and tolerance, as the operators take them
 
     @property
     def pairs(self) -> Tensor:
-        """(P, 2) int64: the PCS as rows of bodies held, that of the smaller id first; rows of -1 among them."""
+        """(P, 2) int64: the PCS as rows of the held bodies, the one with the smaller id first; rows of -1 may be
+        anywhere.
+        """
         return pairs_of_step(self.parts)
 
     def first_contacts(self) -> tuple[Tensor, Tensor]:
-        """Pairs (K, 2) as rows of bodies held, and toi (K,), of all parts: see `Part.first_contacts`."""
+        """Pairs (K, 2) as rows of the held bodies, and toi (K,), of all parts: see `Part.first_contacts`."""
         return first_contacts_of(self.parts)
 
 
 class OwnSearch:
-    """One rank's step as far as it goes without ghosts: the pairs of its own bodies, of which the search begins.
+    """The part of one rank's step that needs no ghosts: finds the pairs of its own bodies and starts their search.
 
-    On a GPU nothing is waited for where the capacity for pairs can be predicted; elsewhere ghosts are sent first.
+    On a GPU this does not synchronise if the capacity for pairs can be estimated; otherwise ghosts are sent first.
 
     Args:
         comm: between the ranks.
-        partition: the same on all of them.
-        own: columns of the bodies this rank owns, "id" ascending; those that other ranks need to know of ghosts.
-        build: their scene and motion.
-        options: what to find.
-        clock: stages are timed here.
+        partition: the same on all ranks.
+        own: columns of this rank's own bodies, "id" ascending; these columns are sent for ghosts.
+        build: makes scene and motion from columns.
+        options: of the detection.
+        clock: records stage times.
         estimates: of the capacities of parts.
-        capacity: of the halo, if it can be predicted; the same on all ranks. On GPUs ghosts are then sent at once.
+        capacity: of the halo, if it can be estimated; the same on all ranks. On GPUs ghosts are then sent without
+            exchanging counts first.
         vertices: of the own bodies, if they deform.
 
     Raises:
@@ -134,7 +137,7 @@ class OwnSearch:
         self._kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
 
     def start(self) -> OwnSearch:
-        """Places the bodies, sends those that others need, and starts to search the pairs of own bodies."""
+        """Computes the motion, sends ghosts, and starts the search of pairs of own bodies."""
         with self._clock.stage("plan"):
             own = self._own if self._vertices is None else {**self._own, **self._vertices.columns}
             self._bodies = MovingBodies(*self._build(own), wait=False)
@@ -152,10 +155,10 @@ class OwnSearch:
         with self._side, self._clock.stage("halo"):
             if self._capacity is not None and _sends_ahead(self._comm, self._side):
                 self._halo.send_padded(self._capacity)
-            elif not self._side.is_apart:  # else when the own search is under way, since it must be waited for
+            elif not self._side.is_apart:  # otherwise sent after the own search has started, since sending synchronises
                 self._halo.send()
         if not self._options.overlap:
-            _ = self._held  # waited for now
+            _ = self._held  # waits for ghosts now
 
     def _find_own_pairs(self) -> None:
         def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
@@ -169,13 +172,13 @@ class OwnSearch:
 
     @cached_property
     def _held(self) -> Held:
-        """Waits for ghosts."""
+        """The held bodies. Waits for ghosts."""
         with self._side, self._clock.stage("halo wait"):
             return self._halo.wait()
 
     @cached_property
     def _ghost_vertices(self) -> Vertices | None:
-        """Waits for them too, if the bodies deform."""
+        """Vertices of ghosts, if the bodies deform. Waits for them."""
         if self._vertices is None:
             return None
         held, meshes = self._held, self._bodies.scene.meshes
@@ -191,7 +194,7 @@ class OwnSearch:
     def _near(self) -> tuple[Tensor, HostCopy]:
         """Rows of own bodies near ghosts, and their number.
 
-        A ghost and an own body that meet in a cell of this rank both reach it, and there the body's box overlaps the
+        If this rank tests a ghost against an own body, both reach a common cell, in which the body's box overlaps the
         box around all ghosts.
         """
         subdomain = self._where[-1]
@@ -201,16 +204,17 @@ class OwnSearch:
             return near, HostCopy.start(found)
 
     def of_held(self, make: Callable[[Held, Centres, tuple[float, float], Partition], T]) -> T:
-        """What `make` makes of the bodies held, the centres of ghosts (of all bodies, if there is one rank), the
-        distances kept and the partition; beside the search. Waits for ghosts."""
+        """The result of `make` for the held bodies, the centres of ghosts (of all bodies on a single rank),
+        min_separation and tolerance, and the partition; runs concurrently with the search. Waits for ghosts.
+        """
         held, centres = self._held, centres_of(self._bodies if self._comm.size == 1 else self._ghosts)
         if self._comm.size > 1:
-            _ = self._near  # first, so that their number is known when it is asked for
+            _ = self._near  # started first, so that its count is available later
         with self._side, self._clock.stage("halo"):
             return make(held, centres, self._kept, self._partition)
 
     def with_ghosts(self) -> Share:
-        """The whole share: waits for ghosts, and begins to search the pairs with them."""
+        """The whole share: waits for ghosts, and starts the search of pairs with them."""
         options = self._options
         if self._comm.size == 1:
             return Share(self._held, [self._part], None, self._kept)
@@ -231,7 +235,7 @@ class OwnSearch:
         return Share(held, [self._part, with_ghosts], ghosts, self._kept)
 
     def _vertices_of(self, rows: Tensor) -> Vertices | None:
-        """Of the bodies held (B,), if they deform."""
+        """Vertices of held bodies (B,), if they deform."""
         if self._vertices is None or self._ghost_vertices is None:
             return None
         return Vertices.join(self._vertices, self._ghost_vertices).take(rows)
@@ -243,5 +247,5 @@ def _sends_ahead(comm: Comm, side: SideStream) -> bool:
 
 
 def _with_ghosts(near: Tensor, held: Held) -> Tensor:
-    """(B,) int64: rows of own bodies near ghosts, and of all ghosts."""
+    """(B,) int64: rows of own bodies near ghosts, then of all ghosts."""
     return torch.cat([near, torch.arange(held.own_count, len(held), device=near.device)])

@@ -1,11 +1,11 @@
-"""Finds the cause when a message does not come: a rank that died, hangs, or reported a failure.
+"""Finds the rank at fault when a message does not arrive: one that died, hangs, or reported a failure.
 
-Every rank keeps a connection to a hub on rank 0. The operating system closes it when the process ends, however busy its
-interpreter was before: so a rank is dead when its connection is closed, and never because it is slow. Whether a rank
-hangs is asked only when another has waited for longer than the time-out; of P ranks, P are asked.
+Every rank keeps a connection to a hub on rank 0. The operating system closes it when the process ends; so a rank counts
+as dead when its connection is closed, not when it is slow. Hanging ranks are searched for only after a rank has waited
+longer than the time-out: the hub then queries all P ranks.
 
-torchrun, mpirun and srun end a job when a process of theirs dies, but do not find the cause, and do not notice a rank
-that hangs.
+torchrun, mpirun and srun end a job when one of its processes dies, but do not find the cause, and do not detect a
+hanging rank.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Messages between a rank and the hub: JSON lines over TCP, between ends that know the job's token."""
+"""Messages between a rank and the hub: JSON lines over TCP, authenticated by the job's token."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from typing import Any
 
 Message = dict[str, Any]
 
-# A line that is longer is no message.
+# Longer lines are rejected.
 _LONGEST_LINE = 1 << 16
-# Machines that vanish without closing their connections are noticed by the operating system after some 30 s.
+# TCP keep-alive: a machine that vanishes is detected after some 30 s.
 _KEEPALIVE = {"TCP_KEEPIDLE": 15, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
 
 _of_this_process: weakref.WeakSet[Channel] = weakref.WeakSet()
 
 
 def _close_in_child() -> None:
-    """A child process must not keep the connections of its parent open."""
+    """Closes the parent's connections in a forked child."""
     for channel in list(_of_this_process):
         channel.close()
 
@@ -33,13 +33,13 @@ os.register_at_fork(after_in_child=_close_in_child)
 
 
 class Channel:
-    """One end of a connection. Closed by either side, or by the system with its process.
+    """One end of a connection. Closed by either side, or by the operating system when the process ends.
 
     Args:
-        connection: owned from now on.
+        connection: the channel takes ownership.
     """
 
-    #: The process at the other end, in words.
+    #: Description of the process at the other end.
     peer = ""
 
     def __init__(self, connection: socket.socket) -> None:
@@ -58,7 +58,7 @@ class Channel:
         return self.socket.fileno()
 
     def send(self, **message: Any) -> bool:
-        """False: the connection is closed."""
+        """Sends a message; False if the connection is closed."""
         try:
             with self._lock:
                 self.socket.sendall(json.dumps(message).encode() + b"\n")
@@ -67,10 +67,10 @@ class Channel:
         return True
 
     def receive(self, seconds: float) -> list[Message] | None:
-        """The messages that have come within so many seconds. None: the connection is closed, and all before are read.
+        """The messages received within `seconds`. None: the connection is closed, and all messages have been read.
 
         Raises:
-            ValueError: what came is no message.
+            ValueError: the received data is not a message.
         """
         try:
             if not self._poll.poll(1e3 * max(0.0, seconds)):
@@ -93,11 +93,11 @@ class Channel:
 
 
 class Greeting:
-    """The hub's part of the proof that both ends know the job's token: neither sends it.
+    """The hub's side of the authentication: both ends prove possession of the job's token without sending it.
 
     Args:
-        channel: of a process that is not known yet.
-        token: the job's.
+        channel: to a process not yet authenticated.
+        token: of the job.
     """
 
     def __init__(self, channel: Channel, token: bytes) -> None:
@@ -106,7 +106,7 @@ class Greeting:
         channel.send(nonce=self._nonce)
 
     def check(self, message: Message) -> Message | None:
-        """Who it is; None: a process without the token."""
+        """The identity of the rank; None if it does not have the token."""
         who, nonce = message.get("who"), str(message.get("nonce"))
         if not isinstance(who, dict) or not isinstance(who.get("rank"), int):
             return None
@@ -118,16 +118,16 @@ class Greeting:
 
 
 def join(address: tuple[str, int], token: bytes, who: Message, timeout: float) -> Channel:
-    """A rank's channel to the hub.
+    """Connects a rank to the hub.
 
     Args:
         address: the hub's host and port.
-        token: the job's.
-        who: {"rank": r, "name": ...}: what the hub is told of this process.
+        token: of the job.
+        who: {"rank": r, "name": ...}: identifies this process to the hub.
         timeout: seconds.
 
     Raises:
-        RuntimeError: there is no hub, or it does not know the token.
+        RuntimeError: there is no hub, or it does not have the token.
     """
     deadline = time.monotonic() + timeout
     try:
@@ -146,7 +146,7 @@ def join(address: tuple[str, int], token: bytes, who: Message, timeout: float) -
 
 
 def process_name() -> str:
-    """This process, in words."""
+    """Process id and host name, for messages."""
     return f"process {os.getpid()} on {socket.gethostname()}"
 
 

@@ -1,4 +1,4 @@
-"""A rank's part of the guard: around every exchange, and in a thread that answers the hub."""
+"""A rank's side of the guard: wraps every exchange, and answers the hub from a thread."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from pgccd.distributed.guard.channel import Channel
 from pgccd.distributed.guard.hub import Hub
 
 _TICK_SECONDS = 1.0
-# The hub's verdict comes by then, if there is one.
+# Maximum time to wait for the hub's verdict.
 _VERDICT_SECONDS = 15.0
-# What a rank whose exchange cannot end any more is granted for ending it by itself.
+# Time for a rank to end a failed exchange by itself before the process is killed.
 _GRACE_SECONDS = 10.0
 _EXIT_CODE = 70
-# An error after so large a part of the time-out is one: libraries have clocks of their own.
+# An error after this fraction of the time-out counts as a time-out, since libraries measure time differently.
 _LATE = 0.9
 
 
@@ -32,13 +32,13 @@ E = TypeVar("E", bound=BaseException)
 
 
 def of_all_ranks(error: E) -> E:
-    """Marks an error that all ranks raise together."""
+    """Marks an error that is raised on all ranks."""
     error.of_all_ranks = True  # type: ignore[attr-defined]
     return error
 
 
 def is_of_all_ranks(error: BaseException | None) -> bool:
-    """Whether all ranks have this error, or what caused it, so that none need tell the others."""
+    """Whether this error or its cause is raised on all ranks, so that it need not be reported."""
     while error is not None:
         if getattr(error, "of_all_ranks", False):
             return True
@@ -47,12 +47,12 @@ def is_of_all_ranks(error: BaseException | None) -> bool:
 
 
 class Guard:
-    """Watches the exchanges of this rank, and ends them if they cannot end by themselves.
+    """Watches the exchanges of this rank, and ends the process if they cannot complete.
 
     Args:
-        channel: to the hub; None: without others to watch, errors pass as they are.
-        rank: this one.
-        timeout: seconds after which an exchange that does not end means that some rank hangs.
+        channel: to the hub; None: errors are passed on unchanged.
+        rank: of this process.
+        timeout: seconds after which a pending exchange means that a rank hangs.
         hub: on rank 0.
 
     Example:
@@ -67,33 +67,33 @@ class Guard:
         self._lock = threading.Lock()
         self._exchanges, self._is_waiting = 0, False
         self._progress = time.monotonic()
-        #: What the rank is about, for messages: set it as often as you like.
+        #: Current activity of the rank, for messages; cheap to set.
         self.activity = "the start"
-        #: Whether what carries the messages has noticed that some are lost. Given if it lets a GPU wait for messages
-        #: that never come: the process would wait for the GPU, then, even at its end.
+        #: Whether the communication library has recorded lost messages. Set for NCCL, where a GPU waits for such
+        #: messages forever, and the process for the GPU, even at exit.
         self.is_broken: Callable[[], bool] | None = None
         self._ends_hard = False
         self._closed = threading.Event()
         self._verdict: str | None = None
         # Set by a verdict, and by the hub's answer that there is none.
         self._answered = threading.Event()
-        # Of the thread.
+        # Used only by the thread.
         self._ended_hub: str | None = None
         self._is_alone = False
         self._late_at = -1
         self._broken_since: float | None = None
-        # torchrun's agent, whose end nothing else tells its ranks. Other launchers end theirs; and a shell that started
-        # ranks in the background may go.
+        # Process id of torchrun's agent, because its ranks are not ended when it dies. Other launchers end theirs, and
+        # a shell that started ranks in the background may exit.
         self._agent = os.getppid() if "TORCHELASTIC_RUN_ID" in os.environ else None
         if channel is not None:
             self._thread = threading.Thread(target=self._watch, name="pgccd-guard", daemon=True)
             self._thread.start()
-            # Where nobody closes the guard, the end of the process does.
+            # Closes the guard at exit, if the caller does not.
             atexit.register(self._leave)
 
     @contextmanager
     def waiting(self, what: str) -> Iterator[None]:
-        """Around every exchange. An error in it becomes a `RankFailureError` if another rank is to blame."""
+        """Wraps every exchange. Raises `RankFailureError` instead of an error in it if another rank is at fault."""
         with self._lock:
             self._exchanges += 1
             self._progress = time.monotonic()
@@ -110,26 +110,26 @@ class Guard:
             self._is_waiting = False
 
     def report(self, error: BaseException) -> None:
-        """Reports to all ranks that this one ends with an error of its own."""
+        """Reports to all ranks that this one fails with an error of its own."""
         if self._channel is None or isinstance(error, RankFailureError):
             return
         first_line = f"{type(error).__name__}: {error}".splitlines()[0][:1000]
         self._channel.send(about="failure", text=f"failed in {self.activity}: {first_line}")
 
     def close(self) -> None:
-        """Leaves the others: a rank that has finished is not missed, unless another waits for it."""
+        """Leaves the job: a rank that has finished is not at fault, unless another waits for it."""
         if self._closed.is_set() or self._channel is None:
             return
         self._closed.set()
         self._channel.send(about="finished")
         self._thread.join(_GRACE_SECONDS)
-        self.is_broken = None  # which holds what must go before Python does
+        self.is_broken = None  # releases the process group before Python exits
         self._channel.close()
         if self._hub is not None:
-            self._hub.close(2.0 * _GRACE_SECONDS)  # others may have to read its verdict yet
+            self._hub.close(2.0 * _GRACE_SECONDS)  # other ranks may not have read the verdict yet
 
     def _leave(self) -> None:
-        """At the end of the process, when errors have been printed."""
+        """Runs at exit, after errors have been printed."""
         self.close()
         if self._ends_hard:
             sys.stdout.flush()
@@ -137,7 +137,9 @@ class Guard:
             os._exit(_EXIT_CODE)
 
     def _ask(self, is_late: bool) -> str | None:
-        """Which rank made an exchange fail, in words; None if all others are alive and, if it is late, not behind."""
+        """Describes the rank at fault for a failed exchange; None if all other ranks are alive and, if it is late, none
+        is behind.
+        """
         if self._channel is None:
             return None
         self._answered.clear()
@@ -145,13 +147,14 @@ class Guard:
             if self._channel.send(about="error", is_late=is_late):
                 self._answered.wait(_VERDICT_SECONDS)
             else:
-                self._answered.wait(_TICK_SECONDS)  # until the thread has noticed it too
+                self._answered.wait(_TICK_SECONDS)  # until the thread has detected it too
         return self._verdict or self._ended_hub
 
     def _watch(self) -> None:
-        """The thread: answers the hub, and ends the process if its main thread waits for what can never come.
+        """The thread: answers the hub, and ends the process if its main thread waits for a message that can never
+        arrive.
 
-        Libraries differ in what they do about a lost rank: Gloo raises an error at once, NCCL never returns.
+        Libraries handle a lost rank differently: Gloo raises an error at once, NCCL never returns.
         """
         hopeless_since: float | None = None
         while not self._closed.is_set():
@@ -164,7 +167,7 @@ class Guard:
                 self._give_up()
 
     def _look_at_this_rank(self) -> None:
-        """Asks the hub if an exchange takes too long, or messages were lost."""
+        """Queries the hub if an exchange takes too long or messages were lost."""
         assert self._channel is not None
         with self._lock:
             exchanges, still = self._exchanges, time.monotonic() - self._progress
@@ -181,7 +184,7 @@ class Guard:
                 self._broken_since = time.monotonic()
                 self._channel.send(about="error", is_late=False)
             elif time.monotonic() - self._broken_since > _VERDICT_SECONDS:
-                self._fail("lost messages of other ranks, though all are alive")
+                self._fail("lost messages of other ranks, although all are alive")
 
     def _fail(self, text: str) -> None:
         assert self._channel is not None
@@ -189,7 +192,7 @@ class Guard:
         self._decide(f"rank {self._rank} {text}")
 
     def _read_hub(self) -> None:
-        """What the hub says within a fraction of a second."""
+        """Handles messages of the hub, waiting for a fraction of a second."""
         assert self._channel is not None
         messages = None if self._is_alone else self._channel.receive(0.2 * _TICK_SECONDS)
         if messages is None:
@@ -218,4 +221,4 @@ class Guard:
     def _give_up(self) -> None:
         sys.stderr.write(f"pgccd: rank {self._rank} gives up in {self.activity}: {self._verdict}\n")
         sys.stderr.flush()
-        os._exit(_EXIT_CODE)  # nothing gentler ends a call into a communication library
+        os._exit(_EXIT_CODE)  # the only way to end a blocking call into a communication library

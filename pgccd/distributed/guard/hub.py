@@ -1,4 +1,4 @@
-"""Rank 0's part of the guard: which rank is to blame, told to all."""
+"""Rank 0's side of the guard: finds the rank at fault, and sends the verdict to all."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from dataclasses import dataclass
 from pgccd.distributed.guard.channel import Channel, Greeting, Message
 
 _TICK_SECONDS = 1.0
-# Within so many seconds a process that connects must prove that it belongs to the job.
+# Time for a new connection to authenticate.
 _GREETING_SECONDS = 10.0
-# Within so many seconds a rank that is asked answers, unless it is stopped or its interpreter is busy.
+# Time for a rank to answer, unless it is stopped or its interpreter is busy.
 _ANSWER_SECONDS = 5.0
-# Files that a process needs besides the connections.
+# Open files that a process needs besides the connections.
 _OTHER_FILES = 512
 
 
 @dataclass
 class _Member:
-    """A rank."""
+    """A connected rank."""
 
     channel: Channel
     name: str
-    finished: bool = False  #: says nothing more, and is right to
+    finished: bool = False  #: it has finished, so its silence is no fault
 
 
 @dataclass
 class _Inquiry:
-    """How far the ranks are, which all have been asked."""
+    """A query of the progress of all ranks."""
 
     number: int
     askers: set[int]
@@ -43,11 +43,11 @@ class _Inquiry:
 
 
 class Hub:
-    """Judges which rank is to blame.
+    """Finds the rank at fault.
 
     Args:
-        host: the address to listen at; empty: all of this machine's.
-        token: the job's: processes without it are not listened to.
+        host: the address to listen on; empty: all of this machine's.
+        token: of the job; processes without it are rejected.
         size: number of ranks.
     """
 
@@ -69,7 +69,7 @@ class Hub:
         self._thread.start()
 
     def close(self, seconds: float) -> None:
-        """Ends at once; if a rank was to blame, once all have read that, or after so many seconds."""
+        """Closes at once; or, if there was a verdict, once all ranks have read it, or after `seconds`."""
         self._deadline = time.monotonic() + seconds
         self._closing.set()
         self._thread.join(seconds + 2.0 * _TICK_SECONDS)
@@ -116,7 +116,7 @@ class Hub:
     def _read(self, channel: Channel) -> None:
         try:
             messages = channel.receive(0.0)
-        except (ValueError, RecursionError):  # not from a rank
+        except (ValueError, RecursionError):  # not sent by a rank
             messages = None
         if channel in self._greetings:
             self._greet(channel, messages)
@@ -154,11 +154,11 @@ class Hub:
                 self._inquiry.answers[rank] = message
 
     def _blame(self, verdict: str) -> None:
-        """The first verdict holds: others follow from it."""
+        """The first verdict holds: later failures follow from it."""
         if self._verdict is not None:
             return
         self._verdict, self._inquiry = verdict, None
-        # Launchers end all ranks as soon as one has died: this may be the last that can be printed.
+        # Printed here, because launchers end all ranks as soon as one has died.
         sys.stderr.write(f"pgccd: {verdict}\n")
         sys.stderr.flush()
         for member in self._members.values():
@@ -177,8 +177,9 @@ class Hub:
                 member.channel.send(about="question", number=self._inquiries)
 
     def _conclude(self, inquiry: _Inquiry) -> None:
-        """Once all have answered, or could have: blames those that ended early, those that do not answer, and where an
-        exchange took too long those that have not come to it."""
+        """Concludes a query once all ranks have answered, or its time is up: at fault are ranks that finished early,
+        that do not answer, or, if an exchange timed out, that have not reached it.
+        """
         expected = {rank for rank, member in self._members.items() if not member.finished}
         silent = sorted(expected - set(inquiry.answers))
         if silent and time.monotonic() < inquiry.deadline:
@@ -202,7 +203,7 @@ class Hub:
 
 
 def _allow_files(count: int) -> None:
-    """Raises this process's own limit of open files, where the system's allows it."""
+    """Raises the soft limit of open files to `count`, as far as the hard limit allows."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft < count:
         with contextlib.suppress(ValueError, OSError):

@@ -1,7 +1,7 @@
-"""Ghosts in messages of fixed size: padded to somewhat more than in the last step.
+"""Ghosts in messages of fixed size, padded relative to the last step.
 
-Otherwise ranks must exchange counts, and the host must read them, before ghosts can be sent. It would
-come to that while a GPU is busy with own pairs, and the few small messages would have to wait for its multiprocessors.
+Otherwise ranks would have to exchange counts through the host before sending ghosts; by then the GPU would be busy with
+own pairs, and these small messages would wait for free multiprocessors.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from pgccd.distributed.halo.replicas import ReplicaTable
 from pgccd.runtime.host_copy import HostCopy
 
 # A capacity is the last count times _SLACK plus _SOME (for small counts), rounded up to a multiple, so that buffers
-# keep their sizes from step to step.
+# rarely change size.
 _SLACK, _SOME, _MULTIPLE = 1.25, 64, 256
 
 
 @dataclass(frozen=True)
 class HaloCapacity:
-    """Padded counts of bodies in messages. Both ends of a message derive them from the last step."""
+    """Padded counts of bodies in messages. Both ends of a message compute them from the last step."""
 
     sent: list[int]  #: to each rank
-    received: list[int]  #: from each
-    boundary: int  #: own bodies that others need
+    received: list[int]  #: from each rank
+    boundary: int  #: own bodies that other ranks need
 
     @classmethod
     def of(cls, held: Held) -> HaloCapacity:
-        """Of the step after one with these bodies."""
+        """Capacities for the step after one with these held bodies."""
         return cls.after(held.route.sent, held.route.received, len(held.boundary))
 
     @classmethod
     def after(cls, sent: list[int], received: list[int], boundary: int) -> HaloCapacity:
-        """Of the next step, if so many were sent, received and needed in this one."""
+        """Capacities for the next step, given this step's counts."""
         return cls(
             [padded_count(count) for count in sent],
             [padded_count(count) for count in received],
@@ -48,23 +48,23 @@ class HaloCapacity:
 
 
 def padded_count(count: int) -> int:
-    """Somewhat more; none of none."""
-    # Ranks that were no neighbours send one another nothing.
+    """The capacity for a count; 0 for 0."""
+    # Ranks that were not neighbours send each other nothing.
     return -(-int(_SLACK * count + _SOME) // _MULTIPLE) * _MULTIPLE if count else 0
 
 
 @dataclass(frozen=True)
 class Sent:
-    """Ghosts, and the bodies sent, without padding."""
+    """Received ghosts and the bodies sent, without padding."""
 
     route: Route
     ghosts: Columns
-    replicas: ReplicaTable  #: of the own bodies that others need
+    replicas: ReplicaTable  #: of the own bodies that other ranks need
 
 
 class PaddedHalo:
-    """Ghosts on their way in messages of fixed size: `find_ranks`, then `send`. Nothing waits, where messages go with
-    the stream. `announce` sends their numbers too, by which `wait` removes the padding; `padded` leaves it.
+    """Exchange of ghosts in messages of fixed size: `find_ranks`, then `send`. Does not synchronise if messages are
+    sent on the stream. `announce` also sends the counts, with which `wait` removes the padding; `padded` keeps it.
 
     Args:
         comm: between the ranks.
@@ -81,12 +81,12 @@ class PaddedHalo:
         boundary: Tensor,
         count: Tensor,
     ) -> None:
-        """Finds out which ranks need which of the own bodies.
+        """Finds the ranks that need each own body.
 
         Args:
-            where: centres of own bodies, distances kept, and the subdomain, as for `find_replicas`.
-            boundary: (N,) int64: rows of those that others need, then rows of -1.
-            count: (1,) int64, left on the device: how many these are.
+            where: centres of own bodies, min_separation and tolerance, and the subdomain, as for `find_replicas`.
+            boundary: (N,) int64: rows of own bodies that other ranks need, then -1.
+            count: (1,) int64 on the device: their number.
         """
         comm, capacity = self._comm, self._capacity
         self._boundary = boundary[: capacity.boundary]
@@ -102,18 +102,18 @@ class PaddedHalo:
         return self._numbers[0, 1:]
 
     def announce(self) -> None:
-        """Tells each rank how many bodies come, and all of them whether a capacity was exceeded."""
+        """Sends each rank its number of bodies, and all ranks whether a capacity was exceeded."""
         self._messages = HostCopy.start(torch.stack([self._numbers, self._comm.exchange_counts(self._numbers)]))
 
     def send(self) -> None:
         """Sends the bodies."""
-        # One more, since padding is zeros.
+        # Ids plus one, since padding is zeros.
         columns = self._own | {"id": self._own["id"] + 1}
         packed = pack(columns, self._rows)
         self._pending = self._comm.exchange(packed, self._capacity.sent, self._capacity.received)
 
     def padded(self) -> Held:
-        """The bodies held, among them padding: ghosts whose id is -1."""
+        """The held bodies, with padding: ghosts with id -1."""
         capacity, id = self._capacity, self._own["id"]
         route = Route(self._comm, self._rows, capacity.sent, capacity.received)
         ghosts = self._unpacked(self._pending.wait())
@@ -124,7 +124,7 @@ class PaddedHalo:
         return ghosts | {"id": ghosts["id"] - 1}
 
     def wait(self, boundary_count: int) -> Sent | None:
-        """What was sent; None, on all ranks, if the capacity of one of them was exceeded."""
+        """The ghosts without padding; None, on all ranks, if the capacity of one of them was exceeded."""
         messages = self._messages.numpy()
         packed = self._pending.wait()
         if messages[:, :, 1].any():

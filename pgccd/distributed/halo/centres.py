@@ -1,4 +1,4 @@
-"""Where bodies are that a rank holds."""
+"""Swept spheres of held bodies."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from torch import Tensor
 
 from pgccd.detection.bodies import MovingBodies
 
-#: SBV centres at t0 and t1 (N, 3) of bodies, and how far they reach from the way between these (N,).
+#: SBV centres at t0 and t1 (N, 3) of bodies, and their reach (N,) about the straight path between these.
 Centres = tuple[Tensor, Tensor, Tensor]
 
 
 def centres_of(bodies: MovingBodies) -> Centres:
-    """Of moving bodies."""
+    """The swept spheres of moving bodies."""
     return bodies.centre_t0, bodies.centre_t1, bodies.reach

@@ -1,10 +1,11 @@
-"""What a rank must know of others' bodies for one step: ghosts of all that reach a cell of its own.
+"""Ghosts of one step: copies of other ranks' bodies that reach a cell of this rank.
 
-A body is sent to every rank that owns any cell its CBV's box reaches (corners touch many cells, a fast body too). Two
-boxes that overlap share the lower corner of their intersection; the rank that owns the cell of that reference point
-holds both bodies, since the point lies in both boxes, and is the one that tests the pair. It may own neither.
+A body is sent to every rank that owns a cell overlapped by its CBV's box (many cells near corners, or for a fast body).
+Two boxes that overlap share the lower corner of their intersection; the rank that owns the cell of this reference point
+holds both bodies, since the point lies in both boxes, and tests the pair. It may own neither.
 
-Most bodies reach no cell of others. One pass finds those that do; all else is in proportion to these.
+Most bodies reach only cells of their own rank. One pass finds the rest; all further work is proportional to their
+number.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ class Halo:
 
     Args:
         comm: between the ranks.
-        partition: the same on all of them.
-        own: columns of this rank's own bodies that others need, "id" ascending.
-        bodies: these, moving; not checked yet.
+        partition: the same on all ranks.
+        own: columns of this rank's own bodies to send, "id" ascending.
+        bodies: the own bodies and their motion, not validated yet.
         kept: min_separation and tolerance, as the operators take them.
     """
 
@@ -48,15 +49,15 @@ class Halo:
         self._comm, self._own, self._bodies = comm, dict(own), bodies
         self._where = centres_of(bodies), kept, partition.subdomain(comm.rank)
         none_of_them = own["id"][:0]
-        #: (N,) uint8: 1 for own bodies that reach cells of others.
+        #: (N,) uint8: 1 for own bodies that reach cells of other ranks.
         self.reach = none_of_them.to(torch.uint8)
-        #: (B,) int64: rows of these.
+        #: (B,) int64: rows of these bodies.
         self._boundary = none_of_them
         self._arrival: Arrival | None = None
         self._padded: PaddedHalo | None = None
 
     def find_boundary(self) -> None:
-        """Looks for the bodies that others need. Waits for nothing."""
+        """Finds the bodies that other ranks need. Does not synchronise."""
         found = self._bodies.first_faults()
         if self._comm.size > 1:
             centres, kept, subdomain = self._where
@@ -65,7 +66,7 @@ class Halo:
         self._found = HostCopy.start(found)
 
     def check(self) -> None:
-        """Waits for what was found out about the bodies.
+        """Reads the count of boundary bodies and the faults. Synchronises.
 
         Raises:
             ValueError: a pose is invalid.
@@ -78,15 +79,14 @@ class Halo:
         self._boundary = self._boundary[:count]
 
     def send_padded(self, capacity: HaloCapacity) -> None:
-        """Sends them without waiting for anything. If the capacity of a rank is exceeded, `wait` sends them again."""
+        """Sends ghosts without synchronising. If the capacity of a rank is exceeded, `wait` sends them again."""
         self._padded = PaddedHalo(self._comm, capacity, self._own)
         self._padded.find_ranks(self._where, self._boundary, self._count)
         self._padded.announce()
         self._padded.send()
 
     def send(self) -> None:
-        """Sends them, once ranks have exchanged counts. Checks the bodies, if that has not been
-        done."""
+        """Sends ghosts after exchanging counts. Validates the bodies first, if not done yet."""
         self.check()
         self._replicas = find_replicas(*self._where, self._boundary, self._comm.size)
         counts = self._replicas.counts
@@ -96,7 +96,7 @@ class Halo:
         self._arrival = self._route.forward(self._own)
 
     def wait(self) -> Held:
-        """The bodies held, once all ghosts are here. Sends them, if that has not been done."""
+        """The held bodies, once all ghosts have arrived. Sends ghosts first, if not done yet."""
         id = self._own["id"]
         if self._comm.size == 1:
             self.check()

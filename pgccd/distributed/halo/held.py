@@ -1,4 +1,4 @@
-"""The bodies that a rank holds for one step: its own, and ghosts of others'."""
+"""The bodies that a rank holds for one step: its own, and ghosts."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ class Held:
     """The bodies a rank holds for one step: rows 0 to N - 1 are its own, rows N to N + G - 1 ghosts."""
 
     own_id: Tensor  #: (N,) int64, ascending
-    ghosts: Columns  #: of G bodies, "id" among them, in the order in which they came: by owner, then by id
-    route: Route  #: that brought them: its rows count own bodies
-    boundary: Tensor  #: (B,) int64, ascending: rows of own bodies that others hold too
-    replicas: ReplicaTable | ReplicaList  #: of the boundary: which others
+    ghosts: Columns  #: columns of G bodies, "id" among them, in order of arrival: by owner, then by id
+    route: Route  #: route by which ghosts were sent: its rows index own bodies
+    boundary: Tensor  #: (B,) int64, ascending: rows of own bodies that other ranks hold too
+    replicas: ReplicaTable | ReplicaList  #: the other ranks that hold each boundary body
 
     @classmethod
     def alone(cls, comm: Comm, own: Columns) -> Held:
-        """Of the only rank: there are no ghosts."""
+        """The held bodies of a single rank, without ghosts."""
         id, ghosts = own["id"], {name: column[:0] for name, column in own.items()}
         none = ReplicaTable(id.new_empty((0, 1), dtype=torch.uint8), id.new_zeros(1))
         return cls(id, ghosts, Route(comm, id[:0], [0], [0]), id[:0], none)

@@ -1,4 +1,4 @@
-"""Migration: a body whose position is in a cell of another rank moves there, with all its columns."""
+"""Migration: a body whose position is in a cell of another rank moves to that rank, with all its columns."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.partition.interface import Partition
 from pgccd.runtime.hashing import row_hash
 
-# Ids made at a time.
+# Ids generated at a time.
 _BLOCK = 1 << 22
 
 
 class Leaving:
-    """Who is to leave this rank, known to the device only.
+    """The bodies that leave this rank, found on the device.
 
     Args:
         comm: between the ranks.
-        partition: the same on all of them.
-        position: (N, 3) centres.
-        id: (N,) int64, negative in rows of padding; None: there are none.
+        partition: the same on all ranks.
+        position: (N, 3) of the bodies' origins.
+        id: (N,) int64, negative for padding; None: there is no padding.
     """
 
     def __init__(self, comm: Comm, partition: Partition, position: Tensor, id: Tensor | None = None) -> None:
         self._comm = comm
-        #: counts (ranks,) int64: how many to each.
+        #: counts (ranks,) int64: number of bodies that leave for each rank.
         self._rows, self._by_destination, self.counts = ops.leaving_bodies(
             position, id, partition.subdomain(comm.rank), comm.size
         )
 
     def route(self, sent: list[int], received: list[int]) -> tuple[Route, Tensor]:
-        """The way they go, and their rows, ascending.
+        """Their route, and their rows, ascending.
 
         Args:
             sent: `counts`.
-            received: what the other ranks' `counts` say of this one.
+            received: number of bodies that arrive from each rank.
         """
         count = sum(sent)
         return Route(self._comm, self._by_destination[:count], sent, received), self._rows[:count]
@@ -54,16 +54,15 @@ def migrate(
     known: tuple[Leaving, list[int], list[int]] | None = None,
     vertices: Vertices | None = None,
 ) -> Moved:
-    """Sends every body to the owner of the cell that holds its centre.
+    """Sends every body to the owner of the cell that contains its position.
 
     Args:
         comm: between the ranks.
-        partition: the same on all of them.
-        columns: of this rank's bodies, "id" (N,) int64 among them, ascending. Any dtypes and widths, alike on all
-            ranks.
-        position: (N, 3) centres.
-        known: the leaving bodies and the counts to and from each rank, if ranks have exchanged them already.
-        vertices: that go with the bodies; then "vertex_count" (N,) int64 is among the columns.
+        partition: the same on all ranks.
+        columns: of this rank's bodies, including "id" (N,) int64, ascending. Any dtypes and widths, equal on all ranks.
+        position: (N, 3) of the bodies' origins.
+        known: the leaving bodies and the counts to and from each rank, if already exchanged.
+        vertices: of the bodies; requires a column "vertex_count" (N,) int64.
 
     Example:
         >>> moved = migrate(comm, partition, {"id": id, "position": x, "mood": mood}, x)
@@ -76,7 +75,7 @@ def migrate(
     else:
         leaving, sent, received = known
     route, rows = leaving.route(sent, received)
-    id_first = {"id": columns["id"], **columns}  # by which rows are merged
+    id_first = {"id": columns["id"], **columns}  # rows are merged by the first column
     packed = route.forward(id_first).wait_packed()
     changed = replace_rows(id_first, rows, packed)
     if vertices is not None:
@@ -87,15 +86,15 @@ def migrate(
 
 @dataclass(frozen=True)
 class Moved:
-    """The bodies that a rank owns after a migration."""
+    """The own bodies after a migration."""
 
     columns: Columns  #: by ascending id
-    arrived: int  #: how many came from other ranks
+    arrived: int  #: number of bodies from other ranks
     vertices: Vertices | None
 
 
 def _with_bodies(vertices: Vertices, id: Tensor, removed: Tensor, route: Route, arrived: Columns) -> Vertices:
-    """The vertices of the bodies that stay and of those that came, by ascending id."""
+    """The vertices of the remaining and arrived bodies, by ascending id."""
     both = Vertices.join(vertices, vertices.send(route, arrived["vertex_count"]))
     stays = torch.ones(len(id), dtype=torch.bool, device=id.device)
     stays[removed] = False
@@ -105,50 +104,47 @@ def _with_bodies(vertices: Vertices, id: Tensor, removed: Tensor, route: Route, 
 
 
 def id_range(comm: Comm, count: int) -> tuple[int, int]:
-    """This rank's equal share of the ids 0 to count - 1: the first, and the one after the last."""
+    """This rank's equal share [first, end) of the ids 0 to count - 1."""
     return comm.rank * count // comm.size, (comm.rank + 1) * count // comm.size
 
 
 @dataclass(frozen=True)
 class Census:
-    """How many bodies there are, and an order-independent hash of their ids: what migration must conserve."""
+    """Number of bodies and an order-independent hash of their ids, which migration must preserve."""
 
     count: int
     ids: int  #: modulo 2^64
 
     @classmethod
     def of(cls, id: Tensor) -> Census:
-        """Of one rank's bodies (N,) int64."""
+        """The census of one rank's bodies (N,) int64."""
         return cls(len(id), row_hash([id]))
 
     @classmethod
     def of_range(cls, comm: Comm, count: int) -> Census:
-        """Of the ids 0 to count - 1; ranks share the work."""
+        """The census of the ids 0 to count - 1, computed by all ranks."""
         first, end = id_range(comm, count)
         begins = range(first, end, _BLOCK)
         return cls.total([cls.of(torch.arange(begin, min(end, begin + _BLOCK))) for begin in begins])._of_all(comm)
 
     @classmethod
     def of_ranks(cls, comm: Comm, id: Tensor) -> Census:
-        """Of all ranks' bodies, of which this rank has (N,) int64."""
+        """The census of all ranks' bodies, of which this rank has `id` (N,) int64."""
         return cls.of(id)._of_all(comm)
 
     def _of_all(self, comm: Comm) -> Census:
-        """The sum over the ranks, each of which has one of its own."""
+        """The sum of this census over the ranks."""
         signed = self.ids - 2**64 if self.ids >= 2**63 else self.ids
         count, ids = comm.sum(torch.tensor([self.count, signed])).tolist()  # modulo 2^64
         return Census(count, ids % 2**64)
 
     @classmethod
     def total(cls, parts: list[Census]) -> Census:
-        """Of several parts together."""
+        """The sum of several parts."""
         return cls(sum(part.count for part in parts), sum(part.ids for part in parts) % 2**64)
 
     def require(self, expected: Census) -> None:
-        """
-        Raises:
-            RuntimeError: bodies were lost or doubled on the way between ranks.
-        """
+        """Raises RuntimeError unless this census equals the expected one, with no body lost or duplicated."""
         if self != expected:
             raise RuntimeError(
                 f"migration: expected {expected.count} bodies with id hash {expected.ids:016x}, "

@@ -1,4 +1,4 @@
-"""Which other ranks hold bodies that a rank holds: as a table, or where there are many ranks as a list."""
+"""The other ranks that hold a body: as a table, or as a list for many ranks."""
 
 from __future__ import annotations
 
@@ -12,25 +12,26 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.distributed.halo.centres import Centres
 
-#: With more ranks than this there is no table: it has a byte for each body and rank.
+#: Above this number of ranks lists are used: a table has one byte per body and rank.
 MOST_TABLE_RANKS = 64
 
 
 class Replicas(Protocol):
-    """Of B bodies."""
+    """The replica ranks of B bodies."""
 
     @property
     def counts(self) -> Tensor:
-        """(ranks,) int64: how many of the bodies each rank holds."""
+        """(ranks,) int64: number of the bodies that each rank holds."""
 
     def rows_by_rank(self, rows: Tensor, capacities: list[int]) -> Tensor:
-        """Of the rows (B,) of the bodies those that rank 0 holds, then those of rank 1, ..., each padded with -1 to the
-        capacity of the rank."""
+        """The rows (B,) of the bodies that rank 0 holds, then those of rank 1, ..., each padded with -1 to the capacity
+        of the rank.
+        """
 
 
 @dataclass(frozen=True)
 class ReplicaTable:
-    """A byte for each body and rank. Nothing waits for a GPU."""
+    """One byte per body and rank. Does not synchronise."""
 
     table: Tensor  #: (B, ranks) uint8: 1 for each rank that holds the body
     counts: Tensor  #: (ranks,) int64
@@ -41,7 +42,7 @@ class ReplicaTable:
 
 @dataclass(frozen=True)
 class ReplicaList:
-    """Numbers of bodies and ranks that hold them, ascending by rank, then by number."""
+    """Pairs (number of a body, rank that holds it), ascending by rank, then by number."""
 
     number: Tensor  #: (E,) int64, from 0 to B - 1
     rank: Tensor  #: (E,) int64
@@ -50,17 +51,17 @@ class ReplicaList:
 
     @classmethod
     def of(cls, number: Tensor, rank: Tensor, bodies: int, ranks: int) -> ReplicaList:
-        """Of entries in any order."""
+        """From entries in any order."""
         order = torch.argsort(rank * max(1, bodies) + number)
         return cls(number[order], rank[order], bodies, torch.bincount(rank, minlength=ranks))
 
     def rows_by_rank(self, rows: Tensor, capacities: list[int]) -> Tensor:
-        if sum(capacities) == len(self.number):  # which is how ranks exchange lists
+        if sum(capacities) == len(self.number):  # lists are exchanged without padding
             return rows[self.number]
-        raise ValueError("capacities: a list of replicas has as many rows as there are")
+        raise ValueError("capacities: a list of replicas is exchanged without padding")
 
     def after(self, count: int) -> tuple[Tensor, Tensor]:
-        """Numbers and ranks, where so many other bodies come first."""
+        """Entries of these bodies as numbered after `count` others."""
         return self.number + count, self.rank
 
 
@@ -72,15 +73,15 @@ def find_replicas(
     ranks: int,
     received: Sequence[int] = (),
 ) -> ReplicaTable | ReplicaList:
-    """The other ranks of which bodies reach a part; of ghosts also the ranks that they came from.
+    """The other ranks whose parts bodies reach; for ghosts also the ranks that sent them.
 
     Args:
-        centres: of bodies.
+        centres: swept spheres of the bodies.
         kept: min_separation and tolerance, as the operators take them.
         subdomain: of this rank.
-        rows: (B,) of the bodies in question; a row of -1 has none, if there are few ranks.
-        ranks: number of all.
-        received: how many of the bodies came from each rank, if they are ghosts.
+        rows: (B,) rows of `centres`; may contain -1 (reaching no rank) up to `MOST_TABLE_RANKS` ranks.
+        ranks: their number.
+        received: number of these bodies received from each rank, if they are ghosts.
     """
     if ranks <= MOST_TABLE_RANKS:
         return ReplicaTable(*ops.replica_ranks(centres, *kept, subdomain, rows, ranks, received))
@@ -96,12 +97,12 @@ def find_replicas(
 def join_replicas(
     ghosts: ReplicaTable | ReplicaList, before: int, own: ReplicaTable | ReplicaList
 ) -> ReplicaTable | ReplicaList:
-    """Of some ghosts, then own bodies, then the other ghosts.
+    """The replicas of the first ghosts, then own bodies, then the remaining ghosts.
 
     Args:
-        ghosts: of all ghosts.
-        before: how many of them come before the own bodies.
-        own: of these.
+        ghosts: replicas of all ghosts.
+        before: number of ghosts before the own bodies.
+        own: replicas of the own bodies.
     """
     if isinstance(ghosts, ReplicaTable) and isinstance(own, ReplicaTable):
         table = torch.cat([ghosts.table[:before], own.table, ghosts.table[before:]])

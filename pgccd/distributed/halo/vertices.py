@@ -1,4 +1,4 @@
-"""Columns with a row for each vertex of bodies that deform, on their way between ranks with the bodies."""
+"""Per-vertex columns of deforming bodies, sent between ranks with the bodies."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pgccd.geometry.mesh import MeshSet
 
 @dataclass(frozen=True)
 class Vertices:
-    """Of some bodies: the vertices of the first, in the order of its mesh, then those of the second, and so on."""
+    """Vertices of bodies: those of the first, in the order of its mesh, then those of the second, and so on."""
 
     columns: Columns  #: by name: (X, ...)
-    count: Tensor  #: (N,) int64: how many vertices each body has
+    count: Tensor  #: (N,) int64: number of vertices of each body
 
     def __post_init__(self) -> None:
         for name, column in self.columns.items():
@@ -25,27 +25,27 @@ class Vertices:
 
     @classmethod
     def join(cls, first: Vertices, second: Vertices) -> Vertices:
-        """Of the bodies of both."""
+        """The vertices of the bodies of both."""
         columns = {name: torch.cat([column, second.columns[name]]) for name, column in first.columns.items()}
         return cls(columns, torch.cat([first.count, second.count]))
 
     def rows(self, bodies: Tensor) -> Tensor:
-        """(Y,) int64: the rows of the vertices of the bodies (K,), body after body."""
+        """(Y,) int64: the rows of the vertices of the bodies (K,), concatenated."""
         count = self.count[bodies]
         begin = (self.count.cumsum(0) - self.count)[bodies]
         within = torch.arange(int(count.sum()), device=count.device)
         return within + (begin - (count.cumsum(0) - count)).repeat_interleave(count)
 
     def take(self, bodies: Tensor) -> Vertices:
-        """Of the bodies (K,)."""
+        """The vertices of the bodies (K,)."""
         return Vertices(take_rows(self.columns, self.rows(bodies)), self.count[bodies])
 
     def send(self, route: Route, received: Tensor) -> Vertices:
-        """Takes the vertices of the bodies on a route there too.
+        """Sends the vertices of the bodies on a route.
 
         Args:
             route: of bodies.
-            received: (R,) int64: how many vertices each body received has.
+            received: (R,) int64: number of vertices of each received body.
         """
         sent = self.count[route.rows]
         counts = [
@@ -57,6 +57,6 @@ class Vertices:
 
 
 def vertex_counts(meshes: MeshSet, mesh_index: Tensor) -> Tensor:
-    """(N,) int64: how many vertices bodies of these meshes (N,) have."""
+    """(N,) int64: number of vertices of bodies with these meshes (N,)."""
     begin = meshes.offsets[:, 0].to(mesh_index.device)
     return (begin[1:] - begin[:-1])[mesh_index.long()]

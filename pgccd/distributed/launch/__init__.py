@@ -1,1 +1,1 @@
-"""From processes that a launcher started to a `Comm`: who there is, where the store is, and whether all agree."""
+"""From processes started by a launcher to a `Comm`: placement, rendezvous and agreement."""

@@ -1,4 +1,4 @@
-"""All ranks start alike, or none: configurations are compared, and what one rank alone cannot do fails on all."""
+"""Agreement at the start: all ranks compare their configurations, and an error of one rank is raised on all."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from pgccd.distributed.launch.placement import Placement
 T = TypeVar("T")
 
 
-# Keys read from the store at a time, and how often it is asked whether they are there.
+# Keys read from the store at a time, and interval of polling it.
 _KEYS_AT_A_TIME, _POLL_SECONDS = 256, 0.02
-#: A fact that is no setting: what is wrong with those of a rank.
+#: The key under which a rank reports an error instead of settings.
 PROBLEM = "problem"
 
 
@@ -34,18 +34,18 @@ class DisagreementError(ValueError):
 
 
 def agree_by_store(store: dist.Store, placement: Placement, facts: Mapping[str, str], timeout: float) -> None:
-    """Compares what all ranks were started with, before there is anything between them but a store: rank 0 reads what
-    each has written, and tells all what it found.
+    """Compares the settings of all ranks, using only a store: rank 0 reads the settings of each rank, and writes the
+    result for all.
 
     Args:
-        store: that all ranks share.
-        placement: of this one.
-        facts: settings by name; or `PROBLEM`, for which all ranks end.
-        timeout: seconds within which all must have come.
+        store: shared by all ranks.
+        placement: of this rank.
+        facts: settings by name; or `PROBLEM`, which ends all ranks.
+        timeout: seconds within which all ranks must have called this.
 
     Raises:
         DisagreementError: on all ranks, with the same message.
-        RuntimeError: ranks did not come.
+        RuntimeError: ranks are missing after the time-out.
     """
     store.set(f"facts/{placement.rank}", json.dumps(dict(facts)))
     if placement.rank == 0:
@@ -53,17 +53,17 @@ def agree_by_store(store: dist.Store, placement: Placement, facts: Mapping[str, 
     try:
         store.wait(["facts/verdict"])
     except dist.DistError as error:
-        raise RuntimeError(f"rank 0 did not come within {timeout:g} s ({error})") from error
+        raise RuntimeError(f"rank 0 did not connect within {timeout:g} s ({error})") from error
     verdict = store.get("facts/verdict").decode()
     store.add("facts/read", 1)
     if verdict:
-        if placement.rank == 0:  # which may keep the store
+        if placement.rank == 0:  # rank 0 may host the store
             _wait_until(lambda: store.add("facts/read", 0) >= placement.size, timeout)
         raise DisagreementError(verdict)
 
 
 def _compare_all(store: dist.Store, size: int, timeout: float) -> str:
-    """What is wrong; empty if nothing is."""
+    """The first difference or problem; empty if there is none."""
     deadline = time.monotonic() + timeout
     first: dict[str, str] | None = None
     for begin in range(0, size, _KEYS_AT_A_TIME):
@@ -71,7 +71,7 @@ def _compare_all(store: dist.Store, size: int, timeout: float) -> str:
         keys = [f"facts/{rank}" for rank in ranks]
         if not _wait_until(functools.partial(store.check, keys), deadline - time.monotonic()):
             missing = [rank for rank, key in zip(ranks, keys, strict=True) if not store.check([key])]
-            raise RuntimeError(f"ranks {missing[:8]} of {size} did not come within {timeout:g} s")
+            raise RuntimeError(f"ranks {missing[:8]} of {size} did not connect within {timeout:g} s")
         for rank, text in zip(ranks, store.multi_get(keys), strict=True):
             facts = json.loads(text)
             if PROBLEM in facts:
@@ -93,10 +93,10 @@ def _wait_until(is_so: Callable[[], bool], seconds: float) -> bool:
 
 
 def together(comm: Comm, action: Callable[[], T]) -> T:
-    """Does something on every rank; if it fails on one, it fails on all.
+    """Runs an action on every rank; if it fails on one, it fails on all.
 
     Raises:
-        ValueError: naming the rank that failed, on the others; on itself, its own error.
+        ValueError: on the other ranks, naming the rank that failed, which raises its own error.
 
     Example:
         >>> mesh = together(comm, lambda: pgccd.Mesh.load("robot.ply"))
@@ -116,16 +116,16 @@ def together(comm: Comm, action: Callable[[], T]) -> T:
 
 
 def on_first(comm: Comm, action: Callable[[], T]) -> T:
-    """Does something on rank 0 and gives all ranks its (picklable) result; if it fails, it fails on all."""
+    """Runs an action on rank 0 and returns its (picklable) result on all ranks; if it fails, it fails on all."""
     return comm.broadcast_object(together(comm, lambda: action() if comm.rank == 0 else None))
 
 
 def require_agreement(comm: Comm, facts: Mapping[str, Any]) -> None:
-    """Compares what all ranks were started with; the versions of pgccd and torch are added.
+    """Compares the settings of all ranks, and the versions of pgccd and torch.
 
     Args:
         comm: between the ranks.
-        facts: values whose `repr` identifies them; only digests are sent, so they may be long.
+        facts: values identified by their `repr`; long ones are sent as digests.
 
     Raises:
         DisagreementError: on all ranks.
@@ -143,7 +143,7 @@ def require_agreement(comm: Comm, facts: Mapping[str, Any]) -> None:
 
 
 def _difference(of_ranks: Sequence[Mapping[str, str]], ranks: Sequence[int]) -> str | None:
-    """The first setting in which a rank differs from the first of them, in words."""
+    """Describes the first setting in which a rank differs from the first rank."""
     for name in sorted(set().union(*of_ranks)):
         values = [facts.get(name, "nothing") for facts in of_ranks]
         for rank, value in zip(ranks, values, strict=True):

@@ -27,7 +27,7 @@ DEFAULT_TIMEOUT = 300.0
 
 
 def choose_device(device: str | torch.device, placement: Placement | None = None) -> torch.device:
-    """ "cuda" becomes the GPU of this rank: that of its number on its machine."""
+    """ "cuda" becomes the GPU with the local rank of this process."""
     chosen = torch.device(device)
     placement = placement or find_placement()
     if chosen.type == "cuda" and chosen.index is None and placement.size > 1:
@@ -41,19 +41,20 @@ def connect(
     timeout: float = DEFAULT_TIMEOUT,
     settings: Mapping[str, str] | None = None,
 ) -> Comm:
-    """Connects all processes that were launched together. Without a launcher there is one.
+    """Connects all processes that were launched together; a single rank without a launcher.
 
     Args:
-        device: where data will be: "auto" takes NCCL for GPUs and Gloo for CPUs.
-        transport: "nccl", "gloo", "torch-mpi" (torch's MPI backend, where it was built with one), or "mpi4py".
-        timeout: seconds after which an exchange that does not end is an error, and the job with it.
-        settings: of the program, by name: compared with those of all other ranks first, as are those given here.
+        device: of the data.
+        transport: "nccl", "gloo", "torch-mpi" (torch's MPI backend, if it was built with one), "mpi4py", or "auto":
+            NCCL if every rank has a GPU of its own, else Gloo.
+        timeout: seconds after which a pending exchange ends the job.
+        settings: of the program, by name; compared between ranks first, together with the arguments above.
 
     Raises:
         DisagreementError: ranks have different settings; on all of them.
-        ValueError: naming the argument, or the variable of the environment.
+        ValueError: naming the argument or environment variable.
         ImportError: mpi4py is needed and not installed.
-        RuntimeError: the others did not come within the time-out.
+        RuntimeError: other ranks are missing after the time-out.
 
     Example:
         >>> with pgccd.distributed.connect() as comm:
@@ -98,18 +99,18 @@ def connect(
 
 
 def tell_problem(problem: str, timeout: float = DEFAULT_TIMEOUT) -> NoReturn:
-    """What a rank does instead of `connect` that cannot go on: all ranks that connect, or do this, end with it.
+    """Called instead of `connect` by a rank that failed: all ranks that call either function raise the error.
 
     Args:
         problem: one line.
-        timeout: seconds within which all must have come.
+        timeout: seconds within which all ranks must have called.
 
     Raises:
-        DisagreementError: with the problem of the first rank that has one.
+        DisagreementError: with the problem of the first rank that reported one.
     """
     placement = find_placement()
     agree_by_store(meet(placement, timeout).store, placement, {PROBLEM: problem}, timeout)
-    raise AssertionError("a problem is told to all ranks")
+    raise AssertionError("expected an error on all ranks")
 
 
 def _start_guard(meeting: Meeting, placement: Placement, timeout: float) -> Guard:
@@ -124,7 +125,7 @@ def _start_guard(meeting: Meeting, placement: Placement, timeout: float) -> Guar
 
 
 def _keep_to_this_machine() -> None:
-    """Lets Gloo and NCCL listen at the loopback interface alone, unless others were chosen."""
+    """Makes Gloo and NCCL listen on the loopback interface only, unless another one is configured."""
     if any(name == "lo" for _, name in socket.if_nameindex()):
         os.environ.setdefault("GLOO_SOCKET_IFNAME", "lo")
         os.environ.setdefault("NCCL_SOCKET_IFNAME", "lo")
@@ -139,13 +140,13 @@ def _backend(transport: Transport, device: torch.device, placement: Placement, s
         return "gloo"  # for agreement and checkpoints
     if transport == "torch-mpi":
         if not dist.is_mpi_available():
-            raise ValueError("transport: this torch was built without MPI; mpi4py takes its place")
+            raise ValueError("transport: this torch was built without MPI; use mpi4py")
         return "mpi"
     if transport != "auto":
         return transport
-    # NCCL wants a GPU for every rank; rank 0 decides for all.
+    # NCCL needs a separate GPU for every rank; rank 0 decides for all.
     keys = [f"device/{rank}" for rank in range(placement.size)]
-    # Its own number: where each rank is shown one GPU only, all of them call it cuda:0.
+    # The GPU's UUID: if each rank sees one GPU only, all of them call it cuda:0.
     has_gpu = device.type == "cuda" and torch.cuda.is_available()
     store.set(keys[placement.rank], str(torch.cuda.get_device_properties(device).uuid) if has_gpu else "none")
     if placement.rank == 0:

@@ -1,4 +1,4 @@
-"""Where this process stands among those that a launcher started: torchrun, mpirun, srun, or none at all."""
+"""Rank, size and local rank of this process, as set by torchrun, mpirun, srun, or no launcher."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-# The variables of rank, size and local rank, by launcher. srun sets SLURM_STEP_NUM_TASKS; a batch script, which is one
-# process, has only SLURM_NTASKS.
+# The variables of rank, size and local rank, by launcher. srun sets SLURM_STEP_NUM_TASKS; a batch script, which is a
+# single process, has only SLURM_NTASKS.
 _VARIABLES = {
     "torchrun": ("RANK", "WORLD_SIZE", "LOCAL_RANK"),
     "Open MPI": ("OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_LOCAL_RANK"),
@@ -16,7 +16,7 @@ _VARIABLES = {
     "MVAPICH": ("MV2_COMM_WORLD_RANK", "MV2_COMM_WORLD_SIZE", "MV2_COMM_WORLD_LOCAL_RANK"),
     "srun": ("SLURM_PROCID", "SLURM_STEP_NUM_TASKS", "SLURM_LOCALID"),
 }
-# How many ranks the machine of this one has; of srun, how many machines there are.
+# The number of ranks on this machine; for srun, the number of machines.
 _LOCAL_SIZE = {
     "torchrun": "LOCAL_WORLD_SIZE",
     "Open MPI": "OMPI_COMM_WORLD_LOCAL_SIZE",
@@ -28,17 +28,17 @@ _SRUN_MACHINES = "SLURM_STEP_NUM_NODES"
 
 @dataclass(frozen=True)
 class Placement:
-    """Where this process stands among those that were launched together."""
+    """Position of this process among those launched together."""
 
     launcher: str  #: a key of the variables above, or "none"
     rank: int
     size: int
-    local_rank: int  #: among those of its machine
-    is_one_machine: bool = False  #: whether it is known that all are on one
+    local_rank: int  #: rank within its machine
+    is_one_machine: bool = False  #: whether all ranks are known to be on one machine
 
 
 def find_placement(environment: Mapping[str, str] = os.environ) -> Placement:
-    """Reads what the launcher left in the environment.
+    """Reads the launcher's environment variables.
 
     Raises:
         ValueError: if a variable is not a number.

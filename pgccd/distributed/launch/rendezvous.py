@@ -1,4 +1,4 @@
-"""How ranks that were started together find one another: through a store that only they share."""
+"""Rendezvous of the ranks of a job through a common store."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _POLL_SECONDS = 0.01
 
 @dataclass(frozen=True)
 class Meeting:
-    """What all ranks share from the start."""
+    """The store and address that all ranks share."""
 
     store: dist.Store
-    host: str  #: where rank 0 can be reached
-    is_local: bool  #: whether that is this machine alone
+    host: str  #: address of rank 0
+    is_local: bool  #: whether that address is reachable from this machine only
 
 
 def meet(placement: Placement, timeout: float) -> Meeting:
-    """Connects to the store.
+    """Connects all ranks to a store.
 
     Raises:
-        ValueError: naming a variable of the environment.
+        ValueError: naming an environment variable.
         ImportError: mpi4py is needed and not installed.
-        RuntimeError: the others did not come within `timeout` seconds.
+        RuntimeError: other ranks are missing after `timeout` seconds.
     """
     if placement.launcher == "torchrun":
         run = os.environ.get("TORCHELASTIC_RUN_ID", "run")
@@ -45,7 +45,7 @@ def meet(placement: Placement, timeout: float) -> Meeting:
     if placement.launcher == "srun":
         alone = LOOPBACK if placement.is_one_machine else first_host(_variable("SLURM_STEP_NODELIST"))
         host = os.environ.get("MASTER_ADDR") or alone
-        # The same on all ranks, and another for another job or step.
+        # The same on all ranks, and different for other jobs and steps.
         number = int(os.environ.get("SLURM_JOB_ID", "0")) * 31 + int(os.environ.get("SLURM_STEP_ID", "0"))
         port = int(os.environ.get("MASTER_PORT", 20000 + number % 20000))
         return Meeting(_connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host))
@@ -53,20 +53,20 @@ def meet(placement: Placement, timeout: float) -> Meeting:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only processes of this machine can connect to it."""
+    """Whether the address is reachable from this machine only."""
     return host in ("localhost", "::1") or host.startswith("127.")
 
 
 def agent_keeps_store() -> bool:
-    """torchrun's agent, not rank 0: then the store outlives the ranks."""
+    """Whether torchrun's agent, not rank 0, hosts the store, so that it outlives the ranks."""
     return os.environ.get("TORCHELASTIC_USE_AGENT_STORE") == "True"
 
 
 def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> dist.Store:
-    """A part of a store that was perhaps used before, for this start alone: what others left there might be taken for
-    signs of ranks of this one. Counts of restarts do not identify a start: each agent of torchrun counts its own.
+    """A new prefix for this start in a store that earlier starts may have used, so that their keys are not mistaken for
+    this one's. Restart counts do not identify a start, since each torchrun agent has its own count.
 
-    Rank 0 answers each rank's request with the name of the start, until every rank has joined.
+    Rank 0 answers each rank's request with the prefix, until every rank has joined.
     """
     name = uuid.uuid4().hex
     if placement.rank == 0:
@@ -76,25 +76,25 @@ def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> d
     try:
         start = store.get(f"start for {name}").decode()
     except dist.DistError as error:
-        raise RuntimeError(f"rank 0 did not come within {timeout:g} s ({error})") from error
+        raise RuntimeError(f"rank 0 did not connect within {timeout:g} s ({error})") from error
     store.set(f"{start}/here/{placement.rank}", "")
     return dist.PrefixStore(start, store)
 
 
 def _welcome(store: dist.Store, size: int, start: str, timeout: float) -> None:
-    """Gives all other ranks the start's name."""
+    """Sends the prefix to all other ranks."""
     deadline = time.monotonic() + timeout
     missing, answered = list(range(1, size)), set()
     while missing:
         for rank in missing:
-            if store.check([f"asks/{rank}"]):  # perhaps one that is no more: its successor asks by another name
+            if store.check([f"asks/{rank}"]):  # may be from an earlier process, whose successor asks under another name
                 asking = store.get(f"asks/{rank}").decode()
                 if asking not in answered:
                     store.set(f"start for {asking}", start)
                     answered.add(asking)
         missing = [rank for rank in missing if not store.check([f"{start}/here/{rank}"])]
         if missing and time.monotonic() > deadline:
-            raise RuntimeError(f"ranks {missing[:8]} of {size} did not come within {timeout:g} s")
+            raise RuntimeError(f"ranks {missing[:8]} of {size} did not connect within {timeout:g} s")
         time.sleep(_POLL_SECONDS)
 
 
@@ -124,7 +124,7 @@ def _connect_store(host: str, port: int, placement: Placement, timeout: float, k
         return dist.TCPStore(host, port, placement.size, is_master=False, **common)
     if not is_loopback(host):
         return dist.TCPStore(host, port, placement.size, is_master=True, **common)
-    # Left to itself, torch would listen to other machines too.
+    # By default torch would listen on all interfaces.
     listener = socket.create_server((host, port), backlog=min(placement.size, 4096))
     port = listener.getsockname()[1]
     return dist.TCPStore(host, port, placement.size, is_master=True, master_listen_fd=listener.detach(), **common)
@@ -138,7 +138,7 @@ def _variable(name: str) -> str:
 
 
 def first_host(node_list: str) -> str:
-    """Of Slurm's short form.
+    """The first host of Slurm's compressed node list.
 
     Example:
         >>> first_host("gpu[007-012,020],login1")

@@ -1,4 +1,4 @@
-"""The job's token: what only its own processes know, by which they believe one another."""
+"""The job's token, by which its processes authenticate each other."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ _POLL_SECONDS = 0.01
 
 
 def share_token(store: dist.Store, placement: Placement, timeout: float) -> bytes:
-    """The token, on all ranks: from the environment, or else through a file that only this user can read. Only where
-    the machines share neither does it pass through the store, which answers everyone who can connect to it.
+    """The token, on all ranks: from the environment, or from a file that only this user can read. If the machines share
+    neither, it is sent through the store, which any process that can connect may read.
 
     Args:
-        store: that all ranks share.
-        placement: of this one.
-        timeout: seconds within which all must have come.
+        store: shared by all ranks.
+        placement: of this rank.
+        timeout: seconds within which all ranks must have called this.
 
     Raises:
-        RuntimeError: ranks did not come.
+        RuntimeError: ranks are missing after the time-out.
     """
     given = os.environ.get(VARIABLE)
     if given:
@@ -52,7 +52,7 @@ def _hand_out(store: dist.Store, size: int, timeout: float) -> bytes:
         deadline = time.monotonic() + timeout
         while store.add("token/read", 0) + store.add("token/lacking", 0) < size - 1:
             if time.monotonic() > deadline:
-                raise RuntimeError(f"not all of {size} ranks came within {timeout:g} s")
+                raise RuntimeError(f"not all of {size} ranks connected within {timeout:g} s")
             time.sleep(_POLL_SECONDS)
     finally:
         if path is not None:
@@ -61,7 +61,7 @@ def _hand_out(store: dist.Store, size: int, timeout: float) -> bytes:
     if lacking:
         warnings.warn(
             f"{lacking} ranks see no file of rank 0: the job's token passes through a store that other users of the "
-            f"network can read; to keep it from them, set {VARIABLE} to the same secret on all ranks",
+            f"network can read; to prevent this, set {VARIABLE} to the same secret on all ranks",
             stacklevel=2,
         )
     store.set("token/by store", token.hex() if lacking else "")
@@ -73,7 +73,7 @@ def _cache_folder() -> Path:
 
 
 def _write(token: bytes, folder: Path) -> Path | None:
-    """A file that only this user can read; None if none can be written."""
+    """Writes the token to a file that only this user can read; None if that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor, name = tempfile.mkstemp(prefix="token-", dir=folder)  # mode 0600
@@ -85,7 +85,7 @@ def _write(token: bytes, folder: Path) -> Path | None:
 
 
 def _read(path: Path) -> bytes:
-    """What such a file holds; nothing if it is not there, or another user's."""
+    """The token in such a file; empty if it does not exist or belongs to another user."""
     try:
         with path.open("rb") as file:
             is_own = os.fstat(file.fileno()).st_uid == os.getuid()

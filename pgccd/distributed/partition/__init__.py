@@ -1,1 +1,1 @@
-"""Which rank owns which part of space, and how it changes as loads do."""
+"""Ownership of space by ranks, and load balancing."""

@@ -1,7 +1,7 @@
-"""Who owns which cells: policies that move cells from loaded ranks to idle ones.
+"""Ownership of cells: policies that move cells from loaded ranks to idle ones.
 
-Pure functions of what all ranks know alike, so that all come to the same decision without asking. The results of a
-simulation never depend on it.
+Pure functions of values that are equal on all ranks, so that all make the same decision without communication. The
+results of a simulation do not depend on them.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from pgccd.distributed.partition.cells import Cells
 Policy = Literal["cost", "measured", "one-cell", "none"]
 POLICIES: tuple[str, ...] = get_args(Policy)
 
-# What a potentially colliding pair costs, in bodies: integrating, sweeping and moving one body.
+# Cost of a potentially colliding pair, in bodies (integrating, sweeping and moving one body).
 PAIR_COST = 8
-# In one step by all ranks: choosing one takes some 50 microseconds, on every rank alike.
+# Limit per step, for all ranks: choosing a cell takes some 50 microseconds, on every rank.
 _MOST_MOVES = 4096
 
 
 @dataclass(frozen=True)
 class BalanceOptions:
-    """How cells are shared out.
+    """Options of load balancing.
 
     Raises:
         ValueError: naming the field.
     """
 
-    #: "cost": several cells a step, by the cost predicted of each. "measured": the same, each rank's speed as measured,
-    #: so that the assignment (never the result) differs from run to run. "one-cell": the policy of Du, Liu & Suzumura
-    #: 2017, 4.2. "none": cells stay where they are.
+    #: "cost": several cells per step, by the predicted cost of each. "measured": the same, weighted by the measured
+    #: speed of each rank, so that the assignment (never the result) differs from run to run. "one-cell": the policy of
+    #: Du, Liu & Suzumura 2017, 4.2. "none": cells keep their owners.
     policy: Policy = "cost"
-    #: one-cell: difference between the most and the least loaded rank, relative to the most loaded.
+    #: one-cell: minimum difference between the most and the least loaded rank, relative to the most loaded.
     threshold: float = 0.1
-    #: cost: cells move once the largest load exceeds the mean by `start`, until it exceeds it by `goal` at most.
+    #: cost: balancing starts once the largest load exceeds the mean by the fraction `start`, and ends at `goal`.
     start: float = 0.04
     goal: float = 0.02
-    #: cost: moving a body costs as much as `moving` steps of one body; the gain counts for `horizon` steps.
+    #: cost: moving a body costs `moving` body-steps; the gain is counted over `horizon` steps.
     moving: float = 4.0
     horizon: int = 32
-    #: cost: cells moved in one step, at most, a rank.
+    #: cost: maximum number of cells moved in one step, per rank.
     most_moves: int = 16
     #: Steps between decisions.
     every: int = 1
@@ -64,13 +64,13 @@ class BalanceOptions:
                 raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
 
     def applies(self, steps_made: int, ranks: int) -> bool:
-        """Whether to decide again after so many steps."""
+        """Whether to decide again after `steps_made` steps."""
         return self.policy != "none" and ranks > 1 and steps_made > 0 and steps_made % self.every == 0
 
 
 class BackOff:
-    """When to decide again. A decision that moves nothing is not repeated in the next step, but after twice as many as
-    the last time: loads that no move makes more even would cost a decision, and a sum over all cells, in every step.
+    """Exponential back-off of decisions. After a decision that moves nothing, the interval doubles: otherwise loads
+    that no move can balance would cost a decision, and a sum over all cells, in every step.
 
     Example:
         >>> back_off = BackOff()
@@ -90,59 +90,60 @@ class BackOff:
         return step >= self._next
 
     def tried(self, step: int, moved: int) -> None:
-        """Takes notice of a decision, and of how many cells it moved."""
+        """Records a decision, and how many cells it moved."""
         self._steps = 0 if moved else min(max(1, 2 * self._steps), self._MOST_STEPS)
         self._next = step + 1 + self._steps
 
 
 @dataclass(frozen=True)
 class CellLoads:
-    """What happened in each cell in the last step; those of ranks add up."""
+    """Load of each cell in the last step; loads of ranks add up."""
 
-    bodies: Tensor  #: (cell_count,) int64: centres in it
-    pairs: Tensor  #: potentially colliding pairs whose reference point lies in it
-    contacts: Tensor  #: those of them that collide
+    bodies: Tensor  #: (cell_count,) int64: bodies in it
+    pairs: Tensor  #: potentially colliding pairs whose reference point is in it
+    contacts: Tensor  #: those of the pairs that collide
 
     def stacked(self) -> Tensor:
-        """(3 * cell_count,) int64, to be added up over ranks."""
+        """(3 * cell_count,) int64, to be summed over ranks."""
         return torch.cat([self.bodies, self.pairs, self.contacts])
 
     @classmethod
     def unstacked(cls, sums: Tensor) -> CellLoads:
-        """The reverse."""
+        """The inverse."""
         return cls(*sums.view(3, -1).unbind())
 
     @property
     def cost(self) -> Tensor:
-        """(cell_count,) int64: predicted, in bodies."""
+        """(cell_count,) int64: predicted cost, in bodies."""
         return self.bodies + PAIR_COST * self.pairs
 
 
 def rank_loads(load: Tensor, owner: Tensor, ranks: int) -> Tensor:
-    """(ranks,): the loads of each one's cells together."""
+    """(ranks,): the sum of the loads of each rank's cells."""
     return torch.zeros(ranks, dtype=load.dtype, device=load.device).index_add(0, owner, load)
 
 
 def imbalance(load: Tensor) -> float:
-    """The largest of the loads (ranks,) over their mean; 1.0 is perfect."""
+    """The largest of the loads (ranks,) over their mean; 1.0 is balanced."""
     total = float(load.sum())
     return float(load.max()) * len(load) / total if total > 0.0 else 1.0
 
 
 @dataclass(frozen=True)
 class RankLoads:
-    """What each rank did in the last step: enough to see whether anything is to be done. Plain numbers, since that is
-    asked in every step."""
+    """Loads of each rank in the last step, to check whether to rebalance. Plain numbers, since the check runs in every
+    step.
+    """
 
     bodies: Sequence[int]
-    pairs: Sequence[int]  #: potentially colliding ones that it tested
+    pairs: Sequence[int]  #: potentially colliding pairs that it tested
     contacts: Sequence[int]
-    seconds: Sequence[float]  #: at work
+    seconds: Sequence[float]  #: of work
 
     def are_level(self, options: BalanceOptions) -> bool:
-        """True if no cell would move, whatever the loads of single cells.
+        """True if no cell would move, whatever the loads of the cells.
 
-        Holds where every body was in a cell of its rank, and nearly so where few were not.
+        Exact if every body was in a cell of its rank, approximate otherwise.
         """
         if options.policy == "one-cell":
             return _differ_little(self.contacts, options.threshold)
@@ -158,9 +159,9 @@ def rebalance(partition: Cells, loads: CellLoads, options: BalanceOptions, secon
 
     Args:
         partition: of the last step.
-        loads: of all ranks together.
-        options: which policy, and how eager.
-        seconds: (ranks,) each was at work; for "measured".
+        loads: summed over all ranks.
+        options: policy and thresholds.
+        seconds: (ranks,) of work of each rank; for "measured".
 
     Example:
         >>> partition = rebalance(partition, loads, BalanceOptions("one-cell"))
@@ -181,7 +182,7 @@ def rebalance(partition: Cells, loads: CellLoads, options: BalanceOptions, secon
 def one_cell(owner: Tensor, load: Tensor, ranks: int, threshold: float) -> Tensor:
     """The paper's policy: one cell from the most to the least loaded rank, if they differ by more than the threshold.
 
-    Of its cells, the one that comes nearest to making both equal, and does not turn the difference round.
+    Selects the cell that best balances both without reversing the difference.
 
     Args:
         owner: (cells,) int64.
@@ -197,7 +198,7 @@ def one_cell(owner: Tensor, load: Tensor, ranks: int, threshold: float) -> Tenso
         return owner
     most, least = int(torch.argmax(loads)), int(torch.argmin(loads))
     difference = int(loads[most] - loads[least])
-    # Equal ones: the first. A move of the whole difference would only swap the two ranks' loads.
+    # The first of equal ones. A move of the whole difference would only swap the two ranks' loads.
     useful = (owner == most) & (load > 0) & (load < difference)
     if not bool(useful.any()):
         return owner
@@ -217,10 +218,9 @@ def _are_even(most: float, even: float, options: BalanceOptions) -> bool:
 
 
 def relative_speeds(cost: Tensor, seconds: Tensor) -> Tensor:
-    """(ranks,) float64, mean 1: what each rank gets done a second, of the cost (ranks,) it was given.
+    """(ranks,) float64, mean 1: the speed of each rank, cost (ranks,) per second.
 
-    A rank with (almost) no work gives no estimate of its speed; no rank counts as more than four times slower or
-    faster than the middle one.
+    A rank without work is given the median speed; speeds are clamped to a factor of four about the median.
     """
     busy = (cost > 0) & (seconds > 0.0)
     if not bool(busy.any()):
@@ -234,18 +234,18 @@ def relative_speeds(cost: Tensor, seconds: Tensor) -> Tensor:
 def several_cells(
     partition: Cells, owner: Tensor, cost: Tensor, bodies: Tensor, speed: Tensor, options: BalanceOptions
 ) -> Tensor:
-    """Cells from the most loaded ranks to the least loaded ones, one after the other, until the loads are even enough.
+    """Moves cells from the most to the least loaded rank, one after the other, until the loads are balanced.
 
-    A cell goes if what it takes off the most loaded rank, over the horizon, is more than moving its bodies costs. Of
-    those that fit, cells that boundary on the receiver go first: they keep subdomains, and so halos, compact.
+    A cell moves if the reduction of the largest load, over the horizon, exceeds the cost of moving its bodies. Cells
+    adjacent to the receiver's are preferred: they keep subdomains, and so halos, compact.
 
     Args:
-        partition: for which cells are neighbours.
+        partition: defines which cells are adjacent.
         owner: (cells,) int64.
-        cost: (cells,) int64 predicted.
-        bodies: (cells,) int64 that would have to move.
+        cost: (cells,) int64 predicted cost.
+        bodies: (cells,) int64 number of bodies.
         speed: (ranks,) float64, relative.
-        options: hysteresis, cost of moving.
+        options: thresholds and cost of moving.
 
     Returns:
         (cells,) int64 owners.
@@ -265,7 +265,7 @@ def several_cells(
             break
         cells = np.array(held[giver])
         given, taken = costs[cells] / rates[giver], costs[cells] / rates[taker]
-        # Neither ends up above where the giver is now; the best move leaves the larger of the two loads smallest.
+        # The best move minimises the larger of the two loads, which must be less than the giver's present load.
         after = np.maximum(load[giver] - given, load[taker] + taken)
         gain = (load[giver] - after) * options.horizon
         worth = (gain > weights[cells] * options.moving) & (given > 0.0)
@@ -275,7 +275,7 @@ def several_cells(
         near = worth & _boundarys_on(grid, cells, taker)
         if near.any() and score[near].max() >= 0.5 * score.max():
             score = np.where(near, score, -np.inf)
-        cell = int(cells[np.argmax(score)])  # of equal ones the first
+        cell = int(cells[np.argmax(score)])  # the first of equal ones
         table[cell] = taker
         held[giver].remove(cell)
         bisect.insort(held[taker], cell)
@@ -285,7 +285,7 @@ def several_cells(
 
 
 def _boundarys_on(grid: np.ndarray, cells: np.ndarray, rank: int) -> np.ndarray:
-    """(len(cells),) bool: has a face in common with a cell of this rank."""
+    """(len(cells),) bool: whether a cell shares a face with a cell of `rank`."""
     at = np.stack(np.unravel_index(cells, grid.shape), axis=1)
     found = np.zeros(len(cells), dtype=bool)
     for axis in range(3):

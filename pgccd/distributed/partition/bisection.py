@@ -1,6 +1,6 @@
-"""Recursive coordinate bisection (Berger & Bokhari 1987): planes divide space, and each part again, until there is one
-part a rank. They are where the loads on both sides are as the numbers of ranks there, so that a hot spot is divided
-however small it is. P - 1 planes are all that is known of P ranks.
+"""Recursive coordinate bisection (Berger & Bokhari 1987): planes divide space recursively into one part per rank, such
+that the loads on both sides are proportional to the numbers of ranks. Hot spots of any size are divided. A rank stores
+P - 1 planes.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from pgccd import ops
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.partition.interface import Partition, Point, box_given
 
-# A plane is searched in so many bins, these being divided again, so many times.
+# A plane is searched in _BINS bins; the bin that contains it is subdivided, _ZOOMS times in all.
 _BINS, _ZOOMS = 64, 4
-# Cells of a rank's part along each axis, in which ghosts are found near own bodies.
+# Cells per axis of a rank's part, used to find own bodies near ghosts.
 _CELLS = 16
 # Of the largest coordinate of the box: how far a plane may lie outside of the part that it divides.
 _SLACK = 1e-12
@@ -26,15 +26,14 @@ _SLACK = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Bisection(Partition):
-    """Space in one box a rank, bounded by planes. Make one with `Bisection.uniform`.
+    """Space divided by planes into one box per rank. Made by `Bisection.uniform`.
 
-    All functions of points and boxes are monotone along every axis: a point below a plane has a coordinate smaller than
-    the plane's.
+    All functions of points and boxes are monotone along every axis: points are compared with planes exactly.
     """
 
     lower: Point  #: of the world's box, length units
     upper: Point
-    #: (P - 1, 4) float64: axis, coordinate, and what is below and above it: a row further down, or rank r as -1 - r.
+    #: (P - 1, 4) float64: axis, coordinate, and the children below and above: a later row, or rank r as -1 - r.
     planes: Tensor
 
     @classmethod
@@ -44,7 +43,7 @@ class Bisection(Partition):
         Args:
             lower, upper: corners of the world's box, length units.
             ranks: number of parts.
-            device: where the planes live.
+            device: of the planes.
 
         Raises:
             ValueError, TypeError: naming the argument.
@@ -77,12 +76,12 @@ class Bisection(Partition):
 
     @functools.cached_property
     def _depth(self) -> int:
-        """Of the tree of planes: parts are halved by number of ranks."""
+        """Depth of the tree of planes: each plane halves the number of ranks."""
         return (self.ranks - 1).bit_length()
 
     @functools.cached_property
     def boxes(self) -> list[tuple[list[float], list[float]]]:
-        """The lower and upper corners of each rank's part, within the world's box."""
+        """The lower and upper corners of each rank's part, clipped to the world's box."""
         found: list[tuple[list[float], list[float]]] = [([], [])] * self.ranks
         planes = self.planes.tolist()
         todo = [(0 if planes else -1, list(self.lower), list(self.upper))]
@@ -106,8 +105,8 @@ class Bisection(Partition):
         return replace(self, planes=self.planes.clone())
 
     def become(self, other: Partition) -> bool:
-        # The cells in which near ghosts are found stay those of the former part, a number of a captured graph. Any
-        # cells give the same pairs, since those outermost extend to infinity.
+        # The cells used to find bodies near ghosts remain those of the previous part, which are constants of a captured
+        # graph. Any cells give the same pairs, since the outermost extend to infinity.
         if not isinstance(other, Bisection) or other.planes.shape != self.planes.shape:
             return False
         self.planes.copy_(other.planes)
@@ -144,13 +143,13 @@ class Bisection(Partition):
         return replace(self, planes=planes.to(self.planes.device))
 
     def rebalanced(self, comm: Comm, points: Tensor, weights: Tensor, shares: Sequence[float]) -> Bisection:
-        """Planes that divide the load of all ranks in given shares, found by four sums over the ranks for each level.
+        """Planes that divide the load of all ranks in given shares, by four sums over the ranks per level.
 
         Args:
             comm: between the ranks.
-            points: (K, 3) float64 where this rank knows of load.
-            weights: (K,) int64 of these.
-            shares: of each rank, relative to one another.
+            points: (K, 3) float64 positions of this rank's load.
+            weights: (K,) int64 of the points.
+            shares: relative share of each rank.
         """
         search = _PlaneSearch(comm, points, weights)
         planes = _bisect(self.lower, self.upper, shares, search.find)
@@ -159,13 +158,13 @@ class Bisection(Partition):
 
 @dataclass(frozen=True)
 class _Split:
-    """A part that is to be divided."""
+    """A part to be divided."""
 
     axis: int
-    low: float  #: of the part along it
+    low: float  #: bounds of the part along the axis
     high: float
-    fraction: float  #: of the load below the plane
-    children: tuple[int, int]  #: splits of the next level, below and above; -1: a rank's part
+    fraction: float  #: fraction of the load below the plane
+    children: tuple[int, int]  #: indices of the splits in the next level, below and above; -1: a rank's part
 
 
 @dataclass(frozen=True)
@@ -179,7 +178,7 @@ class _PartOfRanks:
 def _bisect(
     lower: Point, upper: Point, shares: Sequence[float], find: Callable[[Sequence[_Split]], list[float]]
 ) -> Tensor:
-    """The planes, level by level, of which `find` gives the coordinates."""
+    """The planes, level by level; `find` returns the coordinates of a level."""
     rows: list[list[float]] = []
     level = [_PartOfRanks(0, len(shares), lower, upper)] if len(shares) > 1 else []
     while level:
@@ -215,8 +214,8 @@ def _bisect(
 
 
 class _PlaneSearch:
-    """Where the load on both sides of planes is as wanted: bins between the bounds of a part are added up over the
-    ranks, and the one in which the plane must lie is divided again.
+    """Finds the planes that divide the load in given fractions: sums the load in bins between the bounds of a part over
+    the ranks, and subdivides the bin that contains the plane.
 
     Args:
         comm: between the ranks.
@@ -225,11 +224,11 @@ class _PlaneSearch:
 
     def __init__(self, comm: Comm, points: Tensor, weights: Tensor) -> None:
         self._comm, self._points, self._weights = comm, points, weights
-        # The split of the current level that each point belongs to; -1: none.
+        # The split of the current level that contains each point; -1: none.
         self._split = torch.zeros(len(points), dtype=torch.int64, device=points.device)
 
     def find(self, level: Sequence[_Split]) -> list[float]:
-        """The coordinates of the planes of a level; all ranks find the same."""
+        """The coordinates of the planes of a level, equal on all ranks."""
         device, count = self._points.device, len(level)
         inside = self._split >= 0
         split, points, weights = self._split[inside], self._points[inside], self._weights[inside]
@@ -237,7 +236,7 @@ class _PlaneSearch:
         low = torch.tensor([s.low for s in level], dtype=torch.float64, device=device)
         high = torch.tensor([s.high for s in level], dtype=torch.float64, device=device)
         coordinate = points.gather(1, axis[split][:, None])[:, 0]
-        # Bodies that have left the world are at its boundary, for this.
+        # Bodies outside of the world are clamped to its boundary.
         place = torch.minimum(torch.maximum(coordinate, low[split]), high[split])
         share = torch.tensor([s.fraction for s in level], dtype=torch.float64, device=device)
         below = torch.zeros(count, dtype=torch.int64, device=device)

@@ -1,9 +1,9 @@
 """The two-level uniform decomposition of Du, Liu & Suzumura 2017, 4.1.
 
-The world's box is cut into one subdomain a rank, each subdomain into cells. A table, the same on every rank, holds the
-owner of each cell: at first the rank of its subdomain, later the one that load balancing chose.
+The world's box is cut into one subdomain per rank, each subdomain into cells. A table, the same on every rank, holds
+the owner of each cell: at first the rank of its subdomain, later the one chosen by load balancing.
 
-What is at the boundary of the box extends to infinity, so that a body that leaves the box is never lost.
+Cells at the boundary of the box extend to infinity, so a body that leaves the box still has an owner.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pgccd.distributed.partition.interface import Partition, Point, Triple, box_
 
 
 def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
-    """Subdomains along x, y and z: the factorisation whose subdomains have the least surface.
+    """Subdomains along x, y and z: the factorisation with the smallest surface of a subdomain.
 
     Args:
         ranks: their number, the product of the three.
@@ -43,7 +43,7 @@ def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
 
     def badness(counts: Triple) -> tuple[float, int, int]:
         x, y, z = (length / count for length, count in zip(extent, counts, strict=True))
-        # Of (to rounding) equal ones, that with the fewest cuts across z, along which cells are not cut any further.
+        # Ties (to rounding) go to the fewest cuts across z, along which subdomains have one cell by default.
         return float(f"{x * y + y * z + z * x:.9g}"), counts[2], counts[1]
 
     divisors = [count for count in range(1, ranks + 1) if ranks % count == 0]
@@ -55,14 +55,14 @@ def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
 class Cells(Partition):
     """Space in equal cells, with a table of their owners.
 
-    Make one with `Cells.uniform`. All functions of points and boxes are monotone along every axis, rounding
-    included: the cell of a point in a box lies between the cells of its corners.
+    Made by `Cells.uniform`. All functions of points and boxes are monotone along every axis, rounding included: the
+    cell of a point in a box lies between the cells of its corners.
     """
 
     lower: Point  #: of the world's box, length units
     upper: Point
-    subdomains: Triple  #: along x, y and z; their product is the number of ranks
-    cells: Triple  #: of each subdomain
+    subdomains: Triple  #: number along x, y and z; the product is the number of ranks
+    cells: Triple  #: number in each subdomain
     owner: Tensor  #: (cell_count,) int64: the rank of each cell; x varies slowest, z fastest
 
     @classmethod
@@ -82,8 +82,8 @@ class Cells(Partition):
             lower, upper: corners of the world's box, length units.
             ranks: number of subdomains.
             axes: see `factorise`.
-            cells: of each subdomain; m stands for (m, m, 1), the paper's m x m cells in X-Y.
-            device: where the table lives.
+            cells: number in each subdomain; m means (m, m, 1), the paper's m x m cells in X-Y.
+            device: of the table.
 
         Raises:
             ValueError: naming the argument.
@@ -135,7 +135,7 @@ class Cells(Partition):
         return True
 
     def with_owner(self, owner: Tensor) -> Cells:
-        """The same cells in other hands.
+        """The same cells with other owners.
 
         Raises:
             ValueError: if `owner` does not name a rank for every cell.
@@ -148,13 +148,13 @@ class Cells(Partition):
         return replace(self, owner=owner.to(self.owner.device))
 
     def coordinates(self, points: Tensor) -> Tensor:
-        """(K, 3) int64: the cell along each axis that holds each of the points (K, 3)."""
+        """(K, 3) int64: the indices of the cell that contains each of the points (K, 3)."""
         lower, per_length, last = self._frame
         return torch.minimum(((points - lower) * per_length).floor().clamp_(min=0.0), last).long()
 
     @functools.cached_property
     def _frame(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Lower corner, cells a length unit, and last cell, on the table's device."""
+        """Lower corner, cells per length unit, and index of the last cell, on the table's device."""
         lower, size, count = torch.tensor(
             [self.lower, self.cell_size, self.grid], dtype=torch.float64, device=self.owner.device
         )
@@ -162,7 +162,7 @@ class Cells(Partition):
 
     @functools.cached_property
     def frame(self) -> list[float]:
-        """The same for the operators: lower corner, cells a length unit, number of cells; along x, y, z each."""
+        """The grid for the operators: lower corner, cells per length unit, number of cells; each along x, y, z."""
         return [*self.lower, *(1.0 / size for size in self.cell_size), *map(float, self.grid)]
 
     def subdomain(self, rank: int) -> ops.Subdomain:

@@ -1,4 +1,4 @@
-"""What a partition of space is: which rank owns which part of it, as pure functions of tensors."""
+"""The interface of partitions of space: ownership as pure functions of tensors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def box_given(lower: Point, upper: Point) -> tuple[Point, Point]:
 
 
 class Partition(ABC):
-    """Which rank owns which part of space; the same on all ranks."""
+    """Assigns every point of space to a rank; the same on all ranks."""
 
     lower: Point  #: of the world's box, length units
     upper: Point
@@ -43,16 +43,18 @@ class Partition(ABC):
 
     @abstractmethod
     def owner_of(self, points: Tensor) -> Tensor:
-        """(K,) int64: the rank that owns the place of each of the points (K, 3)."""
+        """(K,) int64: the rank that owns each of the points (K, 3)."""
 
     @abstractmethod
     def subdomain(self, rank: int) -> ops.Subdomain:
-        """A rank's part as the operators take it."""
+        """A rank's part, as the operators expect it."""
 
     @abstractmethod
     def copy(self) -> Partition:
-        """In memory of its own, for a CUDA graph that reads it."""
+        """A copy of the tensors, for a CUDA graph that reads it."""
 
     @abstractmethod
     def become(self, other: Partition) -> bool:
-        """Takes the values of another one, in the same memory. False: a graph that reads this one cannot take them."""
+        """Copies the values of another partition in place. False if its structure differs from what a captured graph
+        reads.
+        """

@@ -1,4 +1,4 @@
-"""A partition of space whose loads are more even, from what all ranks did in a step."""
+"""Load balancing of a partition of space, from the loads of all ranks in a step."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from pgccd.distributed.partition.bisection import Bisection
 from pgccd.distributed.partition.cells import Cells
 from pgccd.distributed.partition.interface import Partition, Point, Triple
 
-#: Of `make_partition`.
+#: Kinds of `make_partition`.
 PARTITIONS = ("cells", "bisection")
 
 
 class Places(NamedTuple):
-    """Where one rank's work was in a step."""
+    """Positions of one rank's work in a step."""
 
-    bodies: Tensor  #: (N, 3): their positions
-    pairs: Tensor  #: (P, 3): of each pair tested, the lower corner of the intersection of the two swept boxes
-    contacts: Tensor  #: (K, 3): the same, of colliding pairs
+    bodies: Tensor  #: (N, 3): positions of bodies
+    pairs: Tensor  #: (P, 3): for each pair tested, the lower corner of the intersection of the two swept boxes
+    contacts: Tensor  #: (K, 3): the same for colliding pairs
 
 
 @dataclass(frozen=True)
 class Rebalanced:
-    """What a decision came to; the same on all ranks."""
+    """Result of a decision; the same on all ranks."""
 
     partition: Partition
-    moved: int  #: cells, or planes, that changed; 0: the partition is the one before
+    moved: int  #: number of cells or planes that changed; 0: the partition is unchanged
 
 
 def make_partition(
     kind: str, lower: Point, upper: Point, ranks: int, axes: int, cells: int | Triple, device: torch.device
 ) -> Partition:
-    """At the start of a world.
+    """The initial partition of a world.
 
     Raises:
         ValueError: naming the argument.
@@ -58,7 +58,7 @@ def make_partition(
 
 
 def require_policy(partition: str, options: BalanceOptions) -> None:
-    """Raises ValueError if a policy moves cells, and there are none."""
+    """Raises ValueError if a policy needs cells and the partition has none."""
     if partition == "bisection" and options.policy == "one-cell":
         raise ValueError('balance: "one-cell" moves cells; with partition "bisection" there are none')
 
@@ -71,9 +71,9 @@ def rebalanced(
     Args:
         comm: between the ranks.
         partition: of the last step.
-        places: of what this rank did in it.
-        options: which policy, and how eager.
-        seconds: (ranks,) float64 each was at work; for "measured".
+        places: of this rank's work in it.
+        options: policy and thresholds.
+        seconds: (ranks,) float64 of work of each rank; for "measured".
     """
     if isinstance(partition, Cells):
         total = CellLoads.unstacked(comm.sum(cell_loads(partition, places).stacked()))
@@ -85,13 +85,13 @@ def rebalanced(
 
 
 def cell_loads(partition: Cells, places: Places) -> CellLoads:
-    """What one rank saw in each cell."""
+    """One rank's load in each cell."""
     counts = (torch.bincount(partition.cell_of(at), minlength=partition.cell_count) for at in places)
     return CellLoads(*counts)
 
 
 def _bisected(comm: Comm, partition: Bisection, places: Places, options: BalanceOptions, seconds: Tensor) -> Rebalanced:
-    """New planes, if what they gain over the horizon is worth the bodies that move."""
+    """New planes, if their gain over the horizon exceeds the cost of moving bodies."""
     points = torch.cat([places.bodies, places.pairs])
     weights = torch.full((len(points),), PAIR_COST, dtype=torch.int64, device=points.device)
     weights[: len(places.bodies)] = 1

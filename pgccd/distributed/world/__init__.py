@@ -1,1 +1,1 @@
-"""A scene of the user's own, spread over ranks."""
+"""A user's scene, distributed over ranks."""

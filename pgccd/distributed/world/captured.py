@@ -1,4 +1,4 @@
-"""Steps of a `World` as replays of one CUDA graph a rank, where motion and response are functions."""
+"""Steps of a `World` as replays of one CUDA graph per rank, with motion and response as functions."""
 
 from __future__ import annotations
 
@@ -29,62 +29,64 @@ from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.replayed_steps import GRAPH_SLACK, ReplayedSteps
 from pgccd.runtime.transaction import Replay, TransactionGraph
 
-# Bodies that have left stay with their rank as long as there are so many times more ghosts: each may be one.
+# Bodies that have left their rank's cells migrate once they exceed the number of ghosts over this (each may be a
+# ghost).
 _MOST_AWAY = 4
 
 
 @dataclass(frozen=True)
 class Bodies:
-    """The bodies of one rank, for functions of a user's. In a graph there are more rows than bodies: what stands in
-    rows of negative ids has no effect."""
+    """The own bodies of one rank, as passed to user functions. In a graph, rows with negative ids are padding; their
+    values have no effect.
+    """
 
     id: Tensor  #: (N,) int64
-    position: Tensor  #: (N, 3) float64, length units, world frame: where the origins are
+    position: Tensor  #: (N, 3) float64, length units, world frame: positions of the origins
     mesh_index: Tensor  #: (N,) int32
     payload: Columns  #: by name: (N, ...)
-    step: Tensor  #: (1,) int64: how many steps the world has made
+    step: Tensor  #: (1,) int64: number of steps made
 
 
 #: The motion of the next step.
 Motion = Callable[[Bodies], RigidMotion]
-#: Of the bodies at t0, their motion, and the first toi of each (N,), inf for those that do not collide: the position at
-#: the end of the step as "position", and other values of the payload by name.
+#: From the bodies at t0, their motion, and the first toi of each (N,), inf without a contact: the position at the end
+#: of the step as "position", and other values of the payload by name.
 Response = Callable[[Bodies, RigidMotion, Tensor], Columns]
 
 
 @dataclass(frozen=True)
 class WorldStep:
-    """What one step of all ranks found."""
+    """Counts of one step, summed over ranks."""
 
     pcs: int  #: potentially colliding pairs
     contacts: int  #: pairs that collide
-    replayed: bool  #: whether a graph made it
+    replayed: bool  #: whether the step was a replay of a graph
 
 
 @dataclass(frozen=True)
 class _Committed:
-    """A step that was committed on all devices."""
+    """A step that was committed on all ranks."""
 
     found: WorldStep
     loads: RankLoads
-    leaving: int  #: bodies that are in parts of other ranks
+    leaving: int  #: bodies in parts of other ranks
     ghosts: int
 
 
 class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
     """A loop of steps of a `World`: motion, detection, response.
 
-    On GPUs (over NCCL, where there are several) a step is the replay of a CUDA graph that each rank has, messages and
-    both functions included, and the host waits for nothing but the record of the step before. A step that exceeds a
-    capacity changes nothing, and is made launch by launch; so is the last one of `run`, and now and then one in which
-    bodies change hands. Elsewhere all steps are made so. The results are the same, to the bit.
+    On GPUs (over NCCL, if there are several) a step is the replay of one CUDA graph per rank, with messages and both
+    functions, and the host waits only for the record of the previous step. A step that exceeds a capacity changes
+    nothing, and is repeated launch by launch; so are the last step of `run` and steps in which bodies migrate.
+    Elsewhere all steps run launch by launch. The results are bitwise equal.
 
     Args:
         world: with report="first".
-        motion: called with the rank's `Bodies`. It may only enqueue work, see `torch.cuda.graph`.
-        response: called with the `Bodies`, the motion, and the first toi of each (N,) float64; returns new values
-            by name: "position" (N, 3) and any payload. The same holds for it.
-        graph: whether steps are replayed, the same on all ranks. Default: where that is possible.
+        motion: called with the rank's `Bodies`. On a GPU it may only enqueue work, see `torch.cuda.graph`.
+        response: called with the `Bodies`, the motion, and the first toi of each (N,) float64; returns new values by
+            name: "position" (N, 3) and any payload. It may only enqueue work, too.
+        graph: whether steps are replayed, the same on all ranks. Default: if possible.
 
     Raises:
         TypeError, ValueError: naming the argument.
@@ -115,13 +117,13 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         self._world, self._motion, self._response = world, motion, response
 
     def run(self, steps: int) -> list[WorldStep]:
-        """Makes steps. After them the world is in the state in which they ended, each body with its owner.
+        """Runs steps. Afterwards `world` is in the final state, and each body is on its owner.
 
         Args:
-            steps: how many, the same on all ranks.
+            steps: their number, the same on all ranks.
 
         Raises:
-            TypeError, ValueError: what `World.step` and `World.move` raise of what the functions return.
+            TypeError, ValueError: as `World.step` and `World.move` raise for the results of the functions.
         """
         steps = arguments.integer(steps, "steps", 0, "a number of steps >= 0")
         world, found = self._world, []
@@ -186,12 +188,12 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
 
 
 class _WorldGraph(TransactionGraph[_Committed]):
-    """One rank's part of a step. It is committed if no capacity was exceeded on any rank, and all poses are valid.
+    """One rank's part of a step. It is committed if no rank exceeded a capacity and all poses are valid.
 
     Args:
-        world: whose state the graph is captured for.
+        world: the graph is captured for its state.
         motion, response: of the user.
-        capacity: of everything that has to do with ghosts.
+        capacity: of the halo and of bodies near ghosts.
         index: of the next step.
     """
 
@@ -199,12 +201,12 @@ class _WorldGraph(TransactionGraph[_Committed]):
         device = world.id.device
         super().__init__(device)
         self._world, self._motion, self._response, self._capacity = world, motion, response, capacity
-        #: With a table of owners that is the graph's own.
+        #: A copy owned by the graph.
         self.partition = world.partition.copy()
         rows = rows_with_slack(len(world.id))
-        # Rows of padding are like a body, so that the user's functions find valid values in them.
+        # Padding is a copy of a body, so that the user's functions get valid values.
         like = _any_body(world.comm, world.columns)
-        #: Of the bodies owned, then padding.
+        #: Columns of the own bodies, then padding.
         self.columns = {name: column.expand(rows, *column.shape[1:]).clone() for name, column in like.items()}
         self.columns["id"].fill_(-1)
         self._index = torch.full((1,), index, dtype=torch.int64, device=device)
@@ -212,7 +214,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
         self._is_overflow[OVERFLOWS] = 1
 
     def load(self, columns: Columns, index: int) -> None:
-        """Goes on from another state, of no more bodies than there are rows."""
+        """Loads another state, of at most as many bodies as rows."""
         self.columns["id"].fill_(-1)
         for name, column in columns.items():
             self.columns[name][: len(column)].copy_(column)
@@ -220,7 +222,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
         self._failed.zero_()
 
     def _step(self) -> Tensor:
-        """(ranks, 4 + 21 * parts) int64: whether it failed, bodies owned, held, and leaving, and counts."""
+        """(ranks, 4 + 21 * parts) int64: failure flag, numbers of bodies owned, held, and leaving, and counts."""
         world, columns = self._world, self.columns
         comm, id = world.comm, columns["id"]
         bodies = _bodies(columns, self._index)
@@ -260,10 +262,10 @@ class _WorldGraph(TransactionGraph[_Committed]):
 
 
 def _first_toi(share: PaddedShare) -> Tensor:
-    """(N,) float64, of the own bodies: the smallest of all ranks that hold them."""
+    """(N,) float64: the first toi of each own body, over all ranks that hold it."""
     held, own_count = share.held, share.held.own_count
     pairs, toi = first_contacts_of(share.parts)
-    first = toi.new_full((len(held) + 1,), torch.inf)  # the last one is of padding
+    first = toi.new_full((len(held) + 1,), torch.inf)  # the last row is for padding
     _lower(first, pairs.reshape(-1), toi.repeat_interleave(2))
     if held.route.comm.size > 1:
         answer = held.route.back({"toi": first[own_count:-1]}).wait()["toi"]
@@ -272,7 +274,7 @@ def _first_toi(share: PaddedShare) -> Tensor:
 
 
 def _lower(first: Tensor, rows: Tensor, toi: Tensor) -> None:
-    """Sets those of the rows (K,), -1 for padding, to the toi (K,) that are smaller."""
+    """Lowers the given rows (K,), -1 for padding, to toi (K,)."""
     first.scatter_reduce_(0, torch.where(rows < 0, len(first) - 1, rows), toi, "amin")
 
 
@@ -293,7 +295,7 @@ def _with_position(new: Columns) -> Columns:
 
 
 def _any_body(comm: Comm, columns: Columns) -> Columns:
-    """One row of each column: of a body of the first rank that has any. Zeros if there are none."""
+    """One row of each column: a body of the first rank that has one, or zeros."""
     count = len(columns["id"])
     if count:
         row = pack(columns, torch.zeros(1, dtype=torch.int64, device=columns["id"].device))[0]

@@ -1,4 +1,4 @@
-"""What users bring to a `World`, checked."""
+"""Checks of user input to a `World`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def motion_of(columns: Columns, path: Literal["rigid", "linear"]) -> RigidMotion
 
 
 def require_rows(motion: RigidMotion | VertexMotion | Trajectory, bodies: int, vertex_count: Tensor) -> None:
-    """Raises ValueError unless a motion has so many bodies, or their vertices."""
+    """Raises ValueError unless the motion has this number of bodies, or of their vertices."""
     if isinstance(motion, RigidMotion):
         what, given, expected = "bodies", motion.body_count, bodies
     elif isinstance(motion, VertexMotion):
@@ -79,7 +79,7 @@ def moving_columns(
 
 
 def ids_given(id: Tensor | None, count: int, device: torch.device) -> Tensor:
-    """(count,) int64: the ids, or those from 0 on."""
+    """(count,) int64: the given ids, or 0 to count - 1."""
     if id is None:
         return torch.arange(count, device=device)
     if not isinstance(id, Tensor) or id.dtype != torch.int64 or id.shape != (count,):
@@ -90,11 +90,11 @@ def ids_given(id: Tensor | None, count: int, device: torch.device) -> Tensor:
 
 
 def payload_columns(payload: dict[str, Tensor], argument: str, count: int, device: torch.device) -> Columns:
-    """The user's tensors, by names that cannot be those of other columns."""
+    """The user's tensors under names that differ from those of other columns."""
     if not isinstance(payload, dict) or not all(isinstance(name, str) for name in payload):
         raise TypeError(f"{argument}: expected tensors by name, got {arguments.describe(payload)}")
     columns = {}
-    for name in sorted(payload):  # in one order on all ranks
+    for name in sorted(payload):  # in the same order on all ranks
         values = payload[name]
         if isinstance(values, Tensor):
             arguments.refuse_gradient(values, f"{argument}[{name!r}]")
@@ -105,7 +105,7 @@ def payload_columns(payload: dict[str, Tensor], argument: str, count: int, devic
 
 
 def require_unique(comm: Comm, id: Tensor) -> None:
-    """Each id goes to one rank that sees all like it."""
+    """Raises ValueError unless ids are unique: all equal ids are sent to the same rank and compared there."""
     rows = torch.arange(len(id), device=id.device)
     seen = make_route(comm, rows, id % comm.size).forward({"id": id}).wait()["id"].sort().values
     twice = seen[1:][seen[1:] == seen[:-1]]

@@ -1,4 +1,4 @@
-"""A scene of the user's own, spread over ranks: bodies in, contacts out, whatever the motion and the response."""
+"""A user's scene, distributed over ranks: bodies in, contacts out, for any motion and response."""
 
 from __future__ import annotations
 
@@ -39,30 +39,31 @@ from pgccd.runtime.stages import StageClock
 
 
 class World:
-    """Bodies spread over ranks by where they are.
+    """Bodies distributed over ranks by position.
 
-    Each rank brings any share of the bodies; they move to the rank that owns the cell of their position, and again
-    whenever `move` takes them elsewhere. Rows of `id`, `position`, `mesh_index` and `payload` are those of the
-    bodies this rank owns now, by ascending id.
+    Each rank passes any share of the bodies; they migrate to the rank that owns the cell of their position, now and
+    after each `move`. Rows of `id`, `position`, `mesh_index` and `payload` are those of this rank's own bodies, by
+    ascending id.
 
     Args:
-        meshes: alike on all ranks.
+        meshes: equal on all ranks.
         lower, upper: corners of the world's box, length units. Bodies may leave it.
-        position: (N, 3) float64 where the origins of this rank's share of bodies are, on the device where all will be.
-        id: (N,) int64 global ids >= 0, no two alike on any ranks. Default: counted through, rank by rank.
-        mesh_index: (N,) integers: which mesh each body is. Default: all the first.
+        position: (N, 3) float64 positions of the origins of this rank's share of bodies, length units, world frame, on
+            the device to use.
+        id: (N,) int64 global ids >= 0, unique over all ranks. Default: consecutive, rank by rank.
+        mesh_index: (N,) integers: mesh of each body. Default: the first.
         group, mask, world, static, margin: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
-        self_collision: (N,) bool or bool: which bodies are tested against themselves while they deform.
-        payload: named tensors (N, ...) that travel with the bodies: orientations, velocities, anything.
-        vertex_payload: named tensors (X, ...) with a row for each vertex of each body (of the first body, in the order
-            of its mesh, then of the second, ...), that travel with the bodies: the vertices of bodies that deform.
+        self_collision: (N,) bool or bool: which deforming bodies are tested against themselves.
+        payload: named tensors (N, ...) that migrate with the bodies: orientations, velocities, and so on.
+        vertex_payload: named tensors (X, ...) with one row per vertex (of the first body, in the order of its mesh,
+            then of the second, ...) that migrate with the bodies: the vertices of deforming bodies.
         comm: between the ranks. Default: one rank.
         report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
         path: of all motions, as for `pgccd.RigidMotion`.
-        partition: how space is cut: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`).
-        axes, cells: of cells.
-        balance: how cells change hands.
-        overlap: test own bodies while those of others are under way. The result does not depend on it.
+        partition: of space: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`).
+        axes, cells: as for `Cells.uniform`.
+        balance: options of load balancing.
+        overlap: test pairs of own bodies while ghosts are sent. The result does not depend on it.
 
     Raises:
         TypeError, ValueError: naming the argument; on all ranks.
@@ -118,7 +119,7 @@ class World:
         self.comm, self.options, self.balance, self.path = comm, options, balance, path
         self._meshes, self._cut, self.partition = state.meshes, state.cut, state.partition
         self.census = Census.of_ranks(comm, state.columns["id"])
-        #: Of the last step.
+        #: Contacts of the last step.
         self.found: Detection | None = None
         self._capacity: HaloCapacity | None = None
         self.estimates = PartEstimates()
@@ -197,12 +198,12 @@ class World:
 
     @property
     def id(self) -> Tensor:
-        """(N,) int64, ascending: the bodies this rank owns."""
+        """(N,) int64, ascending: this rank's own bodies."""
         return self.columns["id"]
 
     @property
     def position(self) -> Tensor:
-        """(N, 3) float64: where their origins are, as last given."""
+        """(N, 3) float64: positions of their origins, as last given."""
         return self.columns["position"]
 
     @property
@@ -212,12 +213,12 @@ class World:
 
     @property
     def payload(self) -> dict[str, Tensor]:
-        """What the user's tensors are now, by name."""
+        """The current per-body payload, by name."""
         return {name[1:]: column for name, column in self.columns.items() if name.startswith(".")}
 
     @property
     def vertex_payload(self) -> dict[str, Tensor]:
-        """What the user's tensors of vertices are now, by name: of the bodies this rank owns, by ascending id."""
+        """The current per-vertex payload, by name, of this rank's own bodies by ascending id."""
         columns = {} if self._vertices is None else self._vertices.columns
         return {name[1:]: column for name, column in columns.items()}
 
@@ -225,17 +226,17 @@ class World:
         """Finds the collisions of one step, or of all steps of a trajectory.
 
         Args:
-            motion: of the bodies this rank owns, in the order of `id`; of one kind on all ranks.
+            motion: of this rank's own bodies, in the order of `id`; of the same kind on all ranks.
 
         Returns:
-            All contacts of bodies this rank owns (with whomever), `pairs` in global ids i < j (i, i of a body with
-            itself), sorted; a contact of bodies of two ranks is returned on both. With report="earliest", the one of
-            the whole scene, on every rank. Of a trajectory `TrajectoryContacts`, as of `pgccd.detect`. `stats` are
-            those of the pairs that this rank tested.
+            All contacts of this rank's own bodies, `pairs` in global ids i < j (i, i for a body with itself), sorted; a
+            contact between bodies of two ranks is returned on both. With report="earliest", the first contact of the
+            scene, on every rank. For a trajectory `TrajectoryContacts`, as from `pgccd.detect`. `stats` are those of
+            the pairs that this rank tested.
 
         Raises:
-            TypeError: the motion is of no such kind.
-            ValueError: it has another number of bodies, vertices or segments, or another path.
+            TypeError: the motion is of another type.
+            ValueError: the motion has a wrong number of bodies, vertices or segments, or another path.
 
         Example:
             >>> hits = world.step(motion)
@@ -245,7 +246,7 @@ class World:
         if isinstance(motion, Trajectory):
             require_rows(motion, len(self.id), vertex_counts(self._meshes, self.mesh_index))
             segments = Segments.agreed(self.comm, motion.segment_count, own)
-            # The earliest is chosen from the first contacts of all segments.
+            # The earliest is selected from the first contacts of all segments.
             report: narrow.Report = "first" if self.options.report == "earliest" else self.options.report
             found = self._detect(segments.repeat(own), motion.steps(), replace(self.options, report=report))
             return segments.contacts_for_owners(self.comm, found, self.options.report)
@@ -268,11 +269,10 @@ class World:
         return found
 
     def first_toi(self, hits: Contacts) -> Tensor:
-        """(N,) float64: the first toi of each body this rank owns, or the first `time` of a trajectory; inf for those
-        that do not collide.
+        """(N,) float64: the first toi of each own body, or the first `time` of a trajectory; inf without a contact.
 
         Args:
-            hits: as `step` returned them.
+            hits: as returned by `step`.
         """
         if not isinstance(hits, Contacts):
             raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
@@ -281,36 +281,36 @@ class World:
         return first_toi_of(self.id, hits)
 
     def move(self, position: Tensor, **payload: Tensor) -> None:
-        """Says where the bodies are now; those in cells of other ranks go there, with their payload.
+        """Sets the positions of the bodies; those in cells of other ranks migrate there, with their payload.
 
         Args:
-            position: (N, 3), in the order of `id`.
-            payload: new values of the tensors named, of bodies or of vertices; the others stay as they are.
+            position: (N, 3) positions of the origins, length units, in the order of `id`.
+            payload: new values of named tensors, of bodies or of vertices; tensors not named are unchanged.
 
         Raises:
             ValueError: naming the argument.
-            RuntimeError: bodies were lost or doubled between ranks.
+            RuntimeError: bodies were lost or duplicated between ranks.
 
         Example:
             >>> world.move(x, velocity=v)
         """
         vertices = {} if self._vertices is None else self._vertices.columns
         moved, of_vertices = new_values({"position": position, **payload}, self.columns, vertices)
-        # Only now: what is refused changes nothing.
+        # All arguments are valid; nothing has been changed before this line.
         self.columns |= moved
         if self._vertices is not None:
             self._vertices = Vertices(self._vertices.columns | of_vertices, self._vertices.count)
         self._change_hands()
 
     def loads(self) -> Tensor:
-        """(ranks,) int64: the predicted cost of each rank in the last step, the same on all of them."""
+        """(ranks,) int64: the predicted cost of each rank in the last step, the same on all ranks."""
         if self.found is None:
             raise RuntimeError("no step has been made yet")
         cost = len(self.found.held.own_id) + PAIR_COST * len(self.found.pairs)
         return self.comm.all_gather(torch.tensor([cost]))[:, 0]
 
     def columns_of_scene(self, columns: Columns) -> Columns:
-        """Those of them that detection reads."""
+        """The columns that detection reads."""
         return {name: columns[name] for name in OF_SCENES if name in columns}
 
     def build(self, columns: Columns) -> tuple[Scene, RigidMotion | VertexMotion]:
@@ -318,7 +318,7 @@ class World:
         return scene_of(self._meshes, columns), motion_of(columns, self.path)
 
     def decides_balance(self, steps_made: int) -> bool:
-        """Whether it is decided after so many steps if bodies change hands for balance."""
+        """Whether load balancing is due after `steps_made` steps."""
         return self.balance.applies(steps_made, self.comm.size) and self._back_off.is_over(steps_made)
 
     def _change_hands(self) -> None:

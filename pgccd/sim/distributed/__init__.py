@@ -1,6 +1,6 @@
-"""The nanorobot simulation on many ranks, with the results of one process, to the last bit.
+"""The nanorobot simulation on many ranks, with results bitwise equal to those of one process.
 
-`run` and `resume` make whole runs; `DistributedSimulation` makes steps.
+`run` and `resume` perform whole runs; `DistributedSimulation` performs steps.
 """
 
 from pgccd.sim.distributed.runner import DistributedOptions, resume, run

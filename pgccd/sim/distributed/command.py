@@ -1,4 +1,4 @@
-"""What `pgccd simulate` needs to run on many ranks."""
+"""Functions of `pgccd simulate` for many ranks."""
 
 from __future__ import annotations
 
@@ -30,30 +30,30 @@ _TELLING_SECONDS = 0.5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options that only matter with several ranks."""
     add = parser.add_argument_group(
-        "on many ranks", "started by torchrun, mpirun or srun; none of these changes the result"
+        "on many ranks", "started by torchrun, mpirun or srun; these options do not change the result"
     ).add_argument
-    add("--transport", choices=TRANSPORTS, default="auto", help="what carries messages (NCCL for GPUs, else Gloo)")
+    add("--transport", choices=TRANSPORTS, default="auto", help="communication library (NCCL for GPUs, else Gloo)")
     add("--timeout", type=float, default=DEFAULT_TIMEOUT, metavar="SECONDS", help="longest wait for another rank (300)")
-    add("--partition", choices=PARTITIONS, default="cells", help="how space is cut (cells)")
-    add("--axes", type=int, choices=(1, 2, 3), default=3, help="along which space is cut; 1: slabs (3)")
+    add("--partition", choices=PARTITIONS, default="cells", help="partition of space (cells)")
+    add("--axes", type=int, choices=(1, 2, 3), default=3, help="number of axes that are cut; 1: slabs (3)")
     add("--cells", type=int, default=16, metavar="M", help="each rank starts with M x M cells (16)")
-    add("--balance", choices=POLICIES, default="cost", help="how cells change hands (cost)")
+    add("--balance", choices=POLICIES, default="cost", help="load balancing policy (cost)")
 
 
 def distributed_options(options: argparse.Namespace) -> DistributedOptions:
-    """Of the command line."""
+    """From the options of the command line."""
     return DistributedOptions(options.partition, options.axes, options.cells, BalanceOptions(options.balance))
 
 
 def connect_ranks(options: argparse.Namespace) -> Comm:
-    """All processes that were started together.
+    """Connects all processes that were started together.
 
     Raises:
-        ValueError: ranks were started with different options, or one of them cannot be; on all ranks.
+        ValueError: ranks were started with different or invalid options; on all ranks.
     """
     if find_placement().size > 1 and "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # ranks share the cores of their machine
-    left_out = ("run", "command", "device", "mesh")  # meshes and kinds of devices are compared by themselves
+    left_out = ("run", "command", "device", "mesh")  # meshes and device types are compared separately
     settings = {f"--{name.replace('_', '-')}": str(v) for name, v in vars(options).items() if name not in left_out}
     try:
         return connect(options.device, options.transport, options.timeout, settings)
@@ -63,7 +63,7 @@ def connect_ranks(options: argparse.Namespace) -> Comm:
 
 @contextmanager
 def stopping(comm: Comm) -> Iterator[None]:
-    """A rank that is lost ends this one with a message that names it."""
+    """Ends this process with a message that names the rank if another rank is lost."""
     try:
         with comm:
             yield
@@ -72,8 +72,9 @@ def stopping(comm: Comm) -> Iterator[None]:
 
 
 def tell_ranks(problem: Exception) -> Exception:
-    """Tells all ranks that were started together why this one cannot connect, so that they end too. Returns what is to
-    be said of it: the problem of the first rank that has one."""
+    """Sends the reason why this rank cannot connect to all ranks, so that they end too. Returns the problem to report:
+    that of the first rank that has one.
+    """
     if find_placement().size > 1:
         try:
             tell_problem(str(problem))
@@ -83,30 +84,30 @@ def tell_ranks(problem: Exception) -> Exception:
 
 
 def is_told_by_rank_0(error: Exception) -> bool:
-    """Whether this rank need not say what went wrong, since all ranks have the error."""
+    """Whether rank 0 reports the error, because all ranks have it."""
     if find_placement().rank == 0 or not is_of_all_ranks(error):
         return False
-    time.sleep(_TELLING_SECONDS)  # launchers end all ranks with the first
+    time.sleep(_TELLING_SECONDS)  # launchers end all ranks when the first one ends
     return True
 
 
 def _stop(error: Exception) -> NoReturn:
     sys.stderr.write(f"pgccd simulate: rank {find_placement().rank} stops: {error}\n")
     sys.stderr.flush()
-    # Ordinary ways out would wait for messages of a rank that is no more.
+    # A regular exit would wait for messages of a dead rank.
     os._exit(_FAILURE_CODE)
 
 
 def folder_to_resume(comm: Comm, resume: str | None, out: Path) -> Path | None:
-    """The run to continue; None: a new one begins.
+    """The folder of the run to continue; None for a new run.
 
     Args:
         comm: between the ranks.
         resume: a folder, or "auto": `out`, if it holds a checkpoint.
-        out: where a new run would go.
+        out: folder of a new run.
 
     Raises:
-        ValueError: a checkpoint that is there cannot be read.
+        ValueError: there is a checkpoint that cannot be read.
     """
     if resume != "auto":
         return None if resume is None else Path(resume)

@@ -1,4 +1,4 @@
-"""How ranks agree on the first toi of robots that several of them hold."""
+"""Agreement between ranks on the first toi of robots that several of them hold."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from pgccd.runtime.host_copy import HostCopy
 
 
 class HeldExchange:
-    """How ranks agree on the first toi of the bodies they hold (`pgccd.sim.Exchange`).
+    """Exchange of the first toi of bodies held by several ranks (`pgccd.sim.Exchange`).
 
-    All ranks that hold a body exchange messages directly. Its owner has the list of them, the others derive it from
-    the sweep; each two ranks list the bodies both hold by owner, then by id.
+    All ranks that hold a body exchange messages directly. Its owner has the list of these ranks, the others derive it
+    from the swept box; two ranks list the bodies that both hold in the same order, by owner, then by id.
 
     Args:
         comm: between the ranks.
     """
 
-    # Of the bodies that other ranks hold too: which ranks, rows, and how many for each rank, on their way.
+    # Bodies that other ranks hold too: their ranks, their rows, and their number per rank (being copied to the host).
     _replicas: ReplicaTable | ReplicaList
     _rows: Tensor
     _known: HostCopy
@@ -43,15 +43,15 @@ class HeldExchange:
         partition: Partition,
         capacities: list[int] | None = None,
     ) -> HeldExchange:
-        """Finds out which bodies other ranks hold too. Waits for nothing.
+        """Finds the bodies that other ranks hold too. Does not synchronise.
 
         Args:
             held: the bodies.
-            ghosts: centres of those among them that others own.
+            ghosts: swept spheres of the ghosts among them.
             kept: min_separation and tolerance, as the operators take them.
-            partition: that the halo was made with.
-            capacities: how many bodies each rank may hold too, with padding; both ranks give one number. Default: as
-                many as there are, for which the host waits.
+            partition: used for the halo.
+            capacities: padded number of bodies shared with each rank, equal on both ranks. Default: the exact number,
+                which synchronises.
         """
         comm = held.route.comm
         exchange = cls(comm)
@@ -68,7 +68,7 @@ class HeldExchange:
         exchange._replicas = join_replicas(of_ghosts, before, held.replicas)
         exchange._rows = torch.cat([row[:before], held.boundary, row[before:]])
         if capacities is None:
-            exchange._known = HostCopy.start(exchange._replicas.counts)  # on its way while bodies are tested
+            exchange._known = HostCopy.start(exchange._replicas.counts)  # copied while pairs are tested
         else:
             exchange._shared = exchange._rows_by_rank(capacities), capacities
         return exchange
@@ -83,18 +83,18 @@ class HeldExchange:
 
     @functools.cached_property
     def _shared(self) -> tuple[Tensor, list[int]]:
-        """Rows of bodies that others hold too, by rank; and how many for each rank."""
+        """Rows of bodies that other ranks hold too, by rank; and their number per rank."""
         counts: list[int] = self._known.numpy().tolist()
         return self._rows_by_rank(counts), counts
 
     @functools.cached_property
     def _twice(self) -> Tensor:
-        """(S, 2): these rows, each as both bodies of a pair."""
+        """(S, 2): these rows, each repeated as a pair."""
         return self._shared[0][:, None].expand(-1, 2).contiguous()
 
     @property
     def common(self) -> list[int]:
-        """How many bodies this rank and each other one hold."""
+        """Number of bodies that this rank shares with each other rank."""
         return self._shared[1]
 
     @property
@@ -106,7 +106,7 @@ class HeldExchange:
         return self._comm.size
 
     def share(self, first: Tensor) -> None:
-        """Sets that of all bodies (N + G,) float64 to the smallest."""
+        """Sets the first toi (N + G,) float64 of all held bodies to the minimum over the ranks."""
         if self._comm.size == 1:
             return
         rows, counts = self._shared

@@ -22,13 +22,13 @@ from pgccd.sim.partners import Partners
 
 @dataclass(frozen=True)
 class RankSearches:
-    """What a `StepGraph` of one of many ranks searches and concludes.
+    """`search` and `conclude` of a `StepGraph` on one of many ranks.
 
     Args:
         comm: between the ranks.
-        partition: with a table of owners that is the graph's own.
-        capacity: of everything that has to do with ghosts.
-        notes: (2,) int64, written before a replay: how many robots have come since the last one; whether to stop.
+        partition: a copy owned by the graph.
+        capacity: of the halo, bodies near ghosts and shared bodies.
+        notes: (2,) int64, written before a replay: number of robots that arrived since the last one; whether to stop.
         model, build, options, estimates: of the simulation.
     """
 
@@ -52,7 +52,7 @@ class RankSearches:
         return Searches(share.parts, partners, share.held.id, exchange, share.failed + exchange.overflow())
 
     def conclude(self, searches: Searches, after: RobotState) -> Tensor:
-        """(4,) int64 as in `Reports`: robots held, arrived, whether to stop, how many are in cells of others."""
+        """(4,) int64 as in `Reports`: robots held, arrived, whether to stop, and number in cells of other ranks."""
         held = (searches.id >= 0).sum()[None]
         leaving = Leaving(self.comm, self.partition, after.position, after.id).counts.sum()[None]
         concluded = torch.cat([held, self.notes, leaving])
@@ -61,7 +61,7 @@ class RankSearches:
 
 
 def padded_state(state: RobotState, rows: int) -> RobotState:
-    """The same robots in so many rows."""
+    """The same robots, padded to `rows` rows."""
     padded = {name: column.new_empty((rows, *column.shape[1:])) for name, column in state.columns.items()}
     for name, column in state.columns.items():
         padded[name][: len(state)] = column

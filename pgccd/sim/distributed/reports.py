@@ -13,38 +13,38 @@ from pgccd.sim.tally import COUNTED, WORK, Rows
 
 @dataclass(frozen=True)
 class Reports:
-    """Of all ranks, a row of each array for each."""
+    """Values of all ranks, one row per rank."""
 
     work: Rows  #: (ranks, 6), see `WORK`
     counted: Rows  #: (ranks, 6) by `count_step`
-    held: Rows  #: (ranks,): robots
-    arrived: Rows  #: (ranks,): of those, how many came from others before the step
+    held: Rows  #: (ranks,): robots held
+    arrived: Rows  #: (ranks,): number of robots that arrived from other ranks before the step
     stop: Rows  #: (ranks,): 0 or 1
-    leaving: Rows  #: (ranks,): how many are in cells of others after it
-    moves: Rows  #: (ranks, ranks): how many of them are in cells of each; (ranks, 0) if that is sent later
+    leaving: Rows  #: (ranks,): number of robots in cells of other ranks after it
+    moves: Rows  #: (ranks, ranks): number of these in cells of each rank; (ranks, 0) if sent later
 
     @classmethod
     def of(cls, work: Rows, conclusions: Rows) -> Reports:
-        """`conclusions`: (ranks, k): what `DistributedSimulation` has each rank conclude, in this order."""
+        """`conclusions`: (ranks, k): what each rank of `DistributedSimulation` concludes, in this order."""
         counted, rest = conclusions[:, :COUNTED], conclusions[:, COUNTED:]
         return cls(work, counted, rest[:, 0], rest[:, 1], rest[:, 2], rest[:, 3], rest[:, 4:])
 
     @property
     def robots(self) -> list[int]:
-        """Of each rank."""
+        """Number of robots of each rank."""
         return self.counted[:, 0].tolist()
 
     @property
     def ghosts(self) -> Rows:
-        """(ranks,)."""
+        """(ranks,): number of ghosts of each rank."""
         return self.held - self.counted[:, 0]
 
     def worked(self, name: str) -> list[int]:
-        """One of `WORK`, of each rank."""
+        """One of `WORK`, per rank."""
         return self.work[:, WORK.index(name)].tolist()
 
     def seconds(self) -> list[float]:
-        """That each rank traversed and solved."""
+        """Seconds that each rank spent in traversal and narrow phase."""
         return [1e-9 * spent for spent in self.worked("nanoseconds")]
 
     def record(self, moved_cells: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Runs of the nanorobot world on many ranks: what `pgccd.sim.run` does, with the same result to the last bit."""
+"""Runs of the nanorobot simulation on many ranks, with results bitwise equal to those of `pgccd.sim.run`."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from pgccd.sim.run_folder import begin
 from pgccd.sim.runner import Run, continued, drive
 from pgccd.sim.step import Step
 
-# Robots that one rank is given, at most: some 2 GB.
+# Maximum number of robots gathered on one rank: some 2 GB.
 _MOST_GATHERED = 20_000_000
 
 
 @dataclass(frozen=True)
 class DistributedOptions:
-    """How a world is spread over ranks. No result depends on it."""
+    """Options of the distribution over ranks. No result depends on them."""
 
-    partition: str = "cells"  #: or "bisection"
-    axes: int = 3  #: that subdomains are cut along: 1 (slabs), 2 or 3
-    cells: int | Triple = 16  #: of each subdomain: m stands for m x m in X-Y
+    partition: str = "cells"  #: "cells" or "bisection"
+    axes: int = 3  #: number of axes that are cut: 1 (slabs), 2 or 3
+    cells: int | Triple = 16  #: number in each subdomain: m means m x m in X-Y
     balance: BalanceOptions = field(default_factory=BalanceOptions)
-    overlap: bool = True  #: test own bodies while ghosts are under way
+    overlap: bool = True  #: test pairs of own bodies while ghosts are sent
 
 
 def run(
@@ -66,20 +66,20 @@ def run(
 ) -> Run:
     """Simulates a world from its start on all ranks; rank 0 writes `world.json` and `steps.jsonl`.
 
-    Checkpoints go to the folder `checkpoints`, which all ranks must see. A signal to any rank ends all of them after
-    the step under way.
+    Checkpoints are written to the folder `checkpoints`, which all ranks must share. A signal to any rank ends all of
+    them after the current step.
 
     Args:
         comm: between the ranks.
         config, steps, folder, meshes, broad_phase, checkpoint_every, progress, overwrite, notes: as for
-            `pgccd.sim.run`; alike on all ranks.
+            `pgccd.sim.run`; equal on all ranks.
         device: of this rank.
-        options: how the world is spread.
+        options: of the distribution.
         keep_last_step: gather the robots and the contacts of the last step on rank 0 (for pictures); of more than 20
             million robots an even sample, without contacts.
 
     Returns:
-        On rank 0 the run, with its state only if it was to be kept; on other ranks the same without records.
+        The run; without records on ranks other than 0. With `keep_last_step` rank 0 has the gathered state.
 
     Raises:
         ValueError: naming the argument; on all ranks.
@@ -115,22 +115,22 @@ def resume(
     progress: Progress | None = None,
     keep_last_step: bool = False,
 ) -> Run:
-    """Continues a run from its newest checkpoint, on as many ranks as there are now, to the same result as if it had
-    not been interrupted. The checkpoint may be one of `pgccd.sim.run`.
+    """Continues a run from its newest checkpoint, on any number of ranks, with the same result as without interruption.
+    The checkpoint may be from `pgccd.sim.run`.
 
     Args:
         comm, folder, meshes, device, broad_phase, options, checkpoint_every, progress, keep_last_step: as for `run`.
-        steps: how many to make in all; default: as many as the run was to make.
+        steps: total number of steps; default: that of the run.
 
     Raises:
         FileNotFoundError: there is no checkpoint.
-        ValueError: it cannot be read, or does not fit the meshes, the log or the number of steps; on all ranks.
+        ValueError: the checkpoint cannot be read, or does not match the meshes or the number of steps; on all ranks.
 
     Example:
         >>> pgccd.sim.distributed.resume(comm, "out/million", steps=200)
     """
     folder, options = Path(folder), options or DistributedOptions()
-    stored = on_first(comm, lambda: require_checkpoint(folder))  # before anything is made there
+    stored = on_first(comm, lambda: require_checkpoint(folder))  # before anything is written to the folder
     with hold_together(comm, folder):
         stored = on_first(comm, lambda: require_checkpoint(folder))
         header = stored.run
@@ -165,17 +165,17 @@ def _partition(comm: Comm, model: Model, options: DistributedOptions) -> Partiti
 
 
 class _SimulationMachine:
-    """A simulation as `drive` sees it."""
+    """A simulation as `Machine` of `drive`."""
 
     def __init__(self, simulation: DistributedSimulation, folder: Path, digest: str) -> None:
         self.simulation, self._digest = simulation, digest
         self._checkpoints = CheckpointWriter(simulation.comm, folder, KIND)
         self.last_step: RankStep | None = None
-        self._asked = False  # this rank
-        self._stopping: bool | None = None  # all ranks; None before the first step
+        self._asked = False  # on this rank
+        self._stopping: bool | None = None  # on all ranks; None before the first step
 
     def stops(self, requested: bool) -> bool:
-        # All learn of it at the end of the step to come, with all else.
+        # All ranks get the request at the end of the next step.
         self._asked = requested
         if self._stopping is None:
             self._stopping = self.simulation.comm.any(requested)
@@ -210,7 +210,7 @@ def _continue(
     machine = _SimulationMachine(simulation, folder, meshes_digest(model.meshes.meshes))
     log = together(comm, lambda: StepLog(folder, steps_made) if comm.rank == 0 else None)
     made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
-    comm.barrier()  # rank 0 has made the last checkpoint whole
+    comm.barrier()  # rank 0 has completed the last checkpoint
     state, last_step = simulation.state, None
     one_in = -(-model.config.robots // _MOST_GATHERED) if keep_last_step else 1
     if one_in > 1:
@@ -224,7 +224,7 @@ def _continue(
 
 
 def gather_columns(comm: Comm, columns: Columns) -> Columns:
-    """All ranks' rows on rank 0, by rank; none on the others."""
+    """All ranks' rows on rank 0, ordered by rank; none on the others."""
     first = next(iter(columns.values()))
     rows = torch.arange(len(first), device=first.device)
     return make_route(comm, rows, torch.zeros_like(rows)).forward(columns).wait()
@@ -237,7 +237,7 @@ def gather_state(comm: Comm, state: RobotState) -> RobotState:
 
 
 def gather_step(comm: Comm, step: RankStep, after: RobotState) -> Step:
-    """A whole step on rank 0, as a single process makes it. The row of a robot is its id."""
+    """A whole step on rank 0, as from a single process. The row of a robot is its id."""
     held, found = step.detection.held, step.detection.contacts
     own = step.resolution.fraction[: len(step.before)].contiguous()
     before = gather_columns(comm, step.before.columns | {"fraction": own})

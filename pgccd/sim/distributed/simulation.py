@@ -1,4 +1,4 @@
-"""One step of the nanorobot world on many ranks: plan, halo, detect, resolve, respond, balance, migrate."""
+"""One step of the nanorobot simulation on many ranks: plan, halo, detect, resolve, respond, balance, migrate."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ from pgccd.sim.resolution import Resolution, ResolvedStep, RoundPlan, resolve_co
 from pgccd.sim.response import respond
 from pgccd.sim.tally import Tally, count_step
 
-# Up to so many ranks, each sends all others its counts of leaving robots together with its tally; with more, those
-# affected alone.
+# Up to this number of ranks, counts of leaving robots are gathered with the tally; above it, `migrate` exchanges them.
 _TELLS_MOVES = 64
-# Robots that have left stay with their rank as long as there are so many times more ghosts: each may be one.
+# Robots that have left their rank's cells migrate once they exceed the number of ghosts over this (each may be a
+# ghost).
 _MOST_AWAY = 4
 
 
@@ -54,53 +54,53 @@ class CommittedRankStep:
 
     @property
     def index(self) -> int:
-        """From 0."""
+        """Index of the step, from 0."""
         return self.made.index
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Of the whole model: the line in steps.jsonl, the same on all ranks but for the times."""
+        """The line in steps.jsonl, for all ranks; equal on all of them except for times."""
         return self.made.record | {"ranks": self.reports.record(moved_cells=0)}
 
 
 @dataclass
 class RankStep:
-    """One rank's part of a step that was made."""
+    """One rank's part of a step run launch by launch."""
 
     index: int  #: from 0
-    before: RobotState  #: of the robots owned, as planned
-    resolution: Resolution  #: of the robots held
+    before: RobotState  #: own robots, as planned
+    resolution: Resolution  #: of the held robots
     stop_requested: bool  #: on any rank
-    find: Callable[[], Detection]  #: gives `detection`
-    make_record: Callable[[], dict[str, Any]]  #: returns `record`
+    find: Callable[[], Detection]  #: computes `detection`
+    make_record: Callable[[], dict[str, Any]]  #: computes `record`
 
     @cached_property
     def detection(self) -> Detection:
-        """Of the whole step."""
+        """Contacts of the whole step."""
         return self.find()
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Of the whole model: the line in steps.jsonl, the same on all ranks but for the times."""
+        """The line in steps.jsonl, for all ranks; equal on all of them except for times."""
         return self.make_record()
 
 
 class DistributedSimulation(SimulationSteps[RankStep]):
-    """A world's robots, spread over ranks.
+    """The robots of a simulation, distributed over ranks.
 
-    Over NCCL, steps that follow one another are replays of a graph that each rank has, messages included: see
-    `pgccd.sim.replay`. Cells and robots change hands in steps that are made launch by launch, so robots that have left
-    the cells of their rank stay with it for a while.
+    With NCCL, consecutive steps are replays of one CUDA graph per rank, messages included: see `pgccd.sim.replay`.
+    Cells and robots change owners only in steps run launch by launch, so robots that leave their rank's cells migrate
+    later.
 
     Args:
         comm: between the ranks.
         model: the rules, the same on all ranks, on this rank's device.
         partition: the same on all ranks.
-        state: of any share of the robots; all ranks together have each robot once.
-        balance: how cells change hands.
+        state: of any share of the robots; each robot is on exactly one rank.
+        balance: options of load balancing.
         broad_phase, overlap: see `Options`.
-        graph: whether steps are replayed, the same on all ranks. Default: where messages go with a GPU's stream, and
-            there are at most `MOST_TABLE_RANKS`.
+        graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream, and
+            there are at most `MOST_TABLE_RANKS` ranks.
 
     Example:
         >>> simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
@@ -121,7 +121,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         super().__init__(can_replay(comm, model.device) if graph is None else graph)
         self.comm, self.model = comm, model
         self.balance = balance or BalanceOptions()
-        # nonzero_toi: robots that part after a contact are free.
+        # nonzero_toi: robots that separate after a contact may move.
         self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
         self._plan, self._estimates = RoundPlan(), PartEstimates()
         self._expected = Census.of_range(comm, model.config.robots)
@@ -134,7 +134,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
 
     @property
     def state(self) -> RobotState:
-        """Of the robots this rank has, after the last step. No step may be under way: see `is_ahead`."""
+        """State of this rank's own robots after the last step. No step may be enqueued: see `is_ahead`."""
         if self._graph is not None:
             self._take(self._graph)
         return self._state
@@ -145,7 +145,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
 
     @property
     def partition(self) -> Partition:
-        """Which rank owns which cells; the same on all ranks."""
+        """The partition of space; the same on all ranks."""
         return self._partition
 
     @partition.setter
@@ -156,7 +156,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         """Checks that every robot is on exactly one rank.
 
         Raises:
-            RuntimeError: some are lost or doubled.
+            RuntimeError: robots are lost or duplicated.
         """
         Census.of_ranks(self.comm, self.state.id).require(self._expected)
 
@@ -164,10 +164,10 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         """Moves the robots by one step.
 
         Args:
-            index: the same on all ranks, one more than that of the step before.
-            stop: whether this rank was asked to stop; combined over all ranks by "or".
-            more: how many steps follow before the state is asked for, or the whole outcome of a step; the same on all
-                ranks. The last of them is not replayed, and after it each robot is where it belongs.
+            index: the same on all ranks, one more than in the previous step.
+            stop: whether this rank requests a stop; combined over all ranks by "or".
+            more: number of steps that follow before the state or the details of a step are read; the same on all ranks.
+                The last of these is not replayed, and after it each robot is on its owner.
         """
         self.comm.guard.activity = f"step {index}"
         self._stop = self._stop or stop
@@ -182,7 +182,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
             planned = self.model.plan(self._state, index)
         where = comm, self._partition, planned.moving_columns, self._build, self.options, clock
         search = OwnSearch(*where, self._estimates, self._capacity).start()
-        # In this order, so that the host can read how many agree before the search with ghosts is over.
+        # In this order, so that the counts are available before the search with ghosts ends.
         exchange, share = search.of_held(HeldExchange.start), search.with_ghosts()
         self._capacity = HaloCapacity.of(share.held)
         with clock.stage("halo"):
@@ -226,7 +226,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         return RankStep(index, planned, resolved.resolution, bool(reports.stop.any()), find, make_record)
 
     def _tally(self, reports: Reports) -> Tally:
-        """Of all ranks. Raises RuntimeError if robots were lost or doubled."""
+        """The tally over all ranks. Raises RuntimeError if robots were lost or duplicated."""
         tally = Tally.of(reports.work, reports.counted)
         Census(tally.robots, tally.id_hash).require(self._expected)
         return tally
@@ -248,11 +248,11 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         reports: Reports,
         clock: StageClock,
     ) -> int:
-        """Redistributes space. Returns how many cells or planes moved."""
+        """Rebalances space. Returns the number of cells or planes that moved."""
         if not self._is_balance_due(index, reports):
             return 0
         with clock.stage("balance"):
-            resolved.learn()  # so that contacts need not be waited for
+            resolved.learn()  # so that reading the contacts does not synchronise
             found = Detection(share, contacts_of_step(share.parts))
             seconds = torch.tensor(reports.seconds(), dtype=torch.float64)
             after = rebalanced(self.comm, self._partition, found.places(planned.position), self.balance, seconds)
@@ -267,7 +267,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         loads = RankLoads(reports.robots, reports.worked("pcs"), reports.worked("contacts"), reports.seconds())
         return not loads.are_level(self.balance)
 
-    # Of replays.
+    # Methods for replays.
 
     def _capture(self, index: int) -> StepGraph:
         assert self._share_capacity is not None
@@ -312,13 +312,14 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         return CommittedRankStep(step, reports, bool(reports.stop.any()))
 
     def _migrate(self, state: RobotState, known: tuple[Leaving, list[int], list[int]] | None = None) -> None:
-        """Hands robots over; the state's ids ascend."""
+        """Migrates robots; the state's ids ascend."""
         moved = migrate(self.comm, self._partition, state.columns, state.position, known)
         self._state, self._arrived = RobotState(**moved.columns), moved.arrived
 
 
 def starting_share(comm: Comm, model: Model) -> RobotState:
-    """An equal share of the robots at the start of a world, for `DistributedSimulation`, which takes each to the owner
-    of its cell."""
+    """An equal share of the robots at the start, for `DistributedSimulation`, which migrates each to the owner of its
+    cell.
+    """
     first, end = id_range(comm, model.config.robots)
     return model.start(torch.arange(first, end, device=model.device))
