@@ -1,11 +1,11 @@
-"""What a call of `pgccd.detect` costs of its own: the first contact of two near robots of 700 triangles, on the CPU.
+"""The time of one call of `pgccd.detect`: the first contact of two near robots of 700 triangles, on the CPU.
 
     python bench/two_bodies.py [--pairs N] [--rounds N] [--threads N]
 
-The pairs come from the standard world: bodies whose spheres meet, half of them with meshes that stay apart, half with
-meshes that collide. Each pair is a scene in motion of its own; pairs are called in turn, so that inputs vary. The floor
-beside it: the operators that the call makes, recorded once and called again with the same arguments, and a torch
-operator that does next to nothing.
+The pairs come from the standard world: bodies with overlapping spheres, half of them with meshes that stay apart, half
+with meshes that collide. Each pair is a separate scene; the pairs are called in turn, so that inputs vary. For
+comparison: the operators that the call runs, recorded once and called again with the same arguments, and a trivial
+torch operator.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _WARM_UP = 3
 
 
 class RecordedOperators(TorchDispatchMode):
-    """The operators that are called while this is entered, ready to be called again."""
+    """Records the operators called in its context, so that they can be called again."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -69,10 +69,10 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def measure(scene: pgccd.Scene, sort: str, motions: Sequence[pgccd.RigidMotion], rounds: int) -> list[dict[str, Any]]:
-    """A row for the call, one for each of its operators, and one for a trivial operator; they take turns."""
+    """A row for the call, one for each of its operators, and one for a trivial operator; measured in turn."""
     small = torch.zeros(1)
     works: dict[str, list[Callable[[], Any]]] = {"torch.neg of one number": [lambda: torch.neg(small)] * len(motions)}
-    pgccd.detect(scene, motions[0])  # what follows from the scene alone is computed once
+    pgccd.detect(scene, motions[0])  # computes and caches what depends only on the scene
     for motion in motions:
         with RecordedOperators() as recorded:
             found = pgccd.detect(scene, motion, report="first")

@@ -79,7 +79,7 @@ def device(value: Any, name: str = "device") -> torch.device:
 
 
 def path(value: Any, name: str) -> Path:
-    """The value as a path of the file system."""
+    """The value as a file system path."""
     if not isinstance(value, (str, PathLike)) or not str(value):
         raise TypeError(f"{name}: expected a path, got {describe(value)}")
     return Path(value)

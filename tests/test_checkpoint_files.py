@@ -1,4 +1,4 @@
-"""The files of checkpoints: columns of any type, places of rows, and what an index must have."""
+"""The files of checkpoints: columns of any type, order of rows, and validation of the index."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def columns_of(rows: int, dtype: torch.dtype) -> dict[str, torch.Tensor]:
 
 
 def write(folder: Path, tables: list[dict[str, dict[str, torch.Tensor]]]) -> Path:
-    """By as many ranks as there are tables."""
+    """A checkpoint with one rank per element of `tables`."""
     root = folder / FOLDER
     name = files.make_folder(root, KIND, 3)
     entries = [files.write_tables(root / name, rank, each) for rank, each in enumerate(tables)]
@@ -91,7 +91,7 @@ def test_what_an_index_must_have(tmp_path: Path, change: str) -> None:
 
 
 def test_what_could_not_be_completed_is_removed(tmp_path: Path) -> None:
-    """But never what the pointer names, or may name."""
+    """Except a checkpoint that the pointer names, or may name."""
     kept = write(tmp_path, [{"rows": columns_of(3, torch.int64)}])
     root = tmp_path / FOLDER
     name = files.make_folder(root, KIND, 4)

@@ -177,7 +177,7 @@ def test_set_offsets_and_padding() -> None:
 
 
 def test_leaves_list_the_vertices_of_their_triangles() -> None:
-    """Each once, eight to a row; the last one fills the row. A strip has more than eight in a leaf."""
+    """Each vertex once, eight per row; the last one fills the row. Leaves of a strip have more than eight vertices."""
     strip = np.array([[k // 2, k % 2, 0.1 * k] for k in range(30)], dtype=float)
     faces = np.array([[k, k + 1, k + 2] for k in range(28)])
     lengths = set()

@@ -200,7 +200,7 @@ with tempfile.TemporaryDirectory() as some_folder:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_nonsense_is_refused_by_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # where a folder may be made
+    monkeypatch.chdir(tmp_path)  # some calls may create a folder
     call = calls(tmp_path)[name]
     wrong = []
     if name != "Mesh.from_trimesh":

@@ -87,7 +87,7 @@ def calls() -> dict[str, tuple[Any, ...]]:
         if any(t.shape == (7,) and t.dtype == torch.int64 and t[3] == 0 for t in tensors):
             continue  # no pairs
         if name == "detect_rigid" and torch.ops.pgccd.detect_rigid(*arguments)[-1][3] == 0:
-            continue  # nor here
+            continue  # likewise
         size = -sum(t.numel() == 0 for t in tensors), sum(t.numel() for t in tensors)
         if name not in most or size > most[name][0]:
             most[name] = size, arguments

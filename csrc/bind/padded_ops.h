@@ -32,7 +32,7 @@ struct PaddedOps {
     return {rows, counts};
   }
 
-  // All of a step: what is wrong with the poses, unless that is known, then the pairs, then their contacts.
+  // A whole step: checks of the poses, unless their faults are given, then the pairs, then their contacts.
   static Found detect_rigid(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies, bool linear_path,
                             const std::vector<Tensor>& spheres, const std::optional<Tensor>& group,
                             const std::optional<Tensor>& mask, const std::optional<Tensor>& world,

@@ -63,13 +63,13 @@ struct Limits {
              (larger(largest_coordinate(start.a), largest_coordinate(end.a)) +
               larger(largest_coordinate(start.b), largest_coordinate(end.b)));
     // Per unit of the direction's length: coordinates rounded to float (1), dot products (3), their sum (2), each times
-    // the extent, doubled for good measure.
+    // the extent, doubled as a safety margin.
     apart = distance * (1.0f + 8.0f * unit) + (20.0f * unit) * extent;
-    // Minima may hide what is not a number; a sum does not.
+    // Minima may drop NaN; a sum does not.
     sum = sum_of_coordinates(start) + sum_of_coordinates(end);
   }
 
-  // Beyond it products might overflow or vanish.
+  // Outside of this range products might overflow or underflow.
   PGCCD_HD auto in_range() const { return (extent > 0x1p-40f) & (extent < 0x1p40f) & (sum == sum); }
 };
 
@@ -78,7 +78,7 @@ struct LeastDifference {
   Vec3<float> difference;
 };
 
-// Four at the start and four at the end; on the host in the lanes of vectors.
+// Differences of two corners, four at the start and four at the end; on the host in the lanes of a vector.
 class CornerDifferences {
  public:
   PGCCD_HD CornerDifferences(const FeaturePair<float>& start, const FeaturePair<float>& end, bool is_edge_edge) {
@@ -92,7 +92,7 @@ class CornerDifferences {
     }
   }
 
-  // The first of those that are equal.
+  // The least difference along a direction; ties are broken by the first.
   PGCCD_HD LeastDifference least_along(Vec3<float> direction) const {
 #if defined(__CUDACC__)
     LeastDifference least{dot(direction, all_[0]), all_[0]};
@@ -161,9 +161,8 @@ PGCCD_HD auto stays_apart(const FeaturePair<T>& start, const FeaturePair<T>& end
   return free;
 }
 
-// The same for one pair, by a search: steps of Frank & Wolfe (1956) towards the point nearest to the origin of the hull
-// of all differences of two corners at both ends. Each tries the direction to the point reached so far. It finds more
-// than the directions above, and takes longer.
+// The same test for one pair, by the search described above. It rejects more pairs than the fixed directions, and is
+// slower.
 PGCCD_HD bool stays_apart_stepwise(const FeaturePair<float>& start, const FeaturePair<float>& end, float distance,
                                    bool is_edge_edge) {
   using namespace fixed_directions_detail;

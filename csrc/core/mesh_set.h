@@ -41,7 +41,7 @@ struct NodeLink {
   int32_t points_count;    // leaf: its number of these rows
 };
 
-// Vertices of a leaf's triangles, each once, eight at a time. The last of them fills the slots that are left.
+// Eight vertices of a leaf's triangles; a leaf lists each of its vertices once. The last one fills unused slots.
 struct alignas(16) LeafPoints {
   float x[kBlockWidth], y[kBlockWidth], z[kBlockWidth];
   int32_t vertex[kBlockWidth];

@@ -1,14 +1,14 @@
-"""Checkpoints: columns in safetensors files, all else in JSON. Nothing in them is executed or unpickled.
+"""Checkpoints: columns in safetensors files, everything else in JSON. Their content is never executed or unpickled.
 
-    checkpoints/newest.json                      names the newest whole one, and the hash of its index; replaced last
+    checkpoints/newest.json                      names the newest complete one, and the hash of its index; replaced last
     checkpoints/step-000000020-1f0c9a27/
-        index.json                               what it is of; the types of its columns; size and hash of each file
-        rank-00000.safetensors, ...              tables of rows, one file a rank that wrote
-        shared.safetensors                       tensors that are the same on all ranks
+        index.json                               kind and header; types of the columns; size and hash of each file
+        rank-00000.safetensors, ...              tables of rows, one file per writing rank
+        shared.safetensors                       tensors that are equal on all ranks
 
-Every checkpoint is a new folder. Its files are on the disk before the index, and that before `newest.json`; the one
-named before is removed last. So there is a whole checkpoint at any moment after the first. What is read is first
-compared with its hash: a file that was changed, cut off or exchanged is refused.
+Every checkpoint is a new folder. Its files are synced to disk before the index, and the index before `newest.json`; the
+previous checkpoint is removed last. So there is a complete checkpoint at any time after the first. The hash of every
+file is checked before it is read: a modified, truncated or exchanged file raises an error.
 
-A simulation and a `pgccd.distributed.World` write them, on one rank or many; any number of ranks can read them.
+Simulations and `pgccd.distributed.World` write checkpoints, on one rank or many; any number of ranks can read them.
 """

@@ -1,4 +1,4 @@
-"""The files of a checkpoint, as they are written; see `pgccd.checkpoint`."""
+"""Writing of checkpoint files; see `pgccd.checkpoint`."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ POINTER = "newest.json"
 FORMAT = 3
 INDEX = "index.json"
 SHARED = "shared.safetensors"
-#: Names of folders of checkpoints.
+#: Pattern of the names of checkpoint folders.
 NAME = re.compile(r"step-\d{9,12}-[0-9a-f]{8}")
-#: By the name that stands for it in an index: what safetensors can hold.
+#: Dtypes supported by safetensors, by their names in an index.
 DTYPES = {
     str(dtype).removeprefix("torch."): dtype
     for dtype in (
@@ -41,7 +41,7 @@ DTYPES = {
 
 Columns = Mapping[str, Tensor]
 
-# Rows that are hashed at a time.
+# Number of rows hashed at a time.
 _BLOCK = 1 << 20
 
 
@@ -51,17 +51,17 @@ class CheckpointError(ValueError):
 
 @dataclass(frozen=True)
 class Content:
-    """What a checkpoint is of."""
+    """The content of a checkpoint, except its tables."""
 
-    kind: str  #: of what wrote it, which alone can read it
+    kind: str  #: of the writer; readers expect their own kind
     steps_made: int
-    header: Mapping[str, Any]  #: what else is to be known, as JSON
-    shared: Columns = field(default_factory=dict)  #: tensors that are the same on all ranks
+    header: Mapping[str, Any]  #: everything else, as JSON
+    shared: Columns = field(default_factory=dict)  #: tensors that are equal on all ranks
 
 
 @dataclass(frozen=True)
 class Rows:
-    """What the index says of a table in a file."""
+    """A table's entry in the index, for one file."""
 
     count: int
     hash: int  #: `rows_hash`
@@ -69,7 +69,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class FileEntry:
-    """What the index says of a file."""
+    """A file's entry in the index."""
 
     name: str
     bytes: int
@@ -83,12 +83,12 @@ def rank_file(rank: int) -> str:
 
 
 def rows_hash(columns: Columns, rank: int, begin: int) -> int:
-    """Hash of rows at their places.
+    """Hash over rows and their positions in the checkpoint.
 
     Args:
         columns: (N, ...) on the CPU, of any dtype.
-        rank: in whose file they are.
-        begin: the row of its table where they begin.
+        rank: the rank whose file holds them.
+        begin: index of the first row in its table.
 
     Returns:
         An integer in [0, 2^64). Hashes of parts of a table add up modulo 2^64.
@@ -104,17 +104,17 @@ def rows_hash(columns: Columns, rank: int, begin: int) -> int:
 
 
 def make_folder(root: Path, kind: str, steps_made: int) -> str:
-    """Makes the folder of a checkpoint, of a name that no other has.
+    """Creates the folder of a checkpoint, with a unique name.
 
     Args:
-        root: the folder `checkpoints` it goes to.
+        root: the folder `checkpoints`.
         kind, steps_made: as in `Content`.
 
     Returns:
-        Its name.
+        The folder's name.
 
     Raises:
-        CheckpointError: it cannot be made, or there is a checkpoint of another kind, which it would replace.
+        CheckpointError: it cannot be created, or `root` holds a checkpoint of another kind.
     """
     if (root / POINTER).exists():
         read_pointer(root, kind)
@@ -127,7 +127,7 @@ def make_folder(root: Path, kind: str, steps_made: int) -> str:
 
 
 def write_tables(folder: Path, rank: int, tables: Mapping[str, Columns]) -> FileEntry:
-    """Writes one rank's tables of columns on the CPU. They are on the disk when it returns.
+    """Writes one rank's tables, with columns on the CPU, and syncs the file to disk.
 
     Raises:
         CheckpointError: they cannot be written.
@@ -141,7 +141,7 @@ def write_tables(folder: Path, rank: int, tables: Mapping[str, Columns]) -> File
 
 
 def layout_of(tables: Mapping[str, Columns]) -> dict[str, dict[str, list[Any]]]:
-    """By table and name of a column its dtype and the shape of a row, as the index has it."""
+    """The dtype and row shape of each column, by table and name, as stored in the index."""
     return {
         table: {
             name: [str(column.dtype).removeprefix("torch."), list(column.shape[1:])] for name, column in columns.items()
@@ -156,7 +156,7 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
     Args:
         root: the folder `checkpoints`.
         name: of the checkpoint's folder in it.
-        content: what it is of.
+        content: everything but the tables.
         layout: of the tables: see `layout_of`.
         files: of all ranks.
 
@@ -164,7 +164,7 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
         Its folder.
 
     Raises:
-        CheckpointError: it cannot be written; the one before is still there.
+        CheckpointError: it cannot be written; the previous one is kept.
     """
     folder = root / name
     index: dict[str, Any] = {"format": FORMAT, "kind": content.kind, "steps_made": content.steps_made}
@@ -175,7 +175,7 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
         raw = json.dumps(index, indent=1).encode()
         _write_bytes(folder / INDEX, raw)
         _sync(folder)
-        _sync(root)  # which names the folder
+        _sync(root)  # syncs the entry of the new folder
         pointer = {"format": FORMAT, "kind": content.kind, "folder": name}
         pointer["index_sha256"] = hashlib.sha256(raw).hexdigest()
         unfinished = root / f"{name}.pointer"
@@ -189,7 +189,7 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
 
 
 def discard(root: Path, name: str) -> None:
-    """Removes what was written of a checkpoint that could not be completed, unless `newest.json` may name it."""
+    """Removes the files of an incomplete checkpoint, unless `newest.json` names it or cannot be read."""
     try:
         named = json.loads((root / POINTER).read_bytes())["folder"]
     except FileNotFoundError:
@@ -217,7 +217,7 @@ def read_pointer(root: Path, kind: str) -> tuple[str, str]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """All of a file, or CheckpointError."""
+    """The content of a file; raises CheckpointError if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -225,7 +225,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_json(path: Path, raw: bytes) -> dict[str, Any]:
-    """The object that a file contains, or CheckpointError."""
+    """The JSON object in a file; raises CheckpointError if there is none."""
     try:
         content = json.loads(raw)
     except (ValueError, RecursionError) as error:
@@ -236,7 +236,7 @@ def read_json(path: Path, raw: bytes) -> dict[str, Any]:
 
 
 def require_format(path: Path, content: Mapping[str, Any], kind: str) -> None:
-    """Raises CheckpointError unless a file has the format of this version, and is of this kind."""
+    """Raises CheckpointError unless a file has the format of this version and the given kind."""
     if content.get("format") != FORMAT:
         raise CheckpointError(f"{path}: its format is {content.get('format')!r}, this version reads {FORMAT}")
     if content.get("kind") != kind:
@@ -244,7 +244,7 @@ def require_format(path: Path, content: Mapping[str, Any], kind: str) -> None:
 
 
 def _write_tensors(path: Path, tensors: Columns) -> FileEntry:
-    """Writes a file, and waits until it is on the disk."""
+    """Writes a file and syncs it to disk."""
     try:
         for name, tensor in tensors.items():
             if str(tensor.dtype).removeprefix("torch.") not in DTYPES:
@@ -266,7 +266,7 @@ def _write_bytes(path: Path, content: bytes) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Waits until a file, or the names in a folder, are on the disk."""
+    """Syncs a file, or the entries of a folder, to disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -275,7 +275,7 @@ def _sync(path: Path) -> None:
 
 
 def _remove_others(root: Path, kept: str) -> None:
-    """Checkpoints that are not named any more, and what was left of unfinished ones."""
+    """Removes previous and incomplete checkpoints."""
     for other in root.iterdir():
         if other.name != kept and NAME.fullmatch(other.name.removesuffix(".pointer")):
             if other.is_dir() and not other.is_symlink():

@@ -1,4 +1,4 @@
-"""A folder that one job at a time may write to."""
+"""Locks folders, so that one job at a time writes to them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _LOCK = "lock"
 
 
 class FolderError(ValueError):
-    """A folder cannot be used; the message says why."""
+    """A folder cannot be used; the message gives the reason."""
 
 
 @contextmanager
 def hold(folder: Path) -> Iterator[None]:
-    """Makes the folder if it is missing, and holds it against other jobs.
+    """Creates the folder if needed, and locks it against other jobs.
 
     Raises:
-        FolderError: it cannot be written to, or another job holds it.
+        FolderError: the folder cannot be written to, or is locked by another job.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -37,7 +37,7 @@ def hold(folder: Path) -> Iterator[None]:
             file.seek(0)
             holder = file.read().strip() or "unknown"
             raise FolderError(f"folder: {folder} is in use by another job: {holder}") from None
-        except OSError as error:  # the file system has no locks
+        except OSError as error:  # the file system does not support locks
             warnings.warn(f"{folder} cannot be locked against other jobs: {error.strerror}", stacklevel=3)
         file.truncate(0)
         file.write(f"process {os.getpid()} on {socket.gethostname()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n")

@@ -1,4 +1,4 @@
-"""A checkpoint as it is read; see `pgccd.checkpoint`."""
+"""Reading of checkpoints; see `pgccd.checkpoint`."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from pgccd.checkpoint.files import (
 
 
 class Stored:
-    """The newest checkpoint in a folder. Its index has been compared with its hash, its other files have not: see
+    """The newest checkpoint in a folder. The hash of its index has been checked, those of its other files have not: see
     `verify`.
 
     Args:
-        folder: in which the folder `checkpoints` is.
-        kind: of checkpoint that is expected.
+        folder: parent of the folder `checkpoints`.
+        kind: expected kind of checkpoint.
 
     Raises:
         CheckpointError: it cannot be read.
@@ -44,7 +44,7 @@ class Stored:
     def __init__(self, folder: Path, kind: str) -> None:
         root = folder / FOLDER
         name, digest = read_pointer(root, kind)
-        #: Of this checkpoint.
+        #: The folder of this checkpoint.
         self.folder = root / name
         path = self.folder / INDEX
         raw = read_bytes(path)
@@ -54,11 +54,11 @@ class Stored:
         require_format(path, content, kind)
         try:
             self.steps_made: int = _number(content["steps_made"])
-            #: What else was to be known, not looked at yet.
+            #: The header, not validated.
             self.header: dict[str, Any] = content["header"]
-            #: Of the ranks that wrote it.
+            #: Entries of the files, one per writing rank.
             self.files = [_file_entry(entry) for entry in content["files"]]
-            #: No rows of each table, by its name.
+            #: Empty columns of each table, by its name.
             self.layout = {table: _no_rows(columns) for table, columns in content["layout"].items()}
             self._shared = _file_entry(content["shared"]) if "shared" in content else None
             if not isinstance(self.header, dict) or not all(self.layout.values()):
@@ -72,14 +72,14 @@ class Stored:
             raise CheckpointError(f"{path} is not the index of a checkpoint: {problem}") from error
 
     def row_count(self, table: str) -> int:
-        """Of a table, in all files together."""
+        """Number of rows of a table, over all files."""
         return sum(entry.tables[table].count for entry in self.files)
 
     def verify(self, files: Sequence[FileEntry]) -> None:
-        """Compares files with their hashes.
+        """Checks the hashes of files.
 
         Raises:
-            CheckpointError: naming the first that is missing or not what was written.
+            CheckpointError: naming the first file that is missing or damaged.
         """
         for entry in files:
             path = self.folder / entry.name
@@ -99,7 +99,7 @@ class Stored:
         """Rows [begin, end) of a table, in the order of the files.
 
         Returns:
-            The columns, and the hash of the rows. Those of all rows together are for `require_hash`.
+            The columns, and the hash of the rows; `require_hash` takes the sum of the hashes of all rows.
 
         Raises:
             CheckpointError: a file cannot be read.
@@ -117,17 +117,16 @@ class Stored:
         return found, total % 2**64
 
     def require_hash(self, table: str, total: int) -> None:
-        """Raises CheckpointError unless this is the hash of all rows of a table together, modulo 2^64."""
+        """Raises CheckpointError unless this is the hash over all rows of a table, modulo 2^64."""
         if (total - sum(entry.tables[table].hash for entry in self.files)) % 2**64:
             raise CheckpointError(f"{self.folder} is damaged: rows of {table} do not have the hash in {INDEX}")
 
     def first_of(self, table: str, begin: int, counts: str, other: str) -> int:
-        """Where the rows of another table begin that belong to row `begin` of this one. A column of this table says how
-        many belong to each of its rows.
+        """Index of the first row of another table that belongs to row `begin` of this one.
 
         Args:
             table, begin: the row.
-            counts: the column, (N,) int64.
+            counts: a column (N,) int64 of `table`: the number of rows of `other` that belong to each row.
             other: the other table.
 
         Raises:
@@ -142,7 +141,7 @@ class Stored:
         return first
 
     def shared(self) -> dict[str, Tensor]:
-        """The tensors that are the same on all ranks, verified.
+        """The tensors that are equal on all ranks, with their hash checked.
 
         Raises:
             CheckpointError: they cannot be read.
@@ -158,7 +157,7 @@ class Stored:
             raise CheckpointError(f"{path} cannot be read: {error}") from error
 
     def _places(self, table: str, begin: int, end: int) -> list[tuple[int, int, int]]:
-        """In which ranks' files rows are, and which rows of these."""
+        """(rank, begin, end) of each file that holds some of the rows."""
         found, first = [], 0
         for rank, entry in enumerate(self.files):
             low, high = max(begin - first, 0), min(end - first, entry.tables[table].count)
@@ -186,7 +185,7 @@ class Stored:
 
 
 def has_checkpoint(folder: Path) -> bool:
-    """Whether there is one in a folder."""
+    """Whether a folder holds a checkpoint."""
     return (folder / FOLDER / POINTER).exists()
 
 

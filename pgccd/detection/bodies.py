@@ -81,7 +81,7 @@ class MovingBodies:
         return self._faults
 
     def known_faults(self) -> Tensor | None:
-        """`first_faults`, or None where an operator that looks at the columns finds all of them."""
+        """`first_faults`, or None if an operator finds them from the columns alone."""
         return self.first_faults() if self.motion.has_verdict else self._faults
 
     def check(self) -> None:

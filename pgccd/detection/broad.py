@@ -210,7 +210,7 @@ def _find(bodies: MovingBodies, chosen: str, min_separation: float, tolerance: f
 
 
 def filters(bodies: MovingBodies) -> _Filters:
-    """Which pairs may collide: group, mask, world, static."""
+    """The filters of pairs: group, mask, world, static."""
     scene = bodies.scene
     return scene.group, scene.mask, scene.world, scene.static
 

@@ -60,7 +60,7 @@ class Capacity:
 
     @classmethod
     def _of_checked(cls, **parts: Any) -> Capacity:
-        """Of all parts, which need not be looked at: each call of `detect` makes one."""
+        """A capacity of valid parts, without checks: each call of `detect` makes one."""
         made = object.__new__(cls)
         made.__dict__.update(parts)
         return made

@@ -135,12 +135,12 @@ def search_rigid(
     broad_phase: broad.BroadPhase,
     pair_capacity: Sequence[int],
 ) -> Search:
-    """A step of rigid bodies by one operator, which looks for faults, too, unless they are known.
+    """A step of rigid bodies by one operator, which also checks the poses, unless their faults are known.
 
     Args:
         bodies, query, capacity, broad_phase: as for `search_padded`.
-        pair_capacity: of the PCS, see `ops.pairs_padded`. Where `capacity` is EXACTLY, nothing is searched if there are
-            more pairs, and the overflow is counted.
+        pair_capacity: of the PCS, see `ops.pairs_padded`. If `capacity` is EXACTLY and there are more pairs, no
+            contacts are searched, and the overflow is counted.
     """
     chosen = broad.choose(bodies, broad_phase)
     *rows, counts = ops.detect_rigid(

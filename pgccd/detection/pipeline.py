@@ -241,13 +241,14 @@ def _on_gpu(
 def _detect_exactly(
     bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
 ) -> Contacts | None:
-    """On a CPU all stages by one operator; None if there is none for such bodies, or the memory is not enough for all
-    pairs."""
+    """Runs all stages by one operator, on a CPU; None for deforming bodies or given pairs, or if the pairs exceed the
+    memory budget.
+    """
     if pairs is not None or bodies.deforming:
         return None
     estimate = estimate_of(bodies.scene, query, None)
     most = pairs_a_chunk(bodies.scene, estimate, memory_budget)
-    if estimate.needed is not None and estimate.needed.pairs > most:  # as in the last step
+    if estimate.needed is not None and estimate.needed.pairs > most:  # predicted from the last step
         return None
     search = search_rigid(bodies, query, EXACTLY, broad_phase, [most, 0, 0])
     counts = search.read()

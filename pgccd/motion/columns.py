@@ -84,7 +84,7 @@ class MovingColumns:
 
     @property
     def has_verdict(self) -> bool:
-        """Whether `first_faults` is more than what operators find in the columns."""
+        """Whether `first_faults` is known, or includes faults that are not in the columns."""
         return self.is_trusted or self._given_faults is not None
 
     def check(self) -> None:

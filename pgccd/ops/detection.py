@@ -149,11 +149,11 @@ def pairs_padded(
 def detect_rigid(
     mesh_set: list[Tensor], bodies: list[Tensor], linear_path: bool, spheres: list[Tensor], *rest: object
 ) -> tuple[Tensor, ...]:
-    """As `contacts_padded_rigid`, of the pairs that `pairs_padded` finds of the spheres: position_t0, position_t1 and
-    radius, or nothing where these are the bodies' own.
+    """`pairs_padded` for the spheres [position_t0, position_t1, radius], then `contacts_padded_rigid` for the pairs
+    found. If `spheres` is empty, the bodies' own spheres are used.
 
-    `rest`: group, mask, world, is_static; faults, as they are handed on, or None: then the bodies' poses are looked at;
-    checks and limits of that, as of `first_faults`, by position_t0, position_t1, orientation and rotation;
+    `rest`: group, mask, world, is_static; faults as from `first_faults`, or None to check the bodies' poses; checks and
+    limits of these, as for `first_faults`, in the order position_t0, position_t1, orientation, rotation;
     min_separation, tolerance, nonzero_toi, report, broad_phase, capacity of the pairs, capacity.
     """
     return library.operators.detect_rigid(mesh_set, bodies, linear_path, spheres, *rest)

@@ -136,7 +136,7 @@ def test_hot_spots_are_divided(ranks: World, size: int) -> None:
 
 
 def test_planes_outside_of_their_part_by_rounding() -> None:
-    """As `_PlaneSearch` may find them."""
+    """Planes outside of their parts, as `_PlaneSearch` may find them."""
     partition = Bisection.uniform(*BOX, 2)
     planes = partition.planes.clone()
     high = partition.upper[int(planes[0, 0])]

@@ -142,7 +142,7 @@ def test_on_one_device(device: torch.device) -> None:
 
 
 def save_and_load(comm: Comm, folder: str, device: str = "cpu") -> int:
-    """A checkpoint between two parts of a loop; how many steps were replayed after it."""
+    """Saves and loads between two parts of a loop; returns the number of replayed steps after it."""
     expected, counts = plain_loop(STEPS)
     with graphs_on(device):
         world = spread(comm, torch.device(device), "cost", "cells")

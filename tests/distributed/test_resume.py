@@ -107,7 +107,7 @@ def test_another_number_of_ranks_begins_uniformly(ranks: World, tmp_path: Path, 
 
 
 def load(comm: Comm, folder: str, kind: str) -> str:
-    """What a rank is told of the partition."""
+    """The error of a rank that loads the partition, or an empty string."""
     half = sim.Model(CONFIG).half_extent
     lower = tuple(-x for x in half)
     uniform = make_partition(kind, lower, half, comm.size, 3, 4, torch.device("cpu"))
@@ -132,7 +132,7 @@ def changed(planes: torch.Tensor, row: int, column: int, value: float) -> dict[s
     return {"planes": planes}
 
 
-#: By what is wrong with the planes of three ranks: others, and what is said of them.
+#: By fault of the planes of three ranks: the changed planes, and the expected error.
 WRONG_PLANES: dict[str, tuple[Callable[[torch.Tensor], dict[str, torch.Tensor]], str]] = {
     "none": (lambda planes: {"owner": torch.zeros(3)}, "it has no 'planes'"),
     "too few": (lambda planes: {"planes": planes[:1].clone()}, r"expected \(2, 4\) float64, got \(1, 4\)"),
@@ -148,7 +148,7 @@ WRONG_PLANES: dict[str, tuple[Callable[[torch.Tensor], dict[str, torch.Tensor]],
 
 @pytest.mark.parametrize("wrong", list(WRONG_PLANES))
 def test_planes_that_were_planted(ranks: World, tmp_path: Path, wrong: str) -> None:
-    """With the right hashes."""
+    """With valid hashes."""
     ranks.run(3, go_on, str(tmp_path), "bisection")
     assert ranks.run(3, load, str(tmp_path), "bisection") == [""] * 3
     (path,) = tmp_path.glob("checkpoints/step-*/shared.safetensors")

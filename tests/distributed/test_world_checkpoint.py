@@ -1,4 +1,4 @@
-"""Worlds that are saved and loaded, on any number of ranks: the bits of one that was not, or one line that says why."""
+"""Saved and loaded worlds on any number of ranks: bitwise equal to an uninterrupted one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CROWD = "kept apart, filtered"
 
 
 def begin(comm: Comm, partition: str = "cells") -> World:
-    """Rigid bodies for a loop of one's own, with payload of several types."""
+    """Rigid bodies for a user loop, with payload of several types."""
     crowd = crowds()[CROWD]
     count = len(crowd.position)
     mine = torch.arange(comm.rank, count, comm.size).flip(0)
@@ -58,7 +58,7 @@ def numbers(columns: list[torch.Tensor]) -> list[list[float]]:
 
 
 def state_of(world: World) -> list[list[float]]:
-    """All columns of all bodies, by id; the same on all ranks."""
+    """All columns of all bodies, by id; equal on all ranks."""
     assert {name: column.dtype for name, column in world.payload.items() if name in ("half", "odd", "tag")} == {
         "half": torch.bfloat16,
         "odd": torch.bool,
@@ -70,7 +70,7 @@ def state_of(world: World) -> list[list[float]]:
 
 
 def go_on(world: World, save: str = "") -> list[Any]:
-    """Makes the steps that are left; contacts and states after each, the same on all ranks."""
+    """Runs the remaining steps; returns contacts and states after each, equal on all ranks."""
     seen = []
     for step in range(world.steps_made, LOOP):
         at = world.payload
@@ -124,7 +124,7 @@ def test_a_loop_goes_on(
 
 
 def save_deforming(comm: Comm, folder: str, report: str, partition: str) -> None:
-    """After a step, before the bodies move; and once more after that."""
+    """Saves after a step, before the bodies move; and again after they moved."""
     world = spread(comm, report, CPU, 0, "cost", partition)
     after = vertices_of(rows_of(world), 1)
     world.step(pgccd.VertexMotion(world.vertex_payload["x"], after))
@@ -134,7 +134,7 @@ def save_deforming(comm: Comm, folder: str, report: str, partition: str) -> None
 
 
 def first_vertices(world: World, x: torch.Tensor) -> torch.Tensor:
-    """Where bodies are whose vertices are there."""
+    """Positions of the bodies with these vertices: that of the first vertex."""
     count = world.columns["vertex_count"]
     return x[count.cumsum(0) - count]
 
@@ -178,7 +178,7 @@ def test_deforming_bodies_go_on(
 
 
 def few(comm: Comm, folder: str, count: int) -> list[int]:
-    """Bodies on some of the ranks, or on none."""
+    """A world with bodies on some of the ranks, or on none."""
     mesh, far = crowds()["one body"].meshes[0], 2.0 * torch.arange(3.0 * count, dtype=torch.float64).view(count, 3)
     mine = far if comm.rank == 0 else far[:0]
     world = World([mesh], (0.0,) * 3, (8.0,) * 3, mine, payload={"v": mine}, comm=comm)

@@ -1,4 +1,4 @@
-"""Faults of checkpoints of worlds: one line that says which, the same on all ranks; and nothing is lost."""
+"""Faults of world checkpoints: the same one-line error on all ranks; the previous checkpoint is kept."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def test_a_type_that_files_cannot_hold(tmp_path: Path) -> None:
         world = World([mesh], (0.0,) * 3, (8.0,) * 3, position, payload=payload)
         with pytest.raises(CheckpointError, match=r"^/.*/rank-00000.safetensors cannot be written: "):
             world.save(tmp_path)
-    assert state_of(load(Alone(), tmp_path)) == state_of(begin(Alone()))  # the one before
+    assert state_of(load(Alone(), tmp_path)) == state_of(begin(Alone()))  # the previous one
 
 
 def told(comm: Comm, folder: str, what: str = "load") -> str:
-    """What a rank is told; it has nothing left to be told of afterwards."""
+    """The error of a rank; its communication works afterwards."""
     world = begin(comm) if what == "save" else None
     try:
         load(comm, folder) if world is None else world.save(folder)
@@ -56,7 +56,7 @@ def told(comm: Comm, folder: str, what: str = "load") -> str:
 
 
 def same_told(of_ranks: list[str]) -> str:
-    """What all ranks were told, with the same words but for the rank that they name."""
+    """The error of all ranks, which is the same except for the rank in it."""
     (said,) = {re.sub(r"^(ValueError: rank \d+|\w+Error): ", "", said) for said in of_ranks}
     return said
 
@@ -110,7 +110,7 @@ def test_nothing_is_executed(tmp_path: Path) -> None:
     assert not (tmp_path / "executed").exists()
 
 
-#: By what was planted, and what is said of it.
+#: By fault: the planted change, and the expected error.
 CHANGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "no meshes": (lambda index: index["header"].pop("meshes"), "meshes: the world in .* was saved with others"),
     "no cut": (lambda index: index["header"].pop("cut"), "is not the checkpoint of a world"),
@@ -164,7 +164,7 @@ def test_an_index_that_was_planted(tmp_path: Path, change: str) -> None:
 def test_columns_that_were_planted(
     tmp_path: Path, column: str, value: Callable[[torch.Tensor], torch.Tensor], expected: str
 ) -> None:
-    """With the right hashes."""
+    """With valid hashes."""
     world = begin(Alone())
     world.columns[column] = value(world.columns[column])
     world.save(tmp_path)
@@ -195,7 +195,7 @@ def told_of_vertices(comm: Comm, folder: str) -> str:
 @pytest.mark.parametrize("call", ["save_file", "_sync", "_write_bytes", "replace"])
 @pytest.mark.parametrize("number", range(4))  # the fifth `_sync` follows the replacement of the pointer
 def test_a_failure_leaves_the_one_before(tmp_path: Path, call: str, number: int) -> None:
-    """Of the disk, at any moment."""
+    """A disk failure at any time."""
     world = begin(Alone())
     before = world.save(tmp_path)
     owner: Any = files.os if call == "replace" else files
@@ -214,7 +214,7 @@ def test_a_failure_leaves_the_one_before(tmp_path: Path, call: str, number: int)
 
 
 def fill_the_disk(comm: Comm, folder: str) -> str:
-    """Of rank 1, when there is a checkpoint already."""
+    """The disk of rank 1 is full; there is a previous checkpoint."""
     world = begin(comm)
     before = world.save(folder)
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -254,7 +254,7 @@ def test_a_folder_that_another_job_holds(ranks: RankPool, tmp_path: Path) -> Non
 
 
 def save_apart(comm: Comm, folder: str) -> str:
-    """To a folder of each rank's own."""
+    """Saves to a separate folder per rank."""
     look = shared_folder.sees_mark
 
     def see(path: Path, mark: str) -> bool:
@@ -301,7 +301,7 @@ def test_a_pointer_that_was_planted(tmp_path: Path) -> None:
 
 
 def mistakes(comm: Comm, folder: str) -> list[str]:
-    """What is said of arguments that do not fit, or that ranks have different ones of."""
+    """Errors of arguments that do not match the checkpoint, or differ between ranks."""
     begin(comm).save(folder)
     right = crowds()[CROWD].meshes
     wrong = [pgccd.Mesh(mesh.vertices * 2.0, mesh.faces) for mesh in right]
@@ -329,7 +329,7 @@ def test_mistakes_are_named(ranks: RankPool, tmp_path: Path) -> None:
 
 
 def test_no_path() -> None:
-    """Which would be the current folder."""
+    """An empty path would be the current folder."""
     with pytest.raises(TypeError, match="^folder: expected a path, got ''"):
         begin(Alone()).save("")
 

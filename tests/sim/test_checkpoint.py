@@ -235,7 +235,7 @@ def test_columns_of_other_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 
 @pytest.mark.parametrize("problem", ["single", "flat", "missing", "more"])
 def test_columns_of_another_version(tmp_path: Path, problem: str) -> None:
-    """With the right hashes."""
+    """With valid hashes."""
     columns = start_state().columns
     columns = {
         "single": {**columns, "position": columns["position"].float()},
@@ -250,7 +250,7 @@ def test_columns_of_another_version(tmp_path: Path, problem: str) -> None:
 
 @pytest.mark.parametrize("kind", ["world", None])
 def test_one_of_another_kind(tmp_path: Path, kind: Any) -> None:
-    """It is not read, and not replaced."""
+    """A checkpoint of another kind is neither read nor replaced."""
     folder = write(tmp_path, 7)
     pointer = tmp_path / FOLDER / POINTER
     pointer.write_text(json.dumps(json.loads(pointer.read_text()) | {"kind": kind}))

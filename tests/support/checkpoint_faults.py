@@ -1,4 +1,4 @@
-"""What may become of the files of a checkpoint: bytes that change by chance, an index that was planted, a bomb."""
+"""Damage to the files of a checkpoint: random changes of bytes, a planted index, a pickle that runs code."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pgccd.checkpoint.files import FOLDER, POINTER
 
 
 def newest(folder: Path) -> Path:
-    """The folder of the checkpoint that the pointer names."""
+    """The folder of the newest checkpoint."""
     return folder / FOLDER / json.loads((folder / FOLDER / POINTER).read_text())["folder"]
 
 
@@ -25,7 +25,7 @@ def files_of(folder: Path) -> list[Path]:
 
 
 def mutations(raw: bytes, rng: np.random.Generator) -> list[bytes]:
-    """One of each kind."""
+    """One mutation of each kind."""
     at, end = sorted(rng.integers(0, len(raw), 2).tolist())
     flipped = bytearray(raw)
     flipped[at] ^= 1 << int(rng.integers(8))
@@ -38,7 +38,7 @@ def mutations(raw: bytes, rng: np.random.Generator) -> list[bytes]:
 
 
 def changes_by_chance(folder: Path, count: int) -> Iterator[None]:
-    """Changes one of the files at a time; as they were when it ends."""
+    """Changes one of the files at a time, and restores it afterwards."""
     files, rng, tried = files_of(folder), np.random.default_rng(7), 0
     while tried < count:
         path = files[tried % len(files)]
@@ -51,7 +51,7 @@ def changes_by_chance(folder: Path, count: int) -> Iterator[None]:
 
 
 def plant(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
-    """Changes the index, and the pointer with it."""
+    """Changes the index, and the pointer accordingly."""
     pointer, path = folder / FOLDER / POINTER, newest(folder) / "index.json"
     index = json.loads(path.read_text())
     change(index)
@@ -62,7 +62,7 @@ def plant(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
 
 
 class Runs:
-    """Makes a folder when it is unpickled."""
+    """Creates a folder when it is unpickled."""
 
     def __init__(self, path: Path) -> None:
         self.path = str(path)

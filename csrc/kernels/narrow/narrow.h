@@ -23,7 +23,7 @@ struct NarrowInput {
   int64_t pair_count;
   NarrowSettings settings;
   Report report;
-  const double* latest = nullptr;  // (pair_count,) later contacts need not be found; or null. Only the CPU looks
+  const double* latest = nullptr;  // (pair_count,) or null: later contacts may be skipped; used only on the CPU
 };
 
 // Capacity of a narrow phase that does not synchronise.

@@ -1,5 +1,5 @@
-// Of the pairs of leaves that the descent found, those that may meet. A thread takes one, and the next when it has
-// decided, so that all lanes of a warp have work however many steps each takes.
+// Rejects leaf pairs of the descent that certainly stay apart. A thread tests one leaf pair at a time and then takes
+// the next, so that all lanes of a warp have work although the number of steps differs.
 #pragma once
 
 #include "kernels/traverse/leaf_separation.h"
@@ -15,7 +15,7 @@ __global__ void __launch_bounds__(kBlockThreads) cull_leaves(Pairs<Bodies> pairs
   const auto put = [&](Counter at, const Task& task) { meeting.put(at, task); };
   const uint32_t count = leaves.size(), warps = gridDim.x * kWarpsPerBlock;
   const uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / kWarp;
-  uint32_t taken = 0;  // by the warp, 32 neighbours at a time
+  uint32_t taken = 0;  // by the warp, 32 consecutive items at a time
   int waiting = 0;
   Task task{};
   bool is_busy = false;

@@ -53,8 +53,8 @@ struct alignas(16) DeformingSweep : PairFrame {
 
   PGCCD_HD Vec3<float> turned(const LocalPose&, int, Vec3<float> direction) const { return direction; }
 
-  // One of eight vertices of a leaf (T = float) or all, relative to the body's centre, at the start (0) or the horizon
-  // (1).
+  // One of eight vertices of a leaf, or (T = Float8) all eight; relative to the body's centre, at the start (0) or the
+  // horizon (1).
   template <class T>
   PGCCD_HD Vec3<T> leaf_points(const DeformingBodies& bodies, const LeafPoints& points, int side, int slot,
                                int end) const {

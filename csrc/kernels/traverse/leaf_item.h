@@ -56,15 +56,15 @@ struct MovingFeatures {
   FeaturePair<float> start, end;
   bool is_edge_edge;
 
-  // Both are true only if they stay apart; the second finds more, and takes longer.
+  // Both are true only if the features stay apart; the second rejects more pairs, and is slower.
   PGCCD_HD bool plainly_apart(float distance) const { return stays_apart(start, end, distance, is_edge_edge); }
   PGCCD_HD bool stepwise_apart(float distance) const {
     return stays_apart_stepwise(start, end, distance, is_edge_edge);
   }
 };
 
-// The feature pair of that bit. `corner(side, index, end)` returns where the triangles' corners are. One path through
-// the code for both sorts of pairs: on a device they share a warp.
+// The feature pair of a bit. `corner(side, index, end)` returns a triangle's corner. Both kinds of pairs take one path
+// through the code, because they share a warp on a device.
 template <class Corner>
 PGCCD_HD MovingFeatures moving_features(Corner&& corner, int bit) {
   const bool is_edge_edge = bit >= kFirstEdgeBit, is_face_of_i = bit >= 3 && !is_edge_edge;

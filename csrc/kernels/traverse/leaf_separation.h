@@ -1,8 +1,7 @@
-// Do two leaves certainly stay apart? Leaves that meet as spheres and slabs mostly do, and are dropped here, before any
-// of their triangles is placed. A few steps of Frank & Wolfe (1956) lead towards the point nearest to the origin of the
-// Minkowski difference of their vertices' hulls at both ends of a segment. Each step tries the direction to the point
-// reached so far: along it the vertices may be separated. Written for T = float and, on the host, for eight lanes of
-// it, with the same result.
+// A test whether two leaves certainly stay apart. It rejects most leaf pairs with overlapping spheres and slabs, before
+// any triangle is transformed. A few steps of Frank & Wolfe (1956) approach the point nearest to the origin in the
+// Minkowski difference of the convex hulls of the leaves' vertices, at both ends of a segment. Each step tests the
+// direction of the current point for separation. T is float or, on the host, eight lanes of it, with the same result.
 #pragma once
 
 #include <bit>
@@ -15,9 +14,9 @@ constexpr int kSeparationSteps = 4;
 
 namespace separation_detail {
 
-// The vertex of a leaf that is farthest along a direction; the first of those that are equally far.
+// The vertex of a leaf that is farthest along a direction; ties are broken by the first.
 struct Farthest {
-  float along = -HUGE_VALF;  // product with the direction
+  float along = -HUGE_VALF;  // dot product with the direction
   int32_t row = 0;
   int slot = 0;
 
@@ -52,16 +51,15 @@ class LeafSeparation {
   PGCCD_HD LeafSeparation(const PairTree<Bodies>& tree, NodePair leaves, int k)
       : tree_(tree), leaves_(leaves), start_(tree.pose(k - 1)), end_(tree.pose(k)), k_(k) {}
 
-  // From sphere to sphere: where the steps begin.
+  // From the first sphere's centre to the second's, averaged over both ends: the initial point.
   PGCCD_HD Vec3<float> between_spheres() const {
     const MovingPoints<1, float> from = tree_.moving_centre(0, leaves_.first, k_);
     const MovingPoints<1, float> to = tree_.moving_centre(1, leaves_.second, k_);
     return 0.5f * ((to.start[0] - from.start[0]) + (to.end[0] - from.end[0]));
   }
 
-  // True where the leaves certainly stay further apart than the pair's inflation along this direction; otherwise makes
-  // a step. What is computed of a distance along a direction of unit length is off by less than 32 units of rounding,
-  // of which the inflation has 64.
+  // True if the leaves certainly stay further apart than the pair's inflation along this direction; otherwise takes a
+  // step. The error of a distance along a unit direction is below 32 units of rounding; the inflation includes 64.
   PGCCD_HD bool is_along(Vec3<float>& reached) const {
     const float length_squared = norm_squared(reached);
     Farthest first[2], second[2];
@@ -84,7 +82,7 @@ class LeafSeparation {
     return tree_.bodies().meshes.leaf_points[tree_.sweep().first_points[side] + row];
   }
 
-  // At both ends.
+  // The farthest vertices at both ends.
   PGCCD_HD void find_farthest(int side, int32_t node, Vec3<float> direction, Farthest out[2]) const {
     using separation_detail::in_all_lanes;
     constexpr int kSlotsAtOnce = sizeof(T) / sizeof(float);
@@ -93,7 +91,7 @@ class LeafSeparation {
     const NodeLink leaf = tree_.link(side, node);
     PGCCD_KEEP_LOOP
     for (int32_t row = leaf.first_points; row < leaf.first_points + leaf.points_count; ++row) {
-      const LeafPoints eight = points(side, row);  // read at once
+      const LeafPoints eight = points(side, row);  // one load of the whole row
       PGCCD_UNROLL
       for (int slot = 0; slot < kBlockWidth; slot += kSlotsAtOnce) {
         const auto placed = [&](int end) {
@@ -120,7 +118,7 @@ class LeafSeparation {
   int k_;
 };
 
-// False if they certainly stay apart over the whole step.
+// False if the leaves certainly stay apart over the whole step.
 template <class T, class Bodies>
 PGCCD_HD bool leaves_may_meet(const PairTree<Bodies>& tree, NodePair leaves) {
   for (int k = 1; k <= tree.sweep().segment_count; ++k) {

@@ -26,7 +26,7 @@ struct LeafShared {
   bool is_one_body[kSlots], is_one_leaf[kSlots];  // both sides are; written where a body may be tested against itself
   uint16_t triangle_pairs[5 * kWarp];             // waiting: slot of i * kSlots + slot of j
   uint16_t features[kWarp * (kFeaturePairBits + 1)];  // waiting: triangle pair * 16 + bit
-  uint16_t near[2 * kWarp];                           // likewise: feature pairs left by the float32 test
+  uint16_t near[2 * kWarp];                           // likewise: not rejected by `plainly_apart`
   alignas(4) uint16_t met[2 * kTrianglePairs];        // feature pairs emitted so far, if there are many segments
 };
 

@@ -10,7 +10,7 @@ namespace pgccd {
 struct TraverseCounters {
   Counter rest[3];  // tasks returned: launches rotate, see TaskHandover
   Counter most_rest;
-  Counter leaves, meeting_leaves;  // pairs of leaves that the descent found; those that culling left
+  Counter leaves, meeting_leaves;  // leaf pairs found by the descent; those left by culling
   Counter edge_edge, vertex_face;  // candidates
   Counter poses;
   Counter node_tests;

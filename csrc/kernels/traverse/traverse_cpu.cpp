@@ -92,7 +92,7 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
     const MovingPoints<3, Float8> j = moving_triangles<Float8>(tree, 1, second.first, k);
     const uint32_t reaching_j = triangles_reaching(tree, j, second.triangle_count, 1, leaves.first, k);
     if (reaching_j == 0) continue;
-    // On a device this comes first; here it takes longer than what is above.
+    // On a device this test comes first; on the host it is slower than the tests above.
     if (!is_near && !leaves_may_meet<Float8>(tree, leaves)) return;
     is_near = true;
     for_each_bit(reaching_i, [&](int p) {

@@ -131,7 +131,7 @@ class LeafVisitor {
     return moving_features(corner_of, listed % 16);
   }
 
-  // One waiting feature pair per lane: lists those that the float32 test does not reject.
+  // One waiting feature pair per lane: lists those that `plainly_apart` does not reject.
   __device__ __forceinline__ void test_plainly(int count) {
     waiting_ -= count;
     const bool is_given = lane_ < count;
@@ -143,7 +143,7 @@ class LeafVisitor {
     __syncwarp();  // the list is written
   }
 
-  // One of these a lane: emits those that may meet.
+  // One near feature pair per lane: emits those that may meet.
   __device__ __forceinline__ void test_stepwise(int count) {
     near_ -= count;
     const bool is_given = lane_ < count;
@@ -173,7 +173,7 @@ class LeafVisitor {
   int filled_ = 0;   // slots
   int queued_ = 0;   // triangle pairs waiting
   int waiting_ = 0;  // feature pairs waiting
-  int near_ = 0;     // those among them that are not plainly apart
+  int near_ = 0;     // near feature pairs waiting
 };
 
 template <class Bodies>

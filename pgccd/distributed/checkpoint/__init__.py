@@ -1,1 +1,1 @@
-"""Checkpoints that many ranks write, and any number of ranks reads; their files are those of `pgccd.checkpoint`."""
+"""Checkpoints written by many ranks and read by any number of ranks, in the files of `pgccd.checkpoint`."""

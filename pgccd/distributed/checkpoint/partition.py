@@ -16,7 +16,7 @@ from pgccd.distributed.partition.interface import Partition
 
 
 def partition_header(partition: Partition) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """How space was cut at first, as JSON; and the tensor that says who owns what, by name."""
+    """The parameters of a partition, as JSON; and the tensor of its owners or planes, by name."""
     cut: dict[str, Any] = {"lower": list(partition.lower), "upper": list(partition.upper), "ranks": partition.ranks}
     if isinstance(partition, Cells):
         cut |= {"kind": "cells", "subdomains": list(partition.subdomains), "cells": list(partition.cells)}
@@ -26,13 +26,13 @@ def partition_header(partition: Partition) -> tuple[dict[str, Any], dict[str, Te
 
 
 def load_partition(comm: Comm, stored: Stored, uniform: Partition) -> Partition:
-    """The partition of a checkpoint, so that loads are as even as they were.
+    """The partition of a checkpoint, which preserves the balance.
 
     Args:
         comm: between the ranks.
         stored: the checkpoint.
-        uniform: a partition to begin with; returned if the checkpoint is of another number of ranks, or space was cut
-            in another way.
+        uniform: the initial partition; returned if that of the checkpoint has other parameters, such as the number of
+            ranks.
 
     Raises:
         ValueError: the checkpoint is damaged; on all ranks.

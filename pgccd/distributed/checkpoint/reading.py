@@ -1,4 +1,4 @@
-"""Checkpoints that any number of ranks reads, whatever number wrote them."""
+"""Reading of checkpoints by any number of ranks, written by any number of ranks."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from pgccd.distributed.launch.agreement import together
 
 
 def load_share(comm: Comm, stored: Stored, table: str, ragged: tuple[str, str] | None = None) -> dict[str, Columns]:
-    """An equal share of the rows of a table, on the CPU. All ranks together get all of them, and have verified them;
-    each reads no more rows than its own.
+    """An equal share of the rows of a table, on the CPU. All ranks together verify and read all files; each reads only
+    its own rows.
 
     Args:
         comm: between the ranks.
-        stored: the checkpoint, the same on all ranks.
-        table: whose rows are shared out.
-        ragged: a column (N,) int64 of this table, and another table of which so many rows belong to each of its rows,
-            in the same order.
+        stored: the checkpoint, equal on all ranks.
+        table: the table to read.
+        ragged: a column (N,) int64 of this table, and the name of another table: the column holds the number of rows of
+            the other table that belong to each row, in the same order.
 
     Returns:
-        The columns of the table and of the ragged one, by the names of these.
+        The columns of the table and of the ragged one, by table name.
 
     Raises:
-        ValueError: it is damaged or cannot be read; on all ranks.
+        ValueError: the checkpoint is damaged or cannot be read; on all ranks.
     """
 
     def read() -> tuple[dict[str, Columns], list[int]]:

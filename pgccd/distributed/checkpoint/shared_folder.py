@@ -1,4 +1,4 @@
-"""A folder that all ranks see, and that no other job writes to meanwhile."""
+"""A folder shared by all ranks and locked against other jobs."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from pgccd.checkpoint.lock import hold
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.launch.agreement import on_first, together
 
-# How long a file of one machine may take to be seen by another: network file systems keep what they know for seconds.
+# Seconds until a file of one machine is visible on another: network file systems cache directories for seconds.
 _SEEN_WITHIN = 20.0
 
 
 @contextmanager
 def hold_together(comm: Comm, folder: Path) -> Iterator[None]:
-    """Rank 0 holds the folder against other jobs, and every rank has seen that it is the same one.
+    """Rank 0 locks the folder against other jobs, and every rank checks that it sees the same folder.
 
     Raises:
-        ValueError: it cannot be written to, another job holds it, or a rank does not see it; on all ranks.
+        ValueError: the folder cannot be written to, is locked by another job, or is not visible to a rank; on all
+            ranks.
     """
     with ExitStack() as stack:
         on_first(comm, lambda: stack.enter_context(hold(folder)))
@@ -44,19 +45,19 @@ def hold_together(comm: Comm, folder: Path) -> Iterator[None]:
 
 
 def write_mark(folder: Path) -> str:
-    """Writes a file that only this job knows of; returns its name."""
+    """Creates a file with a random name; returns the name."""
     name = f".seen-{secrets.token_hex(8)}"
     (folder / name).touch()
     return name
 
 
 def sees_mark(folder: Path, name: str, within: float = _SEEN_WITHIN) -> bool:
-    """Whether the file comes to be seen here."""
+    """Whether the file becomes visible on this machine."""
     deadline = time.monotonic() + within
     while not (folder / name).exists():
         if time.monotonic() > deadline:
             return False
         time.sleep(0.05)
         if folder.is_dir():
-            os.listdir(folder)  # some file systems look again only then
+            os.listdir(folder)  # makes some network file systems refresh
     return True

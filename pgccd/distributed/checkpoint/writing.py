@@ -1,4 +1,4 @@
-"""Checkpoints that all ranks write: each its own rows, in the background."""
+"""Writing of checkpoints by all ranks: each writes its own rows, in the background."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from pgccd.distributed.partition.interface import Partition
 
 
 class CheckpointWriter:
-    """Writes checkpoints to a folder. Every rank writes a file of its own rows while it goes on with other work.
+    """Writes checkpoints to a folder. Every rank writes a file of its own rows in the background.
 
     Args:
-        comm: between the ranks; all of them make and use one together.
-        folder: seen by all ranks.
+        comm: between the ranks; all methods are called by all ranks.
+        folder: shared by all ranks.
         kind: of the checkpoints: see `pgccd.checkpoint.files.Content`.
 
     Example:
@@ -50,16 +50,16 @@ class CheckpointWriter:
     def begin(
         self, steps_made: int, header: Mapping[str, Any], tables: Mapping[str, Columns], partition: Partition
     ) -> None:
-        """Starts to write; returns once the rows have been copied. Waits for the checkpoint before, if need be.
+        """Starts to write; returns once the rows have been copied. Waits for the previous checkpoint first.
 
         Args:
-            steps_made: before this checkpoint.
-            header: what else is to be known, as JSON; the same on all ranks.
-            tables: this rank's rows, as columns by name; of the same names, dtypes and widths on all ranks.
-            partition: of space; the same on all ranks.
+            steps_made: number of steps before this checkpoint.
+            header: everything else, as JSON; equal on all ranks.
+            tables: this rank's rows, as columns by name; names, dtypes and row shapes are equal on all ranks.
+            partition: of space; equal on all ranks.
 
         Raises:
-            CheckpointError: the checkpoint before, or the folder of this one, could not be written.
+            CheckpointError: the previous one, or the folder of this one, could not be written.
         """
         self.finish()
         name = on_first(self._comm, lambda: make_folder(self._root, self._kind, steps_made))
@@ -82,10 +82,10 @@ class CheckpointWriter:
         threading.Thread(target=work, name="pgccd-checkpoint", daemon=True).start()
 
     def finish(self) -> Path | None:
-        """Waits until the last checkpoint is whole.
+        """Waits until the last checkpoint is complete.
 
         Returns:
-            Its folder; None if there is nothing to wait for.
+            Its folder; None if no checkpoint is being written.
 
         Raises:
             CheckpointError, RuntimeError: it could not be written; on all ranks.

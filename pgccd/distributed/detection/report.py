@@ -71,7 +71,7 @@ def _canonical_order(pairs: Tensor) -> Tensor:
 
 
 def first_toi_of(id: Tensor, hits: Contacts) -> Tensor:
-    """(N,) float64: the first toi of bodies, or the first `time` of a trajectory; inf for those that do not collide.
+    """(N,) float64: the first toi of bodies, or the first `time` of a trajectory; inf without a contact.
 
     Args:
         id: (N,) int64 global ids, ascending.

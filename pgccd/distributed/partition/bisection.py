@@ -20,7 +20,7 @@ from pgccd.distributed.partition.interface import Partition, Point, box_given
 _BINS, _ZOOMS = 64, 4
 # Cells per axis of a rank's part, used to find own bodies near ghosts.
 _CELLS = 16
-# Of the largest coordinate of the box: how far a plane may lie outside of the part that it divides.
+# Maximum distance of a plane outside of the part that it divides, relative to the box's largest coordinate.
 _SLACK = 1e-12
 
 
@@ -113,20 +113,20 @@ class Bisection(Partition):
         return True
 
     def with_planes(self, planes: Tensor) -> Bisection:
-        """The same box divided by other planes.
+        """The same box, divided by other planes.
 
         Args:
-            planes: (P - 1, 4) float64, as `Bisection` has them.
+            planes: (P - 1, 4) float64, as in `Bisection`.
 
         Raises:
-            ValueError: they do not divide the box into one part a rank.
+            ValueError: they do not divide the box into one part per rank.
         """
         if planes.shape != self.planes.shape or planes.dtype != torch.float64:
             expected = f"({len(self.planes)}, 4) float64"
             raise ValueError(f"planes: expected {expected}, got {tuple(planes.shape)} {planes.dtype}")
         if not bool(torch.isfinite(planes).all()):
             raise ValueError("planes: expected finite numbers")
-        # The search for a plane may leave its part by rounding.
+        # Rounding in the search may place a plane outside of its part.
         slack = _SLACK * max(abs(x) for corner in (self.lower, self.upper) for x in corner)
         coordinates = planes[:, 1].tolist()
 
@@ -137,7 +137,7 @@ class Bisection(Partition):
                     raise ValueError(f"planes: {at} is outside of the part from {split.low} to {split.high}")
             return found
 
-        # All else follows from the coordinates.
+        # The coordinates determine the other columns.
         if not torch.equal(_bisect(self.lower, self.upper, [1.0] * self.ranks, as_given), planes.cpu()):
             raise ValueError(f"planes: expected a tree of {self.ranks} parts, each divided across its longest axis")
         return replace(self, planes=planes.to(self.planes.device))

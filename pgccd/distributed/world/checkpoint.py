@@ -1,4 +1,4 @@
-"""Checkpoints of a `World`: bodies with all their columns, the vertices of those that deform, and the partition."""
+"""Checkpoints of a `World`: bodies with all columns, vertices of deforming bodies, and the partition."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _KNOWN = (*_REQUIRED, *OPTIONAL_COLUMNS, "self_collision", _COUNT)
 
 
 def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState) -> Path:
-    """Writes a checkpoint of all ranks, and makes it the newest one in a folder; see `World.save`."""
+    """Writes a checkpoint from all ranks, and makes it the newest one in a folder; see `World.save`."""
     root = _folder_given(comm, folder)
     tables = {_BODIES: state.columns}
     if state.vertices is not None:
@@ -59,7 +59,7 @@ def load_state(
 ) -> WorldState:
     """An equal share of the bodies of a checkpoint, and its partition; see `World.load`."""
     root = _folder_given(comm, folder)
-    if not on_first(comm, lambda: has_checkpoint(root)):  # of one type on all ranks, which may then begin a world
+    if not on_first(comm, lambda: has_checkpoint(root)):  # same type on all ranks: callers may create a new world
         raise of_all_ranks(FileNotFoundError(f"folder: no checkpoint at {root}"))
     stored = on_first(comm, lambda: _stored(root))
 
@@ -104,14 +104,14 @@ def load_state(
 
 
 def _folder_given(comm: Comm, folder: str | PathLike[str]) -> Path:
-    """The same on all ranks."""
+    """The folder as a path; equal on all ranks."""
     path = together(comm, lambda: arguments.path(folder, "folder"))
     require_agreement(comm, {"folder": str(path)})
     return path
 
 
 def _stored(folder: Path) -> Stored:
-    """The newest checkpoint, of whose index all is known to be there that a world needs."""
+    """The newest checkpoint, with an index that has all columns of a world."""
     stored = Stored(folder, KIND)
     names = stored.layout.get(_BODIES, {})
     missing = [name for name in _REQUIRED if name not in names]

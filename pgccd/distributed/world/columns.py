@@ -18,20 +18,20 @@ from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 
-# Columns of scenes that may be absent.
+# Optional columns of scenes.
 _OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision")
 #: All columns that detection reads.
 OF_SCENES = ("id", "mesh_index", *_OPTIONAL)
 
 
 def scene_of(meshes: MeshSet, columns: Columns) -> Scene:
-    """Of bodies with these columns."""
+    """The scene of bodies with these columns."""
     optional: dict[str, Any] = {name: columns[name] for name in _OPTIONAL if name in columns}
     return Scene.of_checked(meshes, columns["mesh_index"], **optional)
 
 
 def motion_of(columns: Columns, path: Literal["rigid", "linear"]) -> RigidMotion | VertexMotion:
-    """The reverse of `moving_columns`, the columns of vertices being among the others."""
+    """The inverse of `moving_columns`; the columns include those of vertices."""
     if "x_t0" in columns:
         return VertexMotion(columns["x_t0"], columns["x_t1"])
     pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
@@ -55,16 +55,16 @@ def require_rows(motion: RigidMotion | VertexMotion | Trajectory, bodies: int, v
 def moving_columns(
     motion: RigidMotion | VertexMotion, bodies: int, vertex_count: Tensor, path: str
 ) -> tuple[Columns, Vertices | None]:
-    """The columns of a motion: of bodies, or of the vertices of bodies that deform.
+    """The columns of a motion: of rigid bodies, or of the vertices of deforming bodies.
 
     Args:
         motion: of one step.
-        bodies: how many there are.
-        vertex_count: (N,) int64 of each.
+        bodies: number of bodies.
+        vertex_count: (N,) int64: number of vertices of each body.
         path: of all motions of the world.
 
     Raises:
-        TypeError, ValueError: the motion is of no such kind, or does not fit.
+        TypeError, ValueError: the motion is of another type, or does not match the bodies or the path.
     """
     if not isinstance(motion, (RigidMotion, VertexMotion)):
         kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
@@ -118,14 +118,14 @@ def require_unique(comm: Comm, id: Tensor) -> None:
 
 
 def new_values(new: Mapping[str, Tensor], columns: Columns, vertices: Columns) -> tuple[Columns, Columns]:
-    """What a user says that bodies have now, checked.
+    """New columns from the arguments of `World.move`, validated.
 
     Args:
-        new: by name: "position", and values of the payload.
-        columns, vertices: of a world, those of the payload with names that begin with a point.
+        new: "position", and values of the payload, by name.
+        columns, vertices: current columns of the world; names of the payload begin with ".".
 
     Returns:
-        New columns of bodies, and of vertices.
+        New columns of bodies and of vertices.
 
     Raises:
         TypeError, ValueError: naming the argument.

@@ -1,4 +1,4 @@
-"""What a `World` begins with: one rank's share of the bodies, checked, and how space is cut."""
+"""The initial state of a `World`: one rank's share of the bodies, validated, and the partition of space."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pgccd.geometry.scene import Scene
 
 @dataclass(frozen=True)
 class Cut:
-    """How space is cut at first, as for `World`."""
+    """Parameters of the initial partition, as for `World`."""
 
     partition: str
     lower: Point
@@ -35,7 +35,7 @@ class Cut:
     cells: int | Triple
 
     def uniform(self, ranks: int, device: torch.device, balance: BalanceOptions) -> Partition:
-        """The partition for so many ranks.
+        """The uniform partition for this number of ranks.
 
         Raises:
             TypeError, ValueError: naming the argument of `World`.
@@ -52,15 +52,15 @@ class WorldState:
     meshes: MeshSet
     cut: Cut
     partition: Partition
-    columns: Columns  #: of bodies, those of the payload with names that begin with a point
-    vertices: Vertices | None  #: that travel with the bodies
+    columns: Columns  #: of bodies; names of the payload begin with "."
+    vertices: Vertices | None  #: that migrate with the bodies
     steps_made: int = 0
 
     def with_ids(self, comm: Comm, are_given: bool) -> WorldState:
-        """The same; ids that were not given are counted through, rank by rank.
+        """This state with unique ids; ids that were not given become consecutive, rank by rank.
 
         Raises:
-            ValueError: two bodies have the same; on all ranks.
+            ValueError: two bodies have the same id; on all ranks.
         """
         id = self.columns["id"]
         if not are_given:
@@ -84,11 +84,11 @@ def state_given(
     payload: dict[str, Tensor] | None,
     vertex_payload: dict[str, Tensor] | None,
 ) -> WorldState:
-    """What this rank was given, checked.
+    """The state from this rank's arguments of `World`, validated.
 
     Args:
-        ranks: their number.
-        optional: columns of scenes, None those that were not given.
+        ranks: number of ranks.
+        optional: optional columns of scenes; None if not given.
         meshes, cut, balance, position, id, mesh_index, self_collision, payload, vertex_payload: as for `World`.
 
     Raises:
@@ -101,7 +101,7 @@ def state_given(
     partition = cut.uniform(ranks, position.device, balance)
     index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
     given: dict[str, Any] = {name: column for name, column in optional.items() if column is not None}
-    scene = Scene(mesh_set, index, self_collision=self_collision, **given)  # checks them
+    scene = Scene(mesh_set, index, self_collision=self_collision, **given)  # validates them
     if scene.body_count != len(position):
         raise ValueError(f"mesh_index: expected {len(position)} values, one a body, got {scene.body_count}")
     columns = {"id": ids_given(id, len(position), position.device), "mesh_index": scene.mesh_index}
@@ -121,7 +121,7 @@ def state_given(
 def require_alike(
     comm: Comm, state: WorldState, options: Options, balance: BalanceOptions, path: str, ids_given: bool
 ) -> None:
-    """Raises DisagreementError unless all ranks begin alike."""
+    """Raises DisagreementError unless all ranks have equal parameters."""
     all_columns = state.columns | ({} if state.vertices is None else state.vertices.columns)
     kinds = {name: (str(column.dtype), tuple(column.shape[1:])) for name, column in all_columns.items()}
     cut = state.cut

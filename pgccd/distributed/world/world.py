@@ -147,22 +147,22 @@ class World:
         balance: BalanceOptions | None = None,
         overlap: bool = True,
     ) -> World:
-        """The world of the newest checkpoint in a folder: see `save`. Steps that follow have the results that they
-        would have had without.
+        """Restores the newest checkpoint in a folder, see `save`. The steps that follow are bitwise identical to those
+        of the saved world.
 
-        Bodies with all their columns, steps made, and how space is cut come from the checkpoint. On as many ranks as
-        saved it, each part of space has the owner that it had; on another number it is cut anew.
+        The checkpoint holds the bodies with all columns, the number of steps made, and the partition. The owners of all
+        parts of space are restored on the same number of ranks; another number starts with a uniform partition.
 
         Args:
             folder: as for `save`.
-            meshes: those of the world that was saved.
-            device: where the bodies will be.
+            meshes: equal to those of the saved world.
+            device: of the bodies.
             comm, report, min_separation, tolerance, nonzero_toi, broad_phase, path, balance, overlap: as for `World`.
 
         Raises:
             FileNotFoundError: there is no checkpoint; on all ranks.
-            CheckpointError: it cannot be read, or is not what was written.
-            TypeError, ValueError: naming the argument; on all ranks, as the others.
+            CheckpointError: it cannot be read, or is damaged; on all ranks.
+            TypeError, ValueError: naming the argument; on all ranks.
 
         Example:
             >>> world.save("out/world")
@@ -176,19 +176,19 @@ class World:
         return world
 
     def save(self, folder: str | PathLike[str]) -> Path:
-        """Writes a checkpoint, between two steps, for `load`; on any number of ranks. It replaces the one before, which
-        is there until this one is whole.
+        """Writes a checkpoint between two steps, which `load` reads on any number of ranks. The previous checkpoint is
+        removed once this one is complete.
 
         Args:
-            folder: seen by all ranks, for checkpoints of one world. It is made if it is missing, and held against other
-                jobs meanwhile.
+            folder: shared by all ranks, for checkpoints of one world. It is created if needed, and locked against other
+                jobs while this method runs.
 
         Returns:
-            The folder of the checkpoint in it.
+            The folder of the checkpoint, inside `folder`.
 
         Raises:
-            CheckpointError: it cannot be written; the one before is still there.
-            ValueError: another job holds the folder, or a rank does not see it; on all ranks, as the other.
+            CheckpointError: it cannot be written; the previous one is kept; on all ranks.
+            ValueError: the folder is locked by another job, or is not visible to a rank; on all ranks.
 
         Example:
             >>> world.save("out/world")
