@@ -395,15 +395,15 @@ _SEPARATIONS = [
     Mutant(
         "leaves-apart-at-the-start-only",
         TRAVERSE + "leaf_separation.h",
-        "smaller(gap_start, gap_end) >",
-        "gap_start >",
+        "smaller(gap_start, gap_end)",
+        "gap_start",
         ON_TRAVERSE,
     ),
     Mutant(
         "leaves-apart-at-the-end-only",
         TRAVERSE + "leaf_separation.h",
-        "smaller(gap_start, gap_end) >",
-        "gap_end >",
+        "smaller(gap_start, gap_end)",
+        "gap_end",
         ON_TRAVERSE,
     ),
     Mutant(
