@@ -11,7 +11,6 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.capacity import COUNT_ROWS, busy_nanoseconds
-from pgccd.detection.contacts import Stats
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.hashing import hashed_columns
 from pgccd.sim.model import RobotState
@@ -36,12 +35,6 @@ def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int
     names = ("pairs_written", "contacts", "candidates", "unresolved")
     pcs, contacts, candidates, unresolved = (counts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in names)
     return np.stack([pcs, contacts, secondary_contacts, candidates, unresolved, busy_nanoseconds(counts)], axis=1)
-
-
-def work_of_stats(stats: Stats, secondary_contacts: int) -> list[int]:
-    """(6,) for one rank, from statistics."""
-    nanoseconds = round(1e9 * (stats.seconds["traverse"] + stats.seconds["narrow"]))
-    return [stats.pcs, stats.contacts, secondary_contacts, stats.candidates, stats.unresolved, nanoseconds]
 
 
 @dataclass
