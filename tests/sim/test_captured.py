@@ -185,6 +185,6 @@ def test_without_a_graph(device: torch.device, graphs: list[StepGraph], monkeypa
     assert [without_times(plain.step(index, 7 - index).record) for index in range(8)] == expected
     monkeypatch.setattr(transaction, "capture", fail)
     maker = StepMaker(model, model.start(), graph=True)
-    with pytest.warns(UserWarning, match="no CUDA graph of them: operation not permitted") as warned:
+    with pytest.warns(UserWarning, match="steps run without a CUDA graph: operation not permitted") as warned:
         assert [without_times(maker.step(index, 7 - index).record) for index in range(8)] == expected
     assert len(warned) == 1 and graphs == []
