@@ -71,11 +71,25 @@ def measure(pair: frame_pairs.FramePair, report: pgccd.narrow.Report, arguments:
         "faces": len(mesh.faces),
         "ms": timing.summary(spent),
         "stage_ms": {stage: timing.summary(values)["median"] for stage, values in stages.items()},
+        "graph_ms": as_graph(pair, report, arguments) if scene.device.type == "cuda" else None,
         **counts,
         "unresolved": hits.stats.unresolved,
         "earliest_toi": float(hits.toi.min()) if len(hits) else None,
         **(pair.errors(hits) if report == "all" and arguments.min_separation == 0.0 else {}),
     }
+
+
+def as_graph(pair: frame_pairs.FramePair, report: pgccd.narrow.Report, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Milliseconds as a CUDA graph, copies of the vertices included; it must find the contacts of `detect`."""
+    scene, motion = pair.scene(arguments.device), pair.motion(arguments.device)
+    settings = {"report": report, "min_separation": arguments.min_separation, "tolerance": arguments.tolerance}
+    expected = pgccd.detect(scene, motion, **settings)
+    captured = pgccd.CapturedDetection(scene, motion, **settings)
+    spent = [timing.seconds(lambda: captured(motion), scene.device)[0] for _ in range(1 + arguments.rounds)][1:]
+    found = captured.contacts()
+    if not (torch.equal(found.features, expected.features) and torch.equal(found.toi, expected.toi)):
+        raise SystemExit(f"{pair.name}: the graph's contacts differ")
+    return timing.summary(spent)
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
@@ -85,6 +99,7 @@ def flat(row: dict[str, Any]) -> dict[str, Any]:
         "scene": row["scene"],
         "report": row["report"],
         "ms": row["ms"]["median"],
+        "as graph ms": row["graph_ms"]["median"] if row["graph_ms"] else None,
         **{f"{stage} ms": part for stage, part in row["stage_ms"].items()},
         **{count: row.get(count) for count in counts},
     }
