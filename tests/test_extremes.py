@@ -97,3 +97,37 @@ def test_given_pairs_change_nothing(device: torch.device, separation: float, tol
             assert torch.equal(own.pairs, given.pairs) and torch.equal(own.toi, given.toi), (part, broad_phase)
         touching.append(len(given) > 0)
     assert touching[:3] == [True] * 3 and touching[-1] == (tolerance == 0.0)
+
+
+def pairs_that_turn_in_place(size: float, count: int) -> list[list[int]]:
+    """The colliding ones among pairs of tetrahedra whose leaves' spheres are concentric, except for rounding."""
+    rng = np.random.default_rng(3)
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5 + 0.001 * rng.normal(size=(4, 3))
+    mesh = pgccd.Mesh(size * corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], origin="centroid")
+    centre = mesh._node_blocks[0, :3, 0].double().expand(count, 3)  # of the only leaf
+    turn, change = torch.from_numpy(rng.normal(size=(2, count, 4)))
+    start = torch.nn.functional.normalize(turn)
+    end = torch.nn.functional.normalize(start + 0.1 * change)
+
+    def rotated(quaternion: torch.Tensor) -> torch.Tensor:
+        w, axis = quaternion[:, :1], quaternion[:, 1:]
+        return centre + 2.0 * torch.linalg.cross(axis, torch.linalg.cross(axis, centre) + w * centre)
+
+    position, identity = torch.zeros_like(centre), torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).expand(count, 4)
+    position = torch.stack([position, centre - (rotated(start) + rotated(end)) / 2], dim=1).view(-1, 3)
+    poses = [torch.stack([identity, other], dim=1).view(-1, 4) for other in (start, end)]
+    scene = pgccd.Scene([mesh], torch.zeros(2 * count, dtype=torch.int32))
+    motion = pgccd.RigidMotion(position, poses[0], position, poses[1])
+    return found(pgccd.detect(scene, motion, "any", pairs=torch.arange(2 * count).view(count, 2)))
+
+
+def test_large_bodies_without_subnormal_numbers() -> None:
+    """Poses that map large bodies to the local frame are near the smallest normal numbers."""
+    expected = pairs_that_turn_in_place(1.0, 2_000)
+    if not torch.set_flush_denormal(True):
+        pytest.skip("this processor cannot flush subnormal numbers")
+    try:
+        assert pairs_that_turn_in_place(2.0**98, 2_000) == expected
+    finally:
+        torch.set_flush_denormal(False)
+    assert len(expected) > 1_000

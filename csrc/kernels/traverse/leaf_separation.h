@@ -59,16 +59,19 @@ class LeafSeparation {
   }
 
   // True if the leaves certainly stay further apart than the pair's inflation along this direction; otherwise takes a
-  // step. The error of a distance along a unit direction is below 32 units of rounding; the inflation includes 64.
+  // step. The error of a distance along a unit direction is below 32 units of rounding; the inflation includes 64. The
+  // direction is scaled to unit length first: with large bodies, the scale of the poses times that of a point near the
+  // origin would underflow.
   PGCCD_HD bool is_along(Vec3<float>& reached) const {
     const float length_squared = norm_squared(reached);
+    if (!(length_squared > 1e-30f)) return false;
+    const Vec3<float> direction = (1.0f / square_root(length_squared)) * reached;
     Farthest first[2], second[2];
-    find_farthest(0, leaves_.first, reached, first);
-    find_farthest(1, leaves_.second, -reached, second);
+    find_farthest(0, leaves_.first, direction, first);
+    find_farthest(1, leaves_.second, -direction, second);
     const float gap_start = -second[0].along - first[0].along, gap_end = -second[1].along - first[1].along;
     const float distance = tree_.sweep().inflation * (1.0f + 8.0f * Precision<float>::unit);
-    if (!(length_squared > 1e-30f)) return false;
-    if (smaller(gap_start, gap_end) > square_root(length_squared) * distance) return true;
+    if (smaller(gap_start, gap_end) > distance) return true;
     const bool is_start = gap_start < gap_end;
     const Vec3<float> change =
         (place(1, is_start ? second[0] : second[1], is_start) - place(0, is_start ? first[0] : first[1], is_start)) -
