@@ -184,6 +184,27 @@ def test_ranks_without_bodies(world: Ranks) -> None:
     assert world(start_empty)[0] > 5
 
 
+def exchange_columns(bodies: Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
+    """Returns columns of the state under other names."""
+    new = response(bodies, motion, first_toi)
+    return new | {"v": bodies.payload["w"], "w": bodies.payload["v"], "last": bodies.position}
+
+
+def test_columns_of_the_state_under_other_names(device: torch.device) -> None:
+    found = []
+    for graph in (False, True):
+        with graphs_on(device if graph else "none"):
+            start_columns = {name: start()[name].to(device) for name in ("q", "v", "w", "hits", "position")}
+            position = start_columns.pop("position")
+            payload = start_columns | {"last": position}
+            world = World(meshes().meshes, (0.0,) * 3, (BOX,) * 3, position, payload=payload, nonzero_toi=True)
+            steps = CapturedWorld(world, motion, exchange_columns, graph).run(12)
+            assert any(step.replayed for step in steps) == graph
+            found.append({"position": world.position, **world.payload})
+    for name, column in found[0].items():
+        assert torch.equal(column, found[1][name]), name
+
+
 def test_a_step_of_invalid_poses_is_an_error(device: torch.device) -> None:
     """Detected by the graph; the step repeated launch by launch names the body."""
     with graphs_on(device):

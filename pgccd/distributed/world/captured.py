@@ -245,10 +245,14 @@ class _WorldGraph(TransactionGraph[_Committed]):
         self._failed.copy_(record[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
         self._index += 1 - self._failed
         commits = is_body & (self._failed == 0)
+        # All values are computed before any is written: a response may return columns of the state under other names.
+        written = []
         for name, values in new.items():
             column = columns[name if name == "position" else "." + name]
             is_new = commits.view(-1, *[1] * (column.dim() - 1))
-            column.copy_(torch.where(is_new, values, column))
+            written.append((column, torch.where(is_new, values, column)))
+        for column, values in written:
+            column.copy_(values)
         return record
 
     def _committed(self, index: int, record: NDArray[np.int64], seconds: float) -> _Committed:
