@@ -9,6 +9,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -198,7 +199,8 @@ def discard(root: Path, name: str) -> None:
         return
     if named != name:
         shutil.rmtree(root / name, ignore_errors=True)
-        (root / f"{name}.pointer").unlink(missing_ok=True)
+        with suppress(OSError):
+            (root / f"{name}.pointer").unlink()
 
 
 def read_pointer(root: Path, kind: str) -> tuple[str, str]:

@@ -9,6 +9,7 @@ import resource
 import shutil
 import signal
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -27,7 +28,7 @@ from pgccd.checkpoint import files
 from pgccd.checkpoint.files import FOLDER, POINTER
 from pgccd.checkpoint.lock import hold
 from pgccd.distributed import Alone, BalanceOptions, CheckpointError, Comm, World
-from pgccd.distributed.checkpoint import shared_folder
+from pgccd.distributed.checkpoint import shared_folder, writing
 
 CPU = torch.device("cpu")
 
@@ -53,6 +54,35 @@ def told(comm: Comm, folder: str, what: str = "load") -> str:
         comm.barrier()
         return f"{type(error).__name__}: {error}"
     return ""
+
+
+def told_of(comm: Comm, folder: str, where: str, rank: int, error: Exception) -> str:
+    """The error of `World.save` if a function of checkpoints raises another error on one rank."""
+    world = begin(comm)
+    world.save(folder)
+    module = files if where == "_remove_others" else writing
+    failing = mock.patch.object(module, where, side_effect=error) if comm.rank == rank else nullcontext()
+    with failing, pytest.raises(CheckpointError) as refused:
+        world.save(folder)
+    comm.barrier()
+    assert state_of(load(comm, folder)) == state_of(world)
+    return str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("where", "rank", "error"),
+    [
+        ("write_tables", 1, MemoryError("no room\nat all")),
+        ("publish", 0, RuntimeError()),
+        ("_remove_others", 0, OSError("stale")),
+    ],
+)
+def test_errors_of_any_kind_reach_all_ranks(
+    ranks: RankPool, tmp_path: Path, where: str, rank: int, error: Exception
+) -> None:
+    reason = str(error).split("\n")[0] or "RuntimeError"
+    for said in ranks.run(2, told_of, str(tmp_path), where, rank, error):
+        assert re.fullmatch(rf"{tmp_path}/checkpoints/step-\S+ cannot be written: {reason}", said)
 
 
 def same_told(of_ranks: list[str]) -> str:

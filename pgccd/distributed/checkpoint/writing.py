@@ -100,8 +100,8 @@ class CheckpointWriter:
         own, error = None, None
         try:
             own = write_tables(self._root / name, self._comm.rank, tables)
-        except CheckpointError as failed:
-            error = str(failed)
+        except Exception as failed:  # of any kind: the other ranks wait for the outcome
+            error = self._problem(name, failed)
         of_ranks = self._background.gather((own, error))
         if self._comm.rank == 0:
             error = next((text for _, text in of_ranks if text is not None), None)
@@ -109,11 +109,18 @@ class CheckpointWriter:
                 try:
                     files = [entry for entry, _ in of_ranks if entry is not None]
                     publish(self._root, name, content, layout_of(tables), files)
-                except CheckpointError as failed:
-                    error = str(failed)
+                except Exception as failed:
+                    error = self._problem(name, failed)
             if error is not None:
                 discard(self._root, name)
         error = self._background.broadcast(error)
         if error is not None:
             raise of_all_ranks(CheckpointError(error))
         return self._root / name
+
+    def _problem(self, name: str, error: Exception) -> str:
+        """An error as the message of a CheckpointError, in one line."""
+        if isinstance(error, CheckpointError):
+            return str(error)
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        return f"{self._root / name} cannot be written: {reason}"
