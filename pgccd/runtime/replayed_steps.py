@@ -68,8 +68,10 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
         """Whether the graph is larger than recent steps needed."""
         return False
 
-    def _needs_launch(self, step: C) -> bool:
-        """Whether the step after this one must run launch by launch."""
+    def _needs_launch(self, step: C, enqueued: int) -> bool:
+        """Whether a later step must run launch by launch: the first after `step` and the next `enqueued` ones, which
+        have been enqueued already.
+        """
         return False
 
     def _is_captured(self, captured: bool) -> bool:
@@ -103,7 +105,7 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
             self._under_way.clear()  # they changed nothing
             return self._launch_and_load(index, more, renew=True)
         self._note(committed)
-        self._must_launch = self._needs_launch(committed)
+        self._must_launch = self._needs_launch(committed, len(self._under_way))
         return committed
 
     def _launch_and_load(self, index: int, more: int, renew: bool) -> M:

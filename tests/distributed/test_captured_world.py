@@ -28,7 +28,10 @@ from pgccd.distributed import (
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.detection import padded_share
 from pgccd.distributed.halo import capacity as halo_capacity
+from pgccd.distributed.partition.balance import BackOff, RankLoads
+from pgccd.distributed.partition.rebalancing import rebalanced
 from pgccd.distributed.world import captured as captured_world
+from pgccd.distributed.world import world as world_of_bodies
 
 COUNT, STEPS, BOX = 120, 24, 5.5
 
@@ -182,6 +185,31 @@ def start_empty(comm: Comm) -> int:
 
 def test_ranks_without_bodies(world: Ranks) -> None:
     assert world(start_empty)[0] > 5
+
+
+def decisions(comm: Comm, graph: bool) -> tuple[list[int], int]:
+    """Steps after which space is redistributed, and number of replays."""
+    made: list[int] = []
+    with graphs_on("cpu" if graph else "none") as stack:
+        world = spread(comm, torch.device("cpu"), "cost", "bisection")
+
+        def noted(*arguments: Any) -> Any:
+            made.append(world.steps_made)
+            return rebalanced(*arguments)
+
+        stack.enter_context(mock.patch.object(world_of_bodies, "rebalanced", noted))
+        stack.enter_context(mock.patch.object(RankLoads, "are_level", lambda *_: False))
+        stack.enter_context(mock.patch.object(BackOff, "is_over", lambda *_: True))
+        stack.enter_context(mock.patch.object(captured_world, "_MOST_AWAY", 0.0))
+        steps = CapturedWorld(world, motion, response, graph).run(STEPS)
+    return made, sum(step.replayed for step in steps)
+
+
+def test_space_is_redistributed_between_replays(ranks: RankPool) -> None:
+    expected, _ = ranks.run(2, decisions, False)[0]
+    found, replayed = ranks.run(2, decisions, True)[0]
+    assert expected == list(range(3, STEPS + 1, 3)) and replayed > STEPS // 3
+    assert found == expected[1:]  # the first two replays are enqueued before one is read
 
 
 def exchange_columns(bodies: Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:

@@ -181,9 +181,9 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         with self._world.comm.guard.waiting("step"):
             return replay.read(index)
 
-    def _needs_launch(self, step: _Committed) -> bool:
-        # Space is redistributed after the step that follows this one.
-        decides = self._world.decides_balance(self._world.steps_made + 2)
+    def _needs_launch(self, step: _Committed, enqueued: int) -> bool:
+        # Space is redistributed after a step that is launched.
+        decides = self._world.decides_balance(self._world.steps_made + 2 + enqueued)
         return _MOST_AWAY * step.leaving > step.ghosts or (decides and not step.loads.are_level(self._world.balance))
 
 

@@ -301,10 +301,10 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         with self.comm.guard.waiting("step"):
             return replay.read(index)
 
-    def _needs_launch(self, step: CommittedStep) -> bool:
+    def _needs_launch(self, step: CommittedStep, enqueued: int) -> bool:
         reports = Reports.of(step.work, step.conclusions)
         away = bool(_MOST_AWAY * reports.leaving.sum() > reports.ghosts.sum())
-        return away or self._is_balance_due(step.index + 1, reports)
+        return away or self._is_balance_due(step.index + 1 + enqueued, reports)
 
     def _reports_of(self, step: CommittedStep) -> CommittedRankStep:
         reports = Reports.of(step.work, step.conclusions)
