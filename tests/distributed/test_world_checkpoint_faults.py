@@ -276,6 +276,17 @@ def test_a_folder_that_cannot_be_written(ranks: RankPool, tmp_path: Path) -> Non
     assert said == f"folder: cannot write to {folder}: Not a directory"
 
 
+def save_without_mark(comm: Comm, folder: str) -> str:
+    """Saves where the mark cannot be created: its name is that of a file in a missing folder."""
+    with mock.patch.object(shared_folder.secrets, "token_hex", lambda _: "missing/mark"):
+        return told(comm, folder, "save")
+
+
+def test_a_mark_that_cannot_be_written(ranks: RankPool, tmp_path: Path) -> None:
+    said = same_told(ranks.run(2, save_without_mark, str(tmp_path)))
+    assert said == f"folder: cannot write to {tmp_path}: No such file or directory"
+
+
 def test_a_folder_that_another_job_holds(ranks: RankPool, tmp_path: Path) -> None:
     with hold(tmp_path):
         said = same_told(ranks.run(2, told, str(tmp_path), "save"))

@@ -7,7 +7,7 @@ import secrets
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from pgccd.checkpoint.lock import hold
@@ -40,14 +40,22 @@ def hold_together(comm: Comm, folder: Path) -> Iterator[None]:
             together(comm, look)
         finally:
             if comm.rank == 0:
-                (folder / mark).unlink(missing_ok=True)
+                with suppress(OSError):  # a mark that is left does no harm
+                    (folder / mark).unlink(missing_ok=True)
         yield
 
 
 def write_mark(folder: Path) -> str:
-    """Creates a file with a random name; returns the name."""
+    """Creates a file with a random name; returns the name.
+
+    Raises:
+        ValueError: it cannot be created.
+    """
     name = f".seen-{secrets.token_hex(8)}"
-    (folder / name).touch()
+    try:
+        (folder / name).touch()
+    except OSError as error:
+        raise ValueError(f"folder: cannot write to {folder}: {error.strerror}") from error
     return name
 
 
