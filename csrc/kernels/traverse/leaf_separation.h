@@ -97,11 +97,11 @@ class LeafSeparation {
       const LeafPoints eight = points(side, row);  // one load of the whole row
       PGCCD_UNROLL
       for (int slot = 0; slot < kBlockWidth; slot += kSlotsAtOnce) {
-        const auto placed = [&](int end) {
+        const auto vertices = [&](int end) {
           return tree_.sweep().template leaf_points<T>(tree_.bodies(), eight, side, slot, end);
         };
-        out[0].include(dot(at_start, placed(0)), row, slot);
-        out[1].include(dot(at_end, placed(1)), row, slot);
+        out[0].include(dot(at_start, vertices(0)), row, slot);
+        out[1].include(dot(at_end, vertices(1)), row, slot);
       }
     }
     if (side == 0) return;

@@ -272,7 +272,7 @@ def several_cells(
         if not worth.any():
             break
         score = np.where(worth, gain - weights[cells] * options.moving, -np.inf)
-        near = worth & _boundarys_on(grid, cells, taker)
+        near = worth & _share_face_with(grid, cells, taker)
         if near.any() and score[near].max() >= 0.5 * score.max():
             score = np.where(near, score, -np.inf)
         cell = int(cells[np.argmax(score)])  # the first of equal ones
@@ -284,7 +284,7 @@ def several_cells(
     return torch.from_numpy(table)
 
 
-def _boundarys_on(grid: np.ndarray, cells: np.ndarray, rank: int) -> np.ndarray:
+def _share_face_with(grid: np.ndarray, cells: np.ndarray, rank: int) -> np.ndarray:
     """(len(cells),) bool: whether a cell shares a face with a cell of `rank`."""
     at = np.stack(np.unravel_index(cells, grid.shape), axis=1)
     found = np.zeros(len(cells), dtype=bool)
