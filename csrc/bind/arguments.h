@@ -63,6 +63,8 @@ const Row* rows(const Tensor& tensor, const char* name, std::initializer_list<in
     ++axis;
   }
   STD_TORCH_CHECK(tensor.is_contiguous(), name, ": expected a contiguous tensor");
+  STD_TORCH_CHECK(reinterpret_cast<uintptr_t>(tensor.data_ptr()) % alignof(Row) == 0, name,
+                  ": expected memory aligned to ", alignof(Row), " bytes");
   return static_cast<const Row*>(tensor.data_ptr());
 }
 

@@ -34,7 +34,7 @@ struct NodeBlock {
 };
 constexpr int kBlockColumns = 9;
 
-struct NodeLink {
+struct alignas(16) NodeLink {
   int32_t first;           // inner node: the block of its children; leaf: its first triangle
   int32_t triangle_count;  // 0 for inner nodes, -1 for empty slots
   int32_t first_points;    // leaf: its first row of `leaf_points`

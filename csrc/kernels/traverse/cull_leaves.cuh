@@ -8,16 +8,17 @@
 namespace pgccd {
 
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads) cull_leaves(Pairs<Bodies> pairs, TaskList leaves, TaskList meeting) {
-  __shared__ WarpBuffer<Task> buffers[kWarpsPerBlock];
-  WarpBuffer<Task>& buffer = buffers[threadIdx.x / kWarp];
+__global__ void __launch_bounds__(kBlockThreads)
+    cull_leaves(Pairs<Bodies> pairs, LeafPairList leaves, LeafPairList meeting) {
+  __shared__ WarpBuffer<LeafPair> buffers[kWarpsPerBlock];
+  WarpBuffer<LeafPair>& buffer = buffers[threadIdx.x / kWarp];
   const int lane = threadIdx.x % kWarp;
-  const auto put = [&](Counter at, const Task& task) { meeting.put(at, task); };
+  const auto put = [&](Counter at, const LeafPair& pair) { meeting.put(at, pair); };
   const uint32_t count = leaves.size(), warps = gridDim.x * kWarpsPerBlock;
   const uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / kWarp;
   uint32_t taken = 0;  // by the warp, 32 consecutive items at a time
   int waiting = 0;
-  Task task{};
+  LeafPair item{};
   bool is_busy = false;
   int k = 0, step = 0;
   Vec3<float> reached{};
@@ -25,9 +26,9 @@ __global__ void __launch_bounds__(kBlockThreads) cull_leaves(Pairs<Bodies> pairs
     const uint32_t idle = __ballot_sync(kAllLanes, !is_busy);
     if (!is_busy) {
       const uint32_t place = taken + __popc(idle & lanes_below(lane));
-      const uint64_t item = (uint64_t{place / kWarp} * warps + warp) * kWarp + place % kWarp;
-      is_busy = item < count;
-      if (is_busy) task = leaves.items[item];
+      const uint64_t row = (uint64_t{place / kWarp} * warps + warp) * kWarp + place % kWarp;
+      is_busy = row < count;
+      if (is_busy) item = leaves.items[row];
       k = 1;
       step = 0;
     }
@@ -35,8 +36,8 @@ __global__ void __launch_bounds__(kBlockThreads) cull_leaves(Pairs<Bodies> pairs
     if (__ballot_sync(kAllLanes, is_busy) == 0) break;
     bool meets = false;
     if (is_busy) {
-      const PairTree<Bodies> tree = pairs.tree(task.pair);
-      const LeafSeparation<float, Bodies> separation(tree, task.nodes, k);
+      const PairTree<Bodies> tree = pairs.tree(item.pair);
+      const LeafSeparation<float, Bodies> separation(tree, item.leaves, k);
       if (step == 0) reached = separation.between_spheres();
       ++step;
       if (separation.is_along(reached)) {
@@ -48,7 +49,7 @@ __global__ void __launch_bounds__(kBlockThreads) cull_leaves(Pairs<Bodies> pairs
         meets = true;
       }
     }
-    waiting = buffer.add(waiting, __ballot_sync(kAllLanes, meets), task, lane, meeting.count, put);
+    waiting = buffer.add(waiting, __ballot_sync(kAllLanes, meets), item, lane, meeting.count, put);
   }
   buffer.flush(waiting, lane, meeting.count, put);
 }

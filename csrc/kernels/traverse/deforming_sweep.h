@@ -7,13 +7,15 @@ namespace pgccd {
 
 struct alignas(16) DeformingSweep : PairFrame {
   float inflation;
-  int32_t unused = 0;                  // explicit padding, so that no uninitialised bytes are copied
+  int32_t unused = 0;  // explicit padding, so that no uninitialised bytes are copied
+  const NodeBlock* blocks_at_t1[2];
   static constexpr float tilt = 0.0f;  // normals do not rotate
   static constexpr int segment_count = 1;
 
   PGCCD_HD DeformingSweep(const DeformingBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings,
                           double until)
       : PairFrame(bodies, i, j, until, sweep_detail::largest_coordinate(relative_centre(bodies.centres, i, j))) {
+    for (int side = 0; side < 2; ++side) blocks_at_t1[side] = bodies.blocks_t1 + bodies.block_begin[body[side]];
     const double distance = sweep_detail::kept_distance(bodies.centres, i, j, settings);
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
   }
@@ -26,32 +28,26 @@ struct alignas(16) DeformingSweep : PairFrame {
     const RelativeCentre centre = relative_centre(bodies.centres, body[0], body[1]);
     const double t = k == 0 ? 0.0 : horizon;
     LocalPose out{};
-    out.first.r0.x = static_cast<float>(scale);  // no rotation: the scale is all there is
-    out.shift = cast<float>(scale * ((1.0 - t) * centre.at_t0 + t * centre.at_t1));
+    for (Placement& placement : out.of) placement.x.axis.x = static_cast<float>(scale);  // no rotation
+    sweep_detail::set_shift(out.of[1], cast<float>(scale * ((1.0 - t) * centre.at_t0 + t * centre.at_t1)));
     return out;
   }
 
-  PGCCD_HD const NodeBlock& block(const DeformingBodies& bodies, int side, int32_t block) const {
-    return bodies.blocks_t0[bodies.block_begin[body[side]] + block];
-  }
   // Relative to the body's centre, at the start (0) or the horizon (1).
-  PGCCD_HD Vec3<float> node_centre(const DeformingBodies& bodies, int side, int32_t block_index, int slot,
-                                   int end) const {
-    const int64_t row = bodies.block_begin[body[side]] + block_index;
-    const NodeBlock& b0 = bodies.blocks_t0[row];
+  PGCCD_HD Vec3<float> node_centre(int side, int32_t block, int slot, int end) const {
+    const NodeBlock& b0 = blocks[side][block];
     const Vec3<float> at_t0{b0.x[slot], b0.y[slot], b0.z[slot]};
     if (end == 0) return at_t0;
-    const NodeBlock& b1 = bodies.blocks_t1[row];
+    const NodeBlock& b1 = blocks_at_t1[side][block];
     return until_horizon(at_t0, {b1.x[slot], b1.y[slot], b1.z[slot]});
   }
 
   template <class T>
-  PGCCD_HD static Vec3<T> place(const LocalPose& p, int side, Vec3<T> v) {
-    const Vec3<T> scaled{p.first.r0.x * v.x, p.first.r0.x * v.y, p.first.r0.x * v.z};
-    return side == 0 ? scaled : sweep_detail::shifted(p.shift, scaled);
+  PGCCD_HD static Vec3<T> place(const Placement& p, Vec3<T> v) {
+    return sweep_detail::shifted(p, scale_of(p) * v);
   }
 
-  PGCCD_HD Vec3<float> turned(const LocalPose&, int, Vec3<float> direction) const { return direction; }
+  PGCCD_HD Vec3<float> turned(const Placement&, Vec3<float> direction) const { return direction; }
 
   // One of eight vertices of a leaf, or (T = Float8) all eight; relative to the body's centre, at the start (0) or the
   // horizon (1).
@@ -72,9 +68,7 @@ struct alignas(16) DeformingSweep : PairFrame {
     }
   }
 
-  PGCCD_HD static Vec3<float> pulled_back(const LocalPose& p, int, Vec3<float> direction) {
-    return p.first.r0.x * direction;
-  }
+  PGCCD_HD static Vec3<float> pulled_back(const Placement& p, Vec3<float> direction) { return scale_of(p) * direction; }
 
   template <class T>
   PGCCD_HD Corners<T> corners(const DeformingBodies& bodies, int side, int32_t triangle, int end) const {
@@ -100,6 +94,7 @@ struct alignas(16) DeformingSweep : PairFrame {
   }
 
  private:
+  PGCCD_HD static float scale_of(const Placement& p) { return p.x.axis.x; }
   PGCCD_HD Vec3<float> until_horizon(Vec3<float> at_t0, Vec3<float> at_t1) const {
     return at_t0 + static_cast<float>(horizon) * (at_t1 - at_t0);
   }

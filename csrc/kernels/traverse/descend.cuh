@@ -9,20 +9,22 @@
 
 namespace pgccd {
 
+// Resident blocks per multiprocessor: more would have too few registers for the poses of a round.
+constexpr int kDescentBlocks = 5;
 constexpr int kGroupsPerWarp = kWarp / kBlockWidth;
 constexpr int kGroupsPerBlock = kBlockThreads / kBlockWidth;
 constexpr int kStackSize = 64;
-// Rounds before a group returns its stack: few while there are not enough tasks to fill the device, more in later
-// launches, when the work is already distributed. Very few tasks are distributed at once, since most of the device
-// waits for them.
-constexpr uint32_t kTasksThatFill = 16384, kFewTasks = 2048;
+// Rounds before a group returns its stack: few while there are not enough tasks to keep the device busy to the end,
+// more in later launches, when the work is already distributed. Very few tasks are distributed at once, since most of
+// the device waits for them.
+constexpr uint32_t kManyTasks = 1 << 18, kFewTasks = 2048;
 // The last launch, if known to be the last, returns only node pairs beyond its stacks' capacity.
 constexpr int kLastLaunch = 1 << 20;
 PGCCD_HD int rounds_of_launch(int launch, uint32_t task_count) {
   if (launch == kLastLaunch) return kLastLaunch;
   constexpr int kRounds[] = {6, 6, 12, 48}, kRoundsOfFew[] = {2, 3, 4, 8};
   const int at = launch < 3 ? launch : 3, rounds = task_count < kFewTasks ? kRoundsOfFew[at] : kRounds[at];
-  return task_count >= kTasksThatFill && rounds < 20 ? 20 : rounds;
+  return task_count >= kManyTasks && rounds < 20 ? 20 : rounds;
 }
 
 // A group's memory: its stack and frequently read data. Two poses suffice for pairs that rotate little in a step.
@@ -31,7 +33,7 @@ template <class Sweep>
 struct GroupShared {
   Sweep sweep;
   LocalPose poses[kPosesAtHand];
-  NodePair stack[kStackSize];
+  SplitPair stack[kStackSize];
 };
 
 // The state of a group of eight threads.
@@ -42,21 +44,22 @@ struct Group {
   int32_t pair = 0;
 };
 
-// `task_at(item)` for the items of the queue. In each round every group of a warp splits one node pair of its task.
-template <class Bodies, class TaskAt>
-__device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue& queue, TaskAt&& task_at,
-                        TaskList leaves, TaskList rest, Counter* node_tests) {
+// In each round every group of a warp splits one node pair of its task. All data of a round are loaded at once: how a
+// node pair will be split is decided when it is found.
+template <class Bodies>
+__device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue& queue, const Task* tasks,
+                        LeafPairList leaves, TaskList rest, Counter* node_tests) {
   using Sweep = typename SweepOf<Bodies>::type;
   __shared__ alignas(16) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
-  __shared__ WarpBuffer<Task> buffers[kWarpsPerBlock];
+  __shared__ WarpBuffer<LeafPair> buffers[kWarpsPerBlock];
   __shared__ uint32_t taken_by_block;
   const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, shift = lane - slot;
   const int most_rounds = rounds_of_launch(launch, queue.count);
   WorkShare share(queue, kGroupsPerWarp, taken_by_block);
   auto& shared = reinterpret_cast<GroupShared<Sweep>*>(memory)[threadIdx.x / kBlockWidth];
   Group group;
-  WarpBuffer<Task>& buffer = buffers[threadIdx.x / kWarp];
-  const auto put_leaf = [&](Counter at, const Task& leaf) { leaves.put(at, leaf); };
+  WarpBuffer<LeafPair>& buffer = buffers[threadIdx.x / kWarp];
+  const auto put_leaf = [&](Counter at, const LeafPair& leaf) { leaves.put(at, leaf); };
   int waiting = 0;
   uint32_t splits = 0;
   for (;;) {
@@ -65,10 +68,10 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       if (idle == 0) break;
       const uint32_t item = share.take(idle, shift);
       if (group.size > 0 || item == kNoItem) continue;
-      const Task task = task_at(item);
+      const Task task = tasks[item];
+      if (task.split.is_none()) continue;
       const bool is_one_body = Sweep::may_be_one_body && pairs.sweeps[task.pair].is_one_body();
-      if (is_one_body && task.nodes.first == task.nodes.second) continue;  // handled by start_self_pairs
-      if (slot == 0) shared.stack[0] = task.nodes;
+      if (slot == 0) shared.stack[0] = task.split;
       const LocalPose* poses = pairs.poses + pairs.pose_begin[task.pair];
       copy_words(pairs.sweeps[task.pair], shared.sweep, slot, kBlockWidth);
       for (int k = 0; k < kPosesAtHand; ++k) copy_words(poses[k], shared.poses[k], slot, kBlockWidth);
@@ -81,29 +84,26 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
     if (__ballot_sync(kAllLanes, group.size > 0) == 0) break;
     __syncwarp();  // after writes to shared memory
     bool meets = false, is_leaf = false;
-    Task child{group.pair, {0, 0}};
+    LeafPair child{group.pair, {0, 0}};
+    SplitPair next = SplitPair::none();
     if (group.size > 0) {
       const PairTree<Bodies> tree(pairs.bodies, shared.sweep, group.poses);
-      const NodePair nodes = shared.stack[group.size - 1];
-      if (tree.is_leaf_pair(nodes)) {  // only possible for the roots
-        child.nodes = nodes;
-        meets = is_leaf = slot == 0;
-      } else {
-        const SplitPair split = tree.split(nodes);
-        for (int k = 1; k <= tree.sweep().segment_count && !meets; ++k) {
-          meets = may_meet(tree.clearance(split, tree.other_node(split, k), k, slot));
-        }
-        child.nodes = split.child(slot);
-        is_leaf = meets && tree.is_leaf_pair(child.nodes);
-        if (slot == 0) ++splits;
+      const SplitPair split = shared.stack[group.size - 1];
+      child.leaves = split.child(slot);
+      const NodeLink first = tree.link(0, child.leaves.first), second = tree.link(1, child.leaves.second);
+      for (int k = 1; k <= tree.sweep().segment_count && !meets; ++k) {
+        meets = may_meet(tree.clearance(split, tree.other_node(split, k), k, slot));
       }
+      is_leaf = meets && first.triangle_count != 0 && second.triangle_count != 0;
+      if (meets && !is_leaf) next = tree.split(child.leaves, first, second);
+      if (slot == 0) ++splits;
       --group.size;
       ++group.rounds;
     }
     const uint32_t leaf_lanes = __ballot_sync(kAllLanes, is_leaf);
     const uint32_t inner_lanes = (__ballot_sync(kAllLanes, meets && !is_leaf) >> shift) & 0xffu;
     __syncwarp();  // after every group has read the top of its stack
-    if (meets && !is_leaf) shared.stack[group.size + __popc(inner_lanes & lanes_below(slot))] = child.nodes;
+    if (meets && !is_leaf) shared.stack[group.size + __popc(inner_lanes & lanes_below(slot))] = next;
     group.size += __popc(inner_lanes);
     waiting = buffer.add(waiting, leaf_lanes, child, lane, leaves.count, put_leaf);
 
@@ -129,29 +129,29 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
 
 // The first tasks: the roots of every body pair.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads)
-    descend_from_roots(Pairs<Bodies> pairs, uint32_t* next, TaskList leaves, TaskList rest, Counter* node_tests) {
+__global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
+    descend_from_roots(Pairs<Bodies> pairs, const Task* roots, uint32_t* next, LeafPairList leaves, TaskList rest,
+                       Counter* node_tests) {
   const uint32_t count = pairs.count();
   // A block takes at most 1.25 times its even share.
   const WorkQueue queue{next, count, count / gridDim.x + count / (4 * gridDim.x) + 1};
-  const auto roots = [](uint32_t pair) { return Task{static_cast<int32_t>(pair), {0, 0}}; };
   descend(pairs, 0, queue, roots, leaves, rest, node_tests);
 }
 
 // Tasks left by earlier launches.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads)
-    descend_further(Pairs<Bodies> pairs, int launch, TaskHandover rest, TaskList leaves, Counter* node_tests) {
+__global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
+    descend_further(Pairs<Bodies> pairs, int launch, TaskHandover rest, LeafPairList leaves, Counter* node_tests) {
   rest.prepare_next();
   const TaskList from = rest.from;
   const WorkQueue queue{rest.taken, from.size(), kNoItem};
-  descend(pairs, launch, queue, [&](uint32_t item) { return from.items[item]; }, leaves, rest.to, node_tests);
+  descend(pairs, launch, queue, from.items, leaves, rest.to, node_tests);
 }
 
 // Follows the deepest overlap of each body pair down to one pair of leaves.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
-    descend_greedily(Pairs<Bodies> pairs, TaskList leaves, Counter* node_tests) {
+    descend_greedily(Pairs<Bodies> pairs, LeafPairList leaves, Counter* node_tests) {
   const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   if (pair >= pairs.count()) return;
   const PairTree<Bodies> tree = pairs.tree(static_cast<int32_t>(pair));

@@ -14,10 +14,11 @@ PGCCD_HD MovingPoints<3, T> moving_triangles(const PairTree<Bodies>& tree, int s
   using Sweep = typename PairTree<Bodies>::Sweep;
   const Corners<T> start = tree.sweep().template corners<T>(tree.bodies(), side, triangle, 0);
   const Corners<T> end = tree.sweep().template corners<T>(tree.bodies(), side, triangle, 1);
+  const Placement at_start = tree.pose(k - 1).of[side], at_end = tree.pose(k).of[side];
   MovingPoints<3, T> out;
   for (int c = 0; c < 3; ++c) {
-    out.start[c] = Sweep::place(tree.pose(k - 1), side, start.corner[c]);
-    out.end[c] = Sweep::place(tree.pose(k), side, end.corner[c]);
+    out.start[c] = Sweep::place(at_start, start.corner[c]);
+    out.end[c] = Sweep::place(at_end, end.corner[c]);
   }
   return out;
 }

@@ -81,16 +81,15 @@ class LeafSeparation {
   }
 
  private:
-  PGCCD_HD const LeafPoints& points(int side, int32_t row) const {
-    return tree_.bodies().meshes.leaf_points[tree_.sweep().first_points[side] + row];
-  }
+  PGCCD_HD const LeafPoints& points(int side, int32_t row) const { return tree_.sweep().leaf_rows[side][row]; }
 
   // The farthest vertices at both ends.
   PGCCD_HD void find_farthest(int side, int32_t node, Vec3<float> direction, Farthest out[2]) const {
     using separation_detail::in_all_lanes;
     constexpr int kSlotsAtOnce = sizeof(T) / sizeof(float);
-    const Vec3<T> at_start = in_all_lanes(Sweep::pulled_back(start_, side, direction), T{});
-    const Vec3<T> at_end = in_all_lanes(Sweep::pulled_back(end_, side, direction), T{});
+    const Placement from = start_.of[side], to = end_.of[side];
+    const Vec3<T> at_start = in_all_lanes(Sweep::pulled_back(from, direction), T{});
+    const Vec3<T> at_end = in_all_lanes(Sweep::pulled_back(to, direction), T{});
     const NodeLink leaf = tree_.link(side, node);
     PGCCD_KEEP_LOOP
     for (int32_t row = leaf.first_points; row < leaf.first_points + leaf.points_count; ++row) {
@@ -105,14 +104,14 @@ class LeafSeparation {
       }
     }
     if (side == 0) return;
-    out[0].along = out[0].along + dot(direction, start_.shift);
-    out[1].along = out[1].along + dot(direction, end_.shift);
+    out[0].along = out[0].along + dot(direction, from.shift());
+    out[1].along = out[1].along + dot(direction, to.shift());
   }
 
   PGCCD_HD Vec3<float> place(int side, const Farthest& at, bool is_start) const {
     const auto point = tree_.sweep().template leaf_points<float>(tree_.bodies(), points(side, at.row), side, at.slot,
                                                                  is_start ? 0 : 1);
-    return Sweep::place(is_start ? start_ : end_, side, point);
+    return Sweep::place((is_start ? start_ : end_).of[side], point);
   }
 
   const PairTree<Bodies>& tree_;

@@ -10,23 +10,36 @@ struct NodePair {
   int32_t first, second;
 };
 
-// Children `block * 8 + slot` of one node of a pair, each paired with the other node.
-struct SplitPair {
-  int32_t block;
-  int32_t other;
-  bool first_is_split;
+// Place of a node; unsigned division takes fewer instructions.
+PGCCD_HD int32_t block_of(int32_t node) { return static_cast<int32_t>(static_cast<uint32_t>(node) / kBlockWidth); }
+PGCCD_HD int slot_of(int32_t node) { return static_cast<int>(static_cast<uint32_t>(node) % kBlockWidth); }
 
+// A node pair of which one node is split: the children in one block of that side, each paired with the other node.
+class SplitPair {
+ public:
+  SplitPair() = default;
+  PGCCD_HD static SplitPair none() { return {0, -1, 0}; }
+  PGCCD_HD SplitPair(int side, int32_t block, int32_t other) : block_and_side_(2 * block + side), other_(other) {}
+
+  PGCCD_HD bool is_none() const { return block_and_side_ < 0; }
+  PGCCD_HD int side() const { return block_and_side_ & 1; }
+  PGCCD_HD int32_t block() const { return block_and_side_ >> 1; }
+  PGCCD_HD int32_t node(int slot) const { return block() * kBlockWidth + slot; }
+  PGCCD_HD int32_t other() const { return other_; }
   PGCCD_HD NodePair child(int slot) const {
-    const int32_t node = block * kBlockWidth + slot;
-    return first_is_split ? NodePair{node, other} : NodePair{other, node};
+    return side() == 0 ? NodePair{node(slot), other_} : NodePair{other_, node(slot)};
   }
+
+ private:
+  int32_t block_and_side_;  // nodes have 31-bit numbers, blocks 28 bits
+  int32_t other_;
 };
 
 // The test of a body against itself starts from the pairs of nodes that share a block, in all of its blocks, and the
 // pairs of a leaf and itself: below these, every two leaves are paired once, not twice as mirror images. They are many
 // and small, so the work is distributed from the start.
 constexpr int kPairsInBlock = kBlockWidth * (kBlockWidth - 1) / 2;
-PGCCD_HD SplitPair with_siblings(int32_t block, int slot) { return {block, block * kBlockWidth + slot, false}; }
+PGCCD_HD SplitPair with_siblings(int32_t block, int slot) { return {1, block, block * kBlockWidth + slot}; }
 
 // Decision by the clearance of two nodes; keeps them for NaN.
 PGCCD_HD bool may_meet(float clearance) { return !(clearance > 0.0f); }
@@ -44,9 +57,7 @@ class PairTree {
   PGCCD_HD const Sweep& sweep() const { return sweep_; }
   PGCCD_HD const LocalPose& pose(int k) const { return poses_[k]; }
 
-  PGCCD_HD NodeLink link(int side, int32_t node) const {
-    return bodies_.meshes.node_links[sweep_.first_block[side] * kBlockWidth + node];
-  }
+  PGCCD_HD NodeLink link(int side, int32_t node) const { return sweep_.links[side][node]; }
   // Number of node blocks of the first body's hierarchy.
   PGCCD_HD int32_t block_count() const {
     const MeshOffsets* offsets = bodies_.meshes.offsets + bodies_.mesh_index[sweep_.body[0]];
@@ -60,11 +71,12 @@ class PairTree {
   }
 
   // The larger sphere of an inner pair is split.
-  PGCCD_HD SplitPair split(NodePair nodes) const {
-    const bool split_first = !has_children(1, nodes.second) ||
-                             (has_children(0, nodes.first) && radius(0, nodes.first) >= radius(1, nodes.second));
-    const int32_t block = split_first ? link(0, nodes.first).first : link(1, nodes.second).first;
-    return {block, split_first ? nodes.second : nodes.first, split_first};
+  PGCCD_HD SplitPair split(NodePair nodes) const { return split(nodes, link(0, nodes.first), link(1, nodes.second)); }
+  // With the nodes' links.
+  PGCCD_HD SplitPair split(NodePair nodes, NodeLink first, NodeLink second) const {
+    const bool split_first =
+        second.triangle_count != 0 || (first.triangle_count == 0 && radius(0, nodes.first) >= radius(1, nodes.second));
+    return split_first ? SplitPair{0, first.first, nodes.second} : SplitPair{1, second.first, nodes.first};
   }
 
   // Bit s is set if child s and the other node may meet during the step.
@@ -94,60 +106,63 @@ class PairTree {
     return deepest;
   }
 
-  // The node that is not split, over segment k.
-  struct OtherNode {
+  // A node over segment k.
+  struct MovingNode {
     MovingPoints<1, float> centre;
     TurningSlab slab;
     float radius;
   };
-  PGCCD_HD OtherNode other_node(const SplitPair& split, int k) const {
-    const int side = split.first_is_split ? 1 : 0;
-    const NodeBlock& b = sweep_.block(bodies_, side, split.other / kBlockWidth);
-    const int slot = split.other % kBlockWidth;
-    return {moving_centre(side, split.other, k), turning_slab(side, b, slot, k), local_radius(side, split.other)};
+  // The node that is not split.
+  PGCCD_HD MovingNode other_node(const SplitPair& split, int k) const {
+    return node_over(1 - split.side(), block_of(split.other()), slot_of(split.other()), k);
   }
 
   // Positive if a child and the other node certainly stay apart over segment k: squared distance of the spheres minus
   // their squared reach, at the time of the smallest distance, or the slab of one excludes the other's sphere. Positive
   // for an empty slot, the only one with a NaN radius.
-  PGCCD_HD float clearance(const SplitPair& split, const OtherNode& other, int k, int slot) const {
-    const int side = split.first_is_split ? 0 : 1;
-    const NodeBlock& b = sweep_.block(bodies_, side, split.block);
-    const float radius = sweep_.local_scale * b.radius[slot];
-    const auto centre_at = [&](int end) {
-      return Sweep::place(poses_[k - 1 + end], side, sweep_.node_centre(bodies_, side, split.block, slot, end));
-    };
-    const Vec3<float> start = centre_at(0) - other.centre.start[0], end = centre_at(1) - other.centre.end[0];
-    const bool apart = slab_separates(other.slab, start, end, radius + sweep_.inflation) |
-                       slab_separates(turning_slab(side, b, slot, k), -start, -end, other.radius + sweep_.inflation);
-    const float reach = (radius + other.radius) + sweep_.inflation;
-    return apart | (b.radius[slot] != b.radius[slot]) ? 1.0f : norm_squared(nearest_offset(start, end)) - reach * reach;
+  PGCCD_HD float clearance(const SplitPair& split, const MovingNode& other, int k, int slot) const {
+    const MovingNode child = node_over(split.side(), split.block(), slot, k);
+    const Vec3<float> start = child.centre.start[0] - other.centre.start[0];
+    const Vec3<float> end = child.centre.end[0] - other.centre.end[0];
+    const bool apart = slab_separates(other.slab, start, end, child.radius + sweep_.inflation) |
+                       slab_separates(child.slab, -start, -end, other.radius + sweep_.inflation);
+    const float reach = (child.radius + other.radius) + sweep_.inflation;
+    return apart | (child.radius != child.radius) ? 1.0f : norm_squared(nearest_offset(start, end)) - reach * reach;
   }
 
   // Centre over segment k, and local radius.
   PGCCD_HD MovingPoints<1, float> moving_centre(int side, int32_t node, int k) const {
-    const int block = node / kBlockWidth, slot = node % kBlockWidth;
-    return {{Sweep::place(poses_[k - 1], side, sweep_.node_centre(bodies_, side, block, slot, 0))},
-            {Sweep::place(poses_[k], side, sweep_.node_centre(bodies_, side, block, slot, 1))}};
+    const Placement at_start = poses_[k - 1].of[side], at_end = poses_[k].of[side];
+    return moving_centre(side, block_of(node), slot_of(node), at_start, at_end);
   }
   PGCCD_HD float local_radius(int side, int32_t node) const { return sweep_.local_scale * radius(side, node); }
 
  private:
   PGCCD_HD float radius(int side, int32_t node) const {
-    return sweep_.block(bodies_, side, node / kBlockWidth).radius[node % kBlockWidth];
+    return sweep_.blocks[side][block_of(node)].radius[slot_of(node)];
   }
 
   // Clearances of all children. A branch-free loop over plain arrays, vectorised to eight lanes.
   PGCCD_HD void clearances(const SplitPair& split, int k, float out[kBlockWidth]) const {
-    const OtherNode other = other_node(split, k);
+    const MovingNode other = other_node(split, k);
     for (int slot = 0; slot < kBlockWidth; ++slot) out[slot] = clearance(split, other, k, slot);
   }
 
-  PGCCD_HD TurningSlab turning_slab(int side, const NodeBlock& b, int slot, int k) const {
+  PGCCD_HD MovingPoints<1, float> moving_centre(int side, int32_t block, int slot, const Placement& at_start,
+                                                const Placement& at_end) const {
+    return {{Sweep::place(at_start, sweep_.node_centre(side, block, slot, 0))},
+            {Sweep::place(at_end, sweep_.node_centre(side, block, slot, 1))}};
+  }
+
+  PGCCD_HD MovingNode node_over(int side, int32_t block, int slot, int k) const {
+    const NodeBlock& b = sweep_.blocks[side][block];
+    const Placement at_start = poses_[k - 1].of[side], at_end = poses_[k].of[side];
     const Vec3<float> normal{b.normal_x[slot], b.normal_y[slot], b.normal_z[slot]};
-    const float scale = sweep_.local_scale;
-    return {sweep_.turned(poses_[k - 1], side, normal), sweep_.turned(poses_[k], side, normal), scale * b.low[slot],
-            scale * b.high[slot], sweep_.tilt * (scale * b.radius[slot])};
+    const float scale = sweep_.local_scale, radius = scale * b.radius[slot];
+    return {moving_centre(side, block, slot, at_start, at_end),
+            {sweep_.turned(at_start, normal), sweep_.turned(at_end, normal), scale * b.low[slot], scale * b.high[slot],
+             sweep_.tilt * radius},
+            radius};
   }
 
   const Bodies& bodies_;

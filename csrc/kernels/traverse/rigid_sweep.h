@@ -102,34 +102,29 @@ struct alignas(16) RigidSweep : PairFrame {
       Mat3<double> at_t = at_t0;
       if (k > 0)
         at_t = bodies.linear_path ? sweep_detail::blend(at_t0, spun(spin, at_t0, 1.0), t) : spun(spin, at_t0, t);
-      (side == 0 ? out.first : out.second) = sweep_detail::scaled(scale, at_t);
+      out.of[side] = sweep_detail::scaled(scale, at_t);
       const Vec3<double> centre = mesh_centre(bodies, body[side]);
       if (!is_centred(centre)) shift = side == 0 ? shift - at_t * centre : shift + at_t * centre;
     }
-    out.shift = cast<float>(scale * shift);
+    sweep_detail::set_shift(out.of[1], cast<float>(scale * shift));
     return out;
   }
 
-  PGCCD_HD const NodeBlock& block(const RigidBodies& bodies, int side, int32_t block) const {
-    return bodies.meshes.node_blocks[first_block[side] + block];
-  }
   // Centre of a node relative to the SBV centre, body axes; the same at both ends of a segment.
-  PGCCD_HD Vec3<float> node_centre(const RigidBodies& bodies, int side, int32_t block_index, int slot, int) const {
-    const NodeBlock& b = block(bodies, side, block_index);
+  PGCCD_HD Vec3<float> node_centre(int side, int32_t block, int slot, int) const {
+    const NodeBlock& b = blocks[side][block];
     return {b.x[slot], b.y[slot], b.z[slot]};
   }
 
-  // Relative to the SBV centre, body axes -> local frame, at the boundary with pose p.
+  // Relative to the SBV centre, body axes -> local frame.
   template <class T>
-  PGCCD_HD static Vec3<T> place(const LocalPose& p, int side, Vec3<T> v) {
-    // One code path for both sides, since they share a warp on a device.
-    const Vec3<T> turned = sweep_detail::transform(side == 0 ? p.first : p.second, v);
-    return side == 0 ? turned : sweep_detail::shifted(p.shift, turned);
+  PGCCD_HD static Vec3<T> place(const Placement& p, Vec3<T> v) {
+    return sweep_detail::shifted(p, sweep_detail::turned(p, v));
   }
 
   // Body-frame direction -> local frame, unit length kept.
-  PGCCD_HD Vec3<float> turned(const LocalPose& p, int side, Vec3<float> direction) const {
-    return inverse_scale * sweep_detail::transform(side == 0 ? p.first : p.second, direction);
+  PGCCD_HD Vec3<float> turned(const Placement& p, Vec3<float> direction) const {
+    return inverse_scale * sweep_detail::turned(p, direction);
   }
 
   // One of eight vertices of a leaf, or (T = Float8) all eight; relative to the SBV centre, body axes. They are the
@@ -140,9 +135,8 @@ struct alignas(16) RigidSweep : PairFrame {
   }
 
   // The direction in body axes: its dot product with v is that of `direction` with the rotated v.
-  PGCCD_HD static Vec3<float> pulled_back(const LocalPose& p, int side, Vec3<float> direction) {
-    const Mat3<float>& m = side == 0 ? p.first : p.second;
-    return direction.x * m.r0 + direction.y * m.r1 + direction.z * m.r2;
+  PGCCD_HD static Vec3<float> pulled_back(const Placement& p, Vec3<float> direction) {
+    return direction.x * p.x.axis + direction.y * p.y.axis + direction.z * p.z.axis;
   }
 
   // Corners of one triangle, or (T = Float8) of eight successive ones.

@@ -38,7 +38,8 @@ struct SelfPairs {
 // One warp per block.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
-    start_self_pairs(Pairs<Bodies> pairs, SelfPairs self_pairs, TaskList leaves, TaskList rest, Counter* node_tests) {
+    start_self_pairs(Pairs<Bodies> pairs, SelfPairs self_pairs, LeafPairList leaves, TaskList rest,
+                     Counter* node_tests) {
   if (pairs.count() == 0 || !fits(*self_pairs.blocks, kMostSelfBlocks)) return;
   const uint32_t row_count = static_cast<uint32_t>(*self_pairs.reserved >> 32);
   const uint32_t block_count = static_cast<uint32_t>(*self_pairs.reserved);
@@ -63,10 +64,10 @@ __global__ void __launch_bounds__(kBlockThreads)
       for (int k = 1; k <= tree.sweep().segment_count && !meets; ++k) {
         meets = may_meet(tree.clearance(siblings, tree.other_node(siblings, k), k, other));
       }
-      const Task task{pair, siblings.child(other)};
-      const bool is_leaf = meets && tree.is_leaf_pair(task.nodes);
-      if (is_leaf) leaves.put(warp_append(leaves.count, 1), task);
-      if (meets && !is_leaf) rest.put(warp_append(rest.count, 1), task);
+      const NodePair nodes = siblings.child(other);
+      const bool is_leaf = meets && tree.is_leaf_pair(nodes);
+      if (is_leaf) leaves.put(warp_append(leaves.count, 1), {pair, nodes});
+      if (meets && !is_leaf) rest.put(warp_append(rest.count, 1), {pair, tree.split(nodes)});
     }
     const int32_t node = block * kBlockWidth + lane;
     if (lane < kBlockWidth && tree.is_leaf(0, node)) leaves.put(warp_append(leaves.count, 1), {pair, {node, node}});

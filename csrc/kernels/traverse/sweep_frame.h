@@ -23,12 +23,21 @@ struct SweepSettings {
   double tolerance;  // as in pair_tolerance
 };
 
-// Poses at one segment boundary, scale included. It and sweeps are aligned so that they can be copied in few pieces.
-struct alignas(16) LocalPose {
-  Mat3<float> first;   // body axes of i -> local
-  Mat3<float> second;  // body axes of j -> local, without the shift
-  Vec3<float> shift;   // SBV centre of j
-  float unused[3] = {};
+// The pose of a body in the local frame, scale included: a point v relative to its SBV centre, body axes, is at
+// rows . v + shift. Rows are loaded and copied 16 bytes at a time.
+struct alignas(16) PlacementRow {
+  Vec3<float> axis;
+  float shift;
+};
+struct Placement {
+  PlacementRow x, y, z;
+
+  PGCCD_HD Vec3<float> shift() const { return {x.shift, y.shift, z.shift}; }
+};
+
+// The poses of both bodies at one segment boundary. The shift of the first is zero.
+struct LocalPose {
+  Placement of[2];
 };
 
 // Eight triangles of one body in its own frame, at one end of a segment.
@@ -61,8 +70,13 @@ PGCCD_HD double kept_distance(const BodyCentres& centres, int64_t i, int64_t j, 
 
 PGCCD_HD float rounded_up(double x) { return static_cast<float>(x) * (1.0f + 2.0f * Precision<float>::unit); }
 
-PGCCD_HD Mat3<float> scaled(double scale, const Mat3<double>& m) {
-  return {cast<float>(scale * m.r0), cast<float>(scale * m.r1), cast<float>(scale * m.r2)};
+PGCCD_HD Placement scaled(double scale, const Mat3<double>& m) {
+  return {{cast<float>(scale * m.r0), 0.0f}, {cast<float>(scale * m.r1), 0.0f}, {cast<float>(scale * m.r2), 0.0f}};
+}
+PGCCD_HD void set_shift(Placement& p, Vec3<float> shift) {
+  p.x.shift = shift.x;
+  p.y.shift = shift.y;
+  p.z.shift = shift.z;
 }
 
 PGCCD_HD Mat3<double> blend(const Mat3<double>& m0, const Mat3<double>& m1, double t) {
@@ -70,24 +84,36 @@ PGCCD_HD Mat3<double> blend(const Mat3<double>& m0, const Mat3<double>& m1, doub
   return {s * m0.r0 + t * m1.r0, s * m0.r1 + t * m1.r1, s * m0.r2 + t * m1.r2};
 }
 
+// Without the shift.
 template <class T>
-PGCCD_HD Vec3<T> transform(const Mat3<float>& m, Vec3<T> v) {
+PGCCD_HD Vec3<T> turned(const Placement& p, Vec3<T> v) {
   const auto row = [&](Vec3<float> r) { return multiply_add(r.z, v.z, multiply_add(r.y, v.y, r.x * v.x)); };
-  return {row(m.r0), row(m.r1), row(m.r2)};
+  return {row(p.x.axis), row(p.y.axis), row(p.z.axis)};
 }
 template <class T>
-PGCCD_HD Vec3<T> shifted(Vec3<float> shift, Vec3<T> v) {
-  return {shift.x + v.x, shift.y + v.y, shift.z + v.z};
+PGCCD_HD Vec3<T> shifted(const Placement& p, Vec3<T> v) {
+  return {p.x.shift + v.x, p.y.shift + v.y, p.z.shift + v.z};
+}
+
+// First row of the node blocks of a body's hierarchy; deforming bodies have their own, at t0.
+PGCCD_HD const NodeBlock* first_block(const RigidBodies& bodies, int64_t, const MeshOffsets& offsets) {
+  return bodies.meshes.node_blocks + offsets.block;
+}
+PGCCD_HD const NodeBlock* first_block(const DeformingBodies& bodies, int64_t body, const MeshOffsets&) {
+  return bodies.blocks_t0 + bodies.block_begin[body];
 }
 
 }  // namespace sweep_detail
 
-// Members shared by both kinds of sweeps: the bodies' rows of the mesh set (read at every node), their frame, and the
-// scale.
+// Members shared by both kinds of sweeps: the first rows of the bodies' hierarchies (read at every node), their frame,
+// and the scale. Sweeps are copied 16 bytes at a time.
 struct PairFrame {
   int64_t body[2];
-  int64_t first_face[2], first_block[2], first_points[2];  // rows of the bodies' meshes in the mesh set
-  double scale;                                            // a power of two
+  int64_t first_face[2];  // in the mesh set
+  const NodeLink* links[2];
+  const NodeBlock* blocks[2];
+  const LeafPoints* leaf_rows[2];
+  double scale;  // a power of two
   double horizon;
   float local_scale, inverse_scale;  // the same in float, perhaps 0; and 1 / scale, or 0 beyond the range of float
 
@@ -100,8 +126,9 @@ struct PairFrame {
     for (int side = 0; side < 2; ++side) {
       const MeshOffsets& offsets = bodies.meshes.offsets[bodies.mesh_index[body[side]]];
       first_face[side] = offsets.face;
-      first_block[side] = offsets.block;
-      first_points[side] = offsets.leaf_points;
+      links[side] = bodies.meshes.node_links + offsets.block * kBlockWidth;
+      blocks[side] = sweep_detail::first_block(bodies, body[side], offsets);
+      leaf_rows[side] = bodies.meshes.leaf_points + offsets.leaf_points;
     }
   }
 };

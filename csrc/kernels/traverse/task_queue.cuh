@@ -8,10 +8,16 @@
 
 namespace pgccd {
 
-// A node pair of one row of the body pairs.
+// A pair of leaves of one row of the body pairs.
+struct LeafPair {
+  int32_t pair;
+  NodePair leaves;
+};
+
+// A pair of nodes that may meet, one of which has children.
 struct Task {
   int32_t pair;
-  NodePair nodes;
+  SplitPair split;
 };
 
 template <class T>
@@ -26,6 +32,7 @@ struct DeviceList {
   }
 };
 
+using LeafPairList = DeviceList<LeafPair>;
 using TaskList = DeviceList<Task>;
 
 // Tasks passed from one launch to the next. Three counters rotate, so that none needs a launch to reset it: one is

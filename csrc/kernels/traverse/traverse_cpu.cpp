@@ -131,7 +131,7 @@ int64_t start_self_pairs(const PairTree<Bodies>& tree, int32_t pair, std::vector
   for (int32_t block = 0; block < blocks; ++block) {
     for (int slot = 0; slot < kBlockWidth; ++slot) {
       const SplitPair siblings = with_siblings(block, slot);
-      if (tree.is_leaf(0, siblings.other)) tasks.push_back({pair, {siblings.other, siblings.other}});
+      if (tree.is_leaf(0, siblings.other())) tasks.push_back({pair, {siblings.other(), siblings.other()}});
       const uint32_t later = 0xffu << (slot + 1);
       for_each_bit(tree.children_meeting(siblings) & later,
                    [&](int other) { tasks.push_back({pair, siblings.child(other)}); });

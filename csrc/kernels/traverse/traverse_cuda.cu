@@ -70,7 +70,7 @@ struct Traversal {
   // returned, whose number grows by two orders of magnitude per launch, until the device is full.
   CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches) {
     CandidateSink out;
-    const TaskList leaves = start(capacity, out);
+    const LeafPairList leaves = start(capacity, out);
     if (input_.leading) {
       lead(leaves);
     } else {
@@ -111,18 +111,19 @@ struct Traversal {
     return {out.items, capacity.candidates, out.edge_edge_count, out.vertex_face_count};
   }
 
-  TaskList start(const TraverseListSizes& capacity, CandidateSink& out) {
+  LeafPairList start(const TraverseListSizes& capacity, CandidateSink& out) {
     fill_bytes(context_, counters_, 0, 1);
     out = {context_.allocate<Candidate>(capacity.candidates), &counters_->edge_edge, &counters_->vertex_face,
            capacity.candidates};
-    place_pairs(capacity.poses);
+    const LeafPairList leaves{context_.allocate<LeafPair>(capacity.leaves), &counters_->leaves, capacity.leaves};
+    place_pairs(capacity.poses, leaves);
     task_capacity_ = capacity.tasks;
     for (Task*& tasks : tasks_) tasks = context_.allocate<Task>(capacity.tasks);
-    return {context_.allocate<Task>(capacity.leaves), &counters_->leaves, capacity.leaves};
+    return leaves;
   }
 
-  // Sweeps and poses of all body pairs; how many poses each needs depends on how far its bodies turn.
-  void place_pairs(uint32_t capacity) {
+  // Sweeps, poses and first tasks of all body pairs; how many poses each needs depends on how far its bodies turn.
+  void place_pairs(uint32_t capacity, LeafPairList leaves) {
     const Bodies bodies = bodies_;
     const TraverseInput input = input_;
     TraverseCounters* counters = counters_;
@@ -131,6 +132,8 @@ struct Traversal {
     auto* pose_begin = const_cast<uint32_t*>(pairs_.pose_begin);
     LocalPose* poses = context_.allocate<LocalPose>(capacity);
     pairs_.poses = poses;
+    roots_ = context_.allocate<Task>(input.pair_count);
+    Task* roots = roots_;
     pairs_.pose_capacity = capacity;
     for_each_counted(context_, pairs_.given_count, input.pair_count, [=] __device__(int64_t pair) {
       const int64_t i = input.pairs[2 * pair], j = input.pairs[2 * pair + 1];
@@ -146,10 +149,19 @@ struct Traversal {
       store_words(sweep, sweeps[pair]);
       self_pairs.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
       pose_begin[pair] = begin;
+      roots[pair] = {static_cast<int32_t>(pair), SplitPair::none()};
+      if (sweep.is_one_body() || input.leading) return;
+      const PairTree<Bodies> tree(bodies, sweep, nullptr);
+      const NodePair nodes{0, 0};
+      if (tree.is_leaf_pair(nodes)) {
+        leaves.put(warp_append(leaves.count, 1), {static_cast<int32_t>(pair), nodes});
+      } else {
+        roots[pair].split = tree.split(nodes);
+      }
     });
   }
 
-  void lead(TaskList leaves) {
+  void lead(LeafPairList leaves) {
     const int64_t blocks = (input_.pair_count + kBlockThreads - 1) / kBlockThreads;
     descend_greedily<Bodies>
         <<<static_cast<unsigned>(blocks), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, &counters_->node_tests);
@@ -159,11 +171,11 @@ struct Traversal {
   // Tasks left over by the launch.
   TaskList rest_of(int launch) { return {tasks_[launch % 2], &counters_->rest[launch % 3], task_capacity_}; }
 
-  void descend_roots(TaskList leaves) {
+  void descend_roots(LeafPairList leaves) {
     const TaskList rest = rest_of(0);
     descend_from_roots<Bodies>
         <<<kWaves * resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
-            pairs_, &counters_->taken[0], leaves, rest, &counters_->node_tests);
+            pairs_, roots_, &counters_->taken[0], leaves, rest, &counters_->node_tests);
     check_cuda(cudaGetLastError(), "descend_from_roots");
     if constexpr (Sweep::may_be_one_body) {
       start_self_pairs<Bodies><<<resident_blocks_of(start_self_pairs<Bodies>), kBlockThreads, 0, context_.stream>>>(
@@ -173,7 +185,7 @@ struct Traversal {
   }
 
   // `kind`: the launch, or kLastLaunch.
-  void descend_rest(int launch, int kind, TaskList leaves) {
+  void descend_rest(int launch, int kind, LeafPairList leaves) {
     const int next = (launch + 1) % 3;
     const TaskHandover rest{rest_of(launch - 1),    rest_of(launch),         &counters_->taken[launch % 3],
                             &counters_->rest[next], &counters_->taken[next], &counters_->most_rest};
@@ -182,15 +194,16 @@ struct Traversal {
     check_cuda(cudaGetLastError(), "descend_further");
   }
 
-  TaskList cull(TaskList leaves) {
-    const TaskList meeting{context_.allocate<Task>(leaves.capacity), &counters_->meeting_leaves, leaves.capacity};
+  LeafPairList cull(LeafPairList leaves) {
+    const LeafPairList meeting{context_.allocate<LeafPair>(leaves.capacity), &counters_->meeting_leaves,
+                               leaves.capacity};
     cull_leaves<Bodies><<<kWaves * resident_blocks_of(cull_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(
         pairs_, leaves, meeting);
     check_cuda(cudaGetLastError(), "cull_leaves");
     return meeting;
   }
 
-  void visit(TaskList leaves, CandidateSink out) {
+  void visit(LeafPairList leaves, CandidateSink out) {
     visit_leaves<Bodies>
         <<<kWaves * resident_blocks_of(visit_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, out);
     check_cuda(cudaGetLastError(), "visit_leaves");
@@ -202,6 +215,7 @@ struct Traversal {
   TraverseCounters* counters_;
   Pairs<Bodies> pairs_;
   SelfPairs self_pairs_;
+  Task* roots_ = nullptr;
   Task* tasks_[2] = {};
   uint32_t task_capacity_ = 0;
 };

@@ -14,17 +14,17 @@ class LeafVisitor {
   __device__ LeafVisitor(const Pairs<Bodies>& pairs, LeafShared& shared, CandidateWriter& writer)
       : pairs_(pairs), shared_(shared), writer_(writer), lane_(threadIdx.x % kWarp) {}
 
-  // `tasks`: two of them, one at the end of the list, or none after it: then all collected pairs are tested.
-  __device__ __forceinline__ void visit(const Task* tasks, int count) {
+  // `given`: two of them, one at the end of the list, or none after it: then all collected pairs are tested.
+  __device__ __forceinline__ void visit(const LeafPair* given, int count) {
     const int half = lane_ / kHalf;
     const int side = lane_ % kHalf / kMaxLeafTriangles, row = lane_ % kMaxLeafTriangles;
     const bool has_pair = half < count;
-    const Task task = has_pair ? tasks[half] : Task{};
+    const LeafPair item = has_pair ? given[half] : LeafPair{};
     int own_segments = 0, triangle_count = 0;
     if (has_pair) {
-      const PairTree<Bodies> tree = pairs_.tree(task.pair);
+      const PairTree<Bodies> tree = pairs_.tree(item.pair);
       own_segments = tree.sweep().segment_count;
-      triangle_count = tree.link(side, side == 0 ? task.nodes.first : task.nodes.second).triangle_count;
+      triangle_count = tree.link(side, side == 0 ? item.leaves.first : item.leaves.second).triangle_count;
     }
     const int segments = larger(__reduce_max_sync(kAllLanes, own_segments), 1);
     const bool remembers = segments > 1;
@@ -36,9 +36,9 @@ class LeafVisitor {
       bool reaches = false;
       MovingPoints<3, float> moving;
       if (k <= own_segments && row < triangle_count) {
-        const PairTree<Bodies> tree = pairs_.tree(task.pair);
-        const int32_t own = side == 0 ? task.nodes.first : task.nodes.second;
-        const int32_t other = side == 0 ? task.nodes.second : task.nodes.first;
+        const PairTree<Bodies> tree = pairs_.tree(item.pair);
+        const int32_t own = side == 0 ? item.leaves.first : item.leaves.second;
+        const int32_t other = side == 0 ? item.leaves.second : item.leaves.first;
         moving = moving_triangles<float>(tree, side, tree.link(side, own).first + row, k);
         const float reach = tree.local_radius(1 - side, other) + tree.sweep().inflation;
         reaches = !stays_out(moving, tree.moving_centre(1 - side, other, k), reach);
@@ -49,7 +49,7 @@ class LeafVisitor {
       for (bool stored = false; !stored;) {
         stored = filled_ + __popc(kept) <= kSlots;
         if (stored && kept != 0) {
-          if (kept >> lane_ & 1u) store(task, side, row, moving, remembers, kept);
+          if (kept >> lane_ & 1u) store(item, side, row, moving, remembers, kept);
           queued_ += list_triangle_pairs(shared_, kept, filled_, queued_, lane_);
           filled_ += __popc(kept);
           __syncwarp();  // the triangles and their pairs are written
@@ -60,21 +60,21 @@ class LeafVisitor {
   }
 
  private:
-  __device__ __forceinline__ void store(const Task& task, int side, int row, const MovingPoints<3, float>& moving,
+  __device__ __forceinline__ void store(const LeafPair& item, int side, int row, const MovingPoints<3, float>& moving,
                                         bool remembers, uint32_t kept) {
-    const PairTree<Bodies> tree = pairs_.tree(task.pair);
-    const int32_t own = side == 0 ? task.nodes.first : task.nodes.second;
+    const PairTree<Bodies> tree = pairs_.tree(item.pair);
+    const int32_t own = side == 0 ? item.leaves.first : item.leaves.second;
     const int slot = filled_ + __popc(kept & lanes_below(lane_));
     store_triangle(shared_, slot, moving);
     const int64_t triangle = tree.sweep().first_face[side] + tree.link(side, own).first + row;
     shared_.triangle[slot] = pairs_.bodies.meshes.triangles + triangle;
     shared_.distance[slot] = tree.sweep().inflation;
-    shared_.pair[slot] = task.pair;
+    shared_.pair[slot] = item.pair;
     shared_.lane[slot] = static_cast<uint8_t>(lane_);
     shared_.remembers[slot] = remembers;
     if constexpr (Sweep::may_be_one_body) {
       shared_.is_one_body[slot] = tree.sweep().is_one_body();
-      shared_.is_one_leaf[slot] = tree.sweep().is_one_body() && task.nodes.first == task.nodes.second;
+      shared_.is_one_leaf[slot] = tree.sweep().is_one_body() && item.leaves.first == item.leaves.second;
     }
   }
 
@@ -177,7 +177,8 @@ class LeafVisitor {
 };
 
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads) visit_leaves(Pairs<Bodies> pairs, TaskList leaves, CandidateSink out) {
+__global__ void __launch_bounds__(kBlockThreads)
+    visit_leaves(Pairs<Bodies> pairs, LeafPairList leaves, CandidateSink out) {
   __shared__ LeafShared shared[kWarpsPerBlock];
   __shared__ CandidateBuffers buffers[kWarpsPerBlock];
   CandidateWriter writer(buffers[threadIdx.x / kWarp], out);
