@@ -21,23 +21,32 @@ struct Candidate {
   int32_t feature_j;
 };
 
+// Numbers of candidates at the front and at the back of a buffer.
+struct CandidateCounts {
+  Counter front, back;
+
+  PGCCD_HD Counter sum() const { return front + back; }
+};
+
 // Candidates in memory: `size` of them, or, if the host has not read the device's counts, some at the front and some at
-// the back of a buffer of `size`.
+// the back of a buffer of `size`, without those that were there before.
 struct CandidateSpan {
   const Candidate* items = nullptr;
   int64_t size = 0;
-  const Counter* front = nullptr;  // null: all `size` are valid
-  const Counter* back = nullptr;
+  const CandidateCounts* counts = nullptr;  // null: all `size` are valid
+  const CandidateCounts* before = nullptr;
 
   // Zero on overflow, when front and back may overlap.
   PGCCD_HD int64_t count() const {
-    if (front == nullptr) return size;
-    const Counter counted = *front + *back;
-    return fits(counted, size) ? static_cast<int64_t>(counted) : 0;
+    if (counts == nullptr) return size;
+    return fits(counts->sum(), size) ? static_cast<int64_t>(counts->sum() - before->sum()) : 0;
   }
   // Index of the k-th of `count()`.
   PGCCD_HD int64_t place(int64_t k) const {
-    return front == nullptr || k < static_cast<int64_t>(*front) ? k : size - 1 - (k - static_cast<int64_t>(*front));
+    if (counts == nullptr) return k;
+    const int64_t front = static_cast<int64_t>(counts->front - before->front);
+    if (k < front) return static_cast<int64_t>(before->front) + k;
+    return size - 1 - (static_cast<int64_t>(before->back) + k - front);
   }
 };
 

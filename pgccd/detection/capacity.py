@@ -14,11 +14,11 @@ from pgccd import arguments
 
 # Bytes of GPU memory per unit of capacity, over all buffers of the operators.
 _BYTES = {
-    "pairs": 184,
+    "pairs": 216,
     "overlaps": 8,
     "poses": 96,
     "tasks": 24,
-    "leaf_pairs": 12,
+    "leaf_pairs": 48,
     "candidates": 16,
     "open": 80,
     "contacts": 102,

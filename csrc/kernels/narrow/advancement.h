@@ -152,10 +152,11 @@ PGCCD_HD_RARE Outcome<T> advance_patiently(const Path& path, const SearchSetting
   return advance_in_phase<kEdgeEdge, Phase::kPatient>(path, settings, progress);
 }
 
-// True if the first phase certifies that the pair is free. Otherwise `progress` is the state to continue from.
+// True if the first phase certifies that the pair is free until the end, or the time of pruning. Otherwise `progress`
+// is the state to continue from.
 template <bool kEdgeEdge, class T, class Path>
 PGCCD_HD bool is_quickly_free(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
-  return advance_in_phase<kEdgeEdge, Phase::kQuick>(path, settings, progress).status == Status::kFree;
+  return advance_in_phase<kEdgeEdge, Phase::kQuick>(path, settings, progress).status != Status::kOpen;
 }
 
 // Runs to the end, from the start of the step or from the state left by `is_quickly_free`.

@@ -52,11 +52,11 @@ PGCCD_HD SearchSettings<double> search_settings(const Bodies& bodies, const Pair
   return {separation, tolerance, prune_time(latest), settings.nonzero_toi};
 }
 
-// True if the quick phase certifies that the candidate is free.
+// True if the quick phase certifies that the candidate is free, or touches later than `latest`.
 template <class Bodies, class Pair>
 PGCCD_HD bool is_quickly_free(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
-                              const NarrowSettings& settings, Progress<double>& progress) {
-  const SearchSettings<double> search = search_settings(bodies, pair, settings, static_cast<double>(INFINITY));
+                              const NarrowSettings& settings, double latest, Progress<double>& progress) {
+  const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
     return with_path<true>(bodies, pair, f,

@@ -13,6 +13,18 @@ __device__ unsigned long long feature_key(const Candidate& c) {
          static_cast<unsigned long long>(c.feature_j);
 }
 
+// Memory for the first contact of each pair, and for its row if needed by the report. One allocation, so that one
+// launch initialises all.
+void allocate_first(const DeviceContext& context, Search& search, bool with_winner) {
+  const int64_t pairs = search.input.pair_count;
+  search.words = with_winner ? 3 * pairs + (pairs + 1) / 2 : 2 * pairs;
+  search.best = context.allocate<unsigned long long>(search.words);
+  search.least = search.best + pairs;
+  if (!with_winner) return;
+  search.best_key = search.least + pairs;
+  search.winner = reinterpret_cast<int32_t*>(search.best_key + pairs);
+}
+
 // One thread per pair.
 __global__ void __launch_bounds__(kBlockThreads) lower_owners(Search search, FirstToi known, int64_t* counts) {
   SearchCounters& seen = *search.counters;
@@ -117,18 +129,29 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Select
 }
 
 // Does not synchronise: `rows` of the search's counters is the number of contacts, if all open candidates fit.
-template <class Bodies>
-SelectedContacts select_contacts(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
-                                 int64_t most_open) {
-  Search search = make_search(context, input, most_open);
-  if (input.report != Report::kAll) allocate_first(context, search, true);
-  search.contacts = context.allocate<FoundContact>(search.capacity);
-  run_search(context, bodies, search);
-  if (input.pair_count == 0 || search.capacity == 0) return {search, nullptr};
+SelectedContacts select_contacts(const DeviceContext& context, const Search& search) {
+  if (search.input.pair_count == 0 || search.capacity == 0) return {search, nullptr};
   return {search, search.best != nullptr ? select_first(context, search) : sort_all(context, search)};
 }
 
 }  // namespace
+
+Search new_search(const DeviceContext& context, const NarrowInput& input, int64_t most_open, bool with_contacts) {
+  Search search{};
+  search.input = input;
+  search.counters = context.allocate<SearchCounters>(1);
+  search.capacity = static_cast<uint32_t>(smaller<int64_t>(most_open, 0x7ffffff0));
+  search.open = context.allocate<OpenCandidate>(search.capacity);
+  search.patient = context.allocate<uint32_t>(search.capacity);
+  if (input.report != Report::kAll) allocate_first(context, search, with_contacts);
+  if (with_contacts) search.contacts = context.allocate<FoundContact>(search.capacity);
+  // Initialises toi, keys and winners.
+  for_each_item(context, larger<int64_t>(1, search.words), [=] __device__(int64_t k) {
+    if (k == 0) *search.counters = {};
+    if (k < search.words) search.best[k] = ~0ull;
+  });
+  return search;
+}
 
 template <class Bodies>
 void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
@@ -140,7 +163,9 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
   // Initial estimate: about one in four is open; all of them may be.
   int64_t capacity = smaller<int64_t>(input.candidates.size, input.candidates.size / 2 + 65536);
   for (;;) {
-    const SelectedContacts selected = select_contacts(context, bodies, input, capacity);
+    Search search = new_search(context, input, capacity, true);
+    search_candidates(context, bodies, search, input.candidates, true);
+    const SelectedContacts selected = select_contacts(context, search);
     const SearchCounters seen = read(context, selected.search.counters);
     if (seen.open <= selected.search.capacity) {
       return write_rows(context, bodies, selected, seen.rows, make_output(seen.rows));
@@ -150,38 +175,40 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
 }
 
 template <class Bodies>
-void narrow_phase_padded(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
-                         const ContactCapacity& capacity, const ContactColumns& out, int64_t* counts) {
-  const SelectedContacts selected = select_contacts(context, bodies, input, capacity.open);
-  write_rows(context, bodies, selected, capacity.contacts, out);
-  const Search& search = selected.search;
+void search_candidates(const DeviceContext& context, const Bodies& bodies, Search& search, const CandidateSpan& part,
+                       bool is_last) {
+  if (search.input.pair_count == 0) return;
+  search.input.candidates = part;
+  search_part(context, bodies, search);
+  is_last ? search_patiently_all(context, bodies, search) : end_part(context, search);
+}
+
+template <class Bodies>
+void write_contacts(const DeviceContext& context, const Bodies& bodies, const Search& search, int64_t most,
+                    const ContactColumns& out, int64_t* counts) {
+  write_rows(context, bodies, select_contacts(context, search), most, out);
   const SearchCounters* seen = search.counters;
   for_each_item(context, 1, [=] __device__(int64_t) {
     counts[kOpenNeeded] = seen->open;
     counts[kContactsNeeded] = seen->rows;
     counts[kUnresolvedWritten] = seen->unresolved;
-    counts[kContactsOverflow] = seen->open > search.capacity || seen->rows > capacity.contacts;
+    counts[kContactsOverflow] = seen->open > search.capacity || seen->rows > most;
     counts[kNarrowEnded] = nanoseconds();
   });
 }
 
-template <class Bodies>
-void lower_first_toi(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input, int64_t most_open,
-                     const FirstToi& known, int64_t* counts) {
-  Search search = make_search(context, input, most_open);
-  allocate_first(context, search, false);
-  run_search(context, bodies, search);
-  const int64_t blocks = larger<int64_t>(1, (input.pair_count + kBlockThreads - 1) / kBlockThreads);
+void lower_first_toi(const DeviceContext& context, const Search& search, const FirstToi& known, int64_t* counts) {
+  const int64_t blocks = larger<int64_t>(1, (search.input.pair_count + kBlockThreads - 1) / kBlockThreads);
   lower_owners<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(search, known, counts);
   check_cuda(cudaGetLastError(), "lower_owners");
 }
 
-template void lower_first_toi(const DeviceContext&, const RigidBodies&, const NarrowInput&, int64_t, const FirstToi&,
-                              int64_t*);
-template void narrow_phase_padded(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactCapacity&,
-                                  const ContactColumns&, int64_t*);
-template void narrow_phase_padded(const DeviceContext&, const DeformingBodies&, const NarrowInput&,
-                                  const ContactCapacity&, const ContactColumns&, int64_t*);
+template void search_candidates(const DeviceContext&, const RigidBodies&, Search&, const CandidateSpan&, bool);
+template void search_candidates(const DeviceContext&, const DeformingBodies&, Search&, const CandidateSpan&, bool);
+template void write_contacts(const DeviceContext&, const RigidBodies&, const Search&, int64_t, const ContactColumns&,
+                             int64_t*);
+template void write_contacts(const DeviceContext&, const DeformingBodies&, const Search&, int64_t,
+                             const ContactColumns&, int64_t*);
 template void narrow_phase_cuda(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactOutput&);
 template void narrow_phase_cuda(const DeviceContext&, const DeformingBodies&, const NarrowInput&, const ContactOutput&);
 

@@ -19,13 +19,13 @@ struct FoundContact {
 };
 
 struct SearchCounters {
-  uint32_t open;        // candidates left by the quick phase, including those beyond the capacity
-  uint32_t patient;     // those of them left by the plain phase
-  uint32_t contacts;    // contacts among them; for first toi only, the number of pairs with a contact
-  uint32_t unresolved;  // rows with status unresolved
+  uint32_t open;         // candidates left by the quick phase, including those beyond the capacity
+  uint32_t open_before;  // those of them of earlier parts
+  uint32_t patient;      // those of them left by the plain phase
+  uint32_t contacts;     // contacts among them; for first toi only, the number of pairs with a contact
+  uint32_t unresolved;   // rows with status unresolved
   uint32_t blocks_done;
-  uint32_t unused;  // explicit padding, so that no uninitialised bytes are copied
-  int64_t rows;     // number of rows to report
+  int64_t rows;  // number of rows to report
 };
 
 struct OpenCandidate {
@@ -52,6 +52,8 @@ struct Search {
   int64_t words;                 // of eight bytes: size of these four arrays
   SearchCounters* counters;
 
+  // The open candidates of this part: from the first to before the second.
+  __device__ uint2 open_range() const { return {counters->open_before, smaller(counters->open, capacity)}; }
   __device__ bool has_contact(int64_t contact) const { return contact < static_cast<int64_t>(counters->contacts); }
   __device__ const Candidate& candidate(uint32_t contact) const {
     return input.candidates.items[contacts[contact].candidate];
@@ -67,8 +69,8 @@ struct Prospect {
   bool is_needed;  // false: the candidate need not be solved at all
 };
 
-__device__ inline Prospect prospect_of(const Search& search, const OpenCandidate& open) {
-  const unsigned long long best = search.best == nullptr ? ~0ull : search.best_of(open.pair);
+__device__ inline Prospect prospect_of(const Search& search, int32_t pair) {
+  const unsigned long long best = search.best == nullptr ? ~0ull : search.best_of(pair);
   if (best == ~0ull) return {static_cast<double>(INFINITY), true};
   return {__longlong_as_double(static_cast<long long>(best)), search.input.report != Report::kAny};
 }
@@ -81,29 +83,6 @@ __device__ inline void report(const Search& search, const OpenCandidate& open, c
   // There are at most as many contacts as open candidates, so the capacity suffices.
   search.contacts[warp_append(&search.counters->contacts, 1)] = {open.row, static_cast<int32_t>(outcome.status),
                                                                  outcome.toi, outcome.u, outcome.v};
-}
-
-// `most_open`: capacity for candidates left by the quick phase.
-inline Search make_search(const DeviceContext& context, const NarrowInput& input, int64_t most_open) {
-  Search search{};
-  search.input = input;
-  search.counters = context.allocate<SearchCounters>(1);
-  search.capacity = static_cast<uint32_t>(smaller<int64_t>(most_open, 0x7ffffff0));
-  search.open = context.allocate<OpenCandidate>(search.capacity);
-  search.patient = context.allocate<uint32_t>(search.capacity);
-  return search;
-}
-
-// Memory for the first contact of each pair, and for its row if needed by the report. One allocation, so that one
-// launch initialises all.
-inline void allocate_first(const DeviceContext& context, Search& search, bool with_winner) {
-  const int64_t pairs = search.input.pair_count;
-  search.words = with_winner ? 3 * pairs + (pairs + 1) / 2 : 2 * pairs;
-  search.best = context.allocate<unsigned long long>(search.words);
-  search.least = search.best + pairs;
-  if (!with_winner) return;
-  search.best_key = search.least + pairs;
-  search.winner = reinterpret_cast<int32_t*>(search.best_key + pairs);
 }
 
 }  // namespace pgccd

@@ -25,8 +25,12 @@ __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies
     const int64_t c = candidates.place(k);
     const Candidate candidate = candidates.items[c];
     const auto pair = pair_of(bodies, search.input, candidate);
+    const Prospect prospect = prospect_of(search, candidate.pair);
     Progress<double> progress;
-    if (is_quickly_free(bodies, pair, candidate, search.input.settings, progress)) continue;
+    if (!prospect.is_needed ||
+        is_quickly_free(bodies, pair, candidate, search.input.settings, prospect.latest, progress)) {
+      continue;
+    }
     const uint32_t at = warp_append(&search.counters->open, 1);
     if (at < search.capacity) {
       search.open[at] = {progress.t, progress.goal, progress.advances, static_cast<int32_t>(c), candidate.pair, 0};
@@ -38,8 +42,8 @@ __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies
 template <class Bodies>
 __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t item) {
   const OpenCandidate open = search.open[item];
-  const Prospect prospect = prospect_of(search, open);
-  if (!prospect.is_needed) return;
+  const Prospect prospect = prospect_of(search, open.pair);
+  if (!prospect.is_needed || open.t > prospect.latest) return;
   const Candidate candidate = search.input.candidates.items[open.row];
   const auto pair = pair_of(bodies, search.input, candidate);
   const Outcome<double> outcome =
@@ -58,8 +62,9 @@ __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies
   __shared__ uint32_t all_waiting[kSolveThreads / kWarp][2 * kWarp];
   const int lane = threadIdx.x % kWarp;
   uint32_t* const waiting = all_waiting[threadIdx.x / kWarp];
-  const uint32_t count = smaller(search.counters->open, search.capacity), threads = gridDim.x * blockDim.x;
-  const bool all_at_once = search.least == nullptr || count <= threads;
+  const uint2 range = search.open_range();
+  const uint32_t threads = gridDim.x * blockDim.x;
+  const bool all_at_once = search.least == nullptr || range.y - range.x <= threads;
   if (all_at_once && !is_first) return;
   const auto is_wanted = [&](uint32_t item) {
     if (all_at_once) return true;
@@ -69,11 +74,11 @@ __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies
     return !is_first && begin <= search.best_of(open.pair);
   };
   uint32_t collected = 0;
-  for (uint32_t base = blockIdx.x * blockDim.x + threadIdx.x - lane;; base += threads) {
-    const bool is_last = base >= count;  // solve the remaining ones
+  for (uint32_t base = range.x + blockIdx.x * blockDim.x + threadIdx.x - lane;; base += threads) {
+    const bool is_last = base >= range.y;  // solve the remaining ones
     if (!is_last) {
       const uint32_t item = base + lane;
-      const bool wanted = item < count && is_wanted(item);
+      const bool wanted = item < range.y && is_wanted(item);
       const uint32_t lanes = __ballot_sync(kAllLanes, wanted);
       if (wanted) waiting[collected + __popc(lanes & lanes_below(lane))] = item;
       collected += __popc(lanes);
@@ -89,13 +94,13 @@ __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies
   }
 }
 
-// The patient phase, after repeating the plain one, whose progress is not stored.
+// The patient phase, of all parts, after repeating the plain one, whose progress is not stored.
 template <class Bodies>
 __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies, Search search) {
   const uint32_t count = search.counters->patient, threads = gridDim.x * blockDim.x;
   for (uint32_t k = blockIdx.x * blockDim.x + threadIdx.x; k < count; k += threads) {
     const OpenCandidate open = search.open[search.patient[k]];
-    const Prospect prospect = prospect_of(search, open);
+    const Prospect prospect = prospect_of(search, open.pair);
     if (!prospect.is_needed) continue;
     const Candidate candidate = search.input.candidates.items[open.row];
     const auto pair = pair_of(bodies, search.input, candidate);
@@ -104,15 +109,9 @@ __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies,
   }
 }
 
+// The quick and the plain phase of one part of the candidates.
 template <class Bodies>
-void run_search(const DeviceContext& context, const Bodies& bodies, const Search& search) {
-  const int64_t pairs = search.input.pair_count;
-  // Initialises toi, keys and winners.
-  for_each_item(context, larger<int64_t>(1, search.words), [=] __device__(int64_t k) {
-    if (k == 0) *search.counters = {};
-    if (k < search.words) search.best[k] = ~0ull;
-  });
-  if (pairs == 0) return;
+void search_part(const DeviceContext& context, const Bodies& bodies, const Search& search) {
   search_quickly<Bodies>
       <<<resident_blocks_of(search_quickly<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
   check_cuda(cudaGetLastError(), "search_quickly");
@@ -122,6 +121,18 @@ void run_search(const DeviceContext& context, const Bodies& bodies, const Search
     search_plainly<Bodies><<<blocks, kSolveThreads, 0, context.stream>>>(bodies, search, is_first);
     check_cuda(cudaGetLastError(), "search_plainly");
   }
+}
+
+// Before the next part. Of this one most contacts are known, so its likely ones need not be solved first.
+inline void end_part(const DeviceContext& context, Search& search) {
+  SearchCounters* counters = search.counters;
+  const uint32_t capacity = search.capacity;
+  for_each_item(context, 1, [=] __device__(int64_t) { counters->open_before = smaller(counters->open, capacity); });
+  search.least = nullptr;
+}
+
+template <class Bodies>
+void search_patiently_all(const DeviceContext& context, const Bodies& bodies, const Search& search) {
   const int patient_blocks = resident_blocks_of(search_patiently<Bodies>, kSolveThreads);
   search_patiently<Bodies><<<patient_blocks, kSolveThreads, 0, context.stream>>>(bodies, search);
   check_cuda(cudaGetLastError(), "search_patiently");

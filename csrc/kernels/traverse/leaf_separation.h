@@ -39,6 +39,20 @@ PGCCD_HD Vec3<float> in_all_lanes(Vec3<float> v, float) { return v; }
 inline Vec3<Float8> in_all_lanes(Vec3<float> v, Float8) { return broadcast(v); }
 #endif
 
+// Below the exact result of three operations and this one.
+PGCCD_HD float rounded_down(float x) { return x * (1.0f - 4.0f * Precision<float>::unit); }
+
+// The first part of a line in which it is above a threshold: `from` is, `to` is not, or is NaN (then zero).
+PGCCD_HD float part_above(float from, float to, float threshold) {
+  const float part = rounded_down((from - threshold) / (from - to));
+  return part > 0.0f ? part : 0.0f;
+}
+
+// The time, as part of the step, of a part of segment k of several.
+PGCCD_HD float time_in_step(int k, float part, int segments) {
+  return rounded_down((static_cast<float>(k - 1) + part) / static_cast<float>(segments));
+}
+
 }  // namespace separation_detail
 
 // Two leaves over segment k.
@@ -59,10 +73,11 @@ class LeafSeparation {
   }
 
   // True if the leaves certainly stay further apart than the pair's inflation along this direction; otherwise takes a
-  // step. The error of a distance along a unit direction is below 32 units of rounding; the inflation includes 64. The
-  // direction is scaled to unit length first: with large bodies, the scale of the poses times that of a point near the
-  // origin would underflow.
-  PGCCD_HD bool is_along(Vec3<float>& reached) const {
+  // step, and raises `free_part`, the first part of the segment in which they certainly do: along a fixed direction,
+  // the gap is concave in time. The error of a distance along a unit direction is below 32 units of rounding; the
+  // inflation includes 64. The direction is scaled to unit length first: with large bodies, the scale of the poses
+  // times that of a point near the origin would underflow.
+  PGCCD_HD bool is_along(Vec3<float>& reached, float& free_part) const {
     const float length_squared = norm_squared(reached);
     if (!(length_squared > 1e-30f)) return false;
     const Vec3<float> direction = (1.0f / square_root(length_squared)) * reached;
@@ -72,12 +87,19 @@ class LeafSeparation {
     const float gap_start = -second[0].along - first[0].along, gap_end = -second[1].along - first[1].along;
     const float distance = tree_.sweep().inflation * (1.0f + 8.0f * Precision<float>::unit);
     if (smaller(gap_start, gap_end) > distance) return true;
+    if (gap_start > distance)
+      free_part = larger(free_part, separation_detail::part_above(gap_start, gap_end, distance));
     const bool is_start = gap_start < gap_end;
     const Vec3<float> change =
         (place(1, is_start ? second[0] : second[1], is_start) - place(0, is_start ? first[0] : first[1], is_start)) -
         reached;
     reached = reached + unit_clamp(-dot(reached, change) / norm_squared(change)) * change;
     return false;
+  }
+
+  // The time, as part of the step, until which the leaves stay apart: all segments before this one, and part of it.
+  PGCCD_HD float free_until(float free_part) const {
+    return separation_detail::time_in_step(k_, free_part, tree_.sweep().segment_count);
   }
 
  private:
@@ -126,8 +148,9 @@ PGCCD_HD bool leaves_may_meet(const PairTree<Bodies>& tree, NodePair leaves) {
   for (int k = 1; k <= tree.sweep().segment_count; ++k) {
     const LeafSeparation<T, Bodies> separation(tree, leaves, k);
     Vec3<float> reached = separation.between_spheres();
+    float free_part = 0.0f;
     bool apart = false;
-    for (int step = 0; step < kSeparationSteps && !apart; ++step) apart = separation.is_along(reached);
+    for (int step = 0; step < kSeparationSteps && !apart; ++step) apart = separation.is_along(reached, free_part);
     if (!apart) return true;
   }
   return false;

@@ -117,13 +117,13 @@ class CandidateWriter {
     const bool is_edge_edge = candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge);
     const uint32_t meeting = __ballot_sync(kAllLanes, meets);
     const uint32_t edge_lanes = __ballot_sync(kAllLanes, meets && is_edge_edge);
-    edges_ = buffers_.edge_edge.add(edges_, edge_lanes, candidate, lane, out_.edge_edge_count, put(true));
+    edges_ = buffers_.edge_edge.add(edges_, edge_lanes, candidate, lane, &out_.counts->front, put(true));
     vertices_ =
-        buffers_.vertex_face.add(vertices_, meeting & ~edge_lanes, candidate, lane, out_.vertex_face_count, put(false));
+        buffers_.vertex_face.add(vertices_, meeting & ~edge_lanes, candidate, lane, &out_.counts->back, put(false));
   }
   __device__ void flush(int lane) {
-    edges_ = buffers_.edge_edge.flush(edges_, lane, out_.edge_edge_count, put(true));
-    vertices_ = buffers_.vertex_face.flush(vertices_, lane, out_.vertex_face_count, put(false));
+    edges_ = buffers_.edge_edge.flush(edges_, lane, &out_.counts->front, put(true));
+    vertices_ = buffers_.vertex_face.flush(vertices_, lane, &out_.counts->back, put(false));
   }
 
  private:

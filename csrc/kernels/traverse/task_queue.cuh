@@ -9,9 +9,10 @@
 namespace pgccd {
 
 // A pair of leaves of one row of the body pairs.
-struct LeafPair {
+struct alignas(16) LeafPair {
   int32_t pair;
   NodePair leaves;
+  float begin;  // the leaves certainly stay apart before it
 };
 
 // A pair of nodes that may meet, one of which has children.
@@ -56,8 +57,7 @@ struct TaskHandover {
 // list from its start, vertex-face pairs from its end.
 struct CandidateSink {
   Candidate* items;
-  Counter* edge_edge_count;
-  Counter* vertex_face_count;
+  CandidateCounts* counts;
   uint32_t capacity;
 
   // On overflow the two ends overwrite each other; the counts show it.

@@ -1,7 +1,7 @@
 // Counters of a traversal on a device, and its capacities. Overflow is determined from the counts alone.
 #pragma once
 
-#include "core/counter.h"
+#include "core/candidate.h"
 #include "core/scalar.h"
 #include "kernels/traverse/traverse.h"
 
@@ -11,7 +11,12 @@ struct TraverseCounters {
   Counter rest[3];  // tasks returned: launches rotate, see TaskHandover
   Counter most_rest;
   Counter leaves, meeting_leaves;  // leaf pairs found by the descent; those left by culling
-  Counter edge_edge, vertex_face;  // candidates
+  // Of these, the ones that begin first in their body pair, the others, and those of the others that still may meet.
+  Counter first_leaves, later_leaves, remaining_leaves;
+  CandidateCounts candidates;           // edge-edge at the front, vertex-face at the back
+  CandidateCounts searched_candidates;  // those of the first leaf pairs
+  CandidateCounts no_candidates;        // zero
+  int64_t search_time;                  // of the candidates of the first leaf pairs, nanoseconds
   Counter poses;
   Counter node_tests;
   Counter self_pairs;   // see SelfPairs
@@ -19,8 +24,6 @@ struct TraverseCounters {
   Counter unsound;      // rows with invalid bodies, or bodies with invalid meshes
   uint32_t taken[3];    // tasks taken, of those stored
 };
-
-PGCCD_HD Counter candidates_of(const TraverseCounters& seen) { return seen.edge_edge + seen.vertex_face; }
 
 // Blocks of all bodies tested against themselves have 32-bit numbers.
 constexpr int64_t kMostSelfBlocks = 0xffffffff;
@@ -31,19 +34,19 @@ struct TraverseListSizes {
   // Of the tasks, only those passed from one launch to the next use capacity.
   PGCCD_HD bool holds(const TraverseCounters& seen) const {
     return fits(seen.poses, poses) && fits(seen.most_rest, tasks) && fits(seen.leaves, leaves) &&
-           fits(candidates_of(seen), candidates) && fits(seen.self_blocks, kMostSelfBlocks);
+           fits(seen.candidates.sum(), candidates) && fits(seen.self_blocks, kMostSelfBlocks);
   }
 
   // Whether a larger capacity can help.
   bool can_grow(const TraverseCounters& seen) const {
     return fits(seen.poses, kMostRows) && fits(seen.most_rest, kMostRows) && fits(seen.leaves, kMostRows) &&
-           fits(candidates_of(seen), kMostRows) && fits(seen.self_blocks, kMostSelfBlocks);
+           fits(seen.candidates.sum(), kMostRows) && fits(seen.self_blocks, kMostSelfBlocks);
   }
   void grow(const TraverseCounters& seen) {
     poses = grown(seen.poses, poses);
     tasks = grown(seen.most_rest, tasks);
     leaves = grown(seen.leaves, leaves);
-    candidates = grown(candidates_of(seen), candidates);
+    candidates = grown(seen.candidates.sum(), candidates);
   }
 
  private:
@@ -60,7 +63,7 @@ PGCCD_HD void store_traverse_counts(const TraverseCounters& seen, const Traverse
   counts[kPosesNeeded] = static_cast<int64_t>(seen.poses);
   counts[kTasksNeeded] = static_cast<int64_t>(larger(seen.most_rest, left));
   counts[kLeafPairsNeeded] = static_cast<int64_t>(seen.leaves);
-  counts[kCandidatesNeeded] = static_cast<int64_t>(candidates_of(seen));
+  counts[kCandidatesNeeded] = static_cast<int64_t>(seen.candidates.sum());
   counts[kTasksLeft] = static_cast<int64_t>(left);
   counts[kNodeTests] = static_cast<int64_t>(seen.node_tests);
   counts[kTraverseOverflow] = left != 0 || !capacity.holds(seen) || seen.unsound != 0 ? 1 : 0;

@@ -68,7 +68,7 @@ struct Traversal {
 
   // Does not synchronise; overflow is counted. `launches`: after the first one; each continues tasks that warps have
   // returned, whose number grows by two orders of magnitude per launch, until the device is full.
-  CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches) {
+  CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches, const SearchFirstPart& search) {
     CandidateSink out;
     const LeafPairList leaves = start(capacity, out);
     if (input_.leading) {
@@ -79,15 +79,49 @@ struct Traversal {
         descend_rest(launch, launch == launches ? kLastLaunch : launch, leaves);
       }
     }
-    visit(cull(leaves), out);
+    if (search) {
+      visit_in_order(leaves, out, search);
+    } else {
+      visit(cull(leaves, new_list(&counters_->meeting_leaves, leaves), {}), out);
+    }
     return out;
+  }
+
+  // First the leaf pairs that begin first in their body pair; then those of the others that may meet before the contact
+  // found in these.
+  void visit_in_order(LeafPairList leaves, CandidateSink out, const SearchFirstPart& search) {
+    uint32_t* earliest = context_.allocate<uint32_t>(input_.pair_count);
+    fill_bytes(context_, earliest, 0xff, input_.pair_count);
+    const LeafPairList meeting =
+        cull(leaves, new_list(&counters_->meeting_leaves, leaves), PairTimes{earliest, nullptr});
+    const LeafPairList first{leaves.items, &counters_->first_leaves, leaves.capacity};  // in memory no longer needed
+    const LeafPairList later = new_list(&counters_->later_leaves, leaves);
+    split_by_begin(context_, meeting, earliest, first, later);
+    visit(first, out);
+    TraverseCounters* counters = counters_;
+    for_each_item(context_, 1, [=] __device__(int64_t) { counters->search_time = -nanoseconds(); });
+    const unsigned long long* toi = search(span(out, &counters_->no_candidates));
+    for_each_item(context_, 1, [=] __device__(int64_t) {
+      counters->search_time += nanoseconds();
+      counters->searched_candidates = counters->candidates;
+    });
+    shorten(toi);
+    visit(cull(later, {meeting.items, &counters_->remaining_leaves, leaves.capacity}, PairTimes{nullptr, toi}), out);
+  }
+
+  CandidateSpan span(CandidateSink out, const CandidateCounts* before) {
+    return {out.items, out.capacity, out.counts, before};
+  }
+
+  LeafPairList new_list(Counter* count, LeafPairList as_large_as) {
+    return {context_.allocate<LeafPair>(as_large_as.capacity), count, as_large_as.capacity};
   }
 
   // Repeats the traversal with larger capacities until everything fits.
   TraverseCounters run(CandidateSink& out) {
     TraverseListSizes capacity = guess_sizes(input_, deforming_vertices(bodies_));
     for (int64_t launches = kLaunches;; launches *= 2) {
-      out = enqueue(capacity, launches);
+      out = enqueue(capacity, launches, nullptr);
       TraverseCounters seen = read(context_, counters_);
       if (seen.unsound != 0) throw std::runtime_error(kUnsoundPairs);
       const Counter left = seen.rest[launches % 3];
@@ -98,23 +132,22 @@ struct Traversal {
     }
   }
 
-  CandidateSpan run_padded(const TraverseCapacity& given, int64_t* counts) {
+  CandidateSpan run_padded(const TraverseCapacity& given, int64_t* counts, const SearchFirstPart& search) {
     const TraverseListSizes capacity{rows_of(larger<int64_t>(given.poses, kMaxSegments + 1)), rows_of(given.tasks),
                                      rows_of(given.leaf_pairs), rows_of(given.candidates)};
-    const CandidateSink out = enqueue(capacity, given.launches);
+    const CandidateSink out = enqueue(capacity, given.launches, search);
     const TraverseCounters* seen = counters_;
     const int last = static_cast<int>(given.launches % 3);
     for_each_item(context_, 1, [=] __device__(int64_t) {
       store_traverse_counts(*seen, capacity, last, counts);
-      counts[kTraverseEnded] = nanoseconds();
+      counts[kTraverseEnded] = nanoseconds() - seen->search_time;
     });
-    return {out.items, capacity.candidates, out.edge_edge_count, out.vertex_face_count};
+    return span(out, search ? &counters_->searched_candidates : &counters_->no_candidates);
   }
 
   LeafPairList start(const TraverseListSizes& capacity, CandidateSink& out) {
     fill_bytes(context_, counters_, 0, 1);
-    out = {context_.allocate<Candidate>(capacity.candidates), &counters_->edge_edge, &counters_->vertex_face,
-           capacity.candidates};
+    out = {context_.allocate<Candidate>(capacity.candidates), &counters_->candidates, capacity.candidates};
     const LeafPairList leaves{context_.allocate<LeafPair>(capacity.leaves), &counters_->leaves, capacity.leaves};
     place_pairs(capacity.poses, leaves);
     task_capacity_ = capacity.tasks;
@@ -161,6 +194,24 @@ struct Traversal {
     });
   }
 
+  // Sweeps and poses of the pairs of which a contact was found, until its toi.
+  void shorten(const unsigned long long* toi) {
+    const Pairs<Bodies> pairs = pairs_;
+    const TraverseInput input = input_;
+    auto* sweeps = const_cast<Sweep*>(pairs_.sweeps);
+    auto* poses = const_cast<LocalPose*>(pairs_.poses);
+    for_each_counted(context_, pairs_.given_count, input.pair_count, [=] __device__(int64_t pair) {
+      if (pair >= pairs.count() || toi[pair] == ~0ull) return;
+      const double horizon = __longlong_as_double(static_cast<long long>(toi[pair]));
+      const Sweep sweep(pairs.bodies, input.pairs[2 * pair], input.pairs[2 * pair + 1], input.settings, horizon);
+      // A shorter motion has no more segments.
+      for (int k = 0; k <= sweep.segment_count; ++k) {
+        store_words(sweep.pose(pairs.bodies, k), poses[pairs.pose_begin[pair] + k]);
+      }
+      store_words(sweep, sweeps[pair]);
+    });
+  }
+
   void lead(LeafPairList leaves) {
     const int64_t blocks = (input_.pair_count + kBlockThreads - 1) / kBlockThreads;
     descend_greedily<Bodies>
@@ -194,11 +245,9 @@ struct Traversal {
     check_cuda(cudaGetLastError(), "descend_further");
   }
 
-  LeafPairList cull(LeafPairList leaves) {
-    const LeafPairList meeting{context_.allocate<LeafPair>(leaves.capacity), &counters_->meeting_leaves,
-                               leaves.capacity};
+  LeafPairList cull(LeafPairList leaves, LeafPairList meeting, PairTimes times) {
     cull_leaves<Bodies><<<kWaves * resident_blocks_of(cull_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(
-        pairs_, leaves, meeting);
+        pairs_, leaves, meeting, times);
     check_cuda(cudaGetLastError(), "cull_leaves");
     return meeting;
   }
@@ -232,7 +281,8 @@ void traverse_cuda(const DeviceContext& context, const Bodies& bodies, const Tra
   }
   CandidateSink found;
   const TraverseCounters seen = Traversal<Bodies>(context, bodies, input, nullptr).run(found);
-  const auto edge_edge = static_cast<int64_t>(seen.edge_edge), vertex_face = static_cast<int64_t>(seen.vertex_face);
+  const auto edge_edge = static_cast<int64_t>(seen.candidates.front),
+             vertex_face = static_cast<int64_t>(seen.candidates.back);
   Candidate* out = make_output(edge_edge + vertex_face);
   copy(context, found.items, edge_edge, out);
   copy(context, found.items + found.capacity - vertex_face, vertex_face, out + edge_edge);
@@ -242,14 +292,15 @@ void traverse_cuda(const DeviceContext& context, const Bodies& bodies, const Tra
 
 template <class Bodies>
 CandidateSpan traverse_padded(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
-                              const int64_t* pair_count, const TraverseCapacity& capacity, int64_t* counts) {
+                              const int64_t* pair_count, const TraverseCapacity& capacity, int64_t* counts,
+                              const SearchFirstPart& search) {
   if (input.pair_count == 0) {
     for_each_item(context, kTraverseCounts, [=] __device__(int64_t k) {
       if (k != kTraverseBegan) counts[k] = k == kTraverseEnded ? nanoseconds() : 0;
     });
     return {};
   }
-  return Traversal<Bodies>(context, bodies, input, pair_count).run_padded(capacity, counts);
+  return Traversal<Bodies>(context, bodies, input, pair_count).run_padded(capacity, counts, search);
 }
 
 template void traverse_cuda(const DeviceContext&, const RigidBodies&, const TraverseInput&, const CandidateOutput&,
@@ -257,8 +308,8 @@ template void traverse_cuda(const DeviceContext&, const RigidBodies&, const Trav
 template void traverse_cuda(const DeviceContext&, const DeformingBodies&, const TraverseInput&, const CandidateOutput&,
                             int64_t*);
 template CandidateSpan traverse_padded(const DeviceContext&, const RigidBodies&, const TraverseInput&, const int64_t*,
-                                       const TraverseCapacity&, int64_t*);
+                                       const TraverseCapacity&, int64_t*, const SearchFirstPart&);
 template CandidateSpan traverse_padded(const DeviceContext&, const DeformingBodies&, const TraverseInput&,
-                                       const int64_t*, const TraverseCapacity&, int64_t*);
+                                       const int64_t*, const TraverseCapacity&, int64_t*, const SearchFirstPart&);
 
 }  // namespace pgccd

@@ -1,0 +1,106 @@
+"""The search of many body pairs on a GPU, in two parts: leaves that may meet first, then what may come before the
+contacts found. It must report what a search in one part does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from support.crowds import crowds
+from support.deforming import assert_same, crumpled, motion_of
+from support.host_program import run_program
+
+import pgccd
+from pgccd import narrow
+
+# From this capacity on, a GPU searches in two parts.
+MANY_PAIRS = 1 << 18
+
+FIRST: list[narrow.Report] = [report for report in narrow.REPORTS if report != "all"]
+
+
+def assert_parts_agree(
+    scene: pgccd.Scene, motion: pgccd.RigidMotion | pgccd.VertexMotion, report: narrow.Report, separation: float
+) -> pgccd.Contacts:
+    """Detects with many and with few pairs of capacity."""
+    whole = pgccd.detect(scene, motion, report, separation)
+    needed = whole.stats.needed
+    assert needed is not None
+    capacity = replace(needed.times(2.0), pairs=MANY_PAIRS, candidates=100_000, open=100_000, leaf_pairs=100_000)
+    parts = pgccd.detect(scene, motion, report, separation, capacity=capacity).trim()
+    if report == "any":
+        assert torch.equal(parts.pairs, whole.pairs)
+    else:
+        assert_same(parts, whole)
+    if scene.device.type == "cuda" and report == "first" and len(whole) > 20:
+        assert parts.stats.candidates < whole.stats.candidates
+    return parts
+
+
+@pytest.mark.parametrize("name", crowds())
+@pytest.mark.parametrize("report", FIRST)
+def test_rigid_bodies(device: torch.device, name: str, report: narrow.Report) -> None:
+    crowd = crowds()[name]
+    scene = pgccd.Scene(crowd.meshes, crowd.mesh_index, device=device, **crowd.filters)
+    every_body = torch.arange(len(crowd.position))
+    motion = crowd.motion(every_body).to(device)
+    contacts = assert_parts_agree(scene, motion, report, crowd.min_separation)
+    if report == "first":
+        expected = crowd.detect("first")
+        assert torch.equal(contacts.toi.cpu(), expected.toi) and torch.equal(contacts.pairs.cpu(), expected.pairs)
+
+
+@pytest.mark.parametrize("turns", [0.3, 2.0, 40.0])
+def test_spinning_bodies(device: torch.device, turns: float) -> None:
+    """Many segments: a contact shortens the motion to fewer of them."""
+    crowd = crowds()["faster than cells"]
+    faster = replace(crowd, rotation=turns * crowd.rotation, position=0.6 * crowd.position)
+    scene = pgccd.Scene(faster.meshes, faster.mesh_index, device=device)
+    motion = faster.motion(torch.arange(len(faster.position))).to(device)
+    assert len(assert_parts_agree(scene, motion, "first", 0.0)) > 20
+
+
+@pytest.mark.parametrize("report", FIRST)
+def test_deforming_bodies(device: torch.device, report: narrow.Report) -> None:
+    shapes, ends = crumpled(6)
+    scene = pgccd.Scene(shapes, device=device, self_collision=True)
+    assert assert_parts_agree(scene, motion_of(*ends, device=device), report, 0.01)
+
+
+TIMES = """
+#include <cstdio>
+#include <random>
+#include "kernels/traverse/leaf_separation.h"
+
+using namespace pgccd::separation_detail;
+
+std::mt19937 engine(1);
+float uniform(float from, float to) { return std::uniform_real_distribution<float>(from, to)(engine); }
+
+int main() {
+  long late = 0, early = 0;
+  for (int round = 0; round < 2000000; ++round) {
+    const float threshold = round % 2 ? uniform(0.0f, 0.1f) : 0.0f;
+    const float from = threshold + uniform(1e-6f, 1.0f), to = threshold - uniform(0.0f, 1.0f);
+    if (!(from > threshold)) continue;
+    const long double exact = ((long double)from - threshold) / ((long double)from - to);
+    const float part = part_above(from, to, threshold);
+    late += part > exact || part > 1.0f;
+    early += part < exact * (1.0L - 1e-6L);
+    const int segments = 1 + round % 64, k = 1 + round / 64 % segments;
+    const long double time = (k - 1 + (long double)part) / segments;
+    late += time_in_step(k, part, segments) > time;
+    early += time_in_step(k, part, segments) < time * (1.0L - 1e-6L);
+  }
+  if (part_above(1.0f, NAN, 0.5f) != 0.0f || part_above(0.5f, 0.5f, 0.5f) != 0.0f) return 3;
+  std::printf("%ld late, %ld early\\n", late, early);
+  return late > 0 ? 1 : early > 0 ? 2 : 0;
+}
+"""
+
+
+def test_leaves_do_not_meet_before_their_time(tmp_path: Path) -> None:
+    run_program(TIMES, tmp_path)
