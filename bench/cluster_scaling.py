@@ -67,7 +67,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--pattern", choices=sim.PATTERNS, default="random")
     parser.add_argument("--balance", choices=distributed.POLICIES, default="cost")
     parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
-    parser.add_argument("--partition", choices=("cells", "bisection"), default="cells", help="how space is cut")
+    parser.add_argument("--partition", choices=("cells", "bisection"), default="bisection", help="how space is cut")
     parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
     parser.add_argument("--no-overlap", action="store_true", help="wait for ghosts first")
     parser.add_argument("--no-graph", action="store_true", help="launch by launch instead of replays of a CUDA graph")

@@ -100,7 +100,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "margin": [0.0, 0.1],
         "payload": {},
         "vertex_payload": {},
-        "partition": "cells",
+        "partition": "auto",
         "self_collision": [False, True],
         **options,
     }

@@ -25,6 +25,10 @@ from pgccd.distributed.partition.interface import Partition, Point, Triple
 
 #: Kinds of `make_partition`.
 PARTITIONS = ("cells", "bisection")
+#: Values of the option `partition`.
+PARTITION_CHOICES = ("auto", *PARTITIONS)
+#: Default arguments of `Cells.uniform` in a world.
+DEFAULT_AXES, DEFAULT_CELLS = 3, 16
 
 
 class Places(NamedTuple):
@@ -46,7 +50,7 @@ class Rebalanced:
 def make_partition(
     kind: str, lower: Point, upper: Point, ranks: int, axes: int, cells: int | Triple, device: torch.device
 ) -> Partition:
-    """The initial partition of a world.
+    """The initial partition of a world. `axes` and `cells` are those of `Cells.uniform`.
 
     Raises:
         ValueError: naming the argument.
@@ -57,10 +61,19 @@ def make_partition(
     return Cells.uniform(lower, upper, ranks, axes=axes, cells=cells, device=device)
 
 
-def require_policy(partition: str, options: BalanceOptions) -> None:
-    """Raises ValueError if a policy needs cells and the partition has none."""
-    if partition == "bisection" and options.policy == "one-cell":
+def choose_partition(partition: str, axes: int, cells: int | Triple, options: BalanceOptions) -> str:
+    """The kind of partition for the options of a world: for "auto" bisection, unless others ask for cells.
+
+    Raises:
+        ValueError: naming the option.
+    """
+    arguments.choice(partition, "partition", PARTITION_CHOICES)
+    needs_cells = options.policy == "one-cell"
+    if partition == "bisection" and needs_cells:
         raise ValueError('balance: "one-cell" moves cells; with partition "bisection" there are none')
+    if partition != "auto":
+        return partition
+    return "cells" if needs_cells or (axes, cells) != (DEFAULT_AXES, DEFAULT_CELLS) else "bisection"
 
 
 def rebalanced(

@@ -17,7 +17,7 @@ from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import require_agreement
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.interface import Partition, Point, Triple
-from pgccd.distributed.partition.rebalancing import make_partition, require_policy
+from pgccd.distributed.partition.rebalancing import choose_partition, make_partition
 from pgccd.distributed.world.columns import ids_given, payload_columns, require_unique
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
@@ -40,9 +40,8 @@ class Cut:
         Raises:
             TypeError, ValueError: naming the argument of `World`.
         """
-        made = make_partition(self.partition, self.lower, self.upper, ranks, self.axes, self.cells, device)
-        require_policy(self.partition, balance)
-        return made
+        kind = choose_partition(self.partition, self.axes, self.cells, balance)
+        return make_partition(kind, self.lower, self.upper, ranks, self.axes, self.cells, device)
 
 
 @dataclass(frozen=True)

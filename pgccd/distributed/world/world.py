@@ -27,7 +27,7 @@ from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import together
 from pgccd.distributed.partition.balance import PAIR_COST, BackOff, BalanceOptions, RankLoads
 from pgccd.distributed.partition.interface import Point, Triple
-from pgccd.distributed.partition.rebalancing import rebalanced
+from pgccd.distributed.partition.rebalancing import DEFAULT_AXES, DEFAULT_CELLS, rebalanced
 from pgccd.distributed.world.checkpoint import load_state, save_state
 from pgccd.distributed.world.columns import OF_SCENES, motion_of, moving_columns, new_values, require_rows, scene_of
 from pgccd.distributed.world.state import Cut, WorldState, require_alike, state_given
@@ -60,7 +60,8 @@ class World:
         comm: between the ranks. Default: one rank.
         report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
         path: of all motions, as for `pgccd.RigidMotion`.
-        partition: of space: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`).
+        partition: of space: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`). "auto": bisection, or cells
+            if `axes` or `cells` is given or the policy of `balance` is "one-cell".
         axes, cells: as for `Cells.uniform`.
         balance: options of load balancing.
         overlap: test pairs of own bodies while ghosts are sent. The result does not depend on it.
@@ -97,9 +98,9 @@ class World:
         nonzero_toi: bool = False,
         broad_phase: BroadPhase = "auto",
         path: Literal["rigid", "linear"] = "rigid",
-        partition: Literal["cells", "bisection"] = "cells",
-        axes: int = 3,
-        cells: int | Triple = 16,
+        partition: Literal["auto", "cells", "bisection"] = "auto",
+        axes: int = DEFAULT_AXES,
+        cells: int | Triple = DEFAULT_CELLS,
         balance: BalanceOptions | None = None,
         overlap: bool = True,
     ) -> None:

@@ -19,7 +19,7 @@ from pgccd.distributed.launch.agreement import on_first
 from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connect, tell_problem
 from pgccd.distributed.launch.placement import find_placement
 from pgccd.distributed.partition.balance import POLICIES, BalanceOptions
-from pgccd.distributed.partition.rebalancing import PARTITIONS
+from pgccd.distributed.partition.rebalancing import DEFAULT_AXES, DEFAULT_CELLS, PARTITION_CHOICES
 from pgccd.sim.checkpoint import find_checkpoint
 from pgccd.sim.distributed.runner import DistributedOptions
 
@@ -34,9 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ).add_argument
     add("--transport", choices=TRANSPORTS, default="auto", help="communication library (NCCL for GPUs, else Gloo)")
     add("--timeout", type=float, default=DEFAULT_TIMEOUT, metavar="SECONDS", help="longest wait for another rank (300)")
-    add("--partition", choices=PARTITIONS, default="cells", help="partition of space (cells)")
-    add("--axes", type=int, choices=(1, 2, 3), default=3, help="number of axes that are cut; 1: slabs (3)")
-    add("--cells", type=int, default=16, metavar="M", help="each rank starts with M x M cells (16)")
+    bisection = "bisection; cells if --axes, --cells or --balance one-cell asks for them"
+    add("--partition", choices=PARTITION_CHOICES, default="auto", help=f"partition of space ({bisection})")
+    cut = "cells: number of axes that are cut; 1: slabs (3)"
+    add("--axes", type=int, choices=(1, 2, 3), default=DEFAULT_AXES, help=cut)
+    add("--cells", type=int, default=DEFAULT_CELLS, metavar="M", help="cells: M x M for each rank at the start (16)")
     add("--balance", choices=POLICIES, default="cost", help="load balancing policy (cost)")
 
 

@@ -21,7 +21,12 @@ from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.interface import Partition, Triple
-from pgccd.distributed.partition.rebalancing import make_partition, require_policy
+from pgccd.distributed.partition.rebalancing import (
+    DEFAULT_AXES,
+    DEFAULT_CELLS,
+    choose_partition,
+    make_partition,
+)
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
 from pgccd.sim.checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
@@ -41,9 +46,10 @@ _MOST_GATHERED = 20_000_000
 class DistributedOptions:
     """Options of the distribution over ranks. No result depends on them."""
 
-    partition: str = "cells"  #: "cells" or "bisection"
-    axes: int = 3  #: number of axes that are cut: 1 (slabs), 2 or 3
-    cells: int | Triple = 16  #: number in each subdomain: m means m x m in X-Y
+    #: "cells" or "bisection"; "auto": bisection, or cells if they are given or the policy moves single cells.
+    partition: str = "auto"
+    axes: int = DEFAULT_AXES  #: number of axes that are cut: 1 (slabs), 2 or 3
+    cells: int | Triple = DEFAULT_CELLS  #: number in each subdomain: m means m x m in X-Y
     balance: BalanceOptions = field(default_factory=BalanceOptions)
     overlap: bool = True  #: test pairs of own bodies while ghosts are sent
 
@@ -158,10 +164,10 @@ def _compare(
 
 
 def _partition(comm: Comm, model: Model, options: DistributedOptions) -> Partition:
-    require_policy(options.partition, options.balance)
+    kind = choose_partition(options.partition, options.axes, options.cells, options.balance)
     x, y, z = model.half_extent
     cut = (-x, -y, -z), (x, y, z), comm.size, options.axes, options.cells, model.device
-    return make_partition(options.partition, *cut)
+    return make_partition(kind, *cut)
 
 
 class _SimulationMachine:
