@@ -26,23 +26,23 @@ using namespace pgccd;
 int main() {
   int failed = 0;
   const long long most = 0xffffffffll;
-  Counter TraverseCounters::* lists[] = {&TraverseCounters::poses, &TraverseCounters::most_rest,
-                                         &TraverseCounters::leaves, &TraverseCounters::edge_edge,
-                                         &TraverseCounters::vertex_face, &TraverseCounters::self_blocks};
-  for (auto list : lists) {
-    TraverseCounters seen{};
+  TraverseCounters seen{};
+  Counter* const lists[] = {&seen.poses,            &seen.most_rest,       &seen.leaves,
+                            &seen.candidates.front, &seen.candidates.back, &seen.self_blocks};
+  for (Counter* const list : lists) {
+    seen = {};
     TraverseListSizes sizes{1000, 1000, 1000, 1000};
-    const bool is_blocks = list == &TraverseCounters::self_blocks;
-    seen.*list = is_blocks ? most : 1000;
+    const bool is_blocks = list == &seen.self_blocks;
+    *list = is_blocks ? most : 1000;
     EXPECT(sizes.holds(seen) && sizes.can_grow(seen));
     // As warps add to it: past 2^32, where 32 bits begin again.
-    seen.*list = most - 31;
+    *list = most - 31;
     for (int warp = 0; warp < 4; ++warp) {
-      const Counter place = seen.*list;
-      seen.*list += 32;
+      const Counter place = *list;
+      *list += 32;
       EXPECT(!has_place(place, 1000) && !has_place(place, kMostRows));
     }
-    EXPECT(seen.*list == static_cast<Counter>(most) + 97);
+    EXPECT(*list == static_cast<Counter>(most) + 97);
     EXPECT(!sizes.holds(seen) && !sizes.can_grow(seen));
     sizes.grow(seen);
     EXPECT(!sizes.holds(seen));
@@ -63,12 +63,13 @@ int main() {
     EXPECT(counts[kTraverseOverflow] == 1);
   }
   // Candidates from both ends, each count below 2^32.
-  const Counter front = 0x80000000u, back = 0x80000010u;
-  CandidateSpan span;
-  span.size = 1000;
-  span.front = &front;
-  span.back = &back;
-  EXPECT(span.count() == 0);
+  const CandidateCounts many{0x80000000u, 0x80000010u}, none{0, 0}, counts{5, 7}, before{2, 4};
+  EXPECT((CandidateSpan{nullptr, 1000, &many, &none}.count() == 0));
+  // Without those that were there before: 2 to 4 at the front, 4 to 6 from the back.
+  const CandidateSpan span{nullptr, 1000, &counts, &before};
+  const int64_t places[] = {2, 3, 4, 995, 994, 993};
+  EXPECT(span.count() == 6);
+  for (int k = 0; k < 6; ++k) EXPECT(span.place(k) == places[k]);
   EXPECT(rows_of(-1) == 0 && rows_of(7) == 7 && rows_of(most + 8) == kMostRows);
   return failed;
 }

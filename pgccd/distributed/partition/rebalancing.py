@@ -73,7 +73,10 @@ def choose_partition(partition: str, axes: int, cells: int | Triple, options: Ba
         raise ValueError('balance: "one-cell" moves cells; with partition "bisection" there are none')
     if partition != "auto":
         return partition
-    return "cells" if needs_cells or (axes, cells) != (DEFAULT_AXES, DEFAULT_CELLS) else "bisection"
+    are_given = not (
+        isinstance(axes, int) and axes == DEFAULT_AXES and isinstance(cells, int) and cells == DEFAULT_CELLS
+    )
+    return "cells" if needs_cells or are_given else "bisection"
 
 
 def rebalanced(
