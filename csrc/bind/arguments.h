@@ -7,6 +7,7 @@
 #include <torch/csrc/stable/tensor.h>
 #include <torch/headeronly/util/Exception.h>
 
+#include <algorithm>
 #include <initializer_list>
 #include <optional>
 #include <vector>
@@ -105,6 +106,7 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   STD_TORCH_CHECK(t[7].size(1) >= t[1].size(0) + kMaxLeafTriangles, "mesh_set.corners: columns are not padded");
   view.offsets = rows<int64_t, MeshOffsets>(t[8], "mesh_set.offsets", {kAnySize, 5});
   view.mesh_count = t[8].size(0) - 1;
+  view.feature_count = std::max({t[0].size(0), t[1].size(0), t[2].size(0)});
   STD_TORCH_CHECK(view.mesh_count >= 0, "mesh_set.offsets: expected at least one row");
   if (!t[8].is_cuda()) check_offsets(view, {t[0].size(0), t[1].size(0), t[2].size(0), t[4].size(0), t[6].size(0)});
   // Empty if every mesh has its SBV centre at its origin.

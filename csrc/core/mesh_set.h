@@ -69,6 +69,7 @@ struct MeshSetView {
   CornerColumns corners;       // (9, stride), column entries in the order of `triangles`
   const MeshOffsets* offsets;  // (meshes + 1): the next row is the end of a mesh's rows
   int64_t mesh_count;
+  int64_t feature_count;  // of vertices, faces or edges, whichever are most, of all meshes
   // Both null if the SBV centre of every mesh is its origin.
   const double* centres;  // (meshes, 3) SBV centres, body frame
   const double* reaches;  // (meshes,) bound of the vertices' distance from the origin; the radius if centred

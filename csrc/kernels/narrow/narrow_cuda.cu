@@ -1,3 +1,4 @@
+#include <bit>
 #include <cub/cub.cuh>
 
 #include "kernels/narrow/contact_item.h"
@@ -7,10 +8,12 @@
 namespace pgccd {
 namespace {
 
-// Sort key of kind and features in canonical order.
-__device__ unsigned long long feature_key(const Candidate& c) {
-  return (static_cast<unsigned long long>(c.kind) << 62) | (static_cast<unsigned long long>(c.feature_i) << 31) |
-         static_cast<unsigned long long>(c.feature_j);
+constexpr int kMostFeatureBits = 31;
+
+// Sort key of kind and features, which are below 2^bits, in canonical order.
+__device__ unsigned long long feature_key(const Candidate& c, int bits = kMostFeatureBits) {
+  return (static_cast<unsigned long long>(c.kind) << (2 * bits)) |
+         (static_cast<unsigned long long>(c.feature_i) << bits) | static_cast<unsigned long long>(c.feature_j);
 }
 
 // Memory for the first contact of each pair, and for its row if needed by the report. One allocation, so that one
@@ -67,27 +70,33 @@ int32_t* select_first(const DeviceContext& context, const Search& search) {
   return selected;
 }
 
-// All contacts, sorted by pair, kind and features: two stable sorts, the less significant key first.
-int32_t* sort_all(const DeviceContext& context, const Search& search) {
-  const int64_t count = search.capacity;
+// All contacts, sorted by pair, kind and features: two stable sorts, the less significant key first. Each sort takes
+// one pass per eight bits, so only the bits that differ are sorted. Rows without a contact have larger keys than all
+// others.
+int32_t* sort_all(const DeviceContext& context, int64_t feature_count, const Search& search) {
+  const int64_t count = search.capacity, pair_count = search.input.pair_count;
+  // Features have numbers within their meshes, whose rows may be more in all.
+  const int feature_bits =
+      smaller(static_cast<int>(std::bit_width(static_cast<uint64_t>(feature_count))), kMostFeatureBits);
+  const int pair_bits = std::bit_width(static_cast<uint64_t>(pair_count));
   uint64_t* keys = context.allocate<uint64_t>(count);
   uint64_t* sorted_keys = context.allocate<uint64_t>(count);
   int32_t* order = context.allocate<int32_t>(count);
   int32_t* sorted_order = context.allocate<int32_t>(count);
   for_each_item(context, count, [=] __device__(int64_t k) {
-    keys[k] = search.has_contact(k) ? feature_key(search.candidate(k)) : ~uint64_t{0};  // after all others
+    keys[k] = search.has_contact(k) ? feature_key(search.candidate(k), feature_bits) : ~uint64_t{0};
     order[k] = static_cast<int32_t>(k);
   });
   run_cub(context, [&](void* scratch, size_t& bytes) {
-    return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, order, sorted_order, count, 0, 64,
-                                           context.stream);
+    return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, order, sorted_order, count, 0,
+                                           2 * feature_bits + 2, context.stream);
   });
   for_each_item(context, count, [=] __device__(int64_t k) {
     const int32_t contact = sorted_order[k];
-    keys[k] = search.has_contact(contact) ? static_cast<uint64_t>(search.candidate(contact).pair) : ~uint64_t{0};
+    keys[k] = static_cast<uint64_t>(search.has_contact(contact) ? search.candidate(contact).pair : pair_count);
   });
   run_cub(context, [&](void* scratch, size_t& bytes) {
-    return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, sorted_order, order, count, 0, 32,
+    return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, sorted_order, order, count, 0, pair_bits,
                                            context.stream);
   });
   for_each_item(context, 1, [=] __device__(int64_t) { search.counters->rows = search.counters->contacts; });
@@ -129,9 +138,9 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Select
 }
 
 // Does not synchronise: `rows` of the search's counters is the number of contacts, if all open candidates fit.
-SelectedContacts select_contacts(const DeviceContext& context, const Search& search) {
+SelectedContacts select_contacts(const DeviceContext& context, int64_t feature_count, const Search& search) {
   if (search.input.pair_count == 0 || search.capacity == 0) return {search, nullptr};
-  return {search, search.best != nullptr ? select_first(context, search) : sort_all(context, search)};
+  return {search, search.best != nullptr ? select_first(context, search) : sort_all(context, feature_count, search)};
 }
 
 }  // namespace
@@ -165,7 +174,7 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
   for (;;) {
     Search search = new_search(context, input, capacity, true);
     search_candidates(context, bodies, search, input.candidates, true);
-    const SelectedContacts selected = select_contacts(context, search);
+    const SelectedContacts selected = select_contacts(context, bodies.meshes.feature_count, search);
     const SearchCounters seen = read(context, selected.search.counters);
     if (seen.open <= selected.search.capacity) {
       return write_rows(context, bodies, selected, seen.rows, make_output(seen.rows));
@@ -186,7 +195,7 @@ void search_candidates(const DeviceContext& context, const Bodies& bodies, Searc
 template <class Bodies>
 void write_contacts(const DeviceContext& context, const Bodies& bodies, const Search& search, int64_t most,
                     const ContactColumns& out, int64_t* counts) {
-  write_rows(context, bodies, select_contacts(context, search), most, out);
+  write_rows(context, bodies, select_contacts(context, bodies.meshes.feature_count, search), most, out);
   const SearchCounters* seen = search.counters;
   for_each_item(context, 1, [=] __device__(int64_t) {
     counts[kOpenNeeded] = seen->open;
