@@ -81,6 +81,10 @@ using ContactOutput = std::function<ContactColumns(int64_t count)>;
 // Copies the first `count` rows, except bodies.
 void copy_rows(const ContactRows& rows, int64_t count, const ContactColumns& out);
 
+// The first contact of each pair, of two lists by pair with one row each; without those of `one` after a time of its
+// pair.
+ContactRows first_of_each_pair(const ContactRows& one, const ContactRows& other, const std::vector<double>& latest);
+
 // Stores a padding row, after the last contact.
 PGCCD_HD void pad_row(const ContactColumns& out, int64_t row) {
   if (out.pair != nullptr) out.pair[row] = -1;

@@ -130,6 +130,41 @@ ContactRows narrow_phase_cpu(const Executor& executor, const Bodies& bodies, con
   return to_rows(executor, bodies, input, found);
 }
 
+namespace {
+
+void append_row(ContactRows& rows, const ContactRows& from, size_t row) {
+  const auto append = [row](auto& target, const auto& values, size_t width) {
+    target.insert(target.end(), values.begin() + width * row, values.begin() + width * (row + 1));
+  };
+  append(rows.pair, from.pair, 1);
+  append(rows.kind, from.kind, 1);
+  append(rows.features, from.features, 2);
+  append(rows.status, from.status, 1);
+  append(rows.toi, from.toi, 1);
+  append(rows.coordinates, from.coordinates, 2);
+  append(rows.point, from.point, 3);
+  append(rows.normal, from.normal, 3);
+}
+
+}  // namespace
+
+ContactRows first_of_each_pair(const ContactRows& one, const ContactRows& other, const std::vector<double>& latest) {
+  const auto order = [](const ContactRows& rows, size_t row) {
+    return std::make_tuple(rows.pair[row], rows.toi[row], rows.kind[row], rows.features[2 * row],
+                           rows.features[2 * row + 1]);
+  };
+  ContactRows first;
+  size_t i = 0, j = 0;
+  while (i < one.pair.size() || j < other.pair.size()) {
+    const bool is_one = j == other.pair.size() || (i < one.pair.size() && order(one, i) < order(other, j));
+    const ContactRows& from = is_one ? one : other;
+    const size_t row = is_one ? i++ : j++;
+    if (is_one && one.toi[row] > latest[one.pair[row]]) continue;
+    if (first.pair.empty() || first.pair.back() != from.pair[row]) append_row(first, from, row);
+  }
+  return first;
+}
+
 void copy_rows(const ContactRows& rows, int64_t count, const ContactColumns& out) {
   const auto copy = [&](const auto& values, int64_t width, auto* target) {
     std::copy_n(values.data(), width * count, target);

@@ -2,6 +2,7 @@
 #include <chrono>
 
 #include "kernels/pipeline/pipeline.h"
+#include "kernels/traverse/leaf_separation.h"
 
 namespace pgccd {
 namespace {
@@ -11,53 +12,89 @@ int64_t nanoseconds() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
 }
 
-// Traversal and narrow phase of some of the pairs. Adds to the counts and to the time of the narrow phase.
+// A search on the CPU: adds to the counts and to the time of the narrow phase.
 template <class Bodies>
-ContactRows search_once(const Executor& executor, const Bodies& bodies, const TraverseInput& traversal,
-                        NarrowInput narrow, int64_t* traverse_counts, int64_t& narrow_time) {
-  const CandidateList list = traverse_cpu(executor, bodies, traversal);
-  std::vector<Candidate> candidates;
-  candidates.reserve(list.size());
-  for (const auto& part : list.parts) candidates.insert(candidates.end(), part.begin(), part.end());
-  traverse_counts[kCandidatesNeeded] += list.size();
-  traverse_counts[kNodeTests] += list.node_tests;
-  const int64_t start = nanoseconds();
-  narrow.candidates = {candidates.data(), list.size()};
-  ContactRows found = narrow_phase_cpu(executor, bodies, narrow);
-  narrow_time += nanoseconds() - start;
-  return found;
-}
+class PairSearch {
+ public:
+  PairSearch(const Executor& executor, const Bodies& bodies, const ContactSearch& search)
+      : executor_(executor),
+        bodies_(bodies),
+        traversal_(search.traversal),
+        narrow_(search.narrow),
+        counts_(search.traverse_counts) {
+    traversal_.pair_count = narrow_.pair_count =
+        std::clamp<int64_t>(*search.pair_count, 0, search.traversal.pair_count);
+  }
+
+  int64_t narrow_time() const { return narrow_time_; }
+
+  ContactRows search_at_once() {
+    const CandidateList list = traverse_cpu(executor_, bodies_, traversal_);
+    counts_[kNodeTests] += list.node_tests;
+    return solve(list);
+  }
+
+  // The first contact of each pair, in two parts: the leaves that may meet first, then those of the others that may
+  // meet before the contacts found, over the motion until then. With `only_earliest`, until the earliest of all.
+  ContactRows search_in_parts(bool only_earliest) {
+    const FoundLeaves found = find_leaf_pairs_cpu(executor_, bodies_, traversal_);
+    counts_[kNodeTests] += found.node_tests;
+    std::vector<float> earliest(traversal_.pair_count, kNeverMeet);
+    for (const LeafPair& leaves : found.pairs) earliest[leaves.pair] = smaller(earliest[leaves.pair], leaves.begin);
+    std::vector<LeafPair> first, later;
+    for (const LeafPair& leaves : found.pairs) {
+      (leaves.begin == earliest[leaves.pair] ? first : later).push_back(leaves);
+    }
+    const ContactRows guess = solve(visit_leaf_pairs_cpu(executor_, bodies_, traversal_, first));
+
+    std::vector<double> horizon(traversal_.pair_count, 1.0);
+    for (size_t row = 0; row < guess.pair.size(); ++row) horizon[guess.pair[row]] = guess.toi[row];
+    if (only_earliest && !horizon.empty()) {
+      std::fill(horizon.begin(), horizon.end(), *std::min_element(horizon.begin(), horizon.end()));
+    }
+    std::erase_if(later, [&](const LeafPair& leaves) { return leaves.begin > horizon[leaves.pair]; });
+    traversal_.horizon = narrow_.latest = horizon.data();
+    const ContactRows rest = solve(visit_leaf_pairs_cpu(executor_, bodies_, traversal_, later));
+    traversal_.horizon = narrow_.latest = nullptr;
+    return first_of_each_pair(guess, rest, horizon);
+  }
+
+ private:
+  ContactRows solve(const CandidateList& list) {
+    std::vector<Candidate> candidates;
+    candidates.reserve(list.size());
+    for (const auto& part : list.parts) candidates.insert(candidates.end(), part.begin(), part.end());
+    counts_[kCandidatesNeeded] += list.size();
+    const int64_t start = nanoseconds();
+    NarrowInput narrow = narrow_;
+    narrow.candidates = {candidates.data(), list.size()};
+    ContactRows found = narrow_phase_cpu(executor_, bodies_, narrow);
+    narrow_time_ += nanoseconds() - start;
+    return found;
+  }
+
+  const Executor& executor_;
+  const Bodies& bodies_;
+  TraverseInput traversal_;
+  NarrowInput narrow_;
+  int64_t* counts_;
+  int64_t narrow_time_ = 0;
+};
 
 // Contacts of the valid pairs. Sets all counts except those of rows written.
 template <class Bodies>
 ContactRows search_all(const Executor& executor, const Bodies& bodies, const ContactSearch& search) {
-  TraverseInput traversal = search.traversal;
-  NarrowInput narrow = search.narrow;
   int64_t* const counts = search.traverse_counts;
   const int64_t began = counts[kTraverseBegan];
   std::fill_n(counts, int64_t{kTraverseCounts}, int64_t{0});
   std::fill_n(search.contact_counts, int64_t{kContactCounts}, int64_t{0});
   counts[kTraverseBegan] = began;
-  traversal.pair_count = narrow.pair_count = std::clamp<int64_t>(*search.pair_count, 0, traversal.pair_count);
-  int64_t narrow_time = 0;
-  std::vector<double> horizon;
-  if (narrow.report == Report::kFirst) {
-    // An early contact of each pair bounds the time that must be searched. On a GPU the full search is faster than
-    // finding this bound first.
-    traversal.leading = true;
-    const ContactRows guess = search_once(executor, bodies, traversal, narrow, counts, narrow_time);
-    traversal.leading = false;
-    horizon.assign(traversal.pair_count, 1.0);
-    for (size_t row = 0; row < guess.pair.size(); ++row) horizon[guess.pair[row]] = guess.toi[row];
-    if (search.only_earliest && !horizon.empty()) {
-      std::fill(horizon.begin(), horizon.end(), *std::min_element(horizon.begin(), horizon.end()));
-    }
-    traversal.horizon = narrow.latest = horizon.data();
-  }
-  ContactRows found = search_once(executor, bodies, traversal, narrow, counts, narrow_time);
+  PairSearch<Bodies> pairs(executor, bodies, search);
+  ContactRows found =
+      search.narrow.report == Report::kFirst ? pairs.search_in_parts(search.only_earliest) : pairs.search_at_once();
   search.contact_counts[kContactsNeeded] = static_cast<int64_t>(found.pair.size());
   search.contact_counts[kNarrowEnded] = nanoseconds();
-  counts[kTraverseEnded] = search.contact_counts[kNarrowEnded] - narrow_time;
+  counts[kTraverseEnded] = search.contact_counts[kNarrowEnded] - pairs.narrow_time();
   return found;
 }
 

@@ -142,18 +142,19 @@ class LeafSeparation {
   int k_;
 };
 
-// False if the leaves certainly stay apart over the whole step.
+// The time until which the leaves certainly stay apart, as part of the step; kNeverMeet if over the whole step.
+constexpr float kNeverMeet = 2.0f;
 template <class T, class Bodies>
-PGCCD_HD bool leaves_may_meet(const PairTree<Bodies>& tree, NodePair leaves) {
+PGCCD_HD float leaves_free_until(const PairTree<Bodies>& tree, NodePair leaves) {
   for (int k = 1; k <= tree.sweep().segment_count; ++k) {
     const LeafSeparation<T, Bodies> separation(tree, leaves, k);
     Vec3<float> reached = separation.between_spheres();
     float free_part = 0.0f;
     bool apart = false;
     for (int step = 0; step < kSeparationSteps && !apart; ++step) apart = separation.is_along(reached, free_part);
-    if (!apart) return true;
+    if (!apart) return separation.free_until(free_part);
   }
-  return false;
+  return kNeverMeet;
 }
 
 }  // namespace pgccd

@@ -4,16 +4,9 @@
 
 #include "core/candidate.h"
 #include "kernels/device.cuh"
-#include "kernels/traverse/pair_item.h"
+#include "kernels/traverse/leaf_pair.h"
 
 namespace pgccd {
-
-// A pair of leaves of one row of the body pairs.
-struct alignas(16) LeafPair {
-  int32_t pair;
-  NodePair leaves;
-  float begin;  // the leaves certainly stay apart before it
-};
 
 // A pair of nodes that may meet, one of which has children.
 struct Task {

@@ -6,6 +6,7 @@
 
 #include "core/candidate.h"
 #include "kernels/executor.h"
+#include "kernels/traverse/leaf_pair.h"
 #include "kernels/traverse/pair_sweep.h"
 
 namespace pgccd {
@@ -64,5 +65,16 @@ struct CandidateList {
 // `leading`.
 template <class Bodies>
 CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
+
+// The same in two stages, the first of which finds the pairs of leaves that may meet.
+struct FoundLeaves {
+  std::vector<LeafPair> pairs;  // by body pair
+  int64_t node_tests = 0;
+};
+template <class Bodies>
+FoundLeaves find_leaf_pairs_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
+template <class Bodies>
+CandidateList visit_leaf_pairs_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
+                                   const std::vector<LeafPair>& leaves);
 
 }  // namespace pgccd

@@ -93,7 +93,7 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
     const uint32_t reaching_j = triangles_reaching(tree, j, second.triangle_count, 1, leaves.first, k);
     if (reaching_j == 0) continue;
     // On a device this test comes first; on the host it is slower than the tests above.
-    if (!is_near && !leaves_may_meet<Float8>(tree, leaves)) return;
+    if (!is_near && leaves_free_until<Float8>(tree, leaves) == kNeverMeet) return;
     is_near = true;
     for_each_bit(reaching_i, [&](int p) {
       const MovingPoints<3, float> one = one_lane(i, p);
@@ -172,9 +172,27 @@ std::vector<Task> make_tasks(const Bodies& bodies, const TraverseInput& input, i
   return tasks;
 }
 
-// Both return the number of node tests.
-template <class Bodies, class Emit>
-int64_t descend(const PairTree<Bodies>& tree, NodePair start, Emit&& emit) {
+// The time until which the leaves certainly stay apart. On the host the tests of all triangles against the other leaf's
+// sphere come first: they reject most pairs, faster.
+template <class Bodies>
+float begin_of(const PairTree<Bodies>& tree, NodePair leaves) {
+  const NodeLink first = tree.link(0, leaves.first), second = tree.link(1, leaves.second);
+  if (first.triangle_count < 0 || second.triangle_count < 0) return kNeverMeet;
+  const auto reach = [&](int side, const NodeLink& leaf, int32_t other, int k) {
+    const MovingPoints<3, Float8> triangles = moving_triangles<Float8>(tree, side, leaf.first, k);
+    return triangles_reaching(tree, triangles, leaf.triangle_count, side, other, k) != 0;
+  };
+  for (int k = 1; k <= tree.sweep().segment_count; ++k) {
+    if (reach(0, first, leaves.second, k) && reach(1, second, leaves.first, k)) {
+      return leaves_free_until<Float8>(tree, leaves);
+    }
+  }
+  return kNeverMeet;
+}
+
+// Both call use(leaves) for pairs of leaves, and return the number of node tests.
+template <class Bodies, class Use>
+int64_t descend(const PairTree<Bodies>& tree, NodePair start, Use&& use) {
   int64_t tests = 0;
   // A split takes one entry and adds at most eight, and no path splits more often than both trees are deep.
   NodePair stack[2 * kMaxTreeDepth * (kBlockWidth - 1) + 1];
@@ -183,7 +201,7 @@ int64_t descend(const PairTree<Bodies>& tree, NodePair start, Emit&& emit) {
   while (size > 0) {
     const NodePair nodes = stack[--size];
     if (tree.is_leaf_pair(nodes)) {
-      visit_leaves(tree, nodes, emit);
+      use(nodes);
       continue;
     }
     const SplitPair split = tree.split(nodes);
@@ -193,8 +211,8 @@ int64_t descend(const PairTree<Bodies>& tree, NodePair start, Emit&& emit) {
   return tests;
 }
 
-template <class Bodies, class Emit>
-int64_t descend_greedily(const PairTree<Bodies>& tree, NodePair nodes, Emit&& emit) {
+template <class Bodies, class Use>
+int64_t descend_greedily(const PairTree<Bodies>& tree, NodePair nodes, Use&& use) {
   int64_t tests = 0;
   while (!tree.is_leaf_pair(nodes)) {
     const SplitPair split = tree.split(nodes);
@@ -203,16 +221,40 @@ int64_t descend_greedily(const PairTree<Bodies>& tree, NodePair nodes, Emit&& em
     if (slot < 0) return tests;
     nodes = split.child(slot);
   }
-  visit_leaves(tree, nodes, emit);
+  use(nodes);
   return tests;
 }
 
-}  // namespace
-
+// Appends the candidates of a pair of leaves.
 template <class Bodies>
-CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
-  CandidateList list;
-  if (input.pair_count == 0) return list;
+void list_candidates(const PairTree<Bodies>& tree, int32_t pair, NodePair leaves, std::vector<Candidate>& out) {
+  visit_leaves(tree, leaves, [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
+    out.push_back({pair, static_cast<int32_t>(kind), feature_i, feature_j});
+  });
+}
+
+// Rows found by workers: the parts, one after the other, are in the order of the items.
+template <class Row>
+using Parts = std::vector<std::vector<Row>>;
+
+// Calls use(tree, item, rows) for items of body pairs, such as tasks.
+template <class Row, class Bodies, class Item, class Use>
+Parts<Row> for_each_of_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
+                             const std::vector<Item>& items, Use&& use) {
+  const int64_t count = static_cast<int64_t>(items.size());
+  Parts<Row> parts((count + kTaskGrain - 1) / kTaskGrain);
+  parallel_chunks(executor, count, kTaskGrain, [&](int, int64_t begin, int64_t end) {
+    PairCache<Bodies> cache(bodies, input);
+    for (int64_t k = begin; k < end; ++k) use(cache.tree(items[k].pair), items[k], parts[begin / kTaskGrain]);
+  });
+  return parts;
+}
+
+// Calls use(tree, pair, leaves, rows) for the pairs of leaves that the descent of all pairs reaches.
+template <class Row, class Bodies, class Use>
+Parts<Row> descend_all(const Executor& executor, const Bodies& bodies, const TraverseInput& input, int64_t& node_tests,
+                       Use&& use) {
+  if (input.pair_count == 0) return {};
   const auto both = [&](int64_t pair, const auto& is_so) {
     return is_so(input.pairs[2 * pair]) && is_so(input.pairs[2 * pair + 1]);
   };
@@ -221,29 +263,61 @@ CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const
   });
   require_rows(executor, input.pair_count, "pairs", "name bodies of which meshes, vertices and node blocks are there",
                [&](int64_t pair) { return both(pair, [&](int64_t body) { return is_sound(bodies, body); }); });
-  const std::vector<Task> tasks = make_tasks(bodies, input, executor.worker_count(), list.node_tests);
-  const int64_t count = static_cast<int64_t>(tasks.size());
-  list.parts.resize((count + kTaskGrain - 1) / kTaskGrain);
-  std::atomic<int64_t> node_tests{list.node_tests};
-  parallel_chunks(executor, count, kTaskGrain, [&](int, int64_t begin, int64_t end) {
-    PairCache<Bodies> cache(bodies, input);
-    std::vector<Candidate>& out = list.parts[begin / kTaskGrain];
-    int64_t tests = 0;
-    for (int64_t k = begin; k < end; ++k) {
-      const Task& task = tasks[k];
-      const auto emit = [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
-        out.push_back({task.pair, static_cast<int32_t>(kind), feature_i, feature_j});
-      };
-      const PairTree<Bodies> tree = cache.tree(task.pair);
-      tests += input.leading ? descend_greedily(tree, task.nodes, emit) : descend(tree, task.nodes, emit);
-    }
-    node_tests.fetch_add(tests, std::memory_order_relaxed);
-  });
-  list.node_tests = node_tests;
+  const std::vector<Task> tasks = make_tasks(bodies, input, executor.worker_count(), node_tests);
+  std::atomic<int64_t> tests{node_tests};
+  Parts<Row> parts = for_each_of_pairs<Row>(
+      executor, bodies, input, tasks, [&](const PairTree<Bodies>& tree, const Task& task, std::vector<Row>& rows) {
+        const auto use_leaves = [&](NodePair leaves) { use(tree, task.pair, leaves, rows); };
+        tests.fetch_add(
+            input.leading ? descend_greedily(tree, task.nodes, use_leaves) : descend(tree, task.nodes, use_leaves),
+            std::memory_order_relaxed);
+      });
+  node_tests = tests;
+  return parts;
+}
+
+}  // namespace
+
+template <class Bodies>
+CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
+  CandidateList list;
+  list.parts = descend_all<Candidate>(executor, bodies, input, list.node_tests, list_candidates<Bodies>);
+  return list;
+}
+
+template <class Bodies>
+FoundLeaves find_leaf_pairs_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
+  FoundLeaves found;
+  const auto list_if_meeting = [](const PairTree<Bodies>& tree, int32_t pair, NodePair leaves,
+                                  std::vector<LeafPair>& out) {
+    const float begin = begin_of(tree, leaves);
+    if (begin != kNeverMeet) out.push_back({pair, leaves, begin});
+  };
+  for (const auto& part : descend_all<LeafPair>(executor, bodies, input, found.node_tests, list_if_meeting)) {
+    found.pairs.insert(found.pairs.end(), part.begin(), part.end());
+  }
+  return found;
+}
+
+template <class Bodies>
+CandidateList visit_leaf_pairs_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
+                                   const std::vector<LeafPair>& leaves) {
+  CandidateList list;
+  list.parts =
+      for_each_of_pairs<Candidate>(executor, bodies, input, leaves,
+                                   [](const PairTree<Bodies>& tree, const LeafPair& item, std::vector<Candidate>& out) {
+                                     list_candidates(tree, item.pair, item.leaves, out);
+                                   });
   return list;
 }
 
 template CandidateList traverse_cpu(const Executor&, const RigidBodies&, const TraverseInput&);
 template CandidateList traverse_cpu(const Executor&, const DeformingBodies&, const TraverseInput&);
+template FoundLeaves find_leaf_pairs_cpu(const Executor&, const RigidBodies&, const TraverseInput&);
+template FoundLeaves find_leaf_pairs_cpu(const Executor&, const DeformingBodies&, const TraverseInput&);
+template CandidateList visit_leaf_pairs_cpu(const Executor&, const RigidBodies&, const TraverseInput&,
+                                            const std::vector<LeafPair>&);
+template CandidateList visit_leaf_pairs_cpu(const Executor&, const DeformingBodies&, const TraverseInput&,
+                                            const std::vector<LeafPair>&);
 
 }  // namespace pgccd
