@@ -414,6 +414,13 @@ _SEPARATIONS = [
         ON_TRAVERSE,
     ),
     Mutant(
+        "later-leaves-0.999",
+        "csrc/kernels/pipeline/pipeline_cpu.cpp",
+        "leaves.begin > horizon[leaves.pair]",
+        "leaves.begin > 0.999 * horizon[leaves.pair]",
+        ("test_search_in_parts.py",),
+    ),
+    Mutant(
         "leaves-part-not-rounded-down",
         TRAVERSE + "leaf_separation.h",
         "rounded_down((from - threshold) / (from - to))",

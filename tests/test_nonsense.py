@@ -159,7 +159,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "broad.choose": Call(pgccd.broad.choose, {"bodies": moving, "broad_phase": "grid"}),
         "traverse.bvtt": Call(
             pgccd.traverse.bvtt,
-            on_bodies | {"pairs": pairs, "tolerance": None, "horizon": torch.ones(1).double(), "leading": True},
+            on_bodies | {"pairs": pairs, "tolerance": None, "horizon": torch.ones(1).double()},
         ),
         "narrow.contacts": Call(
             pgccd.narrow.contacts,

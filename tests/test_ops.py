@@ -77,8 +77,7 @@ def stages_alone(bodies: pgccd.MovingBodies) -> None:
     """Calls the operators that `detect` uses on only one kind of device."""
     for find in (pgccd.broad.sweep, pgccd.broad.grid, pgccd.broad.lbvh):
         pairs = find(bodies)
-    for leading in (False, True):
-        candidates, _ = pgccd.traverse.bvtt(bodies, pairs, leading=leading)
+    candidates, _ = pgccd.traverse.bvtt(bodies, pairs)
     for report in ("any", "first", "all"):
         pgccd.narrow.contacts(bodies, pairs, candidates, report)
 

@@ -19,13 +19,12 @@ def candidates(
     pairs: torch.Tensor | None = None,
     min_separation: float = 0.0,
     horizon: list[float] | None = None,
-    leading: bool = False,
 ) -> list[list[Key]]:
     """(kind, feature of i, feature of j) of each pair; fails on duplicates."""
     if pairs is None:
         pairs = torch.tensor([[0, 1]], device=bodies.device)
     until = None if horizon is None else torch.tensor(horizon, dtype=torch.float64, device=bodies.device)
-    found, node_tests = pgccd.traverse.bvtt(bodies, pairs, min_separation, horizon=until, leading=leading)
+    found, node_tests = pgccd.traverse.bvtt(bodies, pairs, min_separation, horizon=until)
     assert found.dtype == torch.int32 and node_tests.shape == (1,)
     rows = [tuple(row) for row in found.tolist()]
     assert len(set(rows)) == len(rows), "a candidate is listed twice"
@@ -141,14 +140,6 @@ def test_several_pairs_and_one_at_a_time(device: torch.device) -> None:
     order = torch.randperm(len(pairs), generator=torch.Generator().manual_seed(0)).to(device)
     shuffled = candidates(moved, pairs[order])
     assert all(sorted(shuffled[k]) == sorted(together[int(order[k])]) for k in range(len(pairs)))
-
-
-def test_leading_candidates_are_some_of_all(device: torch.device) -> None:
-    for seed in range(5):
-        bodies = approaching(np.random.default_rng([13, seed]), (2, 2), turn=1.0, closeness=0.7)
-        moved = moving(bodies, device)
-        leading, everything = candidates(moved, leading=True)[0], candidates(moved)[0]
-        assert 0 < len(leading) < len(everything) and set(leading) <= set(everything)
 
 
 def test_bodies_in_one_place(device: torch.device) -> None:

@@ -85,15 +85,14 @@ struct DetectOps {
   static std::tuple<Tensor, Tensor> traverse_rigid(const TensorList& mesh_set, const TensorList& bodies,
                                                    bool linear_path, const Tensor& pairs,
                                                    const std::optional<Tensor>& horizon, double min_separation,
-                                                   double tolerance, bool leading) {
-    return traverse(rigid_view(mesh_set, bodies, linear_path), pairs, horizon, checked(min_separation, tolerance),
-                    leading);
+                                                   double tolerance) {
+    return traverse(rigid_view(mesh_set, bodies, linear_path), pairs, horizon, checked(min_separation, tolerance));
   }
 
   static std::tuple<Tensor, Tensor> traverse_deforming(const TensorList& mesh_set, const TensorList& bodies,
                                                        const Tensor& pairs, const std::optional<Tensor>& horizon,
-                                                       double min_separation, double tolerance, bool leading) {
-    return traverse(deforming_view(mesh_set, bodies), pairs, horizon, checked(min_separation, tolerance), leading);
+                                                       double min_separation, double tolerance) {
+    return traverse(deforming_view(mesh_set, bodies), pairs, horizon, checked(min_separation, tolerance));
   }
 
   static ContactTensors narrow_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
@@ -118,15 +117,13 @@ struct DetectOps {
 
   template <class Bodies>
   static std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs,
-                                             const std::optional<Tensor>& horizon, const SweepSettings& settings,
-                                             bool leading) {
+                                             const std::optional<Tensor>& horizon, const SweepSettings& settings) {
     TraverseInput input;
     input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
     input.pair_count = pairs.size(0);
     STD_TORCH_CHECK(input.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
     input.horizon = optional_column<double>(horizon, "horizon", input.pair_count);
     input.settings = settings;
-    input.leading = leading;
     Tensor candidates = pairs;
     Tensor node_tests = new_tensor<int64_t>(pairs, {1});
     const auto make_candidates = [&](int64_t count) {

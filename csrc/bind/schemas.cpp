@@ -46,11 +46,11 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "Tensor? is_static, float min_separation, float tolerance, int broad_phase, int axis) -> Tensor");
   library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
-      "float min_separation, float tolerance, bool leading) "
+      "float min_separation, float tolerance) "
       "-> (Tensor candidates, Tensor node_tests)");
   library.def(
       "traverse_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor? horizon, "
-      "float min_separation, float tolerance, bool leading) "
+      "float min_separation, float tolerance) "
       "-> (Tensor candidates, Tensor node_tests)");
   library.def(
       "narrow_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor candidates, "

@@ -16,7 +16,6 @@ def bvtt(
     min_separation: float = 0.0,
     tolerance: float | None = None,
     horizon: Tensor | None = None,
-    leading: bool = False,
 ) -> tuple[Tensor, Tensor]:
     """Feature pairs that may come within min_separation + tolerance during the step.
 
@@ -26,14 +25,12 @@ def bvtt(
         min_separation: length.
         tolerance: length; default 1e-6 of the smaller SBV radius of each pair.
         horizon: (P,) float64 in [0, 1]: end of the time searched for each pair. Default: the whole step.
-        leading: descend only into the nodes that overlap most, to one pair of leaves: few candidates, likely early
-            contacts.
 
     Returns:
-        candidates (C, 4) int32: index into `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Unless
-        `leading`, every feature pair that may touch is listed exactly once (representative triangles, Curtis et al.
-        2008). Of a pair (i, i) they are of kind VF_AB, or EE with the smaller edge first. The order of rows is not
-        specified. node_tests (1,) int64: number of node pairs tested.
+        candidates (C, 4) int32: index into `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Every
+        feature pair that may touch is listed exactly once (representative triangles, Curtis et al. 2008). Of a pair
+        (i, i) they are of kind VF_AB, or EE with the smaller edge first. The order of rows is not specified.
+        node_tests (1,) int64: number of node pairs tested.
 
     Example:
         >>> candidates, node_tests = pgccd.traverse.bvtt(bodies, pgccd.broad.sweep(bodies))
@@ -44,7 +41,7 @@ def bvtt(
     if horizon is not None:
         _check_horizon(horizon, pairs)
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
-    rest = (pairs, horizon, *settings, arguments.flag(leading, "leading"))
+    rest = (pairs, horizon, *settings)
     if bodies.deforming:
         return ops.traverse_deforming(bodies.mesh_set, bodies.tensors, *rest)
     return ops.traverse_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)

@@ -92,11 +92,10 @@ def traverse_rigid(
     horizon: Tensor | None,
     min_separation: float,
     tolerance: float,
-    leading: bool,
 ) -> tuple[Tensor, Tensor]:
     """Candidates (C, 4) int32 of rigid body pairs, and the number of node tests (1,)."""
     return library.operators.traverse_rigid(
-        list(mesh_set), list(bodies), linear_path, pairs, horizon, min_separation, tolerance, leading
+        list(mesh_set), list(bodies), linear_path, pairs, horizon, min_separation, tolerance
     )
 
 

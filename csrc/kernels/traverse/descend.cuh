@@ -148,25 +148,4 @@ __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
   descend(pairs, launch, queue, from.items, leaves, rest.to, node_tests);
 }
 
-// Follows the deepest overlap of each body pair down to one pair of leaves.
-template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads)
-    descend_greedily(Pairs<Bodies> pairs, LeafPairList leaves, Counter* node_tests) {
-  const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
-  if (pair >= pairs.count()) return;
-  const PairTree<Bodies> tree = pairs.tree(static_cast<int32_t>(pair));
-  NodePair nodes{0, 0};
-  Counter tests = 0;
-  bool reached = !tree.sweep().is_one_body();
-  while (reached && !tree.is_leaf_pair(nodes)) {
-    const SplitPair split = tree.split(nodes);
-    tests += kBlockWidth;
-    const int slot = tree.deepest_child(split);
-    reached = slot >= 0;
-    if (reached) nodes = split.child(slot);
-  }
-  atomicAdd(node_tests, tests);
-  if (reached) leaves.put(warp_append(leaves.count, 1), {static_cast<int32_t>(pair), nodes});
-}
-
 }  // namespace pgccd

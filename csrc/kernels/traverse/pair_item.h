@@ -90,22 +90,6 @@ class PairTree {
     return mask;
   }
 
-  // The child that overlaps the other node most, or -1 if none does.
-  PGCCD_HD int deepest_child(const SplitPair& split) const {
-    int deepest = -1;
-    float least = 0.0f;
-    for (int k = 1; k <= sweep_.segment_count; ++k) {
-      float clearance[kBlockWidth];
-      clearances(split, k, clearance);
-      for (int slot = 0; slot < kBlockWidth; ++slot) {
-        if (!(clearance[slot] <= least) || (deepest >= 0 && clearance[slot] == least)) continue;
-        least = clearance[slot];
-        deepest = slot;
-      }
-    }
-    return deepest;
-  }
-
   // A node over segment k.
   struct MovingNode {
     MovingPoints<1, float> centre;

@@ -16,8 +16,6 @@ struct TraverseInput {
   int64_t pair_count;
   const double* horizon;  // (pair_count,) end of the time searched; null: the whole step
   SweepSettings settings;
-  bool leading;  // only the leaf pair that overlaps most, found by greedy descent: where contact is likely first; none
-                 // of a body and itself
 };
 
 // The horizon of a body pair; values outside of [0, 1] mean the whole step.
@@ -61,8 +59,7 @@ struct CandidateList {
   }
 };
 
-// Lists every feature pair that may come within separation + tolerance until the horizon exactly once, unless
-// `leading`.
+// Lists every feature pair that may come within separation + tolerance until the horizon exactly once.
 template <class Bodies>
 CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
 

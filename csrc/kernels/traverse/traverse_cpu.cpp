@@ -150,11 +150,11 @@ std::vector<Task> make_tasks(const Bodies& bodies, const TraverseInput& input, i
     const int32_t row = static_cast<int32_t>(pair);
     if (!SweepOf<Bodies>::type::may_be_one_body || input.pairs[2 * pair] != input.pairs[2 * pair + 1]) {
       tasks.push_back({row, {0, 0}});
-    } else if (!input.leading) {
+    } else {
       node_tests += start_self_pairs(cache.tree(row), row, tasks);
     }
   }
-  const size_t enough = static_cast<size_t>(workers > 1 && !input.leading ? 16 * workers : 0);
+  const size_t enough = static_cast<size_t>(workers > 1 ? 16 * workers : 0);
   for (int level = 0; level < 2 * kMaxTreeDepth && !tasks.empty() && tasks.size() < enough; ++level) {
     std::vector<Task> next;
     for (const Task& task : tasks) {
@@ -190,7 +190,7 @@ float begin_of(const PairTree<Bodies>& tree, NodePair leaves) {
   return kNeverMeet;
 }
 
-// Both call use(leaves) for pairs of leaves, and return the number of node tests.
+// Calls use(leaves) for pairs of leaves; returns the number of node tests.
 template <class Bodies, class Use>
 int64_t descend(const PairTree<Bodies>& tree, NodePair start, Use&& use) {
   int64_t tests = 0;
@@ -208,20 +208,6 @@ int64_t descend(const PairTree<Bodies>& tree, NodePair start, Use&& use) {
     tests += kBlockWidth;
     for_each_bit(tree.children_meeting(split), [&](int slot) { stack[size++] = split.child(slot); });
   }
-  return tests;
-}
-
-template <class Bodies, class Use>
-int64_t descend_greedily(const PairTree<Bodies>& tree, NodePair nodes, Use&& use) {
-  int64_t tests = 0;
-  while (!tree.is_leaf_pair(nodes)) {
-    const SplitPair split = tree.split(nodes);
-    tests += kBlockWidth;
-    const int slot = tree.deepest_child(split);
-    if (slot < 0) return tests;
-    nodes = split.child(slot);
-  }
-  use(nodes);
   return tests;
 }
 
@@ -268,9 +254,7 @@ Parts<Row> descend_all(const Executor& executor, const Bodies& bodies, const Tra
   Parts<Row> parts = for_each_of_pairs<Row>(
       executor, bodies, input, tasks, [&](const PairTree<Bodies>& tree, const Task& task, std::vector<Row>& rows) {
         const auto use_leaves = [&](NodePair leaves) { use(tree, task.pair, leaves, rows); };
-        tests.fetch_add(
-            input.leading ? descend_greedily(tree, task.nodes, use_leaves) : descend(tree, task.nodes, use_leaves),
-            std::memory_order_relaxed);
+        tests.fetch_add(descend(tree, task.nodes, use_leaves), std::memory_order_relaxed);
       });
   node_tests = tests;
   return parts;

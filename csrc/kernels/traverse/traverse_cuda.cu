@@ -33,7 +33,6 @@ TraverseListSizes guess_sizes(const TraverseInput& input, int64_t vertex_count) 
     return rows_of(each_pair * input.pair_count + 65536 +
                    smaller<int64_t>(each_vertex * vertex_count, int64_t{1} << 22));
   };
-  if (input.leading) return {sum(3), sum(1), sum(1), sum(4)};
   return {sum(3), sum(1, 4), sum(16, 16), sum(12, 24)};
 }
 
@@ -71,13 +70,9 @@ struct Traversal {
   CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches, const SearchFirstPart& search) {
     CandidateSink out;
     const LeafPairList leaves = start(capacity, out);
-    if (input_.leading) {
-      lead(leaves);
-    } else {
-      descend_roots(leaves);
-      for (int launch = 1; launch <= launches; ++launch) {
-        descend_rest(launch, launch == launches ? kLastLaunch : launch, leaves);
-      }
+    descend_roots(leaves);
+    for (int launch = 1; launch <= launches; ++launch) {
+      descend_rest(launch, launch == launches ? kLastLaunch : launch, leaves);
     }
     if (search) {
       visit_in_order(leaves, out, search);
@@ -183,7 +178,7 @@ struct Traversal {
       self_pairs.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
       pose_begin[pair] = begin;
       roots[pair] = {static_cast<int32_t>(pair), SplitPair::none()};
-      if (sweep.is_one_body() || input.leading) return;
+      if (sweep.is_one_body()) return;
       const PairTree<Bodies> tree(bodies, sweep, nullptr);
       const NodePair nodes{0, 0};
       if (tree.is_leaf_pair(nodes)) {
@@ -210,13 +205,6 @@ struct Traversal {
       }
       store_words(sweep, sweeps[pair]);
     });
-  }
-
-  void lead(LeafPairList leaves) {
-    const int64_t blocks = (input_.pair_count + kBlockThreads - 1) / kBlockThreads;
-    descend_greedily<Bodies>
-        <<<static_cast<unsigned>(blocks), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, &counters_->node_tests);
-    check_cuda(cudaGetLastError(), "descend_greedily");
   }
 
   // Tasks left over by the launch.
