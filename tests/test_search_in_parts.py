@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from support.crowds import crowds
@@ -18,6 +19,8 @@ from pgccd import narrow
 
 # From this capacity on, a GPU searches in two parts.
 MANY_PAIRS = 1 << 18
+
+RADIUS = 1e-3  #: of a tip
 
 FIRST: list[narrow.Report] = [report for report in narrow.REPORTS if report != "all"]
 
@@ -68,6 +71,57 @@ def test_deforming_bodies(device: torch.device, report: narrow.Report) -> None:
     shapes, ends = crumpled(6)
     scene = pgccd.Scene(shapes, device=device, self_collision=True)
     assert assert_parts_agree(scene, motion_of(*ends, device=device), report, 0.01)
+
+
+def joined(*parts: tuple[np.ndarray, np.ndarray]) -> pgccd.Mesh:
+    """A mesh of several parts (vertices, faces)."""
+    begin = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
+    faces = [faces + first for (_, faces), first in zip(parts, begin[:-1], strict=True)]
+    return pgccd.Mesh(np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces))
+
+
+def shards(rng: np.random.Generator, centre: float) -> tuple[np.ndarray, np.ndarray]:
+    """Eight triangles across a path along x at y = centre, whose hull begins before most of them."""
+    vertices = rng.uniform([0.55, -0.4, -0.4], [0.9, 0.4, 0.4], (24, 3)) + [0.0, centre, 0.0]
+    return vertices, np.arange(24).reshape(8, 3)
+
+
+def wall(x: float, centre: float) -> tuple[np.ndarray, np.ndarray]:
+    """A fan of eight triangles in the plane of x, around y = centre."""
+    angle = np.arange(8) * np.pi / 4
+    rim = np.column_stack([np.full(8, x), centre + 0.1 * np.cos(angle), 0.1 * np.sin(angle)])
+    k = np.arange(8)
+    return np.concatenate([rim, [[x, centre, 0.0]]]), np.column_stack([k, (k + 1) % 8, np.full(8, 8)])
+
+
+def tip(centre: float) -> tuple[np.ndarray, np.ndarray]:
+    """An octahedron of eight triangles at y = centre."""
+    axes = RADIUS * np.concatenate([np.eye(3), -np.eye(3)]) + [0.0, centre, 0.0]
+    ends = np.array([[x, y, z] for x in (0, 3) for y in (1, 4) for z in (2, 5)])
+    return axes, ends
+
+
+def test_later_leaves_meet_just_before(device: torch.device) -> None:
+    """Two tips move along x: one among shards, the other against a wall that it touches just before the first contact
+    with the shards. Often the leaf of the shards begins before the wall.
+    """
+    rng = np.random.default_rng(4)
+    at, unit = torch.zeros(2, 3, dtype=torch.float64), torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2).double()
+    motion = pgccd.RigidMotion(at, unit, torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]).double(), unit).to(device)
+    tips, checked = joined(tip(-2.0), tip(2.0)), 0
+    for _ in range(40):
+        among = shards(rng, -2.0)
+        alone = pgccd.detect(pgccd.Scene([tips, joined(among, wall(1.5, 2.0))], device=device), motion, "all")
+        if len(alone) == 0:
+            continue
+        touched = float(alone.toi.min())  # type: ignore[union-attr]
+        front = RADIUS + 0.9997 * touched
+        scene = pgccd.Scene([tips, joined(among, wall(front, 2.0))], device=device)
+        for report in ("first", "earliest"):
+            first = assert_parts_agree(scene, motion, report, 0.0)
+            assert first.toi is not None and 0.9995 * touched < float(first.toi) < 0.9998 * touched
+        checked += 1
+    assert checked > 20
 
 
 TIMES = """
