@@ -67,9 +67,10 @@ def test_spinning_bodies(device: torch.device, turns: float) -> None:
 
 
 @pytest.mark.parametrize("report", FIRST)
-def test_deforming_bodies(device: torch.device, report: narrow.Report) -> None:
+@pytest.mark.parametrize("self_collision", [False, True])
+def test_deforming_bodies(device: torch.device, report: narrow.Report, self_collision: bool) -> None:
     shapes, ends = crumpled(6)
-    scene = pgccd.Scene(shapes, device=device, self_collision=True)
+    scene = pgccd.Scene(shapes, device=device, self_collision=self_collision)
     assert assert_parts_agree(scene, motion_of(*ends, device=device), report, 0.01)
 
 

@@ -28,6 +28,15 @@ class PairSearch {
 
   int64_t narrow_time() const { return narrow_time_; }
 
+  // Folded surfaces have many leaf pairs that may meet from the start, so that parts save nothing.
+  bool has_self_pairs() const {
+    const int64_t* const pairs = traversal_.pairs;
+    for (int64_t pair = 0; pair < traversal_.pair_count; ++pair) {
+      if (pairs[2 * pair] == pairs[2 * pair + 1]) return true;
+    }
+    return false;
+  }
+
   ContactRows search_at_once() {
     const CandidateList list = traverse_cpu(executor_, bodies_, traversal_);
     counts_[kNodeTests] += list.node_tests;
@@ -90,8 +99,8 @@ ContactRows search_all(const Executor& executor, const Bodies& bodies, const Con
   std::fill_n(search.contact_counts, int64_t{kContactCounts}, int64_t{0});
   counts[kTraverseBegan] = began;
   PairSearch<Bodies> pairs(executor, bodies, search);
-  ContactRows found =
-      search.narrow.report == Report::kFirst ? pairs.search_in_parts(search.only_earliest) : pairs.search_at_once();
+  const bool in_parts = search.narrow.report == Report::kFirst && !pairs.has_self_pairs();
+  ContactRows found = in_parts ? pairs.search_in_parts(search.only_earliest) : pairs.search_at_once();
   search.contact_counts[kContactsNeeded] = static_cast<int64_t>(found.pair.size());
   search.contact_counts[kNarrowEnded] = nanoseconds();
   counts[kTraverseEnded] = search.contact_counts[kNarrowEnded] - pairs.narrow_time();
