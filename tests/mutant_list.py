@@ -421,6 +421,20 @@ _SEPARATIONS = [
         ("test_search_in_parts.py",),
     ),
     Mutant(
+        "earliest-limit-0.999",
+        "csrc/kernels/pipeline/pipeline_cpu.cpp",
+        "std::vector<double>(size, earliest)",
+        "std::vector<double>(size, 0.999 * earliest)",
+        ("test_search_in_parts.py",),
+    ),
+    Mutant(
+        "earliest-of-the-last-batch",
+        "csrc/kernels/pipeline/pipeline_cpu.cpp",
+        "smaller(earliest, toi)",
+        "toi",
+        ("test_search_in_parts.py",),
+    ),
+    Mutant(
         "leaves-part-not-rounded-down",
         TRAVERSE + "leaf_separation.h",
         "rounded_down((from - threshold) / (from - to))",

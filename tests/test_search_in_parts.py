@@ -1,5 +1,6 @@
-"""The search of many body pairs on a GPU, in two parts: leaves that may meet first, then what may come before the
-contacts found. It must report what a search in one part does.
+"""The search for first contacts in two parts: leaves that may meet first, then what may come before the contacts found.
+On a GPU many body pairs are searched so; on a CPU all, and for the earliest contact in batches. It must report what a
+search for all contacts does.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from support.crowds import crowds
-from support.deforming import assert_same, crumpled, motion_of
+from support.deforming import Ends, assert_same, crumpled, motion_of
 from support.host_program import run_program
 
 import pgccd
@@ -22,7 +23,26 @@ MANY_PAIRS = 1 << 18
 
 RADIUS = 1e-3  #: of a tip
 
+CUBE_FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
+    + [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+)
+
 FIRST: list[narrow.Report] = [report for report in narrow.REPORTS if report != "all"]
+
+
+def first_rows(every: pgccd.Contacts, report: narrow.Report) -> torch.Tensor:
+    """Rows of the first contact of each pair, or of the earliest one, among all."""
+    assert every.toi is not None
+    pairs, toi = every.pairs.cpu().numpy(), every.toi.cpu().numpy()
+    # All contacts of a pair are sorted by kind and features.
+    order = np.lexsort((np.arange(len(toi)), toi, pairs[:, 1], pairs[:, 0]))
+    is_first = np.ones(len(order), bool)
+    is_first[1:] = (np.diff(pairs[order], axis=0) != 0).any(axis=1)
+    rows = np.sort(order[is_first])
+    if report == "earliest":
+        rows = rows[np.argmin(toi[rows])][None] if len(rows) else rows
+    return torch.from_numpy(rows).to(every.pairs.device)
 
 
 def assert_parts_agree(
@@ -34,10 +54,13 @@ def assert_parts_agree(
     assert needed is not None
     capacity = replace(needed.times(2.0), pairs=MANY_PAIRS, candidates=100_000, open=100_000, leaf_pairs=100_000)
     parts = pgccd.detect(scene, motion, report, separation, capacity=capacity).trim()
+    every = pgccd.detect(scene, motion, "all", separation)
+    expected = every[first_rows(every, report)]
     if report == "any":
-        assert torch.equal(parts.pairs, whole.pairs)
+        assert torch.equal(parts.pairs, expected.pairs) and torch.equal(whole.pairs, expected.pairs)
     else:
-        assert_same(parts, whole)
+        assert_same(parts, expected)
+        assert_same(whole, expected)
     if scene.device.type == "cuda" and report == "first" and len(whole) > 20:
         assert parts.stats.candidates < whole.stats.candidates
     return parts
@@ -72,6 +95,54 @@ def test_deforming_bodies(device: torch.device, report: narrow.Report, self_coll
     shapes, ends = crumpled(6)
     scene = pgccd.Scene(shapes, device=device, self_collision=self_collision)
     assert assert_parts_agree(scene, motion_of(*ends, device=device), report, 0.01)
+
+
+def crowd_in_motion(count: int) -> tuple[list[pgccd.Mesh], list[Ends]]:
+    """Soft bodies that start apart and then move far into one another; and one far away from all."""
+    shapes, ends = crumpled(count)
+    rng = np.random.default_rng(6)
+    places = 4.0 * np.stack(np.meshgrid(*3 * [np.arange(3)], indexing="ij"), -1).reshape(-1, 3)
+    moved = []
+    for (start, _), place in zip(ends, places, strict=False):
+        at = start - start.mean(0) + place
+        moved.append([at, at + rng.normal(0.0, 6.0, 3)])
+    return [*shapes, shapes[0]], [*moved, [moved[0][0] + 1e3] * 2]
+
+
+@pytest.mark.parametrize("report", ["first", "earliest"])
+def test_one_body_against_itself_does_not_widen_the_search(report: narrow.Report) -> None:
+    shapes, ends = crowd_in_motion(12)
+    alone = pgccd.detect(pgccd.Scene(shapes[12:], self_collision=True), motion_of(ends[12], device="cpu"), report)
+    motion = motion_of(*ends, device="cpu")
+    without = pgccd.detect(pgccd.Scene(shapes), motion, report)
+    with_self = pgccd.detect(pgccd.Scene(shapes, self_collision=torch.arange(13) == 12), motion, report)
+    assert len(without) > 0 and with_self.stats.candidates <= without.stats.candidates + alone.stats.candidates
+    if report == "earliest":
+        assert_same(with_self, without)
+
+
+def test_the_earliest_contact_limits_the_search(device: torch.device) -> None:
+    shapes, ends = crowd_in_motion(27)
+    scene, motion = pgccd.Scene(shapes, device=device), motion_of(*ends, device=device)
+    first = pgccd.detect(scene, motion, "first")
+    earliest = assert_parts_agree(scene, motion, "earliest", 0.0)
+    assert len(first) > 10 and len(earliest) == 1
+    if device.type == "cpu":
+        few = pgccd.detect(scene, motion, "earliest").stats
+        assert few.candidates < first.stats.candidates / 10 and few.node_tests < first.stats.node_tests / 2
+
+
+def test_the_earliest_is_not_the_likely_one(device: torch.device) -> None:
+    """Two pairs of cubes: one is near earlier, the other touches earlier, by a part of 0.0005."""
+    cube = pgccd.Mesh(np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1.0, CUBE_FACES)
+    start = torch.tensor([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 9.0, 0.0], [2.1, 9.0, 0.0]]).double()
+    velocity = torch.tensor([[0.0, 0.0, 0.0], [-10.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-1.0005, 0.0, 0.0]]).double()
+    unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 4).double()
+    scene = pgccd.Scene([cube], torch.zeros(4, dtype=torch.int32), device=device)
+    motion = pgccd.RigidMotion.from_velocity(start, unit, velocity, torch.zeros(4, 3).double(), dt=1.0).to(device)
+    earliest = assert_parts_agree(scene, motion, "earliest", 0.0)
+    assert earliest.pairs.tolist() == [[2, 3]] and earliest.toi is not None
+    assert float(earliest.toi) == pytest.approx(0.1 / 1.0005, rel=1e-4)
 
 
 def joined(*parts: tuple[np.ndarray, np.ndarray]) -> pgccd.Mesh:

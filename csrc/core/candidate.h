@@ -36,10 +36,12 @@ struct CandidateSpan {
   const CandidateCounts* counts = nullptr;  // null: all `size` are valid
   const CandidateCounts* before = nullptr;
 
-  // Zero on overflow, when front and back may overlap.
+  // False on overflow, when front and back may overlap.
+  PGCCD_HD bool fits_all() const { return counts == nullptr || fits(counts->sum(), size); }
+  // Zero on overflow.
   PGCCD_HD int64_t count() const {
     if (counts == nullptr) return size;
-    return fits(counts->sum(), size) ? static_cast<int64_t>(counts->sum() - before->sum()) : 0;
+    return fits_all() ? static_cast<int64_t>(counts->sum() - before->sum()) : 0;
   }
   // Index of the k-th of `count()`.
   PGCCD_HD int64_t place(int64_t k) const {

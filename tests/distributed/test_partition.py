@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pgccd.distributed import Cells, factorise
+from pgccd.distributed.partition.rebalancing import PARTITIONS, make_partition
 
 counts = st.integers(1, 24)
 
@@ -100,3 +102,13 @@ def test_mistakes_are_named(change: dict, message: str) -> None:
         partition.with_owner(torch.full_like(partition.owner, 2))
     with pytest.raises(ValueError, match="^owner: expected"):
         partition.with_owner(partition.owner[1:])
+
+
+@pytest.mark.parametrize("kind", PARTITIONS)
+@pytest.mark.parametrize(
+    ("name", "value"), [("axes", 7), ("axes", 0), ("axes", None), ("cells", -3), ("cells", "x"), ("cells", None)]
+)
+def test_axes_and_cells_are_checked_for_every_kind(kind: str, name: str, value: Any) -> None:
+    box = {"lower": (0.0, 0.0, 0.0), "upper": (8.0, 8.0, 8.0), "ranks": 2, "device": torch.device("cpu")}
+    with pytest.raises((TypeError, ValueError), match=f"{name}: expected"):
+        make_partition(kind, **{**box, "axes": 3, "cells": 16, name: value})

@@ -68,6 +68,30 @@ def test_the_partition_is_kept(ranks: World, tmp_path: Path, kind: str) -> None:
     assert [record["state_hash"] for record in records] == [record["state_hash"] for record in alone]
 
 
+def kinds_when_resumed(comm: Comm, folder: str, kind: str) -> list[str]:
+    """Three steps with one kind of partition, then one more with each of these options; the kinds used."""
+    run(comm, CONFIG, 3, folder, options=DistributedOptions(kind))
+    options = [DistributedOptions(), DistributedOptions("cells"), DistributedOptions("bisection")]
+    options += [DistributedOptions(cells=5), DistributedOptions(balance=BalanceOptions("one-cell"))]
+    began = []
+
+    def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> DistributedSimulation:
+        began.append(type(partition).__name__)
+        return DistributedSimulation(comm, model, partition, *rest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "DistributedSimulation", begin)
+        for step, option in enumerate(options):
+            resume(comm, folder, 4 + step, options=option)
+    return began
+
+
+@pytest.mark.parametrize(("kind", "kept"), [("auto", "Bisection"), ("cells", "Cells"), ("bisection", "Bisection")])
+def test_auto_keeps_the_kind_of_partition(ranks: World, tmp_path: Path, kind: str, kept: str) -> None:
+    kinds = ranks.run(2, kinds_when_resumed, str(tmp_path), kind)[0]
+    assert kinds == [kept, "Cells", "Bisection", "Cells", "Cells"]
+
+
 def share(comm: Comm, folder: str) -> tuple[list[int], str]:
     """The ids that a rank reads, or its error."""
     try:

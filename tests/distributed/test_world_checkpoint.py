@@ -123,6 +123,19 @@ def test_a_loop_goes_on(
     assert ranks.run(loaded_by, load_and_go_on, str(tmp_path), partition, saved_by)[0] == expected[SAVED:]
 
 
+def test_the_kind_of_partition_is_kept(tmp_path: Path) -> None:
+    crowd = crowds()[CROWD]
+
+    def kind(balance: BalanceOptions) -> str:
+        return type(World.load(tmp_path, crowd.meshes, balance=balance).partition).__name__
+
+    for chosen, kept in (("one-cell", "Cells"), ("cost", "Bisection")):
+        world = World(crowd.meshes, (0.0,) * 3, (8.0,) * 3, crowd.position, balance=BalanceOptions(chosen))
+        assert type(world.partition).__name__ == kept
+        world.save(tmp_path)
+        assert kind(EAGER) == kept and kind(BalanceOptions("one-cell")) == "Cells"
+
+
 def save_deforming(comm: Comm, folder: str, report: str, partition: str) -> None:
     """Saves after a step, before the bodies move; and again after they moved."""
     world = spread(comm, report, CPU, 0, "cost", partition)

@@ -85,6 +85,10 @@ void copy_rows(const ContactRows& rows, int64_t count, const ContactColumns& out
 // pair.
 ContactRows first_of_each_pair(const ContactRows& one, const ContactRows& other, const std::vector<double>& latest);
 
+void append_rows(ContactRows& rows, const ContactRows& more);
+// The rows until a time, sorted by pair.
+ContactRows by_pair_until(const ContactRows& rows, double latest);
+
 // Stores a padding row, after the last contact.
 PGCCD_HD void pad_row(const ContactColumns& out, int64_t row) {
   if (out.pair != nullptr) out.pair[row] = -1;

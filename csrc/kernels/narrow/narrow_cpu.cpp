@@ -148,6 +148,21 @@ void append_row(ContactRows& rows, const ContactRows& from, size_t row) {
 
 }  // namespace
 
+void append_rows(ContactRows& rows, const ContactRows& more) {
+  for (size_t row = 0; row < more.pair.size(); ++row) append_row(rows, more, row);
+}
+
+ContactRows by_pair_until(const ContactRows& rows, double latest) {
+  std::vector<size_t> order;
+  for (size_t row = 0; row < rows.pair.size(); ++row) {
+    if (rows.toi[row] <= latest) order.push_back(row);
+  }
+  std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return rows.pair[a] < rows.pair[b]; });
+  ContactRows sorted;
+  for (const size_t row : order) append_row(sorted, rows, row);
+  return sorted;
+}
+
 ContactRows first_of_each_pair(const ContactRows& one, const ContactRows& other, const std::vector<double>& latest) {
   const auto order = [](const ContactRows& rows, size_t row) {
     return std::make_tuple(rows.pair[row], rows.toi[row], rows.kind[row], rows.features[2 * row],

@@ -20,7 +20,7 @@ struct FoundContact {
 
 struct SearchCounters {
   uint32_t open;         // candidates left by the quick phase, including those beyond the capacity
-  uint32_t open_before;  // those of them of earlier parts
+  uint32_t open_before;  // those of them of the first of two parts, once it has ended
   uint32_t patient;      // those of them left by the plain phase
   uint32_t contacts;     // contacts among them; for first toi only, the number of pairs with a contact
   uint32_t unresolved;   // rows with status unresolved
@@ -52,8 +52,6 @@ struct Search {
   int64_t words;                 // of eight bytes: size of these four arrays
   SearchCounters* counters;
 
-  // The open candidates of this part: from the first to before the second.
-  __device__ uint2 open_range() const { return {counters->open_before, smaller(counters->open, capacity)}; }
   __device__ bool has_contact(int64_t contact) const { return contact < static_cast<int64_t>(counters->contacts); }
   __device__ const Candidate& candidate(uint32_t contact) const {
     return input.candidates.items[contacts[contact].candidate];

@@ -10,32 +10,46 @@ namespace pgccd {
 
 // Small blocks spread long searches over many multiprocessors.
 constexpr int kSolveThreads = 64;
+// Up to this many candidates, the quick phase takes longer than what it saves the plain one.
+constexpr int64_t kFewCandidates = 1 << 15;
 
 template <class Bodies>
 __device__ typename PairOf<Bodies>::type pair_of(const Bodies& bodies, const NarrowInput& input, const Candidate& c) {
   return {bodies, input.pairs[2 * int64_t(c.pair)], input.pairs[2 * int64_t(c.pair) + 1]};
 }
 
-// One thread per candidate.
+__device__ inline void leave_open(const Search& search, int64_t at, const Progress<double>& progress, int64_t row,
+                                  int32_t pair) {
+  if (at < search.capacity) {
+    search.open[at] = {progress.t, progress.goal, progress.advances, static_cast<int32_t>(row), pair, 0};
+  }
+  if (search.least != nullptr) atomicMin(search.least + pair, toi_bits(progress.t));
+}
+
+// One thread per candidate. The few candidates of a small search are all left to the plain phase.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies, Search search) {
   const CandidateSpan candidates = search.input.candidates;
-  const int64_t count = candidates.count(), stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
-  for (int64_t k = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; k < count; k += stride) {
+  const int64_t count = candidates.count(), before = search.counters->open_before;
+  const bool leaves_all_open = count <= kFewCandidates && before + count <= search.capacity;
+  const WarpShare share = share_of_warp(count);
+  const int lane = threadIdx.x % kWarp;
+  for (int64_t k = share.begin + lane; lane < share.lanes && k < count; k += share.stride) {
     const int64_t c = candidates.place(k);
     const Candidate candidate = candidates.items[c];
+    Progress<double> progress;
+    if (leaves_all_open) {
+      if (k == 0) atomicAdd(&search.counters->open, static_cast<uint32_t>(count));
+      leave_open(search, before + k, progress, c, candidate.pair);
+      continue;
+    }
     const auto pair = pair_of(bodies, search.input, candidate);
     const Prospect prospect = prospect_of(search, candidate.pair);
-    Progress<double> progress;
     if (!prospect.is_needed ||
         is_quickly_free(bodies, pair, candidate, search.input.settings, prospect.latest, progress)) {
       continue;
     }
-    const uint32_t at = warp_append(&search.counters->open, 1);
-    if (at < search.capacity) {
-      search.open[at] = {progress.t, progress.goal, progress.advances, static_cast<int32_t>(c), candidate.pair, 0};
-    }
-    if (search.least != nullptr) atomicMin(search.least + candidate.pair, toi_bits(progress.t));
+    leave_open(search, warp_append(&search.counters->open, 1), progress, c, candidate.pair);
   }
 }
 
@@ -55,30 +69,33 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
   }
 }
 
-// The first of two launches solves the candidates that are likely first contacts, or all if there is a thread for each;
-// the second those that may be earlier than the contacts found. A warp collects them, so that its lanes are full.
+// The first launch solves the candidates that are likely first contacts, or all if there is a thread for each; the
+// second those that may be earlier than the contacts found, of `has_second_part` those of the second part too. A warp
+// collects them, so that its lanes are full.
 template <class Bodies>
-__global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies, Search search, bool is_first) {
+__global__ void __launch_bounds__(kSolveThreads, 6)
+    search_plainly(Bodies bodies, Search search, bool is_first, bool has_second_part) {
   __shared__ uint32_t all_waiting[kSolveThreads / kWarp][2 * kWarp];
   const int lane = threadIdx.x % kWarp;
   uint32_t* const waiting = all_waiting[threadIdx.x / kWarp];
-  const uint2 range = search.open_range();
-  const uint32_t threads = gridDim.x * blockDim.x;
-  const bool all_at_once = search.least == nullptr || range.y - range.x <= threads;
-  if (all_at_once && !is_first) return;
+  const uint32_t open = smaller(search.counters->open, search.capacity), threads = gridDim.x * blockDim.x;
+  const uint32_t of_first_part = has_second_part ? search.counters->open_before : open;
+  const bool all_at_once = search.least == nullptr || of_first_part <= threads;
+  const uint32_t begin = !is_first && all_at_once ? of_first_part : 0, end = is_first ? of_first_part : open;
+  const WarpShare share = share_of_warp(end - begin);
   const auto is_wanted = [&](uint32_t item) {
-    if (all_at_once) return true;
-    const OpenCandidate& open = search.open[item];
-    const unsigned long long begin = toi_bits(open.t);
-    if (begin == search.least[open.pair]) return is_first;
-    return !is_first && begin <= search.best_of(open.pair);
+    if (is_first && all_at_once) return true;
+    const OpenCandidate& candidate = search.open[item];
+    const unsigned long long time = toi_bits(candidate.t);
+    const bool is_likely = item < of_first_part && time == search.least[candidate.pair];
+    return is_first ? is_likely : !is_likely && time <= search.best_of(candidate.pair);
   };
   uint32_t collected = 0;
-  for (uint32_t base = range.x + blockIdx.x * blockDim.x + threadIdx.x - lane;; base += threads) {
-    const bool is_last = base >= range.y;  // solve the remaining ones
+  for (int64_t base = begin + share.begin;; base += share.stride) {
+    const bool is_last = base >= end;  // solve the remaining ones
     if (!is_last) {
-      const uint32_t item = base + lane;
-      const bool wanted = item < range.y && is_wanted(item);
+      const uint32_t item = static_cast<uint32_t>(base) + lane;
+      const bool wanted = lane < share.lanes && item < end && is_wanted(item);
       const uint32_t lanes = __ballot_sync(kAllLanes, wanted);
       if (wanted) waiting[collected + __popc(lanes & lanes_below(lane))] = item;
       collected += __popc(lanes);
@@ -97,8 +114,11 @@ __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies
 // The patient phase, of all parts, after repeating the plain one, whose progress is not stored.
 template <class Bodies>
 __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies, Search search) {
-  const uint32_t count = search.counters->patient, threads = gridDim.x * blockDim.x;
-  for (uint32_t k = blockIdx.x * blockDim.x + threadIdx.x; k < count; k += threads) {
+  // Rows of the first part may be overwritten if not all candidates fit.
+  const int64_t count = search.input.candidates.fits_all() ? search.counters->patient : 0;
+  const WarpShare share = share_of_warp(count);
+  const int lane = threadIdx.x % kWarp;
+  for (int64_t k = share.begin + lane; lane < share.lanes && k < count; k += share.stride) {
     const OpenCandidate open = search.open[search.patient[k]];
     const Prospect prospect = prospect_of(search, open.pair);
     if (!prospect.is_needed) continue;
@@ -109,30 +129,35 @@ __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies,
   }
 }
 
-// The quick and the plain phase of one part of the candidates.
 template <class Bodies>
-void search_part(const DeviceContext& context, const Bodies& bodies, const Search& search) {
+void launch_quickly(const DeviceContext& context, const Bodies& bodies, const Search& search, SearchPart part) {
+  Search quick = search;
+  if (part == SearchPart::kSecond) quick.least = nullptr;  // of the first part: tells which candidates are solved
   search_quickly<Bodies>
-      <<<resident_blocks_of(search_quickly<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
+      <<<resident_blocks_of(search_quickly<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, quick);
   check_cuda(cudaGetLastError(), "search_quickly");
-  const int blocks = resident_blocks_of(search_plainly<Bodies>, kSolveThreads);
-  for (const bool is_first : {true, false}) {
-    if (!is_first && search.least == nullptr) break;
-    search_plainly<Bodies><<<blocks, kSolveThreads, 0, context.stream>>>(bodies, search, is_first);
-    check_cuda(cudaGetLastError(), "search_plainly");
-  }
 }
 
-// Before the next part. Of this one most contacts are known, so its likely ones need not be solved first.
-inline void end_part(const DeviceContext& context, Search& search) {
+template <class Bodies>
+void launch_plainly(const DeviceContext& context, const Bodies& bodies, const Search& search, bool is_first,
+                    SearchPart part) {
+  const int blocks = resident_blocks_of(search_plainly<Bodies>, kSolveThreads);
+  const bool has_second_part = part == SearchPart::kSecond;
+  const bool all_at_once =
+      search.least == nullptr || search.capacity <= static_cast<uint32_t>(blocks) * uint32_t{kSolveThreads};
+  if (!is_first && !has_second_part && all_at_once) return;  // the first launch solves all
+  search_plainly<Bodies><<<blocks, kSolveThreads, 0, context.stream>>>(bodies, search, is_first, has_second_part);
+  check_cuda(cudaGetLastError(), "search_plainly");
+}
+
+inline void end_first_part(const DeviceContext& context, const Search& search) {
   SearchCounters* counters = search.counters;
   const uint32_t capacity = search.capacity;
   for_each_item(context, 1, [=] __device__(int64_t) { counters->open_before = smaller(counters->open, capacity); });
-  search.least = nullptr;
 }
 
 template <class Bodies>
-void search_patiently_all(const DeviceContext& context, const Bodies& bodies, const Search& search) {
+void launch_patiently(const DeviceContext& context, const Bodies& bodies, const Search& search) {
   const int patient_blocks = resident_blocks_of(search_patiently<Bodies>, kSolveThreads);
   search_patiently<Bodies><<<patient_blocks, kSolveThreads, 0, context.stream>>>(bodies, search);
   check_cuda(cudaGetLastError(), "search_patiently");

@@ -1,5 +1,8 @@
 #include <algorithm>
 #include <chrono>
+#include <cmath>
+#include <limits>
+#include <numeric>
 
 #include "kernels/pipeline/pipeline.h"
 #include "kernels/traverse/leaf_separation.h"
@@ -28,24 +31,29 @@ class PairSearch {
 
   int64_t narrow_time() const { return narrow_time_; }
 
-  // Folded surfaces have many leaf pairs that may meet from the start, so that parts save nothing.
-  bool has_self_pairs() const {
-    const int64_t* const pairs = traversal_.pairs;
-    for (int64_t pair = 0; pair < traversal_.pair_count; ++pair) {
-      if (pairs[2 * pair] == pairs[2 * pair + 1]) return true;
-    }
-    return false;
+  ContactRows search(bool only_earliest) {
+    if (narrow_.report != Report::kFirst) return search_at_once();
+    return only_earliest ? search_earliest() : search_in_parts();
   }
 
+ private:
   ContactRows search_at_once() {
     const CandidateList list = traverse_cpu(executor_, bodies_, traversal_);
     counts_[kNodeTests] += list.node_tests;
     return solve(list);
   }
 
+  // The first contacts until a time, which is given for each pair.
+  ContactRows search_until(const std::vector<double>& latest) {
+    traversal_.horizon = narrow_.latest = latest.data();
+    ContactRows found = search_at_once();
+    traversal_.horizon = narrow_.latest = nullptr;
+    return found;
+  }
+
   // The first contact of each pair, in two parts: the leaves that may meet first, then those of the others that may
-  // meet before the contacts found, over the motion until then. With `only_earliest`, until the earliest of all.
-  ContactRows search_in_parts(bool only_earliest) {
+  // meet before the contacts found, over the motion until then.
+  ContactRows search_in_parts() {
     const FoundLeaves found = find_leaf_pairs_cpu(executor_, bodies_, traversal_);
     counts_[kNodeTests] += found.node_tests;
     std::vector<float> earliest(traversal_.pair_count, kNeverMeet);
@@ -58,9 +66,6 @@ class PairSearch {
 
     std::vector<double> horizon(traversal_.pair_count, 1.0);
     for (size_t row = 0; row < guess.pair.size(); ++row) horizon[guess.pair[row]] = guess.toi[row];
-    if (only_earliest && !horizon.empty()) {
-      std::fill(horizon.begin(), horizon.end(), *std::min_element(horizon.begin(), horizon.end()));
-    }
     std::erase_if(later, [&](const LeafPair& leaves) { return leaves.begin > horizon[leaves.pair]; });
     traversal_.horizon = narrow_.latest = horizon.data();
     const ContactRows rest = solve(visit_leaf_pairs_cpu(executor_, bodies_, traversal_, later));
@@ -68,7 +73,58 @@ class PairSearch {
     return first_of_each_pair(guess, rest, horizon);
   }
 
- private:
+  // The earliest contact of the scene, and those at the same time. Every batch of pairs, of doubling sizes, is searched
+  // until the earliest contact of those before; pairs that are likely to touch early come first.
+  ContactRows search_earliest() {
+    const TraverseInput all = traversal_;
+    const std::vector<int32_t> order = likely_order(all);
+    std::vector<int64_t> pairs;
+    pairs.reserve(2 * order.size());
+    for (const int32_t row : order) pairs.insert(pairs.end(), {all.pairs[2 * row], all.pairs[2 * row + 1]});
+    ContactRows found;
+    double earliest = std::numeric_limits<double>::infinity();
+    for (int64_t begin = 0, size = 1; begin < all.pair_count; begin += size, size *= 2) {
+      size = std::min(size, all.pair_count - begin);
+      traversal_.pairs = narrow_.pairs = pairs.data() + 2 * begin;
+      traversal_.pair_count = narrow_.pair_count = size;
+      ContactRows rows =
+          found.pair.empty() ? search_in_parts() : search_until(std::vector<double>(size, earliest));
+      for (int32_t& pair : rows.pair) pair = order[begin + pair];
+      for (const double toi : rows.toi) earliest = smaller(earliest, toi);
+      append_rows(found, rows);
+    }
+    traversal_.pairs = narrow_.pairs = all.pairs;
+    traversal_.pair_count = narrow_.pair_count = all.pair_count;
+    return by_pair_until(found, earliest);
+  }
+
+  // Indices of all pairs by the estimated time of contact; bodies against themselves come last. Only affects how much
+  // is searched.
+  std::vector<int32_t> likely_order(const TraverseInput& input) const {
+    std::vector<double> estimate(input.pair_count);
+    for (int64_t pair = 0; pair < input.pair_count; ++pair) {
+      const int64_t i = input.pairs[2 * pair], j = input.pairs[2 * pair + 1];
+      const bool are_there = is_within(i, bodies_.centres.count) && is_within(j, bodies_.centres.count);
+      estimate[pair] = !are_there || i == j ? 2.0 : time_when_near(bodies_.centres, i, j);
+    }
+    std::vector<int32_t> order(input.pair_count);
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(), [&](int32_t a, int32_t b) { return estimate[a] < estimate[b]; });
+    return order;
+  }
+
+  // The time, as part of the step, at which spheres of half the bodies' radii meet; 1 if they do not.
+  static double time_when_near(const BodyCentres& centres, int64_t i, int64_t j) {
+    const auto offset = [&](const double* position) { return load_vec3(position + 3 * j) - load_vec3(position + 3 * i); };
+    const Vec3<double> start = offset(centres.position_t0), change = offset(centres.position_t1) - start;
+    const double reach = 0.5 * (centres.radius[i] + centres.radius[j]);
+    const double beyond = norm_squared(start) - reach * reach, approach = -dot(start, change);
+    if (!(beyond > 0.0)) return 0.0;
+    const double discriminant = approach * approach - norm_squared(change) * beyond;
+    if (!(approach > 0.0) || !(discriminant >= 0.0)) return 1.0;
+    return smaller(beyond / (approach + std::sqrt(discriminant)), 1.0);
+  }
+
   ContactRows solve(const CandidateList& list) {
     std::vector<Candidate> candidates;
     candidates.reserve(list.size());
@@ -99,8 +155,7 @@ ContactRows search_all(const Executor& executor, const Bodies& bodies, const Con
   std::fill_n(search.contact_counts, int64_t{kContactCounts}, int64_t{0});
   counts[kTraverseBegan] = began;
   PairSearch<Bodies> pairs(executor, bodies, search);
-  const bool in_parts = search.narrow.report == Report::kFirst && !pairs.has_self_pairs();
-  ContactRows found = in_parts ? pairs.search_in_parts(search.only_earliest) : pairs.search_at_once();
+  ContactRows found = pairs.search(search.only_earliest);
   search.contact_counts[kContactsNeeded] = static_cast<int64_t>(found.pair.size());
   search.contact_counts[kNarrowEnded] = nanoseconds();
   counts[kTraverseEnded] = search.contact_counts[kNarrowEnded] - pairs.narrow_time();

@@ -27,6 +27,35 @@ PGCCD_HD int rounds_of_launch(int launch, uint32_t task_count) {
   return task_count >= kManyTasks && rounds < 20 ? 20 : rounds;
 }
 
+// With few tasks, 8^n groups start from the same one. In each of the first n rounds a group continues with one child of
+// its split, so that they share the work below without another launch.
+constexpr uint32_t kGroupsOfFew = 8192;
+__device__ inline int shared_rounds(uint32_t task_count) {
+  constexpr uint32_t kWidth = kBlockWidth;
+  return task_count <= kGroupsOfFew / (kWidth * kWidth) ? 2 : task_count <= kGroupsOfFew / kWidth ? 1 : 0;
+}
+
+// The slots of the children with which a group continues in the next shared rounds: a digit of base 8 each, after a
+// leading one.
+class Route {
+ public:
+  Route() = default;
+  __device__ Route(uint32_t group, int rounds) {
+    const uint32_t groups = 1u << (kSlotBits * rounds);
+    digits_ = groups + group % groups;
+  }
+  __device__ bool includes(uint32_t slot) const { return digits_ == 1 || digits_ % kBlockWidth == slot; }
+  __device__ void next() { digits_ = larger(digits_ >> kSlotBits, 1u); }
+  // True for one of the groups with the same remaining rounds behind them: this one reports what all of them find.
+  __device__ bool is_first() const { return (digits_ & (digits_ - 1)) == 0; }
+
+  static constexpr int kSlotBits = 3;
+  static_assert(kBlockWidth == 1 << kSlotBits);
+
+ private:
+  uint32_t digits_ = 1;
+};
+
 // A group's memory: its stack and frequently read data. Two poses suffice for pairs that rotate little in a step.
 constexpr int kPosesAtHand = 2;
 template <class Sweep>
@@ -40,21 +69,22 @@ struct GroupShared {
 struct Group {
   const LocalPose* poses = nullptr;
   int size = 0;
-  int rounds = 0, most_rounds = 0;
+  int rounds_left = 0;
   int32_t pair = 0;
+  Route route;
 };
 
 // In each round every group of a warp splits one node pair of its task. All data of a round are loaded at once: how a
 // node pair will be split is decided when it is found.
 template <class Bodies>
 __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue& queue, const Task* tasks,
-                        LeafPairList leaves, TaskList rest, Counter* node_tests) {
+                        int shared_rounds, LeafPairList leaves, TaskList rest, Counter* node_tests) {
   using Sweep = typename SweepOf<Bodies>::type;
   __shared__ alignas(16) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
   __shared__ WarpBuffer<LeafPair> buffers[kWarpsPerBlock];
   __shared__ uint32_t taken_by_block;
   const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, shift = lane - slot;
-  const int most_rounds = rounds_of_launch(launch, queue.count);
+  const int most_rounds = rounds_of_launch(launch, queue.count >> (Route::kSlotBits * shared_rounds));
   WorkShare share(queue, kGroupsPerWarp, taken_by_block);
   auto& shared = reinterpret_cast<GroupShared<Sweep>*>(memory)[threadIdx.x / kBlockWidth];
   Group group;
@@ -68,7 +98,7 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       if (idle == 0) break;
       const uint32_t item = share.take(idle, shift);
       if (group.size > 0 || item == kNoItem) continue;
-      const Task task = tasks[item];
+      const Task task = tasks[item >> (Route::kSlotBits * shared_rounds)];
       if (task.split.is_none()) continue;
       const bool is_one_body = Sweep::may_be_one_body && pairs.sweeps[task.pair].is_one_body();
       if (slot == 0) shared.stack[0] = task.split;
@@ -77,9 +107,9 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       for (int k = 0; k < kPosesAtHand; ++k) copy_words(poses[k], shared.poses[k], slot, kBlockWidth);
       group.poses = pairs.sweeps[task.pair].segment_count < kPosesAtHand ? shared.poses : poses;
       group.size = 1;
-      group.rounds = 0;
-      group.most_rounds = is_one_body && launch != kLastLaunch ? kSelfPairRounds : most_rounds;
+      group.rounds_left = is_one_body && launch != kLastLaunch ? kSelfPairRounds : most_rounds;
       group.pair = task.pair;
+      group.route = Route(item, shared_rounds);
     }
     if (__ballot_sync(kAllLanes, group.size > 0) == 0) break;
     __syncwarp();  // after writes to shared memory
@@ -94,13 +124,15 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       for (int k = 1; k <= tree.sweep().segment_count && !meets; ++k) {
         meets = may_meet(tree.clearance(split, tree.other_node(split, k), k, slot));
       }
+      if (slot == 0 && group.route.is_first()) ++splits;
+      meets = meets && group.route.includes(slot);
+      group.route.next();
       is_leaf = meets && first.triangle_count != 0 && second.triangle_count != 0;
       if (meets && !is_leaf) next = tree.split(child.leaves, first, second);
-      if (slot == 0) ++splits;
       --group.size;
-      ++group.rounds;
+      --group.rounds_left;
     }
-    const uint32_t leaf_lanes = __ballot_sync(kAllLanes, is_leaf);
+    const uint32_t leaf_lanes = __ballot_sync(kAllLanes, is_leaf && group.route.is_first());
     const uint32_t inner_lanes = (__ballot_sync(kAllLanes, meets && !is_leaf) >> shift) & 0xffu;
     __syncwarp();  // after every group has read the top of its stack
     if (meets && !is_leaf) shared.stack[group.size + __popc(inner_lanes & lanes_below(slot))] = next;
@@ -109,7 +141,7 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
 
     __syncwarp();  // after writes to the stacks
     const bool hands_back =
-        group.size > 0 && (group.rounds >= group.most_rounds || group.size > kStackSize - kBlockWidth);
+        group.size > 0 && (group.rounds_left <= 0 || group.size > kStackSize - kBlockWidth);
     if (__ballot_sync(kAllLanes, hands_back) == 0) continue;
     if (hands_back) {
       const unsigned members = 0xffu << shift;
@@ -132,10 +164,12 @@ template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
     descend_from_roots(Pairs<Bodies> pairs, const Task* roots, uint32_t* next, LeafPairList leaves, TaskList rest,
                        Counter* node_tests) {
-  const uint32_t count = pairs.count();
+  const uint32_t pair_count = pairs.count();
+  const int shared = shared_rounds(pair_count);
+  const uint32_t count = pair_count << (Route::kSlotBits * shared);
   // A block takes at most 1.25 times its even share.
   const WorkQueue queue{next, count, count / gridDim.x + count / (4 * gridDim.x) + 1};
-  descend(pairs, 0, queue, roots, leaves, rest, node_tests);
+  descend(pairs, 0, queue, roots, shared, leaves, rest, node_tests);
 }
 
 // Tasks left by earlier launches.
@@ -144,8 +178,9 @@ __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
     descend_further(Pairs<Bodies> pairs, int launch, TaskHandover rest, LeafPairList leaves, Counter* node_tests) {
   rest.prepare_next();
   const TaskList from = rest.from;
-  const WorkQueue queue{rest.taken, from.size(), kNoItem};
-  descend(pairs, launch, queue, from.items, leaves, rest.to, node_tests);
+  const int shared = shared_rounds(from.size());
+  const WorkQueue queue{rest.taken, from.size() << (Route::kSlotBits * shared), kNoItem};
+  descend(pairs, launch, queue, from.items, shared, leaves, rest.to, node_tests);
 }
 
 }  // namespace pgccd

@@ -8,7 +8,7 @@ namespace pgccd {
 
 // Rounds before a group returns its stack in a test of a body against itself: a few large parts of the tree hold most
 // of the work, and should be distributed soon.
-constexpr int kSelfPairRounds = 8;
+constexpr int kSelfPairRounds = 4;
 
 // The rows of self pairs, and the blocks of their hierarchies, concatenated.
 struct SelfPairs {

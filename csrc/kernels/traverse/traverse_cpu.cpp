@@ -274,7 +274,8 @@ FoundLeaves find_leaf_pairs_cpu(const Executor& executor, const Bodies& bodies, 
   FoundLeaves found;
   const auto list_if_meeting = [](const PairTree<Bodies>& tree, int32_t pair, NodePair leaves,
                                   std::vector<LeafPair>& out) {
-    const float begin = begin_of(tree, leaves);
+    // Folded surfaces have many leaf pairs that may meet from the start: parts save nothing.
+    const float begin = tree.sweep().is_one_body() ? 0.0f : begin_of(tree, leaves);
     if (begin != kNeverMeet) out.push_back({pair, leaves, begin});
   };
   for (const auto& part : descend_all<LeafPair>(executor, bodies, input, found.node_tests, list_if_meeting)) {

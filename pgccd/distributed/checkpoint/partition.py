@@ -25,6 +25,13 @@ def partition_header(partition: Partition) -> tuple[dict[str, Any], dict[str, Te
     return cut | {"kind": "bisection"}, {"planes": partition.planes}
 
 
+def stored_kind(stored: Stored) -> str | None:
+    """The kind of a checkpoint's partition, if it is known."""
+    header = stored.header.get("partition")
+    kind = header.get("kind") if isinstance(header, dict) else None
+    return kind if isinstance(kind, str) else None
+
+
 def load_partition(comm: Comm, stored: Stored, uniform: Partition) -> Partition:
     """The partition of a checkpoint, which preserves the balance.
 

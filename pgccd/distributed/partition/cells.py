@@ -51,6 +51,24 @@ def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
     return min((counts for counts in choices if axes == 3 or counts[2] == 1), key=badness)
 
 
+def check_cells(axes: int, cells: int | Triple) -> Triple:
+    """The number of cells along x, y and z of each subdomain, of the arguments of `Cells.uniform`.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+    """
+    expected = "1, 2 or 3"
+    if arguments.integer(axes, "axes", 1, expected) > 3:
+        raise ValueError(f"axes: expected {expected}, got {axes}")
+    expected = "integers in [1, 2^20]"
+    if not isinstance(cells, (int, tuple, list)):
+        raise TypeError(f"cells: expected {expected}, got {arguments.describe(cells)}")
+    each = cast(Triple, (cells, cells, 1) if isinstance(cells, int) else tuple(cells))
+    if len(each) != 3 or not all(isinstance(count, int) and 1 <= count <= 2**20 for count in each):
+        raise ValueError(f"cells: expected {expected}, got {cells}")
+    return each
+
+
 @dataclass(frozen=True, eq=False)
 class Cells(Partition):
     """Space in equal cells, with a table of their owners.
@@ -94,12 +112,7 @@ class Cells(Partition):
         """
         low, high = box_given(lower, upper)
         extent = cast(Point, tuple(b - a for a, b in zip(low, high, strict=True)))
-        if not isinstance(cells, (int, tuple, list)):
-            raise TypeError(f"cells: expected integers in [1, 2^20], got {arguments.describe(cells)}")
-        arguments.integer(axes, "axes", 1, "1, 2 or 3")
-        each = cast(Triple, (cells, cells, 1) if isinstance(cells, int) else tuple(cells))
-        if len(each) != 3 or not all(isinstance(count, int) and 1 <= count <= 2**20 for count in each):
-            raise ValueError(f"cells: expected integers in [1, 2^20], got {cells}")
+        each = check_cells(axes, cells)
         subdomains = factorise(ranks, extent, axes)
         shape = [count * parts for count, parts in zip(each, subdomains, strict=True)]
         if math.prod(shape) > 2**31:

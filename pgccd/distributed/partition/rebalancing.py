@@ -20,7 +20,7 @@ from pgccd.distributed.partition.balance import (
     relative_speeds,
 )
 from pgccd.distributed.partition.bisection import Bisection
-from pgccd.distributed.partition.cells import Cells
+from pgccd.distributed.partition.cells import Cells, check_cells
 from pgccd.distributed.partition.interface import Partition, Point, Triple
 
 #: Kinds of `make_partition`.
@@ -56,13 +56,22 @@ def make_partition(
         ValueError: naming the argument.
     """
     arguments.choice(kind, "partition", PARTITIONS)
+    check_cells(axes, cells)
     if kind == "bisection":
         return Bisection.uniform(lower, upper, ranks, device)
     return Cells.uniform(lower, upper, ranks, axes=axes, cells=cells, device=device)
 
 
-def choose_partition(partition: str, axes: int, cells: int | Triple, options: BalanceOptions) -> str:
-    """The kind of partition for the options of a world: for "auto" bisection, unless others ask for cells.
+def choose_partition(
+    partition: str, axes: int, cells: int | Triple, options: BalanceOptions, former: str | None = None
+) -> str:
+    """The kind of partition for the options of a world: for "auto" that of the world's checkpoint, or bisection, unless
+    other options ask for cells.
+
+    Args:
+        partition, axes, cells: options of the world.
+        options: its policy.
+        former: the kind in the checkpoint from which the world continues, if any.
 
     Raises:
         ValueError: naming the option.
@@ -76,7 +85,9 @@ def choose_partition(partition: str, axes: int, cells: int | Triple, options: Ba
     are_given = not (
         isinstance(axes, int) and axes == DEFAULT_AXES and isinstance(cells, int) and cells == DEFAULT_CELLS
     )
-    return "cells" if needs_cells or are_given else "bisection"
+    if needs_cells or are_given:
+        return "cells"
+    return former if former in PARTITIONS else "bisection"
 
 
 def rebalanced(

@@ -13,7 +13,7 @@ import torch
 from pgccd import arguments
 from pgccd.checkpoint.files import CheckpointError
 from pgccd.checkpoint.stored import Stored, has_checkpoint
-from pgccd.distributed.checkpoint.partition import load_partition
+from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
 from pgccd.distributed.checkpoint.reading import load_share
 from pgccd.distributed.checkpoint.shared_folder import hold_together
 from pgccd.distributed.checkpoint.writing import CheckpointWriter
@@ -68,7 +68,7 @@ def load_state(
         mesh_set = MeshSet(meshes, where)
         if meshes_digest(mesh_set.meshes) != stored.header.get("meshes"):
             raise ValueError(f"meshes: the world in {root} was saved with others")
-        return mesh_set, _cut(stored).uniform(comm.size, where, balance)
+        return mesh_set, _cut(stored).uniform(comm.size, where, balance, stored_kind(stored))
 
     mesh_set, uniform = together(comm, prepare)
     partition = load_partition(comm, stored, uniform)

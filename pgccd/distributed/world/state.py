@@ -34,13 +34,15 @@ class Cut:
     axes: int
     cells: int | Triple
 
-    def uniform(self, ranks: int, device: torch.device, balance: BalanceOptions) -> Partition:
-        """The uniform partition for this number of ranks.
+    def uniform(
+        self, ranks: int, device: torch.device, balance: BalanceOptions, former: str | None = None
+    ) -> Partition:
+        """The uniform partition for this number of ranks. `former`: the kind in the checkpoint that is loaded.
 
         Raises:
             TypeError, ValueError: naming the argument of `World`.
         """
-        kind = choose_partition(self.partition, self.axes, self.cells, balance)
+        kind = choose_partition(self.partition, self.axes, self.cells, balance, former)
         return make_partition(kind, self.lower, self.upper, ranks, self.axes, self.cells, device)
 
 

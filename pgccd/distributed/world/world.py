@@ -61,7 +61,7 @@ class World:
         report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
         path: of all motions, as for `pgccd.RigidMotion`.
         partition: of space: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`). "auto": bisection, or cells
-            if `axes` or `cells` is given or the policy of `balance` is "one-cell".
+            if `axes` or `cells` is not the default or the policy of `balance` is "one-cell".
         axes, cells: as for `Cells.uniform`.
         balance: options of load balancing.
         overlap: test pairs of own bodies while ghosts are sent. The result does not depend on it.

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ).add_argument
     add("--transport", choices=TRANSPORTS, default="auto", help="communication library (NCCL for GPUs, else Gloo)")
     add("--timeout", type=float, default=DEFAULT_TIMEOUT, metavar="SECONDS", help="longest wait for another rank (300)")
-    bisection = "bisection; cells if --axes, --cells or --balance one-cell asks for them"
+    bisection = "bisection; cells for --balance one-cell or other --axes or --cells than the defaults"
     add("--partition", choices=PARTITION_CHOICES, default="auto", help=f"partition of space ({bisection})")
     cut = "cells: number of axes that are cut; 1: slabs (3)"
     add("--axes", type=int, choices=(1, 2, 3), default=DEFAULT_AXES, help=cut)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
-from pgccd.distributed.checkpoint.partition import load_partition
+from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
 from pgccd.distributed.checkpoint.reading import load_share
 from pgccd.distributed.checkpoint.shared_folder import hold_together
 from pgccd.distributed.checkpoint.writing import CheckpointWriter
@@ -46,7 +46,8 @@ _MOST_GATHERED = 20_000_000
 class DistributedOptions:
     """Options of the distribution over ranks. No result depends on them."""
 
-    #: "cells" or "bisection"; "auto": bisection, or cells if they are given or the policy moves single cells.
+    #: "cells" or "bisection". "auto": that of the checkpoint, or bisection; but cells if `axes` or `cells` is not the
+    #: default or the policy moves single cells.
     partition: str = "auto"
     axes: int = DEFAULT_AXES  #: number of axes that are cut: 1 (slabs), 2 or 3
     cells: int | Triple = DEFAULT_CELLS  #: number in each subdomain: m means m x m in X-Y
@@ -143,7 +144,7 @@ def resume(
         model, steps = together(comm, lambda: continued(folder, header, steps, meshes, device))
         _compare(comm, model, steps, folder, checkpoint_every, options)
         state = load_robots(comm, stored).to(model.device)
-        partition = load_partition(comm, stored, _partition(comm, model, options))
+        partition = load_partition(comm, stored, _partition(comm, model, options, stored_kind(stored)))
         simulation = DistributedSimulation(comm, model, partition, state, options.balance, options.overlap, broad_phase)
         made = header.steps_made
         return _continue(simulation, made, steps, folder, checkpoint_every, progress, keep_last_step)
@@ -163,8 +164,8 @@ def _compare(
     require_agreement(comm, facts)
 
 
-def _partition(comm: Comm, model: Model, options: DistributedOptions) -> Partition:
-    kind = choose_partition(options.partition, options.axes, options.cells, options.balance)
+def _partition(comm: Comm, model: Model, options: DistributedOptions, former: str | None = None) -> Partition:
+    kind = choose_partition(options.partition, options.axes, options.cells, options.balance, former)
     x, y, z = model.half_extent
     cut = (-x, -y, -z), (x, y, z), comm.size, options.axes, options.cells, model.device
     return make_partition(kind, *cut)
