@@ -428,13 +428,6 @@ _SEPARATIONS = [
         ("test_search_in_parts.py",),
     ),
     Mutant(
-        "earliest-of-the-last-batch",
-        "csrc/kernels/pipeline/pipeline_cpu.cpp",
-        "smaller(earliest, toi)",
-        "toi",
-        ("test_search_in_parts.py",),
-    ),
-    Mutant(
         "leaves-part-not-rounded-down",
         TRAVERSE + "leaf_separation.h",
         "rounded_down((from - threshold) / (from - to))",

@@ -135,14 +135,14 @@ def test_the_earliest_contact_limits_the_search(device: torch.device) -> None:
 def test_the_earliest_is_not_the_likely_one(device: torch.device) -> None:
     """Two pairs of cubes: one is near earlier, the other touches earlier, by a part of 0.0005."""
     cube = pgccd.Mesh(np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1.0, CUBE_FACES)
-    start = torch.tensor([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 9.0, 0.0], [2.1, 9.0, 0.0]]).double()
-    velocity = torch.tensor([[0.0, 0.0, 0.0], [-10.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-1.0005, 0.0, 0.0]]).double()
+    start = torch.tensor([[0.0, 0.0, 0.0], [22.0, 0.0, 0.0], [0.0, 9.0, 0.0], [11.995, 9.0, 0.0]]).double()
+    velocity = torch.tensor([[0.0, 0.0, 0.0], [-200.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-100.0, 0.0, 0.0]]).double()
     unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 4).double()
     scene = pgccd.Scene([cube], torch.zeros(4, dtype=torch.int32), device=device)
     motion = pgccd.RigidMotion.from_velocity(start, unit, velocity, torch.zeros(4, 3).double(), dt=1.0).to(device)
     earliest = assert_parts_agree(scene, motion, "earliest", 0.0)
     assert earliest.pairs.tolist() == [[2, 3]] and earliest.toi is not None
-    assert float(earliest.toi) == pytest.approx(0.1 / 1.0005, rel=1e-4)
+    assert float(earliest.toi) == pytest.approx(0.09995, rel=1e-4)
 
 
 def joined(*parts: tuple[np.ndarray, np.ndarray]) -> pgccd.Mesh:
