@@ -41,7 +41,7 @@ void refit_body(const DeformingInput& input, const DeformingBounds& bounds, int6
   // Blocks of parents precede those of their children, so reverse order is bottom-up.
   for (int64_t block = block_count - 1; block >= 0; --block) {
     for (int slot = 0; slot < kBlockWidth; ++slot) {
-      refit_node(shape, triangles, links, block, slot, nodes.data(), bounds.blocks_t0 + first + block,
+      refit_node(SingleThread{}, shape, triangles, links, block, slot, nodes.data(), bounds.blocks_t0 + first + block,
                  bounds.blocks_t1 + first + block);
     }
   }

@@ -144,8 +144,7 @@ __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
   for (int step = kWarp / 2; step > 0; step /= 2) {
     squared = larger(squared, __shfl_xor_sync(kAllLanes, squared, step));
   }
-  const bool has_child =
-      lane < used_slots(body.links, block) && body.links[block * kBlockWidth + lane].triangle_count == 0;
+  const bool has_child = lane < kBlockWidth && body.links[block * kBlockWidth + lane].triangle_count == 0;
   if (has_child) {
     refit.parent[body.first_block + body.links[block * kBlockWidth + lane].first] = static_cast<int32_t>(block);
   }
@@ -156,34 +155,48 @@ __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
   }
 }
 
-// Eight threads per block, one for each slot. Bottom-up from the blocks without children: the thread that finishes a
-// block's last child continues with that block (Karras 2012).
+// The lanes of a warp that measure a node: those of a slot.
+class SlotLanes {
+ public:
+  static constexpr int kCount = kWarp / kBlockWidth;
+  __device__ explicit SlotLanes(int lane) : first_(lane - lane % kCount), index_(lane % kCount) {}
+  __device__ int index() const { return index_; }
+  __device__ double from(double x, int index) const {
+    constexpr unsigned kLanes = (1u << kCount) - 1u;
+    return __shfl_sync(kLanes << first_, x, first_ + index);
+  }
+
+ private:
+  int first_, index_;
+};
+
+// One warp per block. Bottom-up from the blocks without children: the warp that finishes a block's last child continues
+// with that block (Karras 2012).
 __global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
-  const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, leader = lane - slot;
-  const unsigned members = 0xffu << leader;
-  const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kBlockWidth;
+  const int lane = threadIdx.x % kWarp, slot = lane / SlotLanes::kCount;
+  const SlotLanes team(lane);
+  const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
   if (row >= refit.input.block_count || refit.body_of_block[row] == kNoBody) return;
   const RefitBody body = body_of_block(refit, row);
   const BodyShape shape = body_shape(refit, body.index);
   const int64_t first = body.first_block;
   int64_t block = row - first;
-  if (block == 0 && slot == 0) {
+  if (block == 0 && lane == 0) {
     const auto squared = static_cast<long long>(refit.largest_squared[body.index]);
     refit.bounds.radius[body.index] = std::sqrt(__longlong_as_double(squared)) * (1.0 + 0x1p-40);
   }
-  const bool has_child =
-      slot < used_slots(body.links, block) && body.links[block * kBlockWidth + slot].triangle_count == 0;
-  if (__ballot_sync(members, has_child) != 0) return;
+  const bool has_child = body.links[block * kBlockWidth + slot].triangle_count == 0;
+  if (__ballot_sync(kAllLanes, has_child) != 0) return;
   for (;;) {
-    refit_node(shape, body.triangles, body.links, block, slot, refit.nodes + first * kBlockWidth,
+    refit_node(team, shape, body.triangles, body.links, block, slot, refit.nodes + first * kBlockWidth,
                refit.bounds.blocks_t0 + first + block, refit.bounds.blocks_t1 + first + block);
     if (block == 0) return;
     __threadfence();
-    __syncwarp(members);  // all eight slots are written before the parent is signalled
+    __syncwarp();  // all slots are written before the parent is signalled
     const int64_t parent = refit.parent[first + block];
     int32_t pending = 0;
-    if (slot == 0) pending = atomicSub(refit.pending + first + parent, 1);
-    if (__shfl_sync(members, pending, leader) != 1) return;
+    if (lane == 0) pending = atomicSub(refit.pending + first + parent, 1);
+    if (__shfl_sync(kAllLanes, pending, 0) != 1) return;
     __threadfence();
     block = parent;
   }
@@ -238,7 +251,7 @@ void refit_cuda(const DeviceContext& context, const DeformingInput& input, const
   check_cuda(cudaGetLastError(), "place_centres");
   measure_bodies<<<blocks_for(kWarp * input.block_count), kBlockThreads, 0, context.stream>>>(refit);
   check_cuda(cudaGetLastError(), "measure_bodies");
-  refit_nodes<<<blocks_for(kBlockWidth * input.block_count), kBlockThreads, 0, context.stream>>>(refit);
+  refit_nodes<<<blocks_for(kWarp * input.block_count), kBlockThreads, 0, context.stream>>>(refit);
   check_cuda(cudaGetLastError(), "refit_nodes");
 }
 

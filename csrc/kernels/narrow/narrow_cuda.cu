@@ -215,8 +215,7 @@ void lower_first_toi(const DeviceContext& context, const Search& search, const F
   check_cuda(cudaGetLastError(), "lower_owners");
 }
 
-template void search_candidates(const DeviceContext&, const RigidBodies&, Search&, const CandidateSpan&,
-                                SearchPart);
+template void search_candidates(const DeviceContext&, const RigidBodies&, Search&, const CandidateSpan&, SearchPart);
 template void search_candidates(const DeviceContext&, const DeformingBodies&, Search&, const CandidateSpan&,
                                 SearchPart);
 template void write_contacts(const DeviceContext&, const RigidBodies&, const Search&, int64_t, const ContactColumns&,

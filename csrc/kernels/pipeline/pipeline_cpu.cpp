@@ -87,8 +87,7 @@ class PairSearch {
       size = std::min(size, all.pair_count - begin);
       traversal_.pairs = narrow_.pairs = pairs.data() + 2 * begin;
       traversal_.pair_count = narrow_.pair_count = size;
-      ContactRows rows =
-          found.pair.empty() ? search_in_parts() : search_until(std::vector<double>(size, earliest));
+      ContactRows rows = found.pair.empty() ? search_in_parts() : search_until(std::vector<double>(size, earliest));
       for (int32_t& pair : rows.pair) pair = order[begin + pair];
       for (const double toi : rows.toi) earliest = smaller(earliest, toi);
       append_rows(found, rows);
@@ -115,7 +114,9 @@ class PairSearch {
 
   // The time, as part of the step, at which spheres of half the bodies' radii meet; 1 if they do not.
   static double time_when_near(const BodyCentres& centres, int64_t i, int64_t j) {
-    const auto offset = [&](const double* position) { return load_vec3(position + 3 * j) - load_vec3(position + 3 * i); };
+    const auto offset = [&](const double* position) {
+      return load_vec3(position + 3 * j) - load_vec3(position + 3 * i);
+    };
     const Vec3<double> start = offset(centres.position_t0), change = offset(centres.position_t1) - start;
     const double reach = 0.5 * (centres.radius[i] + centres.radius[j]);
     const double beyond = norm_squared(start) - reach * reach, approach = -dot(start, change);

@@ -140,8 +140,7 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
     waiting = buffer.add(waiting, leaf_lanes, child, lane, leaves.count, put_leaf);
 
     __syncwarp();  // after writes to the stacks
-    const bool hands_back =
-        group.size > 0 && (group.rounds_left <= 0 || group.size > kStackSize - kBlockWidth);
+    const bool hands_back = group.size > 0 && (group.rounds_left <= 0 || group.size > kStackSize - kBlockWidth);
     if (__ballot_sync(kAllLanes, hands_back) == 0) continue;
     if (hands_back) {
       const unsigned members = 0xffu << shift;
