@@ -152,21 +152,6 @@ void for_each_counted(const DeviceContext& context, const Count* count, int64_t 
   check_cuda(cudaGetLastError(), "kernel launch");
 }
 
-// The items of a launch that this warp takes: `lanes` at a time, from `begin` on.
-struct WarpShare {
-  int64_t begin, stride;
-  int lanes;
-};
-
-// Spreads items over all warps of a launch. With fewer items than threads, each warp takes fewer than 32 at a time, so
-// that fewer lanes wait for others in different branches.
-__device__ inline WarpShare share_of_warp(int64_t count) {
-  const int64_t warps = int64_t{gridDim.x} * (blockDim.x / kWarp);
-  const int64_t warp = (int64_t{blockIdx.x} * blockDim.x + threadIdx.x) / kWarp;
-  const int64_t lanes = larger<int64_t>(1, smaller<int64_t>(kWarp, (count + warps - 1) / warps));
-  return {warp * lanes, warps * lanes, static_cast<int>(lanes)};
-}
-
 __device__ inline int64_t nanoseconds() {
   int64_t now;
   asm volatile("mov.u64 %0, %%globaltimer;" : "=l"(now));

@@ -13,6 +13,21 @@ constexpr int kSolveThreads = 64;
 // Up to this many candidates, the quick phase takes longer than what it saves the plain one.
 constexpr int64_t kFewCandidates = 1 << 15;
 
+// The items of a launch that this warp takes: `lanes` at a time, from `begin` on.
+struct WarpShare {
+  int64_t begin, stride;
+  int lanes;
+};
+
+// Spreads items over all warps of a launch. With fewer items than threads, each warp takes fewer than 32 at a time, so
+// that fewer lanes wait for others in different branches.
+__device__ inline WarpShare share_of_warp(int64_t count) {
+  const int64_t warps = int64_t{gridDim.x} * (blockDim.x / kWarp);
+  const int64_t warp = (int64_t{blockIdx.x} * blockDim.x + threadIdx.x) / kWarp;
+  const int64_t lanes = larger<int64_t>(1, smaller<int64_t>(kWarp, (count + warps - 1) / warps));
+  return {warp * lanes, warps * lanes, static_cast<int>(lanes)};
+}
+
 template <class Bodies>
 __device__ typename PairOf<Bodies>::type pair_of(const Bodies& bodies, const NarrowInput& input, const Candidate& c) {
   return {bodies, input.pairs[2 * int64_t(c.pair)], input.pairs[2 * int64_t(c.pair) + 1]};
