@@ -8,6 +8,7 @@ import os
 import re
 import secrets
 import shutil
+import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -185,7 +186,10 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
         _sync(root)
     except OSError as error:
         raise CheckpointError(f"{folder} cannot be written: {error.strerror or error}") from error
-    _remove_others(root, name)
+    try:
+        _remove_others(root, name)
+    except OSError as error:  # the new checkpoint is complete
+        warnings.warn(f"{root}: previous checkpoints cannot be removed: {error.strerror or error}", stacklevel=2)
     return folder
 
 

@@ -60,8 +60,7 @@ def told_of(comm: Comm, folder: str, where: str, rank: int, error: Exception) ->
     """The error of `World.save` if a function of checkpoints raises another error on one rank."""
     world = begin(comm)
     world.save(folder)
-    module = files if where == "_remove_others" else writing
-    failing = mock.patch.object(module, where, side_effect=error) if comm.rank == rank else nullcontext()
+    failing = mock.patch.object(writing, where, side_effect=error) if comm.rank == rank else nullcontext()
     with failing, pytest.raises(CheckpointError) as refused:
         world.save(folder)
     comm.barrier()
@@ -72,9 +71,9 @@ def told_of(comm: Comm, folder: str, where: str, rank: int, error: Exception) ->
 @pytest.mark.parametrize(
     ("where", "rank", "error"),
     [
+        ("copies_of", 1, torch.OutOfMemoryError("no room\nat all")),
         ("write_tables", 1, MemoryError("no room\nat all")),
         ("publish", 0, RuntimeError()),
-        ("_remove_others", 0, OSError("stale")),
     ],
 )
 def test_errors_of_any_kind_reach_all_ranks(
@@ -83,6 +82,19 @@ def test_errors_of_any_kind_reach_all_ranks(
     reason = str(error).split("\n")[0] or "RuntimeError"
     for said in ranks.run(2, told_of, str(tmp_path), where, rank, error):
         assert re.fullmatch(rf"{tmp_path}/checkpoints/step-\S+ cannot be written: {reason}", said)
+
+
+def test_previous_checkpoints_that_cannot_be_removed(tmp_path: Path) -> None:
+    world = begin(Alone())
+    first = world.save(tmp_path)
+    with (
+        mock.patch.object(files, "_remove_others", side_effect=OSError("stale")),
+        pytest.warns(UserWarning, match="previous checkpoints cannot be removed: stale"),
+    ):
+        second = world.save(tmp_path)
+    assert first.exists() and state_of(load(Alone(), tmp_path)) == state_of(world)
+    third = world.save(tmp_path)
+    assert third.exists() and not first.exists() and not second.exists()
 
 
 def same_told(of_ranks: list[str]) -> str:

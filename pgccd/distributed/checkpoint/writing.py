@@ -27,6 +27,14 @@ from pgccd.distributed.launch.agreement import on_first
 from pgccd.distributed.partition.interface import Partition
 
 
+def copies_of(tables: Mapping[str, Columns]) -> dict[str, Columns]:
+    """Copies of all columns on the CPU."""
+    return {
+        table: {name: column.detach().to("cpu", copy=True) for name, column in columns.items()}
+        for table, columns in tables.items()
+    }
+
+
 class CheckpointWriter:
     """Writes checkpoints to a folder. Every rank writes a file of its own rows in the background.
 
@@ -63,18 +71,20 @@ class CheckpointWriter:
         """
         self.finish()
         name = on_first(self._comm, lambda: make_folder(self._root, self._kind, steps_made))
-        copies = {
-            table: {name: column.detach().to("cpu", copy=True) for name, column in columns.items()}
-            for table, columns in tables.items()
-        }
         cut, shared = partition_header(partition)
-        shared = {name: tensor.to("cpu", copy=True) for name, tensor in shared.items()}
+        copies: dict[str, Columns] = {}
+        not_copied = None
+        try:
+            copies = copies_of(tables)
+            shared = {name: tensor.to("cpu", copy=True) for name, tensor in shared.items()}
+        except Exception as failed:  # such as too little memory: `_write` tells the other ranks
+            not_copied = self._problem(name, failed)
         content = Content(self._kind, steps_made, {**header, "partition": cut}, shared)
         done: Future[Path] = Future()
 
         def work() -> None:
             try:
-                done.set_result(self._write(name, content, copies))
+                done.set_result(self._write(name, content, copies, not_copied))
             except BaseException as error:
                 done.set_exception(error)
 
@@ -96,12 +106,13 @@ class CheckpointWriter:
         with self._comm.guard.waiting("checkpoint") if self._comm.size > 1 else nullcontext():
             return writing.result()
 
-    def _write(self, name: str, content: Content, tables: Mapping[str, Columns]) -> Path:
-        own, error = None, None
-        try:
-            own = write_tables(self._root / name, self._comm.rank, tables)
-        except Exception as failed:  # of any kind: the other ranks wait for the outcome
-            error = self._problem(name, failed)
+    def _write(self, name: str, content: Content, tables: Mapping[str, Columns], error: str | None) -> Path:
+        own = None
+        if error is None:
+            try:
+                own = write_tables(self._root / name, self._comm.rank, tables)
+            except Exception as failed:  # of any kind: the other ranks wait for the outcome
+                error = self._problem(name, failed)
         of_ranks = self._background.gather((own, error))
         if self._comm.rank == 0:
             error = next((text for _, text in of_ranks if text is not None), None)
