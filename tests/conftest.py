@@ -8,6 +8,9 @@ import pytest
 import torch
 from hypothesis import HealthCheck, settings
 
+# torch's stores look up the names of the addresses that connect to them; a lost answer otherwise costs 5 s.
+os.environ.setdefault("RES_OPTIONS", "timeout:1 attempts:1")
+
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
 
 # The same examples in every run, so that failures are reproducible; no deadline, since machines are shared.

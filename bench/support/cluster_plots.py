@@ -26,7 +26,7 @@ def scaling(result: Result) -> Figure:
         right.plot(*zip(*speeds, strict=True), "o-", color=colour, label=label)
     most = max(row["ranks"] for row in rows)
     right.plot([1, most], [1, most], ":", color="#9a9a9a", label="ideal")
-    right.set(xlabel="ranks", title="Times the speed of one process")
+    right.set(xlabel="ranks", title="Times the speed of one process", xticks=sorted({row["ranks"] for row in rows}))
     right.legend(frameon=False)
     return figure
 

@@ -30,9 +30,14 @@ PGCCD_HD int rounds_of_launch(int launch, uint32_t task_count) {
 // With few tasks, 8^n groups start from the same one. In each of the first n rounds a group continues with one child of
 // its split, so that they share the work below without another launch.
 constexpr uint32_t kGroupsOfFew = 8192;
-__device__ inline int shared_rounds(uint32_t task_count) {
+constexpr int kMostSharedRounds = 2;
+// Otherwise several groups would return the same node pairs. `rounds_of_launch` is never less than two either.
+static_assert(kSelfPairRounds >= kMostSharedRounds);
+__device__ inline int shared_rounds_of(uint32_t task_count) {
   constexpr uint32_t kWidth = kBlockWidth;
-  return task_count <= kGroupsOfFew / (kWidth * kWidth) ? 2 : task_count <= kGroupsOfFew / kWidth ? 1 : 0;
+  return task_count <= kGroupsOfFew / (kWidth * kWidth) ? kMostSharedRounds
+         : task_count <= kGroupsOfFew / kWidth          ? 1
+                                                        : 0;
 }
 
 // The slots of the children with which a group continues in the next shared rounds: a digit of base 8 each, after a
@@ -164,11 +169,11 @@ __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
     descend_from_roots(Pairs<Bodies> pairs, const Task* roots, uint32_t* next, LeafPairList leaves, TaskList rest,
                        Counter* node_tests) {
   const uint32_t pair_count = pairs.count();
-  const int shared = shared_rounds(pair_count);
-  const uint32_t count = pair_count << (Route::kSlotBits * shared);
+  const int shared_rounds = shared_rounds_of(pair_count);
+  const uint32_t count = pair_count << (Route::kSlotBits * shared_rounds);
   // A block takes at most 1.25 times its even share.
   const WorkQueue queue{next, count, count / gridDim.x + count / (4 * gridDim.x) + 1};
-  descend(pairs, 0, queue, roots, shared, leaves, rest, node_tests);
+  descend(pairs, 0, queue, roots, shared_rounds, leaves, rest, node_tests);
 }
 
 // Tasks left by earlier launches.
@@ -177,9 +182,9 @@ __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
     descend_further(Pairs<Bodies> pairs, int launch, TaskHandover rest, LeafPairList leaves, Counter* node_tests) {
   rest.prepare_next();
   const TaskList from = rest.from;
-  const int shared = shared_rounds(from.size());
-  const WorkQueue queue{rest.taken, from.size() << (Route::kSlotBits * shared), kNoItem};
-  descend(pairs, launch, queue, from.items, shared, leaves, rest.to, node_tests);
+  const int shared_rounds = shared_rounds_of(from.size());
+  const WorkQueue queue{rest.taken, from.size() << (Route::kSlotBits * shared_rounds), kNoItem};
+  descend(pairs, launch, queue, from.items, shared_rounds, leaves, rest.to, node_tests);
 }
 
 }  // namespace pgccd
