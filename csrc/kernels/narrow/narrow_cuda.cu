@@ -173,7 +173,7 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
   int64_t capacity = smaller<int64_t>(input.candidates.size, input.candidates.size / 2 + 65536);
   for (;;) {
     Search search = new_search(context, input, capacity, true);
-    search_candidates(context, bodies, search, input.candidates, SearchPart::kAll);
+    search_candidates(context, bodies, search, input.candidates, true);
     const SelectedContacts selected = select_contacts(context, bodies.meshes.feature_count, search);
     const SearchCounters seen = read(context, selected.search.counters);
     if (seen.open <= selected.search.capacity) {
@@ -185,14 +185,12 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
 
 template <class Bodies>
 void search_candidates(const DeviceContext& context, const Bodies& bodies, Search& search,
-                       const CandidateSpan& candidates, SearchPart part) {
+                       const CandidateSpan& candidates, bool is_last) {
   if (search.input.pair_count == 0) return;
   search.input.candidates = candidates;
-  launch_quickly(context, bodies, search, part);
-  if (part != SearchPart::kSecond) launch_plainly(context, bodies, search, true, part);
-  if (part == SearchPart::kFirst) return end_first_part(context, search);
-  launch_plainly(context, bodies, search, false, part);
-  launch_patiently(context, bodies, search);
+  launch_quickly(context, bodies, search);
+  launch_plainly(context, bodies, search);
+  is_last ? launch_patiently(context, bodies, search) : end_first_part(context, search);
 }
 
 template <class Bodies>
@@ -215,9 +213,8 @@ void lower_first_toi(const DeviceContext& context, const Search& search, const F
   check_cuda(cudaGetLastError(), "lower_owners");
 }
 
-template void search_candidates(const DeviceContext&, const RigidBodies&, Search&, const CandidateSpan&, SearchPart);
-template void search_candidates(const DeviceContext&, const DeformingBodies&, Search&, const CandidateSpan&,
-                                SearchPart);
+template void search_candidates(const DeviceContext&, const RigidBodies&, Search&, const CandidateSpan&, bool);
+template void search_candidates(const DeviceContext&, const DeformingBodies&, Search&, const CandidateSpan&, bool);
 template void write_contacts(const DeviceContext&, const RigidBodies&, const Search&, int64_t, const ContactColumns&,
                              int64_t*);
 template void write_contacts(const DeviceContext&, const DeformingBodies&, const Search&, int64_t,

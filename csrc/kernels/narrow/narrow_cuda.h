@@ -11,15 +11,13 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
                        const ContactOutput& make_output);
 
 // A narrow phase that does not synchronise, of candidates that come in one or two parts; see search.cuh. `most_open`:
-// capacity for candidates left by the quick phase. Without contacts, only the first toi of each pair is found. Of the
-// first part only the candidates that are likely first contacts are solved, before the second part is found.
+// capacity for candidates left by the quick phase. Without contacts, only the first toi of each pair is found.
 struct Search;
-enum class SearchPart { kAll, kFirst, kSecond };
 Search new_search(const DeviceContext& context, const NarrowInput& input, int64_t most_open, bool with_contacts);
 
 template <class Bodies>
 void search_candidates(const DeviceContext& context, const Bodies& bodies, Search& search,
-                       const CandidateSpan& candidates, SearchPart part);
+                       const CandidateSpan& candidates, bool is_last);
 
 // Unused rows of `out` are filled: pair and features -1, toi infinite, the rest 0.
 template <class Bodies>

@@ -15,17 +15,16 @@ constexpr int64_t kFewCandidates = 1 << 15;
 
 // The items of a launch that this warp takes: `lanes` at a time, from `begin` on.
 struct WarpShare {
-  int64_t begin, stride;
-  int lanes;
+  uint32_t begin, stride, lanes;
 };
 
 // Spreads items over all warps of a launch. With fewer items than threads, each warp takes fewer than 32 at a time, so
 // that fewer lanes wait for others in different branches.
-__device__ inline WarpShare share_of_warp(int64_t count) {
-  const int64_t warps = int64_t{gridDim.x} * (blockDim.x / kWarp);
-  const int64_t warp = (int64_t{blockIdx.x} * blockDim.x + threadIdx.x) / kWarp;
-  const int64_t lanes = larger<int64_t>(1, smaller<int64_t>(kWarp, (count + warps - 1) / warps));
-  return {warp * lanes, warps * lanes, static_cast<int>(lanes)};
+__device__ inline WarpShare share_of_warp(uint32_t count) {
+  const uint32_t warps = gridDim.x * (blockDim.x / kWarp);
+  const uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / kWarp;
+  const uint32_t lanes = count >= warps * kWarp ? uint32_t{kWarp} : larger<uint32_t>(1, (count + warps - 1) / warps);
+  return {warp * lanes, warps * lanes, lanes};
 }
 
 template <class Bodies>
@@ -46,20 +45,21 @@ template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies, Search search) {
   const CandidateSpan candidates = search.input.candidates;
   const int64_t count = candidates.count(), before = search.counters->open_before;
-  const bool leaves_all_open = count <= kFewCandidates && before + count <= search.capacity;
-  const WarpShare share = share_of_warp(count);
-  const int lane = threadIdx.x % kWarp;
-  for (int64_t k = share.begin + lane; lane < share.lanes && k < count; k += share.stride) {
+  const int64_t thread = int64_t{blockIdx.x} * blockDim.x + threadIdx.x, stride = int64_t{gridDim.x} * blockDim.x;
+  if (count <= kFewCandidates && before + count <= search.capacity) {
+    for (int64_t k = thread; k < count; k += stride) {
+      if (k == 0) atomicAdd(&search.counters->open, static_cast<uint32_t>(count));
+      const int64_t c = candidates.place(k);
+      leave_open(search, before + k, {}, c, candidates.items[c].pair);
+    }
+    return;
+  }
+  for (int64_t k = thread; k < count; k += stride) {
     const int64_t c = candidates.place(k);
     const Candidate candidate = candidates.items[c];
-    Progress<double> progress;
-    if (leaves_all_open) {
-      if (k == 0) atomicAdd(&search.counters->open, static_cast<uint32_t>(count));
-      leave_open(search, before + k, progress, c, candidate.pair);
-      continue;
-    }
     const auto pair = pair_of(bodies, search.input, candidate);
     const Prospect prospect = prospect_of(search, candidate.pair);
+    Progress<double> progress;
     if (!prospect.is_needed ||
         is_quickly_free(bodies, pair, candidate, search.input.settings, prospect.latest, progress)) {
       continue;
@@ -84,32 +84,30 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
   }
 }
 
-// The first launch solves the candidates that are likely first contacts, or all if there is a thread for each; the
-// second those that may be earlier than the contacts found, of `has_second_part` those of the second part too. A warp
+// Of one part, the first launch solves the candidates that are likely first contacts, or all if there is a thread for
+// each or none is likely (`least` is null); the second those that may be earlier than the contacts found. A warp
 // collects them, so that its lanes are full.
 template <class Bodies>
-__global__ void __launch_bounds__(kSolveThreads, 6)
-    search_plainly(Bodies bodies, Search search, bool is_first, bool has_second_part) {
+__global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies, Search search, bool is_first) {
   __shared__ uint32_t all_waiting[kSolveThreads / kWarp][2 * kWarp];
-  const int lane = threadIdx.x % kWarp;
+  const uint32_t lane = threadIdx.x % kWarp;
   uint32_t* const waiting = all_waiting[threadIdx.x / kWarp];
-  const uint32_t open = smaller(search.counters->open, search.capacity), threads = gridDim.x * blockDim.x;
-  const uint32_t of_first_part = has_second_part ? search.counters->open_before : open;
-  const bool all_at_once = search.least == nullptr || of_first_part <= threads;
-  const uint32_t begin = !is_first && all_at_once ? of_first_part : 0, end = is_first ? of_first_part : open;
+  const uint32_t begin = search.counters->open_before, end = smaller(search.counters->open, search.capacity);
+  const bool all_at_once = search.least == nullptr || end - begin <= gridDim.x * blockDim.x;
+  if (all_at_once && !is_first) return;
   const WarpShare share = share_of_warp(end - begin);
   const auto is_wanted = [&](uint32_t item) {
-    if (is_first && all_at_once) return true;
+    if (all_at_once) return true;
     const OpenCandidate& candidate = search.open[item];
     const unsigned long long time = toi_bits(candidate.t);
-    const bool is_likely = item < of_first_part && time == search.least[candidate.pair];
-    return is_first ? is_likely : !is_likely && time <= search.best_of(candidate.pair);
+    if (time == search.least[candidate.pair]) return is_first;
+    return !is_first && time <= search.best_of(candidate.pair);
   };
   uint32_t collected = 0;
-  for (int64_t base = begin + share.begin;; base += share.stride) {
+  for (uint32_t base = begin + share.begin;; base += share.stride) {
     const bool is_last = base >= end;  // solve the remaining ones
     if (!is_last) {
-      const uint32_t item = static_cast<uint32_t>(base) + lane;
+      const uint32_t item = base + lane;
       const bool wanted = lane < share.lanes && item < end && is_wanted(item);
       const uint32_t lanes = __ballot_sync(kAllLanes, wanted);
       if (wanted) waiting[collected + __popc(lanes & lanes_below(lane))] = item;
@@ -130,10 +128,10 @@ __global__ void __launch_bounds__(kSolveThreads, 6)
 template <class Bodies>
 __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies, Search search) {
   // Rows of the first part may be overwritten if not all candidates fit.
-  const int64_t count = search.input.candidates.fits_all() ? search.counters->patient : 0;
+  const uint32_t count = search.input.candidates.fits_all() ? search.counters->patient : 0;
   const WarpShare share = share_of_warp(count);
-  const int lane = threadIdx.x % kWarp;
-  for (int64_t k = share.begin + lane; lane < share.lanes && k < count; k += share.stride) {
+  const uint32_t lane = threadIdx.x % kWarp;
+  for (uint32_t k = share.begin + lane; lane < share.lanes && k < count; k += share.stride) {
     const OpenCandidate open = search.open[search.patient[k]];
     const Prospect prospect = prospect_of(search, open.pair);
     if (!prospect.is_needed) continue;
@@ -145,30 +143,30 @@ __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies,
 }
 
 template <class Bodies>
-void launch_quickly(const DeviceContext& context, const Bodies& bodies, const Search& search, SearchPart part) {
-  Search quick = search;
-  if (part == SearchPart::kSecond) quick.least = nullptr;  // of the first part: tells which candidates are solved
+void launch_quickly(const DeviceContext& context, const Bodies& bodies, const Search& search) {
   search_quickly<Bodies>
-      <<<resident_blocks_of(search_quickly<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, quick);
+      <<<resident_blocks_of(search_quickly<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
   check_cuda(cudaGetLastError(), "search_quickly");
 }
 
 template <class Bodies>
-void launch_plainly(const DeviceContext& context, const Bodies& bodies, const Search& search, bool is_first,
-                    SearchPart part) {
+void launch_plainly(const DeviceContext& context, const Bodies& bodies, const Search& search) {
   const int blocks = resident_blocks_of(search_plainly<Bodies>, kSolveThreads);
-  const bool has_second_part = part == SearchPart::kSecond;
   const bool all_at_once =
       search.least == nullptr || search.capacity <= static_cast<uint32_t>(blocks) * uint32_t{kSolveThreads};
-  if (!is_first && !has_second_part && all_at_once) return;  // the first launch solves all
-  search_plainly<Bodies><<<blocks, kSolveThreads, 0, context.stream>>>(bodies, search, is_first, has_second_part);
-  check_cuda(cudaGetLastError(), "search_plainly");
+  for (const bool is_first : {true, false}) {
+    if (!is_first && all_at_once) break;
+    search_plainly<Bodies><<<blocks, kSolveThreads, 0, context.stream>>>(bodies, search, is_first);
+    check_cuda(cudaGetLastError(), "search_plainly");
+  }
 }
 
-inline void end_first_part(const DeviceContext& context, const Search& search) {
+// Before the second part. Of this one most first contacts are known, so its likely ones need not be solved first.
+inline void end_first_part(const DeviceContext& context, Search& search) {
   SearchCounters* counters = search.counters;
   const uint32_t capacity = search.capacity;
   for_each_item(context, 1, [=] __device__(int64_t) { counters->open_before = smaller(counters->open, capacity); });
+  search.least = nullptr;
 }
 
 template <class Bodies>

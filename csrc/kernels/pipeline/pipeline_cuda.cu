@@ -15,17 +15,15 @@ Search find_contacts(const DeviceContext& context, const Bodies& bodies, const C
                      bool with_contacts) {
   Search narrow = new_search(context, search.narrow, search.contact_capacity.open, with_contacts);
   SearchFirstPart search_first_part;
-  SearchPart last = SearchPart::kAll;
   if (search.narrow.report != Report::kAll && search.traversal.pair_count >= kManyPairs) {
-    last = SearchPart::kSecond;
     search_first_part = [&](const CandidateSpan& candidates) {
-      search_candidates(context, bodies, narrow, candidates, SearchPart::kFirst);
+      search_candidates(context, bodies, narrow, candidates, false);
       return narrow.best;
     };
   }
   const CandidateSpan candidates = traverse_padded(context, bodies, search.traversal, search.pair_count,
                                                    search.traverse_capacity, search.traverse_counts, search_first_part);
-  search_candidates(context, bodies, narrow, candidates, last);
+  search_candidates(context, bodies, narrow, candidates, true);
   return narrow;
 }
 
