@@ -14,10 +14,10 @@ from pgccd import arguments
 
 # Bytes of GPU memory per unit of capacity, over all buffers of the operators.
 _BYTES = {
-    "pairs": 216,
+    "pairs": 408,
     "overlaps": 8,
     "poses": 96,
-    "tasks": 24,
+    "tasks": 32,
     "leaf_pairs": 48,
     "candidates": 16,
     "open": 80,
@@ -43,7 +43,7 @@ class Capacity:
     pairs: int  #: body pairs of the PCS
     contacts: int  #: rows of the result
     overlaps: int = 0  #: body pairs whose boxes overlap
-    poses: int = 0  #: poses of body pairs at the ends of their time segments
+    poses: int = 0  #: poses at the ends of time segments, of the body pairs that have several
     tasks: int = 0  #: node pairs that one launch of the traversal leaves to the next
     leaf_pairs: int = 0  #: pairs of leaves
     candidates: int = 0  #: feature pairs
@@ -86,7 +86,7 @@ class Capacity:
             pairs=pairs,
             contacts=pairs // 2 + 4 * self_vertex_count,
             overlaps=3 * body_count if pair_count is None else 0,
-            poses=3 * pairs,
+            poses=pairs,
             tasks=pairs + 4 * self_vertex_count,
             leaf_pairs=12 * pairs + 12 * self_vertex_count,
             candidates=8 * pairs + 20 * self_vertex_count,

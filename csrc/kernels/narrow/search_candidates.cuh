@@ -5,6 +5,7 @@
 #pragma once
 
 #include "kernels/narrow/search.cuh"
+#include "kernels/warp_share.cuh"
 
 namespace pgccd {
 
@@ -12,20 +13,6 @@ namespace pgccd {
 constexpr int kSolveThreads = 64;
 // Up to this many candidates, the quick phase takes longer than what it saves the plain one.
 constexpr int64_t kFewCandidates = 1 << 15;
-
-// The items of a launch that this warp takes: `lanes` at a time, from `begin` on.
-struct WarpShare {
-  uint32_t begin, stride, lanes;
-};
-
-// Spreads items over all warps of a launch. With fewer items than threads, each warp takes fewer than 32 at a time, so
-// that fewer lanes wait for others in different branches.
-__device__ inline WarpShare share_of_warp(uint32_t count) {
-  const uint32_t warps = gridDim.x * (blockDim.x / kWarp);
-  const uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / kWarp;
-  const uint32_t lanes = count >= warps * kWarp ? uint32_t{kWarp} : larger<uint32_t>(1, (count + warps - 1) / warps);
-  return {warp * lanes, warps * lanes, lanes};
-}
 
 template <class Bodies>
 __device__ typename PairOf<Bodies>::type pair_of(const Bodies& bodies, const NarrowInput& input, const Candidate& c) {
@@ -85,17 +72,13 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
 }
 
 // Of one part, the first launch solves the candidates that are likely first contacts, or all if there is a thread for
-// each or none is likely (`least` is null); the second those that may be earlier than the contacts found. A warp
-// collects them, so that its lanes are full.
+// each or none is likely (`least` is null); the second those that may be earlier than the contacts found.
 template <class Bodies>
 __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies, Search search, bool is_first) {
-  __shared__ uint32_t all_waiting[kSolveThreads / kWarp][2 * kWarp];
-  const uint32_t lane = threadIdx.x % kWarp;
-  uint32_t* const waiting = all_waiting[threadIdx.x / kWarp];
+  __shared__ WaitingItems waiting[kSolveThreads / kWarp];
   const uint32_t begin = search.counters->open_before, end = smaller(search.counters->open, search.capacity);
   const bool all_at_once = search.least == nullptr || end - begin <= gridDim.x * blockDim.x;
   if (all_at_once && !is_first) return;
-  const WarpShare share = share_of_warp(end - begin);
   const auto is_wanted = [&](uint32_t item) {
     if (all_at_once) return true;
     const OpenCandidate& candidate = search.open[item];
@@ -103,25 +86,8 @@ __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies
     if (time == search.least[candidate.pair]) return is_first;
     return !is_first && time <= search.best_of(candidate.pair);
   };
-  uint32_t collected = 0;
-  for (uint32_t base = begin + share.begin;; base += share.stride) {
-    const bool is_last = base >= end;  // solve the remaining ones
-    if (!is_last) {
-      const uint32_t item = base + lane;
-      const bool wanted = lane < share.lanes && item < end && is_wanted(item);
-      const uint32_t lanes = __ballot_sync(kAllLanes, wanted);
-      if (wanted) waiting[collected + __popc(lanes & lanes_below(lane))] = item;
-      collected += __popc(lanes);
-      if (collected < kWarp) continue;
-    }
-    __syncwarp();
-    const uint32_t some = smaller<uint32_t>(collected, kWarp);
-    collected -= some;
-    const uint32_t mine = lane < some ? waiting[collected + lane] : 0u;
-    __syncwarp();  // before other lanes overwrite them
-    if (lane < some) solve_open(bodies, search, mine);
-    if (is_last) return;
-  }
+  for_each_selected(begin, end, waiting[threadIdx.x / kWarp], is_wanted,
+                    [&](uint32_t item) { solve_open(bodies, search, item); });
 }
 
 // The patient phase, of all parts, after repeating the plain one, whose progress is not stored.

@@ -9,7 +9,6 @@ struct alignas(16) DeformingSweep : PairFrame {
   float inflation;
   int32_t unused = 0;  // explicit padding, so that no uninitialised bytes are copied
   const NodeBlock* blocks_at_t1[2];
-  static constexpr float tilt = 0.0f;  // normals do not rotate
   static constexpr int segment_count = 1;
 
   PGCCD_HD DeformingSweep(const DeformingBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings,
@@ -47,7 +46,9 @@ struct alignas(16) DeformingSweep : PairFrame {
     return sweep_detail::shifted(p, scale_of(p) * v);
   }
 
-  PGCCD_HD Vec3<float> turned(const Placement&, Vec3<float> direction) const { return direction; }
+  // Normals do not rotate.
+  PGCCD_HD static Vec3<float> mean_of_turned(const Placement&, const Placement&, Vec3<float> normal) { return normal; }
+  PGCCD_HD static constexpr float slab_growth(int) { return 0.0f; }
 
   // One of eight vertices of a leaf, or (T = Float8) all eight; relative to the body's centre, at the start (0) or the
   // horizon (1).

@@ -61,8 +61,7 @@ class Route {
   uint32_t digits_ = 1;
 };
 
-// A group's memory: its stack and frequently read data. Two poses suffice for pairs that rotate little in a step.
-constexpr int kPosesAtHand = 2;
+// A group's memory: its stack and frequently read data.
 template <class Sweep>
 struct GroupShared {
   Sweep sweep;
@@ -81,8 +80,9 @@ struct Group {
 
 // In each round every group of a warp splits one node pair of its task. All data of a round are loaded at once: how a
 // node pair will be split is decided when it is found.
-template <class Bodies>
-__device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue& queue, const Task* tasks,
+// `task_at`: returns the task of an index.
+template <class Bodies, class TaskAt>
+__device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue& queue, TaskAt&& task_at,
                         int shared_rounds, LeafPairList leaves, TaskList rest, Counter* node_tests) {
   using Sweep = typename SweepOf<Bodies>::type;
   __shared__ alignas(16) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
@@ -103,14 +103,16 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       if (idle == 0) break;
       const uint32_t item = share.take(idle, shift);
       if (group.size > 0 || item == kNoItem) continue;
-      const Task task = tasks[item >> (Route::kSlotBits * shared_rounds)];
+      const Task task = task_at(item >> (Route::kSlotBits * shared_rounds));
+      // Copied before the split is known, so that no load waits for another.
+      copy_words(pairs.sweeps[task.pair], shared.sweep, slot, kBlockWidth);
+      const LocalPose* poses = pairs.first_poses(task.pair);
+      for (int k = 0; k < kPosesAtHand; ++k) copy_words(poses[k], shared.poses[k], slot, kBlockWidth);
       if (task.split.is_none()) continue;
       const bool is_one_body = Sweep::may_be_one_body && pairs.sweeps[task.pair].is_one_body();
       if (slot == 0) shared.stack[0] = task.split;
-      const LocalPose* poses = pairs.poses + pairs.pose_begin[task.pair];
-      copy_words(pairs.sweeps[task.pair], shared.sweep, slot, kBlockWidth);
-      for (int k = 0; k < kPosesAtHand; ++k) copy_words(poses[k], shared.poses[k], slot, kBlockWidth);
-      group.poses = pairs.sweeps[task.pair].segment_count < kPosesAtHand ? shared.poses : poses;
+      group.poses = shared.poses;
+      if (pairs.sweeps[task.pair].segment_count >= kPosesAtHand) group.poses = pairs.all_poses(task.pair);
       group.size = 1;
       group.rounds_left = is_one_body && launch != kLastLaunch ? kSelfPairRounds : most_rounds;
       group.pair = task.pair;
@@ -166,14 +168,15 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
 // The first tasks: the roots of every body pair.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
-    descend_from_roots(Pairs<Bodies> pairs, const Task* roots, uint32_t* next, LeafPairList leaves, TaskList rest,
+    descend_from_roots(Pairs<Bodies> pairs, const SplitPair* roots, uint32_t* next, LeafPairList leaves, TaskList rest,
                        Counter* node_tests) {
   const uint32_t pair_count = pairs.count();
   const int shared_rounds = shared_rounds_of(pair_count);
   const uint32_t count = pair_count << (Route::kSlotBits * shared_rounds);
   // A block takes at most 1.25 times its even share.
   const WorkQueue queue{next, count, count / gridDim.x + count / (4 * gridDim.x) + 1};
-  descend(pairs, 0, queue, roots, shared_rounds, leaves, rest, node_tests);
+  const auto root_of = [roots](uint32_t pair) { return Task{static_cast<int32_t>(pair), roots[pair]}; };
+  descend(pairs, 0, queue, root_of, shared_rounds, leaves, rest, node_tests);
 }
 
 // Tasks left by earlier launches.
@@ -184,7 +187,8 @@ __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
   const TaskList from = rest.from;
   const int shared_rounds = shared_rounds_of(from.size());
   const WorkQueue queue{rest.taken, from.size() << (Route::kSlotBits * shared_rounds), kNoItem};
-  descend(pairs, launch, queue, from.items, shared_rounds, leaves, rest.to, node_tests);
+  const auto task_at = [from](uint32_t at) { return from.items[at]; };
+  descend(pairs, launch, queue, task_at, shared_rounds, leaves, rest.to, node_tests);
 }
 
 }  // namespace pgccd

@@ -14,20 +14,17 @@ PGCCD_HD Vec3<float> nearest_offset(Vec3<float> start, Vec3<float> end) {
   return start + unit_clamp(-dot(start, travel) / norm_squared(travel)) * travel;  // 0 / 0 becomes 0
 }
 
-// A slab whose normal rotates while its centre moves. Along the mean direction it is thicker, by at most `tilt` times
-// the difference of the two.
-struct TurningSlab {
-  Vec3<float> normal_start, normal_end;
-  float low, high, tilt;
+// A slab that moves with its centre over a segment: thick enough along a fixed direction for both ends of the segment.
+struct MovingSlab {
+  Vec3<float> direction;  // the mean of the normals at both ends
+  float low, high;
 };
 
 // True if a sphere is certainly on one side of the slab, given the offsets of its centre from the slab's.
-PGCCD_HD bool slab_separates(const TurningSlab& slab, Vec3<float> start, Vec3<float> end, float reach) {
-  const Vec3<float> direction = 0.5f * (slab.normal_start + slab.normal_end);
-  const float grown = slab.tilt * std::sqrt(norm_squared(slab.normal_end - slab.normal_start));
-  const float along_start = dot(direction, start), along_end = dot(direction, end);
-  const float above = smaller(along_start, along_end) - (slab.high + grown);
-  const float below = (slab.low - grown) - larger(along_start, along_end);
+PGCCD_HD bool slab_separates(const MovingSlab& slab, Vec3<float> start, Vec3<float> end, float reach) {
+  const float along_start = dot(slab.direction, start), along_end = dot(slab.direction, end);
+  const float above = smaller(along_start, along_end) - slab.high;
+  const float below = slab.low - larger(along_start, along_end);
   return larger(above, below) > reach;
 }
 

@@ -15,7 +15,7 @@ PGCCD_HD int32_t block_of(int32_t node) { return static_cast<int32_t>(static_cas
 PGCCD_HD int slot_of(int32_t node) { return static_cast<int>(static_cast<uint32_t>(node) % kBlockWidth); }
 
 // A node pair of which one node is split: the children in one block of that side, each paired with the other node.
-class SplitPair {
+class alignas(8) SplitPair {
  public:
   SplitPair() = default;
   PGCCD_HD static SplitPair none() { return {0, -1, 0}; }
@@ -93,7 +93,7 @@ class PairTree {
   // A node over segment k.
   struct MovingNode {
     MovingPoints<1, float> centre;
-    TurningSlab slab;
+    MovingSlab slab;
     float radius;
   };
   // The node that is not split.
@@ -143,9 +143,9 @@ class PairTree {
     const Placement at_start = poses_[k - 1].of[side], at_end = poses_[k].of[side];
     const Vec3<float> normal{b.normal_x[slot], b.normal_y[slot], b.normal_z[slot]};
     const float scale = sweep_.local_scale, radius = scale * b.radius[slot];
+    const float grown = sweep_.slab_growth(side) * radius;
     return {moving_centre(side, block, slot, at_start, at_end),
-            {sweep_.turned(at_start, normal), sweep_.turned(at_end, normal), scale * b.low[slot], scale * b.high[slot],
-             sweep_.tilt * radius},
+            {sweep_.mean_of_turned(at_start, at_end, normal), scale * b.low[slot] - grown, scale * b.high[slot] + grown},
             radius};
   }
 

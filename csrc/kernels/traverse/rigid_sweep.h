@@ -50,14 +50,9 @@ struct CentrePath {
 
 struct alignas(16) RigidSweep : PairFrame {
   float inflation;  // distance to keep, chord deviation and rounding, local units
-  // Extra slab thickness along the mean of the two normals, in units of |n_end - n_start| times the node's radius.
-  // For normals n0 and n1 of rotations at the ends of the segment: half, since the mean differs from each by half of
-  // |n_end - n_start|. With straight vertex paths up to a horizon h, offsets at the end are blends of offsets under
-  // both rotations of the whole step, n_end = n0 + h (n1 - n0) is not the normal of one, and the blend of both excesses
-  // is |n1 - n0| (3/2 h - h^2) <= 3/2 |n_end - n0|.
-  float tilt;
+  float growth[2];   // see `slab_growth`
   int segment_count;
-  int32_t unused[3] = {};  // explicit padding, so that no uninitialised bytes are copied
+  int32_t unused[2] = {};  // explicit padding, so that no uninitialised bytes are copied
 
   PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until)
       : RigidSweep(bodies, i, j, settings, until, CentrePath(bodies, i, j)) {}
@@ -67,7 +62,6 @@ struct alignas(16) RigidSweep : PairFrame {
       : PairFrame(bodies, i, j, until, path.offset) {
     const BodyCentres& centres = bodies.centres;
     segment_count = 1;
-    tilt = bodies.linear_path ? 1.5f : 0.5f;
     double deviation = 0.0;
     if (!bodies.linear_path) {
       const double ri = centres.radius[i], rj = centres.radius[j];
@@ -84,6 +78,11 @@ struct alignas(16) RigidSweep : PairFrame {
     }
     const double distance = sweep_detail::kept_distance(centres, i, j, settings) + deviation + path.rounding;
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
+    for (int side = 0; side < 2; ++side) {
+      const double angle = norm(load_vec3(bodies.rotation + 3 * body[side]));
+      const double turn = horizon * smaller(angle, 2.0 * segment_count) / segment_count;
+      growth[side] = sweep_detail::rounded_up((bodies.linear_path ? 1.5 : 0.5) * turn);
+    }
   }
 
   // A rigid body keeps its distances from itself.
@@ -122,10 +121,17 @@ struct alignas(16) RigidSweep : PairFrame {
     return sweep_detail::shifted(p, sweep_detail::turned(p, v));
   }
 
-  // Body-frame direction -> local frame, unit length kept.
-  PGCCD_HD Vec3<float> turned(const Placement& p, Vec3<float> direction) const {
-    return inverse_scale * sweep_detail::turned(p, direction);
+  // Mean over both ends of a segment of a unit vector of the body, in the local frame.
+  PGCCD_HD Vec3<float> mean_of_turned(const Placement& start, const Placement& end, Vec3<float> direction) const {
+    return (0.5f * inverse_scale) * sweep_detail::turned_by_sum(start, end, direction);
   }
+
+  // Extra thickness of a slab along the mean of its normals n0 and n1 at both ends of a segment, in units of the node's
+  // radius. For rotations half of |n1 - n0|, since the mean differs from each by that; and |n1 - n0| is at most the angle
+  // of the segment, and at most 2. With straight vertex paths up to a horizon h, offsets at the end are blends of
+  // offsets under both rotations of the whole step, n1 = n0 + h (m - n0) is not the normal m of one, and the blend of
+  // both excesses is |m - n0| (3/2 h - h^2) <= 3/2 h |m - n0|.
+  PGCCD_HD float slab_growth(int side) const { return growth[side]; }
 
   // One of eight vertices of a leaf, or (T = Float8) all eight; relative to the SBV centre, body axes. They are the
   // same at both ends of a segment.

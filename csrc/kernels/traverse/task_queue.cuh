@@ -9,7 +9,7 @@
 namespace pgccd {
 
 // A pair of nodes that may meet, one of which has children.
-struct Task {
+struct alignas(16) Task {
   int32_t pair;
   SplitPair split;
 };
@@ -59,17 +59,20 @@ struct CandidateSink {
   }
 };
 
+// Each body pair has this many poses in rows of its own, which suffice if it rotates little in a step.
+constexpr int kPosesAtHand = 2;
+
 // All body pairs in their local frames.
 template <class Bodies>
 struct Pairs {
   using Sweep = typename SweepOf<Bodies>::type;
   Bodies bodies;
   const Sweep* sweeps;
-  const LocalPose* poses;
-  const uint32_t* pose_begin;
+  const LocalPose* poses;      // the first poses of all pairs; then all poses of those with more
+  const uint32_t* pose_begin;  // first row of all poses of a pair
   const int64_t* given_count;  // on the device
   int64_t most;                // rows given; no more are counted
-  const Counter* pose_count;   // on the device, as the next
+  const Counter* pose_count;   // of pairs with more; on the device, as the next
   const Counter* unsound;
   uint32_t pose_capacity;
 
@@ -78,7 +81,9 @@ struct Pairs {
     if (!fits(*pose_count, pose_capacity) || *unsound != 0) return 0;
     return static_cast<uint32_t>(smaller(larger<int64_t>(*given_count, 0), most));
   }
-  __device__ PairTree<Bodies> tree(int32_t pair) const { return {bodies, sweeps[pair], poses + pose_begin[pair]}; }
+  __device__ const LocalPose* first_poses(int32_t pair) const { return poses + int64_t{kPosesAtHand} * pair; }
+  __device__ const LocalPose* all_poses(int32_t pair) const { return poses + pose_begin[pair]; }
+  __device__ PairTree<Bodies> tree(int32_t pair) const { return {bodies, sweeps[pair], all_poses(pair)}; }
 };
 
 // One atomic for all lanes whose bit is set; returns the position of the first.

@@ -7,6 +7,7 @@
 #include "kernels/traverse/traverse_counters.h"
 #include "kernels/traverse/traverse_cuda.h"
 #include "kernels/traverse/visit_leaves.cuh"
+#include "kernels/warp_share.cuh"
 
 namespace pgccd {
 namespace {
@@ -33,7 +34,13 @@ TraverseListSizes guess_sizes(const TraverseInput& input, int64_t vertex_count) 
     return rows_of(each_pair * input.pair_count + 65536 +
                    smaller<int64_t>(each_vertex * vertex_count, int64_t{1} << 22));
   };
-  return {sum(3), sum(1, 4), sum(16, 16), sum(12, 24)};
+  return {sum(1), sum(1, 4), sum(16, 16), sum(12, 24)};
+}
+
+template <class Bodies, class Select, class Fn>
+__global__ void __launch_bounds__(kBlockThreads) for_selected_pairs(Pairs<Bodies> pairs, Select is_selected, Fn fn) {
+  __shared__ WaitingItems waiting[kWarpsPerBlock];
+  for_each_selected(0, pairs.count(), waiting[threadIdx.x / kWarp], is_selected, fn);
 }
 
 // All public, since device lambdas are not allowed in private members.
@@ -150,7 +157,7 @@ struct Traversal {
     return leaves;
   }
 
-  // Sweeps, poses and first tasks of all body pairs; how many poses each needs depends on how far its bodies turn.
+  // Sweeps, poses and first splits of all body pairs.
   void place_pairs(uint32_t capacity, LeafPairList leaves) {
     const Bodies bodies = bodies_;
     const TraverseInput input = input_;
@@ -158,10 +165,11 @@ struct Traversal {
     const SelfPairs self_pairs = self_pairs_;
     auto* sweeps = const_cast<Sweep*>(pairs_.sweeps);
     auto* pose_begin = const_cast<uint32_t*>(pairs_.pose_begin);
-    LocalPose* poses = context_.allocate<LocalPose>(capacity);
+    const auto first_poses = static_cast<uint32_t>(kPosesAtHand * input.pair_count);
+    LocalPose* poses = context_.allocate<LocalPose>(int64_t{first_poses} + capacity);
     pairs_.poses = poses;
-    roots_ = context_.allocate<Task>(input.pair_count);
-    Task* roots = roots_;
+    roots_ = context_.allocate<SplitPair>(input.pair_count);
+    SplitPair* roots = roots_;
     pairs_.pose_capacity = capacity;
     for_each_counted(context_, pairs_.given_count, input.pair_count, [=] __device__(int64_t pair) {
       const int64_t i = input.pairs[2 * pair], j = input.pairs[2 * pair + 1];
@@ -170,41 +178,52 @@ struct Traversal {
         return;
       }
       const Sweep sweep(bodies, i, j, input.settings, horizon_of(input, pair));
-      const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
-      // Clamp to a valid row; the overflow flag discards the result.
-      const uint32_t begin = has_place(place + sweep.segment_count, capacity) ? static_cast<uint32_t>(place) : 0u;
-      for (int k = 0; k <= sweep.segment_count; ++k) store_words(sweep.pose(bodies, k), poses[begin + k]);
+      const LocalPose first = sweep.pose(bodies, 0), second = sweep.pose(bodies, 1);
+      uint32_t begin = static_cast<uint32_t>(kPosesAtHand * pair);
+      store_words(first, poses[begin]);
+      store_words(second, poses[begin + 1]);
       store_words(sweep, sweeps[pair]);
-      self_pairs.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
+      if (sweep.segment_count >= kPosesAtHand) {
+        const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
+        // Clamp to valid rows; the overflow flag discards the result.
+        begin = first_poses + (has_place(place + sweep.segment_count, capacity) ? static_cast<uint32_t>(place) : 0u);
+        for (int k = 0; k <= sweep.segment_count; ++k) store_words(sweep.pose(bodies, k), poses[begin + k]);
+      }
       pose_begin[pair] = begin;
-      roots[pair] = {static_cast<int32_t>(pair), SplitPair::none()};
+      self_pairs.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
+      roots[pair] = SplitPair::none();
       if (sweep.is_one_body()) return;
       const PairTree<Bodies> tree(bodies, sweep, nullptr);
       const NodePair nodes{0, 0};
       if (tree.is_leaf_pair(nodes)) {
         leaves.put(warp_append(leaves.count, 1), {static_cast<int32_t>(pair), nodes});
       } else {
-        roots[pair].split = tree.split(nodes);
+        roots[pair] = tree.split(nodes);
       }
     });
   }
 
-  // Sweeps and poses of the pairs of which a contact was found, until its toi.
+  // Sweeps and poses of the pairs of which a contact was found, until its toi. The descent, which has ended, is the only
+  // one to read the first poses of pairs with several segments.
   void shorten(const unsigned long long* toi) {
     const Pairs<Bodies> pairs = pairs_;
     const TraverseInput input = input_;
     auto* sweeps = const_cast<Sweep*>(pairs_.sweeps);
     auto* poses = const_cast<LocalPose*>(pairs_.poses);
-    for_each_counted(context_, pairs_.given_count, input.pair_count, [=] __device__(int64_t pair) {
-      if (pair >= pairs.count() || toi[pair] == ~0ull) return;
+    const auto has_contact = [=] __device__(uint32_t pair) { return toi[pair] != ~0ull; };
+    const auto shorten_pair = [=] __device__(uint32_t pair) {
       const double horizon = __longlong_as_double(static_cast<long long>(toi[pair]));
-      const Sweep sweep(pairs.bodies, input.pairs[2 * pair], input.pairs[2 * pair + 1], input.settings, horizon);
+      const Sweep sweep(pairs.bodies, input.pairs[2 * int64_t{pair}], input.pairs[2 * int64_t{pair} + 1],
+                        input.settings, horizon);
       // A shorter motion has no more segments.
       for (int k = 0; k <= sweep.segment_count; ++k) {
         store_words(sweep.pose(pairs.bodies, k), poses[pairs.pose_begin[pair] + k]);
       }
       store_words(sweep, sweeps[pair]);
-    });
+    };
+    const auto kernel = for_selected_pairs<Bodies, decltype(has_contact), decltype(shorten_pair)>;
+    kernel<<<resident_blocks_of(kernel), kBlockThreads, 0, context_.stream>>>(pairs, has_contact, shorten_pair);
+    check_cuda(cudaGetLastError(), "for_selected_pairs");
   }
 
   // Tasks left over by the launch.
@@ -252,7 +271,7 @@ struct Traversal {
   TraverseCounters* counters_;
   Pairs<Bodies> pairs_;
   SelfPairs self_pairs_;
-  Task* roots_ = nullptr;
+  SplitPair* roots_ = nullptr;
   Task* tasks_[2] = {};
   uint32_t task_capacity_ = 0;
 };
