@@ -79,8 +79,9 @@ struct Pairs {
   // Zero where poses did not fit (the traversal is repeated with a larger capacity) or a row has invalid indices.
   __device__ uint32_t count() const {
     if (!fits(*pose_count, pose_capacity) || *unsound != 0) return 0;
-    return static_cast<uint32_t>(smaller(larger<int64_t>(*given_count, 0), most));
+    return static_cast<uint32_t>(given());
   }
+  __device__ int64_t given() const { return smaller(larger<int64_t>(*given_count, 0), most); }
   __device__ const LocalPose* first_poses(int32_t pair) const { return poses + int64_t{kPosesAtHand} * pair; }
   __device__ const LocalPose* all_poses(int32_t pair) const { return poses + pose_begin[pair]; }
   __device__ PairTree<Bodies> tree(int32_t pair) const { return {bodies, sweeps[pair], all_poses(pair)}; }

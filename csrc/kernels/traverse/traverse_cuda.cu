@@ -4,6 +4,7 @@
 
 #include "kernels/traverse/cull_leaves.cuh"
 #include "kernels/traverse/descend.cuh"
+#include "kernels/traverse/place_pairs.cuh"
 #include "kernels/traverse/traverse_counters.h"
 #include "kernels/traverse/traverse_cuda.h"
 #include "kernels/traverse/visit_leaves.cuh"
@@ -51,10 +52,12 @@ struct Traversal {
   // `count`: of the pairs, on the device; null if that is all of the input's.
   Traversal(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input, const int64_t* count)
       : context_(context), bodies_(bodies), input_(input), counters_(context.allocate<TraverseCounters>(1)) {
+    sweeps_ = context.allocate<Sweep>(input.pair_count);
+    pose_begin_ = context.allocate<uint32_t>(input.pair_count);
     pairs_ = {bodies,
-              context.allocate<Sweep>(input.pair_count),
+              sweeps_,
               nullptr,
-              context.allocate<uint32_t>(input.pair_count),
+              pose_begin_,
               count != nullptr ? count : count_on_device(),
               input.pair_count,
               &counters_->poses,
@@ -151,56 +154,22 @@ struct Traversal {
     fill_bytes(context_, counters_, 0, 1);
     out = {context_.allocate<Candidate>(capacity.candidates), &counters_->candidates, capacity.candidates};
     const LeafPairList leaves{context_.allocate<LeafPair>(capacity.leaves), &counters_->leaves, capacity.leaves};
-    place_pairs(capacity.poses, leaves);
+    start_pairs(capacity.poses, leaves);
     task_capacity_ = capacity.tasks;
     for (Task*& tasks : tasks_) tasks = context_.allocate<Task>(capacity.tasks);
     return leaves;
   }
 
-  // Sweeps, poses and first splits of all body pairs.
-  void place_pairs(uint32_t capacity, LeafPairList leaves) {
-    const Bodies bodies = bodies_;
-    const TraverseInput input = input_;
-    TraverseCounters* counters = counters_;
-    const SelfPairs self_pairs = self_pairs_;
-    auto* sweeps = const_cast<Sweep*>(pairs_.sweeps);
-    auto* pose_begin = const_cast<uint32_t*>(pairs_.pose_begin);
-    const auto first_poses = static_cast<uint32_t>(kPosesAtHand * input.pair_count);
-    LocalPose* poses = context_.allocate<LocalPose>(int64_t{first_poses} + capacity);
+  void start_pairs(uint32_t pose_capacity, LeafPairList leaves) {
+    LocalPose* poses = context_.allocate<LocalPose>(kPosesAtHand * input_.pair_count + pose_capacity);
     pairs_.poses = poses;
-    roots_ = context_.allocate<SplitPair>(input.pair_count);
-    SplitPair* roots = roots_;
-    pairs_.pose_capacity = capacity;
-    for_each_counted(context_, pairs_.given_count, input.pair_count, [=] __device__(int64_t pair) {
-      const int64_t i = input.pairs[2 * pair], j = input.pairs[2 * pair + 1];
-      if (!is_sound(bodies, i) || !is_sound(bodies, j)) {
-        counters->unsound = 1;  // then no pairs are searched
-        return;
-      }
-      const Sweep sweep(bodies, i, j, input.settings, horizon_of(input, pair));
-      const LocalPose first = sweep.pose(bodies, 0), second = sweep.pose(bodies, 1);
-      uint32_t begin = static_cast<uint32_t>(kPosesAtHand * pair);
-      store_words(first, poses[begin]);
-      store_words(second, poses[begin + 1]);
-      store_words(sweep, sweeps[pair]);
-      if (sweep.segment_count >= kPosesAtHand) {
-        const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
-        // Clamp to valid rows; the overflow flag discards the result.
-        begin = first_poses + (has_place(place + sweep.segment_count, capacity) ? static_cast<uint32_t>(place) : 0u);
-        for (int k = 0; k <= sweep.segment_count; ++k) store_words(sweep.pose(bodies, k), poses[begin + k]);
-      }
-      pose_begin[pair] = begin;
-      self_pairs.add_if_one_body(bodies, sweep, static_cast<int32_t>(pair));
-      roots[pair] = SplitPair::none();
-      if (sweep.is_one_body()) return;
-      const PairTree<Bodies> tree(bodies, sweep, nullptr);
-      const NodePair nodes{0, 0};
-      if (tree.is_leaf_pair(nodes)) {
-        leaves.put(warp_append(leaves.count, 1), {static_cast<int32_t>(pair), nodes});
-      } else {
-        roots[pair] = tree.split(nodes);
-      }
-    });
+    pairs_.pose_capacity = pose_capacity;
+    roots_ = context_.allocate<SplitPair>(input_.pair_count);
+    const PlacedPairs<Bodies> placed{sweeps_, poses, pose_begin_, roots_, leaves, self_pairs_};
+    const int64_t blocks = (input_.pair_count + kBlockThreads - 1) / kBlockThreads;
+    place_pairs<Bodies><<<static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks_of(place_pairs<Bodies>))),
+                          kBlockThreads, 0, context_.stream>>>(pairs_, input_, placed, counters_);
+    check_cuda(cudaGetLastError(), "place_pairs");
   }
 
   // Sweeps and poses of the pairs of which a contact was found, until its toi. The descent, which has ended, is the only
@@ -208,7 +177,7 @@ struct Traversal {
   void shorten(const unsigned long long* toi) {
     const Pairs<Bodies> pairs = pairs_;
     const TraverseInput input = input_;
-    auto* sweeps = const_cast<Sweep*>(pairs_.sweeps);
+    Sweep* sweeps = sweeps_;
     auto* poses = const_cast<LocalPose*>(pairs_.poses);
     const auto has_contact = [=] __device__(uint32_t pair) { return toi[pair] != ~0ull; };
     const auto shorten_pair = [=] __device__(uint32_t pair) {
@@ -269,6 +238,8 @@ struct Traversal {
   const Bodies& bodies_;
   const TraverseInput& input_;
   TraverseCounters* counters_;
+  Sweep* sweeps_;
+  uint32_t* pose_begin_;
   Pairs<Bodies> pairs_;
   SelfPairs self_pairs_;
   SplitPair* roots_ = nullptr;

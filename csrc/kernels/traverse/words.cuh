@@ -15,13 +15,18 @@ constexpr int kWordsOf = static_cast<int>(sizeof(T) / sizeof(uint4));
 template <class T>
 constexpr bool kIsOfWords = std::is_trivially_copyable_v<T> && sizeof(T) % sizeof(uint4) == 0 && alignof(T) >= 16;
 
-// Copies with one thread to device memory.
+// Copies with one thread.
+template <class T>
+__device__ void put_words(const T& source, uint4* words) {
+  static_assert(kIsOfWords<T>);
+  uint4 copied[kWordsOf<T>];
+  memcpy(copied, &source, sizeof(T));
+  for (int k = 0; k < kWordsOf<T>; ++k) words[k] = copied[k];
+}
+
 template <class T>
 __device__ void store_words(const T& source, T& target) {
-  static_assert(kIsOfWords<T>);
-  uint4 words[kWordsOf<T>];
-  memcpy(words, &source, sizeof(T));
-  for (int k = 0; k < kWordsOf<T>; ++k) reinterpret_cast<uint4*>(&target)[k] = words[k];
+  put_words(source, reinterpret_cast<uint4*>(&target));
 }
 
 // Copies with the threads of slots 0 to `threads` - 1.

@@ -1,0 +1,91 @@
+// From body pairs to the first tasks of the descent: the sweep, the poses and the first split of each pair.
+#pragma once
+
+#include "kernels/traverse/start_self_pairs.cuh"
+#include "kernels/traverse/words.cuh"
+
+namespace pgccd {
+
+// What a launch writes, one row per pair; poses as in `Pairs`.
+template <class Bodies>
+struct PlacedPairs {
+  typename SweepOf<Bodies>::type* sweeps;
+  LocalPose* poses;
+  uint32_t* pose_begin;
+  SplitPair* roots;  // none where no node has children: such pairs of leaves are listed at once
+  LeafPairList leaves;
+  SelfPairs self_pairs;
+};
+
+// Memory of a warp: rows of all lanes, padded by a word so that lanes use different banks.
+template <class Sweep>
+union StagedRows {
+  uint4 sweeps[kWarp][kWordsOf<Sweep> + 1];
+  uint4 poses[kWarp][kPosesAtHand * kWordsOf<LocalPose> + 1];
+};
+
+// Stores consecutive rows of one structure each, neighbouring threads neighbouring words: stores of whole rows by single
+// threads take twice as long.
+template <int kWords, class T>
+__device__ void store_rows(const uint4 (&staged)[kWarp][kWords], int rows, T* target) {
+  constexpr int kStored = kWords - 1;
+  __syncwarp();
+  auto* words = reinterpret_cast<uint4*>(target);
+  for (int k = threadIdx.x % kWarp; k < rows * kStored; k += kWarp) words[k] = staged[k / kStored][k % kStored];
+  __syncwarp();  // before the memory is written again
+}
+
+// One thread per pair. How many poses a pair needs depends on how far its bodies turn.
+template <class Bodies>
+__global__ void __launch_bounds__(kBlockThreads)
+    place_pairs(Pairs<Bodies> pairs, TraverseInput input, PlacedPairs<Bodies> out, TraverseCounters* counters) {
+  using Sweep = typename SweepOf<Bodies>::type;
+  __shared__ StagedRows<Sweep> all_staged[kWarpsPerBlock];
+  StagedRows<Sweep>& staged = all_staged[threadIdx.x / kWarp];
+  const Bodies& bodies = pairs.bodies;
+  const int lane = threadIdx.x % kWarp;
+  const int64_t count = pairs.given(), stride = int64_t{gridDim.x} * blockDim.x;
+  const auto own_poses = static_cast<uint32_t>(kPosesAtHand * pairs.most);
+  for (int64_t first = (int64_t{blockIdx.x} * blockDim.x + threadIdx.x) / kWarp * kWarp; first < count;
+       first += stride) {
+    const int rows = static_cast<int>(smaller<int64_t>(count - first, kWarp));
+    const int64_t pair = first + smaller(lane, rows - 1);  // the last lanes repeat a row, and do not store it
+    const int64_t i = input.pairs[2 * pair], j = input.pairs[2 * pair + 1];
+    const bool is_unsound = !is_sound(bodies, i) || !is_sound(bodies, j);
+    if (__any_sync(kAllLanes, is_unsound)) {
+      counters->unsound = 1;  // then no pairs are searched
+      continue;
+    }
+    const Sweep sweep(bodies, i, j, input.settings, horizon_of(input, pair));
+    put_words(sweep, staged.sweeps[lane]);
+    store_rows(staged.sweeps, rows, out.sweeps + first);
+    PGCCD_KEEP_LOOP
+    for (int k = 0; k < kPosesAtHand; ++k) {
+      put_words(sweep.pose(bodies, k), staged.poses[lane] + k * kWordsOf<LocalPose>);
+    }
+    store_rows(staged.poses, rows, out.poses + kPosesAtHand * first);
+    if (lane >= rows) continue;
+    uint32_t begin = static_cast<uint32_t>(kPosesAtHand * pair);
+    if (sweep.segment_count >= kPosesAtHand) {
+      const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
+      // Clamp to valid rows; the overflow flag discards the result.
+      const bool has_rows = has_place(place + sweep.segment_count, pairs.pose_capacity);
+      begin = own_poses + (has_rows ? static_cast<uint32_t>(place) : 0u);
+      for (int k = 0; k <= sweep.segment_count; ++k) store_words(sweep.pose(bodies, k), out.poses[begin + k]);
+    }
+    out.pose_begin[pair] = begin;
+    const auto row = static_cast<int32_t>(pair);
+    out.self_pairs.add_if_one_body(bodies, sweep, row);
+    SplitPair root = SplitPair::none();
+    if (!sweep.is_one_body()) {
+      const PairTree<Bodies> tree(bodies, sweep, nullptr);
+      const NodePair nodes{0, 0};
+      const bool is_leaf_pair = tree.is_leaf_pair(nodes);
+      if (is_leaf_pair) out.leaves.put(warp_append(out.leaves.count, 1), {row, nodes});
+      if (!is_leaf_pair) root = tree.split(nodes);
+    }
+    out.roots[pair] = root;
+  }
+}
+
+}  // namespace pgccd
