@@ -199,6 +199,16 @@ def test_leaves_list_the_vertices_of_their_triangles() -> None:
     assert ops.refit.__doc__
 
 
+@pytest.mark.parametrize("subdivisions", [2, 3, 4])
+def test_blocks_are_mostly_full(subdivisions: int) -> None:
+    """A block is tested as a whole. Blocks filled from their largest nodes alone, top down, leave two leaves each to
+    many of the last ones: less than four nodes on average.
+    """
+    links = bumpy(np.random.default_rng(0), subdivisions)._node_links.view(-1, 8, 4)
+    below_the_root = links[1:, :, 1] >= 0
+    assert below_the_root.sum(dim=1).float().mean() > 5.5
+
+
 @given(SHAPES, st.sampled_from(["ply", "stl", "obj", "off", "glb"]))
 @settings(max_examples=40)
 def test_load_any_file(tmp_path_factory: pytest.TempPathFactory, shape: strategies.TriMesh, suffix: str) -> None:

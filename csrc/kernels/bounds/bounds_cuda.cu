@@ -80,14 +80,15 @@ __device__ Vec3<double> sum_in_order(int64_t count, double (&staged)[kStaged][3]
   return {__shfl_sync(kAllLanes, sum, 0), __shfl_sync(kAllLanes, sum, 1), __shfl_sync(kAllLanes, sum, 2)};
 }
 
-// One warp per body.
-__global__ void __launch_bounds__(kBlockThreads) name_bodies(Refit refit) {
-  const int64_t index = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
+// The same number of warps per body: several if there are few bodies, which may be large.
+__global__ void __launch_bounds__(kBlockThreads) name_bodies(Refit refit, int warps_a_body) {
+  const int64_t warp = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
+  const int64_t index = warp / warps_a_body, first = kWarp * (warp % warps_a_body);
   if (index >= refit.input.body_count) return;
   require_on_device(is_sound(refit.input, index),
                     "mesh_index, vertex_begin, block_begin: expected rows that are there");
   const RefitBody body = refit_body(refit.input, index);
-  for (int64_t block = threadIdx.x % kWarp; block < body.block_count; block += kWarp) {
+  for (int64_t block = first + threadIdx.x % kWarp; block < body.block_count; block += kWarp * warps_a_body) {
     const int32_t other = atomicExch(refit.body_of_block + body.first_block + block, static_cast<int32_t>(index));
     require_on_device(other == kNoBody, "block_begin: expected blocks of one body each");
   }
@@ -243,7 +244,10 @@ void refit_cuda(const DeviceContext& context, const DeformingInput& input, const
   refit.pending = context.allocate<int32_t>(input.block_count);
   fill_bytes(context, refit.largest_squared, 0, input.body_count);
   fill_bytes(context, refit.body_of_block, 0xff, input.block_count);
-  name_bodies<<<blocks_for(kWarp * input.body_count), kBlockThreads, 0, context.stream>>>(refit);
+  const int64_t most_warps = (input.block_count + kWarp - 1) / kWarp;  // that have a block each
+  const int warps_a_body = static_cast<int>(larger<int64_t>(1, most_warps / input.body_count));
+  name_bodies<<<blocks_for(kWarp * warps_a_body * input.body_count), kBlockThreads, 0, context.stream>>>(refit,
+                                                                                                         warps_a_body);
   check_cuda(cudaGetLastError(), "name_bodies");
   sum_chunks<<<blocks_for(2 * kWarp * input.block_count), kBlockThreads, 0, context.stream>>>(refit);
   check_cuda(cudaGetLastError(), "sum_chunks");

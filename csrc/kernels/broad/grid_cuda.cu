@@ -13,30 +13,28 @@ namespace {
 __global__ void __launch_bounds__(kSampleThreads) choose_frame(BroadBodies bodies, GridFrame* frame) {
   __shared__ BlockSample sample;
   const double weight = sample_weight(bodies.count);
-  double mean_middle[3] = {}, mean_extent[3] = {};
+  double mean[6] = {};  // middle, extent
   sample.for_each(bodies, [&](const SweptBox& box) {
     for (int k = 0; k < 3; ++k) {
-      mean_middle[k] += weight * component(middle_of(box), k);
-      mean_extent[k] += weight * component(box.upper - box.lower, k);
+      mean[k] += weight * component(middle_of(box), k);
+      mean[3 + k] += weight * component(box.upper - box.lower, k);
     }
   });
-  for (int k = 0; k < 3; ++k) {
-    mean_middle[k] = sample.sum(mean_middle[k]);
-    mean_extent[k] = sample.sum(mean_extent[k]);
-  }
-  const GridFrame unit = unit_frame(mean_middle, mean_extent);
+  sample.sum(mean);
+  const GridFrame unit = unit_frame({mean[0], mean[1], mean[2]}, {mean[3], mean[4], mean[5]});
   double counts[kSizeClasses] = {};
   sample.for_each(bodies, [&](const SweptBox& box) {
     const int found = size_class(unit_size(unit, box));
     for (int c = 0; c < kSizeClasses; ++c) counts[c] += c == found ? 1.0 : 0.0;
   });
-  for (double& count : counts) count = sample.sum(count);
+  sample.sum(counts);
   const double end = best_end(counts);
-  double cell_size = 0.5 * end;
-  sample.for_each(bodies,
-                  [&](const SweptBox& box) { cell_size = larger(folded_size(unit_size(unit, box), end), cell_size); });
-  cell_size = sample.maximum(cell_size);
-  if (threadIdx.x == 0) *frame = scaled_frame(unit, cell_size);
+  double cell_size[] = {0.5 * end};
+  sample.for_each(bodies, [&](const SweptBox& box) {
+    cell_size[0] = larger(folded_size(unit_size(unit, box), end), cell_size[0]);
+  });
+  sample.maximum(cell_size);
+  if (threadIdx.x == 0) *frame = scaled_frame(unit, cell_size[0]);
 }
 
 __device__ uint32_t world_of(const BroadBodies& bodies, int64_t body) {

@@ -1,3 +1,5 @@
+#include <cub/cub.cuh>
+
 #include "kernels/broad/lbvh_item.h"
 #include "kernels/broad/pair_list.cuh"
 #include "kernels/broad/scene_sample.cuh"
@@ -13,11 +15,11 @@ __global__ void __launch_bounds__(kSampleThreads) choose_frame(BroadBodies bodie
   sample.for_each(bodies, [&](const SweptBox& box) {
     for (int k = 0; k < 3; ++k) mean[k] += weight * component(middle_of(box), k);
   });
-  for (double& value : mean) value = sample.sum(value);
+  sample.sum(mean);
   sample.for_each(bodies, [&](const SweptBox& box) {
     for (int k = 0; k < 3; ++k) deviation[k] += weight * std::fabs(component(middle_of(box), k) - mean[k]);
   });
-  for (double& value : deviation) value = sample.sum(value);
+  sample.sum(deviation);
   if (threadIdx.x == 0) *frame = lbvh_frame(mean, deviation);
 }
 

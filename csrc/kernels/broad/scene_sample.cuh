@@ -1,9 +1,8 @@
-// Sums over the sample, by one block.
+// Reductions over the sample, by one block.
 #pragma once
 
-#include <cub/cub.cuh>
-
 #include "kernels/broad/scene_sample.h"
+#include "kernels/device.cuh"
 
 namespace pgccd {
 
@@ -21,25 +20,37 @@ class BlockSample {
     }
   }
 
-  // Reductions over all threads, with the result on all threads; always in the same order.
-  __device__ double sum(double own) { return shared(Reduce(scratch_).Sum(own)); }
-  __device__ double maximum(double own) {
-    return shared(Reduce(scratch_).Reduce(own, [](double a, double b) { return larger(a, b); }));
+  // Reduce each value over all threads, always in the same order; all threads get the results.
+  template <int kCount>
+  __device__ void sum(double (&own)[kCount]) {
+    reduce(own, [](double a, double b) { return a + b; });
+  }
+  template <int kCount>
+  __device__ void maximum(double (&own)[kCount]) {
+    reduce(own, [](double a, double b) { return larger(a, b); });
   }
 
  private:
-  using Reduce = cub::BlockReduce<double, kSampleThreads>;
+  static constexpr int kMostValues = 6, kWarps = kSampleThreads / kWarp;
 
-  __device__ double shared(double of_first_thread) {
-    if (threadIdx.x == 0) result_ = of_first_thread;
+  template <int kCount, class Combine>
+  __device__ void reduce(double (&own)[kCount], Combine&& combine) {
+    static_assert(kCount <= kMostValues);
+    for (int step = kWarp / 2; step > 0; step /= 2) {
+      for (double& value : own) value = combine(value, __shfl_xor_sync(kAllLanes, value, step));
+    }
+    if (threadIdx.x % kWarp == 0) {
+      for (int k = 0; k < kCount; ++k) of_warp_[threadIdx.x / kWarp][k] = own[k];
+    }
     __syncthreads();
-    const double result = result_;
-    __syncthreads();
-    return result;
+    for (int k = 0; k < kCount; ++k) {
+      own[k] = of_warp_[0][k];
+      for (int warp = 1; warp < kWarps; ++warp) own[k] = combine(own[k], of_warp_[warp][k]);
+    }
+    __syncthreads();  // before the storage is reused
   }
 
-  typename Reduce::TempStorage scratch_;
-  double result_;
+  double of_warp_[kWarps][kMostValues];
 };
 
 }  // namespace pgccd
