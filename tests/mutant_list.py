@@ -132,6 +132,15 @@ _RIGID = [
         ("test_traverse_slabs.py",),
     ),
     Mutant(
+        "straight-slab-growth-0.999",
+        TRAVERSE + "rigid_sweep.h",
+        "(bodies.linear_path ? 1.5 : 0.5) * turn",
+        "(bodies.linear_path ? 1.4985 : 0.5) * turn",
+        ("test_traverse_slabs.py",),
+        equivalent="the growth bounds the change of the whole normal, of which only the part across it, at most half as"
+        " long where a half turn makes the bound 2, lifts points of a thin slab",
+    ),
+    Mutant(
         "slab-growth-of-a-half-turn",
         TRAVERSE + "rigid_sweep.h",
         "smaller(angle, 2.0 * segment_count)",

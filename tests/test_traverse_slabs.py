@@ -30,9 +30,9 @@ def sheet(squares: int = 24) -> pgccd.Mesh:
     return pgccd.Mesh(vertices, np.concatenate([corner + [0, 2, 1], corner + [1, 2, 3]]))
 
 
-def turning(rng: np.random.Generator, other: pgccd.Mesh) -> Bodies:
-    """A sheet that turns over, and a body at rest, both at the origin."""
-    lean = rng.uniform(0.2, 0.8)
+def turning(rng: np.random.Generator, other: pgccd.Mesh, leans: tuple[float, float] = (0.2, 0.8)) -> Bodies:
+    """A sheet that turns over, about an axis at one of these angles to its normal, and a body at rest, at the origin."""
+    lean = rng.uniform(*leans)
     axis = np.array([np.sin(lean), 0.0, np.cos(lean)])
     spin = np.stack([rng.uniform(0.9, 0.999) * np.pi * axis, np.zeros(3)])
     return Bodies([sheet(), other], np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.zeros((2, 3)), spin)
@@ -51,13 +51,16 @@ def moved(bodies: Bodies, where: np.ndarray) -> Bodies:
     return replace(bodies, position_t0=np.stack([np.zeros(3), where]))
 
 
-def test_a_turning_sheet_meets_a_speck_before_the_horizon(device: torch.device) -> None:
+@pytest.mark.parametrize("rises_most", [False, True])
+def test_a_turning_sheet_meets_a_speck_before_the_horizon(device: torch.device, rises_most: bool) -> None:
+    """Anywhere, or where the sheet rises most: at its ends, about an axis between the sheet and its normal."""
     rng = np.random.default_rng(1)
     for _ in range(25):
-        bodies = turning(rng, tetrahedron(TINY))
+        bodies = turning(rng, tetrahedron(TINY), (0.7, 0.85) if rises_most else (0.2, 0.8))
         start, end = sheet_ends(bodies)
-        until = rng.uniform(0.02, 0.5)
-        t, vertex = until * rng.uniform(0.7, 0.95), rng.integers(len(start))
+        until = rng.uniform(0.02, 0.2 if rises_most else 0.5)
+        t = until * rng.uniform(0.9 if rises_most else 0.7, 0.95)
+        vertex = rng.choice([0, 1, len(start) - 2, len(start) - 1]) if rises_most else rng.integers(len(start))
         bodies = moved(bodies, (1 - t) * start[vertex] + t * end[vertex] + 0.2 * TINY * rng.normal(size=3))
         rest = bodies.meshes[1].vertices.numpy() + bodies.position_t0[1]
         truth = linear_truth([[start, end], [rest, rest]], [m.faces.long().numpy() for m in bodies.meshes])

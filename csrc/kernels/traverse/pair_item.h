@@ -144,9 +144,10 @@ class PairTree {
     const Vec3<float> normal{b.normal_x[slot], b.normal_y[slot], b.normal_z[slot]};
     const float scale = sweep_.local_scale, radius = scale * b.radius[slot];
     const float grown = sweep_.slab_growth(side) * radius;
-    return {moving_centre(side, block, slot, at_start, at_end),
-            {sweep_.mean_of_turned(at_start, at_end, normal), scale * b.low[slot] - grown, scale * b.high[slot] + grown},
-            radius};
+    return {
+        moving_centre(side, block, slot, at_start, at_end),
+        {sweep_.mean_of_turned(at_start, at_end, normal), scale * b.low[slot] - grown, scale * b.high[slot] + grown},
+        radius};
   }
 
   const Bodies& bodies_;

@@ -24,8 +24,8 @@ union StagedRows {
   uint4 poses[kWarp][kPosesAtHand * kWordsOf<LocalPose> + 1];
 };
 
-// Stores consecutive rows of one structure each, neighbouring threads neighbouring words: stores of whole rows by single
-// threads take twice as long.
+// Stores consecutive rows of one structure each, neighbouring threads neighbouring words: stores of whole rows by
+// single threads take twice as long.
 template <int kWords, class T>
 __device__ void store_rows(const uint4 (&staged)[kWarp][kWords], int rows, T* target) {
   constexpr int kStored = kWords - 1;

@@ -50,7 +50,7 @@ struct CentrePath {
 
 struct alignas(16) RigidSweep : PairFrame {
   float inflation;  // distance to keep, chord deviation and rounding, local units
-  float growth[2];   // see `slab_growth`
+  float growth[2];  // see `slab_growth`
   int segment_count;
   int32_t unused[2] = {};  // explicit padding, so that no uninitialised bytes are copied
 
@@ -127,8 +127,8 @@ struct alignas(16) RigidSweep : PairFrame {
   }
 
   // Extra thickness of a slab along the mean of its normals n0 and n1 at both ends of a segment, in units of the node's
-  // radius. For rotations half of |n1 - n0|, since the mean differs from each by that; and |n1 - n0| is at most the angle
-  // of the segment, and at most 2. With straight vertex paths up to a horizon h, offsets at the end are blends of
+  // radius. For rotations half of |n1 - n0|, since the mean differs from each by that; and |n1 - n0| is at most the
+  // angle of the segment, and at most 2. With straight vertex paths up to a horizon h, offsets at the end are blends of
   // offsets under both rotations of the whole step, n1 = n0 + h (m - n0) is not the normal m of one, and the blend of
   // both excesses is |m - n0| (3/2 h - h^2) <= 3/2 h |m - n0|.
   PGCCD_HD float slab_growth(int side) const { return growth[side]; }

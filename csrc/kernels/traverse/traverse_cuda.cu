@@ -172,8 +172,8 @@ struct Traversal {
     check_cuda(cudaGetLastError(), "place_pairs");
   }
 
-  // Sweeps and poses of the pairs of which a contact was found, until its toi. The descent, which has ended, is the only
-  // one to read the first poses of pairs with several segments.
+  // Sweeps and poses of the pairs of which a contact was found, until its toi. The descent, which has ended, is the
+  // only one to read the first poses of pairs with several segments.
   void shorten(const unsigned long long* toi) {
     const Pairs<Bodies> pairs = pairs_;
     const TraverseInput input = input_;
