@@ -31,7 +31,7 @@ def sheet(squares: int = 24) -> pgccd.Mesh:
 
 
 def turning(rng: np.random.Generator, other: pgccd.Mesh, leans: tuple[float, float] = (0.2, 0.8)) -> Bodies:
-    """A sheet that turns over, about an axis at one of these angles to its normal, and a body at rest, at the origin."""
+    """A sheet that turns over, about an axis at such an angle to its normal, and a body at rest, both at the origin."""
     lean = rng.uniform(*leans)
     axis = np.array([np.sin(lean), 0.0, np.cos(lean)])
     spin = np.stack([rng.uniform(0.9, 0.999) * np.pi * axis, np.zeros(3)])
