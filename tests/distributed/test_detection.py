@@ -45,6 +45,7 @@ def share(
         comm=comm,
         report=report,
         min_separation=crowd.min_separation,
+        axes=3 if comm.neighbours_above else 1,  # slabs, which are not all neighbours
         cells=4,
         balance=BalanceOptions("none"),
         overlap=overlap,
@@ -58,9 +59,14 @@ def share(
     return world, ids
 
 
-def find(comm: Comm, name: str, device: torch.device = torch.device("cpu")) -> list[tuple[int, int]]:  # noqa: B008
+def find(
+    comm: Comm,
+    name: str,
+    device: torch.device = torch.device("cpu"),  # noqa: B008
+    neighbours_above: int = 32,
+) -> list[tuple[int, int]]:
     """Compares all reports with one process; returns the numbers of pairs and ghosts of this rank, per assignment."""
-    seen = []
+    comm.neighbours_above, seen = neighbours_above, []
     for index, report in enumerate(REPORTS):
         whole = by_one_process(name, report)
         for seed in (0, 1 + index) if comm.size > 1 else (0,):
@@ -104,6 +110,12 @@ def test_same_bits_as_one_process(world: World, name: str) -> None:
         assert max(contacts for contacts, _ in seen[0]) > 0, "nothing collides: nothing was tested"
     if name == "met in a third rank's cell" and len(seen) == 4:
         assert any(strangers for rank in seen for _, strangers in rank)
+
+
+@pytest.mark.parametrize("name", list(crowds()))
+def test_same_bits_with_neighbours_only(ranks: World, name: str) -> None:
+    """Bodies that reach further than to neighbours extend these."""
+    ranks.run(4, find, name, torch.device("cpu"), 0)
 
 
 def tumble(comm: Comm, policy: str) -> list[str]:

@@ -14,6 +14,7 @@ from pgccd.distributed import Cells, Comm
 from pgccd.distributed.comm.exchange import Columns, make_route, pack, replace_rows, unpack
 from pgccd.distributed.comm.torch_comm import TorchComm
 from pgccd.distributed.halo.migrate import Census, migrate
+from pgccd.distributed.partition.decomposition import Decomposition
 
 
 def columns_of(rank: int, count: int) -> Columns:
@@ -98,7 +99,7 @@ def hand_over(comm: Comm) -> int:
             "x": position[mine],
             "nothing": torch.empty(len(mine), 0),
         }
-        moved = migrate(comm, partition, columns, columns["x"])
+        moved = migrate(Decomposition(comm, partition), columns, columns["x"])
         found, arrived = moved.columns, moved.arrived
         owner = partition.owner_of(position)
         kept = torch.nonzero(owner == comm.rank)[:, 0]

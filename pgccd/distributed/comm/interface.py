@@ -6,7 +6,7 @@ All transfers of bodies and contacts use `Comm`. Only `torch_comm` and `mpi_comm
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import torch
@@ -14,7 +14,8 @@ from torch import Tensor
 
 from pgccd.distributed.guard import Guard, RankFailureError, is_of_all_ranks
 
-# Above this number of ranks, rows are exchanged point-to-point with neighbours; below, one collective call is faster.
+# Above this number of ranks, counts and rows are exchanged point-to-point with neighbours; up to it, one collective
+# call is faster.
 _NEIGHBOURS_ABOVE = 32
 
 
@@ -69,7 +70,7 @@ class Comm(ABC):
     size: int
     #: Finds the rank at fault when a message does not arrive.
     guard: Guard
-    #: Above this number of ranks, `exchange` sends point-to-point to neighbours.
+    #: Above this number of ranks, messages are sent point-to-point, bodies and their counts to neighbours only.
     neighbours_above = _NEIGHBOURS_ABOVE
 
     @property
@@ -78,9 +79,15 @@ class Comm(ABC):
         return self.transport == "nccl"
 
     @abstractmethod
-    def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
-        """Ragged all-to-all of rows (K, bytes) uint8: the first `sent[0]` go to rank 0, and so on; `received[r]` come
-        from r.
+    def exchange(
+        self, rows: Tensor, sent: list[int], received: list[int], peers: Sequence[int] | None = None
+    ) -> Pending:
+        """Ragged exchange of rows (K, bytes) uint8 between ranks: the first `sent[0]` go to `peers[0]`, and so on;
+        `received[i]` come from `peers[i]`.
+
+        Args:
+            peers: ascending; only the ranks with rows for each other exchange messages. Default: all ranks, up to
+                `neighbours_above` of them by one collective call.
         """
 
     @abstractmethod
@@ -96,8 +103,12 @@ class Comm(ABC):
         """The sum over the ranks of values (k,) int64 (modulo 2^64) or float64."""
 
     @abstractmethod
+    def min(self, values: Tensor) -> Tensor:
+        """The minimum over the ranks of each of the values (k,) int64."""
+
     def any(self, flag: bool) -> bool:
         """True if the flag is set on any rank."""
+        return bool(self.min(torch.tensor([-int(flag)])))
 
     @abstractmethod
     def gather_objects(self, value: Any) -> list[Any]:
@@ -106,6 +117,10 @@ class Comm(ABC):
     def broadcast_object(self, value: Any) -> Any:
         """Rank 0's small picklable value."""
         return self.gather_objects(value if self.rank == 0 else None)[0]
+
+    def _peers(self, peers: Sequence[int] | None) -> Sequence[int] | None:
+        """The ranks to send to point-to-point; None: one collective call with all ranks."""
+        return range(self.size) if peers is None and self.size > self.neighbours_above else peers
 
     def barrier(self) -> None:
         """Returns once every rank has called it."""
@@ -152,7 +167,9 @@ class Alone(Comm):
     def __init__(self) -> None:
         self.guard = Guard()
 
-    def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
+    def exchange(
+        self, rows: Tensor, sent: list[int], received: list[int], peers: Sequence[int] | None = None
+    ) -> Pending:
         return Pending(lambda: rows)
 
     def exchange_counts(self, counts: Tensor) -> Tensor:
@@ -164,8 +181,8 @@ class Alone(Comm):
     def sum(self, values: Tensor) -> Tensor:
         return values
 
-    def any(self, flag: bool) -> bool:
-        return flag
+    def min(self, values: Tensor) -> Tensor:
+        return values
 
     def gather_objects(self, value: Any) -> list[Any]:
         return [value]
@@ -178,6 +195,18 @@ class Alone(Comm):
         self.guard.close()
 
 
-def split_rows(rows: Tensor, counts: list[int]) -> list[Tensor]:
-    """Views of consecutive rows."""
-    return list(torch.split(rows, counts))
+def messages(
+    rows: Tensor, arriving: Tensor, sent: list[int], received: list[int], peers: Sequence[int], rank: int
+) -> tuple[list[tuple[int, Tensor]], list[tuple[int, Tensor]]]:
+    """The messages of an exchange as (other rank, view of its rows): those received, and those sent; rows for this rank
+    itself are copied.
+    """
+    lists: list[list[tuple[int, Tensor]]] = []
+    for tensor, counts in ((arriving, received), (rows, sent)):
+        parts = zip(peers, torch.split(tensor, counts), strict=True)
+        lists.append([(other, part) for other, part in parts if len(part)])
+    own = [part for parts in lists for other, part in parts if other == rank]
+    if own:
+        own[0].copy_(own[1])
+    incoming, outgoing = ([message for message in parts if message[0] != rank] for parts in lists)
+    return incoming, outgoing

@@ -12,8 +12,10 @@ from pgccd import arguments
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.partition.balance import (
     PAIR_COST,
+    BackOff,
     BalanceOptions,
     CellLoads,
+    RankLoads,
     imbalance,
     rank_loads,
     rebalance,
@@ -21,6 +23,7 @@ from pgccd.distributed.partition.balance import (
 )
 from pgccd.distributed.partition.bisection import Bisection
 from pgccd.distributed.partition.cells import Cells, check_cells
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition, Point, Triple
 
 #: Kinds of `make_partition`.
@@ -88,6 +91,41 @@ def choose_partition(
     if needs_cells or are_given:
         return "cells"
     return former if former in PARTITIONS else "bisection"
+
+
+class Balancer:
+    """Load balancing during a loop of steps: when to decide, and the decision. All ranks call every method.
+
+    Args:
+        options: policy and thresholds.
+    """
+
+    def __init__(self, options: BalanceOptions) -> None:
+        self.options, self._back_off = options, BackOff()
+
+    def is_due(self, steps_made: int, ranks: int) -> bool:
+        """Whether to decide after `steps_made` steps, unless the loads are level."""
+        return self.options.applies(steps_made, ranks) and self._back_off.is_over(steps_made)
+
+    def are_level(self, loads: RankLoads) -> bool:
+        """Whether no decision is needed for these loads."""
+        return loads.are_level(self.options)
+
+    def decide(
+        self, decomposition: Decomposition, places: Places, loads: RankLoads, steps_made: int
+    ) -> tuple[Decomposition, int]:
+        """The decomposition of the next step, and how many cells or planes moved; if 0, it is the same one.
+
+        Args:
+            decomposition: of the last step.
+            places: of this rank's work in it.
+            loads: of all ranks in it.
+            steps_made: number of steps made.
+        """
+        comm, seconds = decomposition.comm, torch.tensor(loads.seconds, dtype=torch.float64)
+        after = rebalanced(comm, decomposition.partition, places, self.options, seconds)
+        self._back_off.tried(steps_made, after.moved)
+        return (Decomposition(comm, after.partition) if after.moved else decomposition), after.moved
 
 
 def rebalanced(
