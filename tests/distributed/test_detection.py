@@ -8,6 +8,7 @@ from unittest import mock
 import pytest
 import torch
 from support.crowds import crowds
+from support.ranks import to_all
 
 import pgccd
 from distributed.conftest import World
@@ -90,9 +91,7 @@ def find(
             # The ranks together tested every pair exactly once.
             assert int(comm.sum(torch.tensor([len(world.found.pairs)]))) == whole.stats.pcs
             ids_tested = world.found.held.id[world.found.pairs]
-            everything = torch.cat(
-                [torch.tensor(rows).view(-1, 2) for rows in comm.gather_objects(ids_tested.tolist())]
-            )
+            everything = torch.cat([torch.tensor(rows).view(-1, 2) for rows in to_all(comm, ids_tested.tolist())])
             assert len(everything.unique(dim=0)) == whole.stats.pcs
             if report == "first":
                 first = pgccd.sim.first_collisions(whole.pairs, whole.toi, len(ids))

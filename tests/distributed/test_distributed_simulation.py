@@ -18,8 +18,8 @@ from pgccd.detection.capacity import Capacity
 from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm
 from pgccd.distributed.detection import padded_share
 from pgccd.distributed.halo import capacity as halo_capacity
+from pgccd.distributed.partition.cut import make_partition
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.distributed.partition.rebalancing import make_partition
 from pgccd.sim.distributed import DistributedSimulation, RankStep, starting_share
 from pgccd.sim.distributed import simulation as simulation_module
 from pgccd.sim.distributed.gathering import gather_sample

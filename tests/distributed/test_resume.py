@@ -20,7 +20,7 @@ from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm, Partition
 from pgccd.distributed.checkpoint import shared_folder
 from pgccd.distributed.checkpoint.partition import load_partition
 from pgccd.distributed.checkpoint.shared_folder import sees_mark
-from pgccd.distributed.partition.rebalancing import PARTITIONS, make_partition
+from pgccd.distributed.partition.cut import PARTITIONS, make_partition
 from pgccd.sim.checkpoint import require_checkpoint
 from pgccd.sim.distributed import DistributedOptions, DistributedSimulation, resume, run, runner
 from pgccd.sim.distributed.runner import load_robots

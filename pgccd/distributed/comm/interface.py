@@ -43,9 +43,9 @@ class Pending:
             return self._wait()
 
 
-class Background:
-    """Exchange of small picklable values from a separate thread, concurrent with other messages. This class is for one
-    rank; every method must be called by all ranks, in the same order.
+class Objects:
+    """Exchange of small picklable values with rank 0. This class is for one rank; every method must be called by all
+    ranks, in the same order.
     """
 
     def gather(self, value: Any) -> list[Any]:
@@ -110,13 +110,25 @@ class Comm(ABC):
         """True if the flag is set on any rank."""
         return bool(self.min(torch.tensor([-int(flag)])))
 
+    @property
     @abstractmethod
+    def objects(self) -> Objects:
+        """The exchange of picklable values."""
+
+    @property
+    @abstractmethod
+    def background(self) -> Objects:
+        """The same, from a separate thread, concurrent with other messages; created by a call on all ranks."""
+
     def gather_objects(self, value: Any) -> list[Any]:
-        """A small picklable value of every rank, ordered by rank."""
+        """A small picklable value of every rank on rank 0, ordered by rank; an empty list on the others."""
+        with self.guard.waiting("gather of objects"):
+            return self.objects.gather(value)
 
     def broadcast_object(self, value: Any) -> Any:
         """Rank 0's small picklable value."""
-        return self.gather_objects(value if self.rank == 0 else None)[0]
+        with self.guard.waiting("broadcast of an object"):
+            return self.objects.broadcast(value)
 
     def _peers(self, peers: Sequence[int] | None) -> Sequence[int] | None:
         """The ranks to send to point-to-point; None: one collective call with all ranks."""
@@ -125,11 +137,6 @@ class Comm(ABC):
     def barrier(self) -> None:
         """Returns once every rank has called it."""
         self.any(False)
-
-    @property
-    @abstractmethod
-    def background(self) -> Background:
-        """The background exchange; created by a call on all ranks."""
 
     def close_before(self, graph: Closeable) -> None:
         """Closes a graph with messages before the connection, if it still exists then: NCCL's shutdown blocks while
@@ -184,12 +191,11 @@ class Alone(Comm):
     def min(self, values: Tensor) -> Tensor:
         return values
 
-    def gather_objects(self, value: Any) -> list[Any]:
-        return [value]
-
     @property
-    def background(self) -> Background:
-        return Background()
+    def objects(self) -> Objects:
+        return Objects()
+
+    background = objects
 
     def close(self) -> None:
         self.guard.close()

@@ -12,8 +12,8 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from pgccd.distributed.comm.interface import Background, Comm, Pending, messages
-from pgccd.distributed.comm.torch_comm import GlooBackground
+from pgccd.distributed.comm.interface import Comm, Objects, Pending, messages
+from pgccd.distributed.comm.torch_comm import GroupObjects
 from pgccd.distributed.guard import Guard
 
 # Environment variables that make MPI libraries read GPU memory, or declare that they do.
@@ -24,6 +24,19 @@ _CUDA_SWITCHES = {
     "MV2_USE_CUDA": "1",  # MVAPICH
     "PGCCD_MPI_CUDA": "1",  # any other
 }
+
+
+class MpiObjects(Objects):
+    """Exchange of picklable values over an MPI communicator."""
+
+    def __init__(self, world: Any) -> None:
+        self._world = world
+
+    def gather(self, value: Any) -> list[Any]:
+        return self._world.gather(value) or []
+
+    def broadcast(self, value: Any) -> Any:
+        return self._world.bcast(value)
 
 
 class MpiComm(Comm):
@@ -130,15 +143,15 @@ class MpiComm(Comm):
     def min(self, values: Tensor) -> Tensor:
         return self._reduce(values, self._mpi.MIN, "agreement")
 
-    def gather_objects(self, value: Any) -> list[Any]:
-        with self.guard.waiting("gather of objects"):
-            return self._world.allgather(value)
+    @property
+    def objects(self) -> Objects:
+        return MpiObjects(self._world)
 
     @functools.cached_property
-    def background(self) -> Background:
+    def background(self) -> Objects:
         if self.control is None:
             raise RuntimeError("control: checkpoints need a torch.distributed group beside MPI")
-        return GlooBackground(dist.new_group(backend="gloo"))
+        return GroupObjects(dist.new_group(backend="gloo"))
 
     def close(self) -> None:
         self.guard.close()

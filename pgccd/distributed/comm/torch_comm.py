@@ -11,12 +11,12 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from pgccd.distributed.comm.interface import Background, Closeable, Comm, Pending, messages
+from pgccd.distributed.comm.interface import Closeable, Comm, Objects, Pending, messages
 from pgccd.distributed.guard import Guard
 
 
-class GlooBackground(Background):
-    """Background exchange over a separate Gloo group."""
+class GroupObjects(Objects):
+    """Exchange of picklable values over a process group."""
 
     def __init__(self, group: dist.ProcessGroup) -> None:
         self._group = group
@@ -58,7 +58,7 @@ class TorchComm(Comm):
             raise RuntimeError("group: torch.distributed is not initialised; see pgccd.distributed.connect")
         self._group: Any = dist.group.WORLD if group is None else group
         #: For checkpoints and objects.
-        self.control = self._group if control is None else control
+        self.control: Any = self._group if control is None else control
         self.transport = dist.get_backend(self._group)
         self.rank = dist.get_rank(self._group)
         self.size = dist.get_world_size(self._group)
@@ -144,16 +144,14 @@ class TorchComm(Comm):
     def min(self, values: Tensor) -> Tensor:
         return self._reduce(values, dist.ReduceOp.MIN, "agreement")
 
-    def gather_objects(self, value: Any) -> list[Any]:
-        values: list[Any] = [None] * self.size
-        with self.guard.waiting("gather of objects"):
-            dist.all_gather_object(values, value, group=self.control)
-        return values
+    @property
+    def objects(self) -> Objects:
+        return GroupObjects(self.control)
 
     @functools.cached_property
-    def background(self) -> Background:
+    def background(self) -> Objects:
         ranks = dist.get_process_group_ranks(self._group)
-        return GlooBackground(dist.new_group(ranks, backend="gloo", use_local_synchronization=True))
+        return GroupObjects(dist.new_group(ranks, backend="gloo", use_local_synchronization=True))
 
     def close_before(self, graph: Closeable) -> None:
         self._graphs.add(graph)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pgccd import arguments
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.partition.balance import (
     PAIR_COST,
@@ -22,16 +21,9 @@ from pgccd.distributed.partition.balance import (
     relative_speeds,
 )
 from pgccd.distributed.partition.bisection import Bisection
-from pgccd.distributed.partition.cells import Cells, check_cells
+from pgccd.distributed.partition.cells import Cells
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.distributed.partition.interface import Partition, Point, Triple
-
-#: Kinds of `make_partition`.
-PARTITIONS = ("cells", "bisection")
-#: Values of the option `partition`.
-PARTITION_CHOICES = ("auto", *PARTITIONS)
-#: Default arguments of `Cells.uniform` in a world.
-DEFAULT_AXES, DEFAULT_CELLS = 3, 16
+from pgccd.distributed.partition.interface import Partition
 
 
 class Places(NamedTuple):
@@ -48,49 +40,6 @@ class Rebalanced:
 
     partition: Partition
     moved: int  #: number of cells or planes that changed; 0: the partition is unchanged
-
-
-def make_partition(
-    kind: str, lower: Point, upper: Point, ranks: int, axes: int, cells: int | Triple, device: torch.device
-) -> Partition:
-    """The initial partition of a world. `axes` and `cells` are those of `Cells.uniform`.
-
-    Raises:
-        ValueError: naming the argument.
-    """
-    arguments.choice(kind, "partition", PARTITIONS)
-    check_cells(axes, cells)
-    if kind == "bisection":
-        return Bisection.uniform(lower, upper, ranks, device)
-    return Cells.uniform(lower, upper, ranks, axes=axes, cells=cells, device=device)
-
-
-def choose_partition(
-    partition: str, axes: int, cells: int | Triple, options: BalanceOptions, former: str | None = None
-) -> str:
-    """The kind of partition for the options of a world: for "auto" that of the world's checkpoint, or bisection, unless
-    other options ask for cells.
-
-    Args:
-        partition, axes, cells: options of the world.
-        options: its policy.
-        former: the kind in the checkpoint from which the world continues, if any.
-
-    Raises:
-        ValueError: naming the option.
-    """
-    arguments.choice(partition, "partition", PARTITION_CHOICES)
-    needs_cells = options.policy == "one-cell"
-    if partition == "bisection" and needs_cells:
-        raise ValueError('balance: "one-cell" moves cells; with partition "bisection" there are none')
-    if partition != "auto":
-        return partition
-    are_given = not (
-        isinstance(axes, int) and axes == DEFAULT_AXES and isinstance(cells, int) and cells == DEFAULT_CELLS
-    )
-    if needs_cells or are_given:
-        return "cells"
-    return former if former in PARTITIONS else "bisection"
 
 
 class Balancer:

@@ -25,12 +25,13 @@ from pgccd.distributed.halo.migrate import Census, migrate
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import together
 from pgccd.distributed.partition.balance import PAIR_COST, BalanceOptions, RankLoads
+from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition, Point, Triple
-from pgccd.distributed.partition.rebalancing import DEFAULT_AXES, DEFAULT_CELLS, Balancer
+from pgccd.distributed.partition.rebalancing import Balancer
 from pgccd.distributed.world.checkpoint import load_state, save_state
 from pgccd.distributed.world.columns import OF_SCENES, motion_of, moving_columns, new_values, require_rows, scene_of
-from pgccd.distributed.world.state import Cut, WorldState, require_alike, state_given
+from pgccd.distributed.world.state import WorldState, require_alike, state_given
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion

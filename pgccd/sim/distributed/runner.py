@@ -17,13 +17,8 @@ from pgccd.distributed.checkpoint.writing import CheckpointWriter
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
+from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
 from pgccd.distributed.partition.interface import Partition, Triple
-from pgccd.distributed.partition.rebalancing import (
-    DEFAULT_AXES,
-    DEFAULT_CELLS,
-    choose_partition,
-    make_partition,
-)
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
 from pgccd.sim.checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
@@ -162,10 +157,9 @@ def _compare(
 
 
 def _partition(comm: Comm, model: Model, options: DistributedOptions, former: str | None = None) -> Partition:
-    kind = choose_partition(options.partition, options.axes, options.cells, options.balance, former)
     x, y, z = model.half_extent
-    cut = (-x, -y, -z), (x, y, z), comm.size, options.axes, options.cells, model.device
-    return make_partition(kind, *cut)
+    cut = Cut(options.partition, (-x, -y, -z), (x, y, z), options.axes, options.cells)
+    return cut.uniform(comm.size, model.device, options.balance, former)
 
 
 class _SimulationMachine:
