@@ -1,4 +1,6 @@
-"""Exchange of rows of columns between ranks: packed into bytes, one message per rank."""
+"""Exchange of rows of columns between ranks: packed into bytes, so that one message per rank carries all columns of any
+dtypes. torch.distributed and MPI send one tensor per message.
+"""
 
 from __future__ import annotations
 
@@ -25,22 +27,6 @@ def unpack(packed: Tensor, like: Mapping[str, Tensor]) -> Columns:
     return dict(zip(like, ops.unpack_rows(packed, list(like.values())), strict=True))
 
 
-class Arrival:
-    """Rows in transit."""
-
-    def __init__(self, pending: Pending, like: Mapping[str, Tensor]) -> None:
-        self._pending = pending
-        self._like = like
-
-    def wait(self) -> Columns:
-        """The received rows, ordered by source rank, then as sent."""
-        return unpack(self.wait_packed(), self._like)
-
-    def wait_packed(self) -> Tensor:
-        """The received rows as packed by `pack`: (R, bytes) uint8."""
-        return self._pending.wait()
-
-
 @dataclass(frozen=True)
 class Route:
     """The rows sent to each rank, agreed once and used for any number of exchanges."""
@@ -58,14 +44,20 @@ class Route:
         ranks = torch.arange(len(self.received), device=device)
         return torch.repeat_interleave(ranks, counts, output_size=sum(self.received))
 
-    def forward(self, columns: Mapping[str, Tensor]) -> Arrival:
-        """Sends `rows` of the columns."""
-        return Arrival(self.neighbours.exchange(pack(columns, self.rows), self.sent, self.received), columns)
+    def send(self, columns: Mapping[str, Tensor]) -> Pending[Tensor]:
+        """Sends `rows` of the columns. The received rows are packed as by `pack`, ordered by source, then as sent."""
+        return self.neighbours.exchange(pack(columns, self.rows), self.sent, self.received)
 
-    def back(self, columns: Mapping[str, Tensor]) -> Arrival:
+    def forward(self, columns: Mapping[str, Tensor]) -> Pending[Columns]:
+        """Sends `rows` of the columns. The received rows are ordered by source, then as sent."""
+        packed = self.send(columns)
+        return Pending(lambda: unpack(packed.wait(), columns))
+
+    def back(self, columns: Mapping[str, Tensor]) -> Pending[Columns]:
         """Sends one row back for each received row; they arrive in the order of `rows`."""
         everything = torch.arange(sum(self.received), device=self.rows.device)
-        return Arrival(self.neighbours.exchange(pack(columns, everything), self.received, self.sent), columns)
+        packed = self.neighbours.exchange(pack(columns, everything), self.received, self.sent)
+        return Pending(lambda: unpack(packed.wait(), columns))
 
 
 def make_route(among: Comm | Neighbourhood, rows: Tensor, destination: Tensor) -> Route:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import torch
 from torch import Tensor
@@ -18,25 +18,27 @@ from pgccd.distributed.guard import Guard, RankFailureError, is_of_all_ranks
 # call is faster.
 _NEIGHBOURS_ABOVE = 32
 
+T = TypeVar("T")
+
 
 class Closeable(Protocol):
     def close(self) -> None: ...
 
 
-class Pending:
+class Pending(Generic[T]):
     """A pending message. Its send buffer is kept alive until `wait`.
 
     Args:
-        wait: returns the received rows.
+        wait: returns what was received.
         guard: notified while the rank waits for others; None if it never does.
     """
 
-    def __init__(self, wait: Callable[[], Tensor], guard: Guard | None = None) -> None:
+    def __init__(self, wait: Callable[[], T], guard: Guard | None = None) -> None:
         self._wait = wait
         self._guard = guard
 
-    def wait(self) -> Tensor:
-        """The received rows, on the device of those sent."""
+    def wait(self) -> T:
+        """What was received, on the device of what was sent."""
         if self._guard is None:
             return self._wait()
         with self._guard.waiting("exchange"):
@@ -81,7 +83,7 @@ class Comm(ABC):
     @abstractmethod
     def exchange(
         self, rows: Tensor, sent: list[int], received: list[int], peers: Sequence[int] | None = None
-    ) -> Pending:
+    ) -> Pending[Tensor]:
         """Ragged exchange of rows (K, bytes) uint8 between ranks: the first `sent[0]` go to `peers[0]`, and so on;
         `received[i]` come from `peers[i]`.
 
@@ -90,9 +92,11 @@ class Comm(ABC):
                 `neighbours_above` of them by one collective call.
         """
 
-    @abstractmethod
-    def exchange_counts(self, counts: Tensor) -> Tensor:
-        """counts (size, ...) int64, one row per rank -> the row for this rank of every rank."""
+    def exchange_counts(self, counts: Tensor, peers: Sequence[int] | None = None) -> Tensor:
+        """counts (peers, ...) int64, one row per peer -> the row for this rank of each; `peers` as for `exchange`."""
+        once = [1] * len(counts)
+        packed = counts.reshape(len(counts), -1).contiguous().view(torch.uint8)
+        return self.exchange(packed, once, once, peers).wait().view(counts.dtype).view_as(counts)
 
     @abstractmethod
     def all_gather(self, values: Tensor) -> Tensor:
@@ -176,11 +180,8 @@ class Alone(Comm):
 
     def exchange(
         self, rows: Tensor, sent: list[int], received: list[int], peers: Sequence[int] | None = None
-    ) -> Pending:
+    ) -> Pending[Tensor]:
         return Pending(lambda: rows)
-
-    def exchange_counts(self, counts: Tensor) -> Tensor:
-        return counts
 
     def all_gather(self, values: Tensor) -> Tensor:
         return values[None]

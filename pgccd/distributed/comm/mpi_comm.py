@@ -89,7 +89,7 @@ class MpiComm(Comm):
 
     def exchange(
         self, rows: Tensor, sent: list[int], received: list[int], peers: Sequence[int] | None = None
-    ) -> Pending:
+    ) -> Pending[Tensor]:
         device, rows = rows.device, self._stage(rows.contiguous())
         arriving = rows.new_empty((sum(received), rows.shape[1]))
         peers = self._peers(peers)
@@ -116,13 +116,6 @@ class MpiComm(Comm):
             return [self._buffer(tensor), (bytes_each, begins), self._mpi.BYTE]
 
         return self._world.Ialltoallv(message(rows, sent), message(arriving, received))
-
-    def exchange_counts(self, counts: Tensor) -> Tensor:
-        staged = counts.cpu()
-        arriving = torch.empty_like(staged)
-        with self.guard.waiting("exchange of counts"):
-            self._world.Alltoall(staged.numpy(), arriving.numpy())
-        return arriving.to(counts.device)
 
     def all_gather(self, values: Tensor) -> Tensor:
         staged = values.cpu().contiguous()

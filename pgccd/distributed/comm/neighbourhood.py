@@ -65,7 +65,7 @@ class Neighbourhood:
         renumbered[..., [new for _, new in kept]] = values[..., [old for old, _ in kept]]
         return renumbered
 
-    def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
+    def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending[Tensor]:
         """Exchange of rows as `Comm.exchange`, with one count per destination."""
         if self._ranks is None:
             return self.comm.exchange(rows, sent, received)
@@ -75,6 +75,5 @@ class Neighbourhood:
         """counts (size,) int64, one per destination -> the count for this rank of each."""
         if self._ranks is None:
             return self.comm.exchange_counts(counts)
-        once = [1] * len(self._ranks)
-        arrived = self.comm.exchange(counts[:-1, None].contiguous().view(torch.uint8), once, once, self._ranks).wait()
-        return torch.cat([arrived.view(torch.int64)[:, 0], torch.zeros_like(counts[-1:])])
+        arrived = self.comm.exchange_counts(counts[:-1], self._ranks)
+        return torch.cat([arrived, torch.zeros_like(counts[-1:])])

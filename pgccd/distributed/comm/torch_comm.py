@@ -7,7 +7,6 @@ import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import torch
 import torch.distributed as dist
 from torch import Tensor
 
@@ -74,7 +73,7 @@ class TorchComm(Comm):
 
     def exchange(
         self, rows: Tensor, sent: list[int], received: list[int], peers: Sequence[int] | None = None
-    ) -> Pending:
+    ) -> Pending[Tensor]:
         device, rows = rows.device, self._stage(rows).contiguous()
         arriving = rows.new_empty((sum(received), rows.shape[1]))
         # NCCL sends on the current stream, which is faster than on a separate one.
@@ -114,13 +113,6 @@ class TorchComm(Comm):
             for other, part in parts
         ]
         return dist.batch_isend_irecv(started) if started else []
-
-    def exchange_counts(self, counts: Tensor) -> Tensor:
-        staged = self._stage(counts)
-        arriving = torch.empty_like(staged)
-        with self.guard.waiting("exchange of counts"):
-            dist.all_to_all_single(arriving, staged, group=self._group)
-            return arriving.to(counts.device)
 
     def all_gather(self, values: Tensor) -> Tensor:
         staged = self._stage(values)

@@ -104,8 +104,7 @@ def search_padded_share(
 
     side = SideStream(device, options.overlap)
     with side:
-        halo = PaddedHalo(decomposition, capacity.halo, own)
-        halo.find_ranks(centres, kept, boundary, count)
+        halo = PaddedHalo(decomposition, capacity.halo, own, centres, kept, boundary, count)
         halo.send()
     own_part = find_part(bodies, *asked, owned_by_own, discard, estimate=estimates.own, slack=slack)
     own_part.begin()

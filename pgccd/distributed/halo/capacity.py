@@ -69,33 +69,34 @@ class Sent:
 
 
 class PaddedHalo:
-    """Exchange of ghosts in messages of fixed size: `find_ranks`, then `send`. Does not synchronise if messages are
-    sent on the stream. `announce` also sends the counts, with which `wait` removes the padding; `padded` keeps it.
+    """Exchange of ghosts in messages of fixed size. Does not synchronise if messages are sent on the stream. `announce`
+    also sends the counts, with which `wait` removes the padding; `padded` keeps it.
 
     Args:
         decomposition: of space.
         capacity: padded counts of bodies.
         own: columns of this rank's own bodies.
+        centres, kept: of own bodies, and min_separation and tolerance, as for `find_replicas`.
+        boundary: (N,) int64: rows of own bodies that other ranks need, then -1.
+        count: (1,) int64 on the device: their number.
     """
 
-    def __init__(self, decomposition: Decomposition, capacity: HaloCapacity, own: Columns) -> None:
-        self._decomposition, self._neighbours = decomposition, decomposition.neighbours
+    def __init__(
+        self,
+        decomposition: Decomposition,
+        capacity: HaloCapacity,
+        own: Columns,
+        centres: Centres,
+        kept: tuple[float, float],
+        boundary: Tensor,
+        count: Tensor,
+    ) -> None:
+        self._comm, self._neighbours = decomposition.comm, decomposition.neighbours
         self._capacity, self._own = capacity, own
-
-    def find_ranks(self, centres: Centres, kept: tuple[float, float], boundary: Tensor, count: Tensor) -> None:
-        """Finds the ranks that need each own body.
-
-        Args:
-            centres, kept: of own bodies, and min_separation and tolerance, as for `find_replicas`.
-            boundary: (N,) int64: rows of own bodies that other ranks need, then -1.
-            count: (1,) int64 on the device: their number.
-        """
-        capacity = self._capacity
         self._boundary = boundary[: capacity.boundary]
-        replicas = find_replicas(self._decomposition, centres, kept, self._boundary)
-        self._rows = replicas.rows_by_rank(self._boundary, capacity.sent)
-        self._numbers = ops.counts_to_send(replicas.counts, capacity.sent, count, capacity.boundary)
-        self._replicas = replicas
+        self._replicas = find_replicas(decomposition, centres, kept, self._boundary)
+        self._rows = self._replicas.rows_by_rank(self._boundary, capacity.sent)
+        self._numbers = ops.counts_to_send(self._replicas.counts, capacity.sent, count, capacity.boundary)
 
     @property
     def overflow(self) -> Tensor:
@@ -105,7 +106,7 @@ class PaddedHalo:
     def announce(self) -> None:
         """Sends each neighbour its number of bodies, and all ranks whether a capacity was exceeded."""
         sent = self._numbers[:, 0].contiguous()
-        overflows = self._decomposition.comm.sum(self.overflow)
+        overflows = self._comm.sum(self.overflow)
         self._messages = HostCopy.start(torch.cat([sent, self._neighbours.exchange_counts(sent), overflows]))
 
     def send(self) -> None:

@@ -17,7 +17,8 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.distributed.comm.exchange import Arrival, Route
+from pgccd.distributed.comm.exchange import Columns, Route
+from pgccd.distributed.comm.interface import Pending
 from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo
 from pgccd.distributed.halo.centres import centres_of
 from pgccd.distributed.halo.held import Held
@@ -51,7 +52,7 @@ class Halo:
         self.reach = none_of_them.to(torch.uint8)
         #: (B,) int64: rows of these bodies.
         self._boundary = none_of_them
-        self._arrival: Arrival | None = None
+        self._arrival: Pending[Columns] | None = None
         self._padded: PaddedHalo | None = None
 
     def find_boundary(self) -> None:
@@ -78,8 +79,8 @@ class Halo:
 
     def send_padded(self, capacity: HaloCapacity) -> None:
         """Sends ghosts without synchronising. If the capacity of a rank is exceeded, `wait` sends them again."""
-        self._padded = PaddedHalo(self._decomposition, capacity, self._own)
-        self._padded.find_ranks(*self._where, self._boundary, self._count)
+        bodies = self._own, *self._where, self._boundary, self._count
+        self._padded = PaddedHalo(self._decomposition, capacity, *bodies)
         self._padded.announce()
         self._padded.send()
 

@@ -18,20 +18,18 @@ from pgccd.runtime.hashing import row_hash
 _BLOCK = 1 << 22
 
 
-class Leaving:
-    """The bodies that leave this rank, found on the device.
+def leaving_bodies(
+    decomposition: Decomposition, position: Tensor, id: Tensor | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The bodies that leave this rank, found on the device: their rows, padded to (N,): ascending; and by neighbour,
+    then ascending; and the number that leave for each neighbour (neighbours.size,) int64.
 
     Args:
         decomposition: of space.
         position: (N, 3) of the bodies' origins.
         id: (N,) int64, negative for padding; None: there is no padding.
     """
-
-    def __init__(self, decomposition: Decomposition, position: Tensor, id: Tensor | None = None) -> None:
-        subdomain, size = decomposition.subdomain, decomposition.neighbours.size
-        #: rows (N,): ascending, then padding; by_destination (N,): by neighbour, then ascending; counts (neighbours,)
-        #: int64: number of bodies that leave for each neighbour.
-        self.rows, self.by_destination, self.counts = ops.leaving_bodies(position, id, subdomain, size)
+    return ops.leaving_bodies(position, id, decomposition.subdomain, decomposition.neighbours.size)
 
 
 def migrate(
@@ -53,14 +51,14 @@ def migrate(
     """
     if decomposition.comm.size == 1:
         return Moved(columns, 0, vertices)
-    leaving, neighbours = Leaving(decomposition, position), decomposition.neighbours
-    if decomposition.is_beyond(leaving.counts):
+    rows, by_destination, counts = leaving_bodies(decomposition, position)
+    if decomposition.is_beyond(counts):
         return migrate(decomposition.of_all_ranks(), columns, position, vertices)
-    sent, received = torch.stack([leaving.counts, neighbours.exchange_counts(leaving.counts)]).tolist()
-    rows = leaving.rows[: sum(sent)]
-    route = Route(neighbours, leaving.by_destination[: sum(sent)], sent, received)
+    neighbours = decomposition.neighbours
+    sent, received = torch.stack([counts, neighbours.exchange_counts(counts)]).tolist()
+    rows, route = rows[: sum(sent)], Route(neighbours, by_destination[: sum(sent)], sent, received)
     id_first = {"id": columns["id"], **columns}  # rows are merged by the first column
-    packed = route.forward(id_first).wait_packed()
+    packed = route.send(id_first).wait()
     changed = replace_rows(id_first, rows, packed)
     if vertices is not None:
         arrived = unpack(packed, id_first)

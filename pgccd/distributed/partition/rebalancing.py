@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -32,14 +31,6 @@ class Places(NamedTuple):
     bodies: Tensor  #: (N, 3): positions of bodies
     pairs: Tensor  #: (P, 3): for each pair tested, the lower corner of the intersection of the two swept boxes
     contacts: Tensor  #: (K, 3): the same for colliding pairs
-
-
-@dataclass(frozen=True)
-class Rebalanced:
-    """Result of a decision; the same on all ranks."""
-
-    partition: Partition
-    moved: int  #: number of cells or planes that changed; 0: the partition is unchanged
 
 
 class Balancer:
@@ -72,15 +63,16 @@ class Balancer:
             steps_made: number of steps made.
         """
         comm, seconds = decomposition.comm, torch.tensor(loads.seconds, dtype=torch.float64)
-        after = rebalanced(comm, decomposition.partition, places, self.options, seconds)
-        self._back_off.tried(steps_made, after.moved)
-        return (Decomposition(comm, after.partition) if after.moved else decomposition), after.moved
+        partition, moved = rebalanced(comm, decomposition.partition, places, self.options, seconds)
+        self._back_off.tried(steps_made, moved)
+        return (Decomposition(comm, partition) if moved else decomposition), moved
 
 
 def rebalanced(
     comm: Comm, partition: Partition, places: Places, options: BalanceOptions, seconds: Tensor
-) -> Rebalanced:
-    """The partition of the next step. All ranks call it.
+) -> tuple[Partition, int]:
+    """The partition of the next step, and the number of cells or planes that changed; 0: it is the same partition. All
+    ranks call it.
 
     Args:
         comm: between the ranks.
@@ -90,10 +82,9 @@ def rebalanced(
         seconds: (ranks,) float64 of work of each rank; for "measured".
     """
     if isinstance(partition, Cells):
-        total = CellLoads.unstacked(comm.sum(cell_loads(partition, places).stacked()))
+        total = CellLoads(*comm.sum(torch.stack(list(vars(cell_loads(partition, places)).values()))))
         after = rebalance(partition, total, options, seconds)
-        moved = int((after.owner != partition.owner).sum())
-        return Rebalanced(after, moved)
+        return after, int((after.owner != partition.owner).sum())
     assert isinstance(partition, Bisection)
     return _bisected(comm, partition, places, options, seconds)
 
@@ -104,7 +95,9 @@ def cell_loads(partition: Cells, places: Places) -> CellLoads:
     return CellLoads(*counts)
 
 
-def _bisected(comm: Comm, partition: Bisection, places: Places, options: BalanceOptions, seconds: Tensor) -> Rebalanced:
+def _bisected(
+    comm: Comm, partition: Bisection, places: Places, options: BalanceOptions, seconds: Tensor
+) -> tuple[Partition, int]:
     """New planes, if their gain over the horizon exceeds the cost of moving bodies."""
     points = torch.cat([places.bodies, places.pairs])
     weights = torch.full((len(points),), PAIR_COST, dtype=torch.int64, device=points.device)
@@ -118,8 +111,8 @@ def _bisected(comm: Comm, partition: Bisection, places: Places, options: Balance
     moving = comm.sum((after.owner_of(places.bodies) != comm.rank).sum().reshape(1))
     gain = (float((before.cpu() / shares).max()) - float(loads.max())) * options.horizon
     if gain <= options.moving * float(moving) / comm.size or imbalance(loads) >= imbalance(before.cpu() / shares):
-        return Rebalanced(partition, 0)
-    return Rebalanced(after, int((after.planes != partition.planes).any(dim=1).sum()))
+        return partition, 0
+    return after, int((after.planes != partition.planes).any(dim=1).sum())
 
 
 def _loads(comm: Comm, partition: Partition, points: Tensor, weights: Tensor) -> Tensor:

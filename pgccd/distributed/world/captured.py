@@ -22,7 +22,7 @@ from pgccd.distributed.detection.padded_share import (
     rows_with_slack,
     search_padded_share,
 )
-from pgccd.distributed.halo.migrate import Leaving
+from pgccd.distributed.halo.migrate import leaving_bodies
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.distributed.world.world import World
 from pgccd.motion.paths import RigidMotion
@@ -236,7 +236,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
             part.begin()
         new = _with_position(self._response(bodies, motion, _first_toi(share)))
         is_body = id >= 0
-        leaving = Leaving(self.decomposition, new["position"], id).counts.sum()[None]
+        leaving = leaving_bodies(self.decomposition, new["position"], id)[2].sum()[None]
         is_finite = (torch.isfinite(new["position"]).all(dim=1) | ~is_body).all()
         counts = torch.stack([part.counts() for part in share.parts])
         failed = self._failed + share.failed + motion.first_faults()[-1:] + (~is_finite).to(torch.int64)

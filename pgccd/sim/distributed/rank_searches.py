@@ -10,7 +10,7 @@ from torch import Tensor
 from pgccd.detection.parts import pairs_of_step
 from pgccd.distributed.detection.padded_share import ShareCapacity, search_padded_share
 from pgccd.distributed.detection.share import Build, Options, PartEstimates
-from pgccd.distributed.halo.migrate import Leaving
+from pgccd.distributed.halo.migrate import leaving_bodies
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.sim.captured import Searches, clear_rows
@@ -51,7 +51,7 @@ class RankSearches:
     def conclude(self, searches: Searches, after: RobotState) -> Tensor:
         """(4,) int64 as in `Reports`: robots held, arrived, whether to stop, and number in cells of other ranks."""
         held = (searches.id >= 0).sum()[None]
-        leaving = Leaving(self.decomposition, after.position, after.id).counts.sum()[None]
+        leaving = leaving_bodies(self.decomposition, after.position, after.id)[2].sum()[None]
         concluded = torch.cat([held, self.notes, leaving])
         self.notes[:1].zero_()
         return concluded
