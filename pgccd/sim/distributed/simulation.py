@@ -200,8 +200,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         resolved = resolve_collisions(*held, self._plan, conclude, clock, exchange)
         reports = Reports.of(resolved.work, resolved.conclusions)
         resolved.learn()  # so that reading the contacts does not synchronise
-        with clock.stage("balance"):
-            moved_cells = self._balance(index, share, planned, reports)
+        moved_cells = self._balance(index, share, planned, reports, clock)
         with clock.stage("migrate"):
             self._migrate(after)
         clock.stop()
@@ -233,15 +232,16 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         pose = (columns["position"], columns["orientation"], columns["velocity"], columns["angular_velocity"])
         return self.model.scene(columns["id"]), RigidMotion.from_velocity(*pose, dt=1.0)
 
-    def _balance(self, index: int, share: Share, planned: RobotState, reports: Reports) -> int:
+    def _balance(self, index: int, share: Share, planned: RobotState, reports: Reports, clock: StageClock) -> int:
         """Rebalances space. Returns the number of cells or planes that moved."""
         if not self._is_balance_due(index, reports):
             return 0
-        found = Detection(share, contacts_of_step(share.parts))
-        given = found.places(planned.position), reports.loads, index + 1
-        self._decomposition, moved = self._balancer.decide(self._decomposition, *given)
-        self._capacity = None if moved else self._capacity
-        return moved
+        with clock.stage("balance"):
+            found = Detection(share, contacts_of_step(share.parts))
+            given = found.places(planned.position), reports.loads, index + 1
+            self._decomposition, moved = self._balancer.decide(self._decomposition, *given)
+            self._capacity = None if moved else self._capacity
+            return moved
 
     def _is_balance_due(self, index: int, reports: Reports) -> bool:
         return self._balancer.is_due(index + 1, self.comm.size) and not self._balancer.are_level(reports.loads)
