@@ -71,8 +71,7 @@ def make_route(among: Comm | Neighbourhood, rows: Tensor, destination: Tensor) -
     order = torch.argsort(destination, stable=True)
     # Not bincount, which synchronises to read the largest value.
     counts = destination.new_zeros(neighbours.size).scatter_add_(0, destination, torch.ones_like(destination))
-    sent, received = torch.stack([counts, neighbours.exchange_counts(counts)]).tolist()
-    return Route(neighbours, rows[order], sent, received)
+    return Route(neighbours, rows[order], *neighbours.agree(counts))
 
 
 def replace_rows(columns: Mapping[str, Tensor], removed: Tensor, added: Tensor) -> Columns:

@@ -77,3 +77,8 @@ class Neighbourhood:
             return self.comm.exchange_counts(counts)
         arrived = self.comm.exchange_counts(counts[:-1], self._ranks)
         return torch.cat([arrived, torch.zeros_like(counts[-1:])])
+
+    def agree(self, counts: Tensor) -> tuple[list[int], list[int]]:
+        """Numbers of rows sent to and received from each destination, given the former (size,) int64. Synchronises."""
+        sent, received = torch.stack([counts, self.exchange_counts(counts)]).tolist()
+        return sent, received

@@ -59,15 +59,6 @@ def padded_count(count: int) -> int:
     return -(-int(_SLACK * count + _SOME) // _MULTIPLE) * _MULTIPLE if count else 0
 
 
-@dataclass(frozen=True)
-class Sent:
-    """Received ghosts and the bodies sent, without padding."""
-
-    route: Route
-    ghosts: Columns
-    replicas: Replicas  #: of the own bodies that other ranks need
-
-
 class PaddedHalo:
     """Exchange of ghosts in messages of fixed size. Does not synchronise if messages are sent on the stream. `announce`
     also sends the counts, with which `wait` removes the padding; `padded` keeps it.
@@ -127,8 +118,8 @@ class PaddedHalo:
         ghosts = unpack(packed, self._own)
         return ghosts | {"id": ghosts["id"] - 1}
 
-    def wait(self, boundary_count: int) -> Sent | None:
-        """The ghosts without padding; None, on all ranks, if the capacity of one of them was exceeded."""
+    def wait(self, boundary_count: int) -> Held | None:
+        """The held bodies without padding; None, on all ranks, if the capacity of one of them was exceeded."""
         *counts, overflows = self._messages.numpy().tolist()
         packed = self._pending.wait()
         if overflows:
@@ -136,8 +127,8 @@ class PaddedHalo:
         sent, received = counts[: self._neighbours.size], counts[self._neighbours.size :]
         route = Route(self._neighbours, _filled(self._rows, self._capacity.sent, sent), sent, received)
         ghosts = self._unpacked(_filled(packed, self._capacity.received, received))
-        of_boundary = Replicas(self._replicas.table[:boundary_count], self._replicas.counts)
-        return Sent(route, ghosts, of_boundary)
+        replicas = Replicas(self._replicas.table[:boundary_count], self._replicas.counts)
+        return Held(self._own["id"], ghosts, route, self._boundary[:boundary_count], replicas)
 
 
 def _filled(rows: Tensor, capacities: list[int], counts: list[int]) -> Tensor:

@@ -88,24 +88,21 @@ class Halo:
         """Sends ghosts after exchanging counts. Validates the bodies first, if not done yet."""
         self.check()
         self._replicas = agreed_replicas(self._decomposition, *self._where, self._boundary)
-        counts, neighbours = self._replicas.counts, self._decomposition.neighbours
-        sent, received = torch.stack([counts, neighbours.exchange_counts(counts)]).tolist()
-        rows = self._replicas.rows_by_rank(self._boundary, sent)
-        self._route = Route(neighbours, rows, sent, received)
+        neighbours = self._decomposition.neighbours
+        sent, received = neighbours.agree(self._replicas.counts)
+        self._route = Route(neighbours, self._replicas.rows_by_rank(self._boundary, sent), sent, received)
         self._arrival = self._route.forward(self._own)
 
     def wait(self) -> Held:
         """The held bodies, once all ghosts have arrived. Sends ghosts first, if not done yet."""
-        id = self._own["id"]
+        self.check()
         if self._is_alone:
-            self.check()
             return Held.alone(self._decomposition.neighbours, self._own)
         if self._padded is not None:
-            self.check()
-            padded, self._padded = self._padded.wait(len(self._boundary)), None
-            if padded is not None:
-                return Held(id, padded.ghosts, padded.route, self._boundary, padded.replicas)
+            held, self._padded = self._padded.wait(len(self._boundary)), None
+            if held is not None:
+                return held
         if self._arrival is None:
             self.send()
         assert self._arrival is not None
-        return Held(id, self._arrival.wait(), self._route, self._boundary, self._replicas)
+        return Held(self._own["id"], self._arrival.wait(), self._route, self._boundary, self._replicas)

@@ -55,7 +55,7 @@ def migrate(
     if decomposition.is_beyond(counts):
         return migrate(decomposition.of_all_ranks(), columns, position, vertices)
     neighbours = decomposition.neighbours
-    sent, received = torch.stack([counts, neighbours.exchange_counts(counts)]).tolist()
+    sent, received = neighbours.agree(counts)
     rows, route = rows[: sum(sent)], Route(neighbours, by_destination[: sum(sent)], sent, received)
     id_first = {"id": columns["id"], **columns}  # rows are merged by the first column
     packed = route.send(id_first).wait()
