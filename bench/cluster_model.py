@@ -3,22 +3,29 @@ without detection), and a model of a step's time based on it.
 
 Counted for every number of ranks: bodies, ghosts and neighbours of each rank, bytes of the halo, size of the cell
 table. Then a skewed density (a peak in each corner of the box) is balanced for some steps by the policy of
-`pgccd.distributed.partition.balance`. The model sums, for the most loaded rank:
+`pgccd.distributed.partition.balance`.
 
-    alone       a step of one process: linear in its robots, through the measurements of the smallest and the largest
-    number (bench/results/cluster_scaling-cuda.json) imbalance   that, times the excess load of the most loaded rank
-    ghosts time per robot, times the ghosts many        extra time of a step of two ranks on one host: launches and NCCL
-    calls halo        between hosts: messages x latency + bytes / bandwidth, out and in, for halo and migration
-    resolution  between hosts: `--rounds` x one exchange of 16 bytes per ghost gather      between hosts: one all-gather
-    of 900 bytes per rank balance     between hosts: one all-reduce of 24 bytes per cell; and the decision, timed here
-    once the loads are even
+The model of a step, which is one CUDA graph per rank, is the sum for the most loaded rank of:
 
-and gives each term's share of the step. Robots have the size, the speed and the density of the standard world and are
-spread evenly. Its prediction for four ranks on one host, to which it is not fitted, is listed next to the measurement;
-also for the rows of an earlier version, with its own fit.
+* alone: a step of one process, linear in its robots
+* imbalance: that, times the excess load of the most loaded rank
+* ghosts: time per ghost
+* many: extra time of a step of several ranks on one host: NCCL calls, and rounds that start later
+* halo: between hosts: messages x latency + bytes / bandwidth
+* resolution: between hosts: `--rounds` + 1 exchanges of 8 bytes per ghost, each way
+* gather: between hosts: two all-gathers, of 900 bytes per rank in all
+* balance: between hosts, one decision in `--decide-every` steps: 4 log2 P sums of 64 bins per part of space. The work
+  of a decision on the device is not included.
 
-    python bench/cluster_model.py --robots 1000000000 --ranks 1024 python bench/cluster_model.py --counted  # only the
-    model, from earlier counts
+Single-process rows of bench/results/cluster_scaling-cuda.json determine "alone" (one line per pattern), its rows of two
+ranks "ghosts" and "many" (the same for both patterns), by least squares of relative errors. All residuals are listed.
+So are predictions for measurements to which the model is not fitted: four ranks of an earlier version, with that
+version's own fit for one and two; and the steps of bench/results/steps-cuda.json. Nothing between hosts was measured:
+`--latency-us` and `--gigabytes` are assumptions. Robots have the size, the speed and the density of the standard world
+and are spread evenly; they are counted in uniform cells, whose ghosts and neighbours are about those of a bisection.
+
+    python bench/cluster_model.py --robots 1000000000 --ranks 1024
+    python bench/cluster_model.py --counted  # only the model, from earlier counts
 """
 
 from __future__ import annotations
@@ -38,9 +45,9 @@ from pgccd.distributed.partition.balance import rank_loads
 
 _BLOCK = 1 << 20
 _STATE_BYTES = 112  # per robot in the halo
-_GHOST_BYTES = 16  # both ways in a round
+_GHOST_BYTES = 8  # each way in a round
 _RECORD_BYTES = 900
-_CELL_BYTES = 24
+_BIN_BYTES = 64 * 8  # per part of space in one of the sums for new planes
 
 
 def main() -> None:
@@ -50,7 +57,8 @@ def main() -> None:
     known = json.loads(path.read_text())["rows"] if path.exists() else []
     scaling = json.loads((results.FOLDER / "cluster_scaling-cuda.json").read_text())
     measured, earlier = Measured(scaling["rows"]), Measured(scaling.get("earlier_rows", []))
-    check = measured.check + earlier.check
+    steps = json.loads((results.FOLDER / "steps-cuda.json").read_text())
+    check = measured.check + earlier.check + measured.check_steps(steps)
     rows = [] if arguments.counted else count(arguments)
     new = [(row["ranks"], row["robots"]) for row in rows]
     rows += [row for row in known if (row["ranks"], row["robots"]) not in new]
@@ -59,7 +67,7 @@ def main() -> None:
         row["model"] = model(row, arguments, measured)
         row["model_skewed"] = model(row, arguments, measured, row["skewed"]["imbalance"][-1])
     results.table([flat(row) for row in rows])
-    print("\nmeasured on one host, and what the model says:")
+    print("\nmeasured on one host, and the model:")
     results.table(check)
     assumed = {
         name: value for name, value in vars(arguments).items() if name not in ("out", "ranks", "robots", "counted")
@@ -96,6 +104,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--latency-us", type=float, default=10.0, help="of a message between machines")
     parser.add_argument("--gigabytes", type=float, default=50.0, help="a second and rank between machines")
     parser.add_argument("--rounds", type=int, default=6, help="of collision resolution a step")
+    parser.add_argument("--decide-every", type=int, default=64, help="steps between decisions of load balancing")
     parser.add_argument("--balance-steps", type=int, default=30, help="of the skewed density")
     return parser.parse_args()
 
@@ -104,46 +113,83 @@ class Measured:
     """Model parameters fitted to measurements on one host; `check` compares predictions with measurements.
 
     Args:
-        rows: of cluster_scaling.py, at least for one and two ranks; or empty.
+        rows: of cluster_scaling.py, for one and two ranks and maybe more.
     """
 
     def __init__(self, rows: list[dict[str, Any]]) -> None:
-        rows = [row for row in rows if row["pattern"] == "random" and row["overlap"] and "disturbed" not in row]
-        self.check: list[dict[str, Any]] = []
-        if not rows:
-            return
-        alone = sorted((row["robots"], row["single_process_ms"]["median"]) for row in rows if row["ranks"] == 1)
-        (few, few_ms), (many, many_ms) = alone[0], alone[-1]
-        self.robot_ms = (many_ms - few_ms) / (many - few)
-        self.fixed_ms = few_ms - self.robot_ms * few
-        of_two = [row["ms"]["median"] - self.step(row) for row in rows if row["ranks"] == 2]
-        self.many_ms = sum(of_two) / len(of_two)
-        self.check = [
-            {
-                "ranks": row["ranks"],
-                "robots": row["robots"],
-                "measured ms": row["ms"]["median"],
-                "model ms": timing.rounded(self.step(row) + self.many_ms),
-                "fitted to": row["ranks"] == 2,
-                "commit": row["commit"],
-            }
-            for row in rows
-            if row["ranks"] > 1
+        rows = [row for row in rows if row["overlap"] and "disturbed" not in row]
+        alone: dict[str, list[tuple[float, float]]] = {}
+        for row in rows:
+            if row["ranks"] == 1:
+                point = row["robots"], row["single_process_ms"]["median"]
+                alone.setdefault(row["pattern"], []).append(point)
+        #: By pattern: milliseconds of a step of no robots, and per robot.
+        self.line = {
+            pattern: relative_fit([[1.0, robots] for robots, _ in points], [ms for _, ms in points])
+            for pattern, points in alone.items()
+            if len(points) > 1
+        }
+        rows = [row for row in rows if row["pattern"] in self.line]
+        of_two = [row for row in rows if row["ranks"] == 2]
+        rest = [row["ms"]["median"] - self.own(row) for row in of_two]
+        weights = [row["ms"]["median"] for row in of_two]
+        #: Milliseconds of several ranks, and per ghost.
+        self.many_ms, self.ghost_ms = relative_fit([[1.0, ghosts_of(row)] for row in of_two], rest, weights)
+        self.check = [self.compared(row) for row in rows]
+
+    def own(self, row: dict[str, Any]) -> float:
+        """The prediction for the own robots of the most loaded rank of a measured row."""
+        fixed, per_robot = self.line[row["pattern"]]
+        return fixed + per_robot * row["robots"] / row["ranks"] * row["imbalance_by_step"][-1]
+
+    def compared(self, row: dict[str, Any]) -> dict[str, Any]:
+        """A measured row, and the prediction."""
+        several = row["ranks"] > 1
+        measured = row["ms" if several else "single_process_ms"]["median"]
+        predicted = self.own(row) + several * (self.many_ms + self.ghost_ms * ghosts_of(row))
+        names = ("ranks", "robots", "pattern", "commit")
+        fitted = {"fitted to": row["ranks"] <= 2}
+        return {name: row[name] for name in names} | residual(measured, predicted) | fitted
+
+    def check_steps(self, steps: dict[str, Any]) -> list[dict[str, Any]]:
+        """Steps of one process, to which the model is not fitted."""
+        fixed, per_robot = self.line[steps["pattern"]]
+        commit = steps["made"]["versions"]["commit"]
+        return [
+            {"ranks": 1, "robots": row["robots"], "pattern": steps["pattern"], "commit": commit}
+            | residual(row["wall_ms"], fixed + per_robot * row["robots"])
+            | {"fitted to": False}
+            for row in steps["rows"]
+            if row["graph"] and row["host"] == "idle"
         ]
 
-    def alone(self, bodies: float) -> float:
-        """Milliseconds of a step of one process."""
-        return self.fixed_ms + self.robot_ms * bodies
-
-    def step(self, row: dict[str, Any]) -> float:
-        """The prediction for a measured row, without the communication term."""
-        bodies = row["robots"] / row["ranks"]
-        return self.alone(bodies) * row["imbalance_by_step"][-1] + self.robot_ms * bodies * row["ghosts_a_body"]
-
     @property
-    def fitted(self) -> dict[str, float]:
+    def fitted(self) -> dict[str, Any]:
         """The fitted parameters."""
-        return {name: timing.rounded(value) for name, value in vars(self).items() if name != "check"}
+        lines = {pattern: [timing.rounded(x) for x in line] for pattern, line in self.line.items()}
+        several = {"many_ms": timing.rounded(self.many_ms), "ghost_ms": timing.rounded(self.ghost_ms)}
+        return {"ms of a step, per robot": lines, **several}
+
+
+def relative_fit(columns: list[list[float]], values: list[float], scales: list[float] | None = None) -> list[float]:
+    """Coefficients of the columns (one row per value) with the least sum of squares of (error / scale). Default scales:
+    the values.
+    """
+    scale = torch.tensor(scales or values, dtype=torch.float64)
+    matrix = torch.tensor(columns, dtype=torch.float64) / scale[:, None]
+    target = torch.tensor(values, dtype=torch.float64) / scale
+    return torch.linalg.lstsq(matrix, target[:, None], driver="gelsd").solution[:, 0].tolist()
+
+
+def ghosts_of(row: dict[str, Any]) -> float:
+    """Mean ghosts of a rank in a measured row."""
+    return row["ghosts_a_body"] * row["robots"] / row["ranks"]
+
+
+def residual(measured: float, predicted: float) -> dict[str, Any]:
+    """Columns of a comparison."""
+    off = f"{100.0 * (predicted / measured - 1.0):+.1f}"
+    return {"measured ms": measured, "model ms": timing.rounded(predicted), "residual %": off}
 
 
 class Counts:
@@ -244,18 +290,19 @@ def model(
     bodies, ghosts = row["bodies_a_rank"]["mean"], row["ghosts_a_rank"]["most"]
     messages, halo_bytes = row["neighbours_a_rank"]["most"], row["halo_bytes_a_rank"]["most"]
     uneven = uneven or row["bodies_a_rank"]["most"] / bodies
-    tree = math.ceil(math.log2(ranks)) * latency
-    exchange = messages * latency
-    alone = measured.alone(bodies)
+    levels = math.ceil(math.log2(ranks))
+    fixed, per_robot = measured.line["random"]
+    alone = fixed + per_robot * bodies
+    sums = 4.0 * (levels * 2.0 * levels * latency + 2.0 * _BIN_BYTES * ranks / a_millisecond)
     parts = {
         "alone": alone,
-        "imbalance": alone * (uneven - 1.0),
-        "ghosts": measured.robot_ms * ghosts,
+        "imbalance": per_robot * bodies * (uneven - 1.0),
+        "ghosts": measured.ghost_ms * ghosts,
         "many": measured.many_ms,
-        "halo": 2.0 * (tree + exchange) + 2.0 * halo_bytes / a_millisecond,
-        "resolution": arguments.rounds * (exchange + _GHOST_BYTES * ghosts / a_millisecond),
-        "gather": tree + _RECORD_BYTES * ranks / a_millisecond,
-        "balance": 2.0 * tree + 2.0 * _CELL_BYTES * row["cells"] / a_millisecond + row["skewed"]["decision_ms"],
+        "halo": messages * latency + halo_bytes / a_millisecond,
+        "resolution": (arguments.rounds + 1) * (messages * latency + _GHOST_BYTES * ghosts / a_millisecond),
+        "gather": 2.0 * levels * latency + _RECORD_BYTES * ranks / a_millisecond,
+        "balance": sums / arguments.decide_every,
     }
     total = sum(parts.values())
     return {

@@ -26,7 +26,7 @@ from support import results, timing
 
 from pgccd import distributed, sim
 from pgccd.distributed.launch.connect import TRANSPORTS
-from pgccd.distributed.partition.rebalancing import make_partition
+from pgccd.distributed.partition.cut import make_partition
 from pgccd.sim.runner import HasRecord
 
 # Groups of stages.
@@ -89,7 +89,8 @@ def measure(comm: distributed.Comm, arguments: argparse.Namespace) -> dict[str, 
     state, begin = simulation.state, arguments.steps_before
     end = begin + 1 + arguments.rounds
     durations, records = follow(comm, begin, arguments.rounds, lambda index: simulation.step(index, more=end - index))
-    of_ranks = comm.gather_objects((durations, [parts_of(*step) for step in zip(records, durations, strict=True)]))
+    mine = durations, [parts_of(*step) for step in zip(records, durations, strict=True)]
+    of_ranks = comm.broadcast_object(comm.gather_objects(mine))
     whole = [max(steps) for steps in zip(*(times for times, _ in of_ranks), strict=True)]
     parts = [steps for _, steps in of_ranks]
     host_loop_ms = comm.gather_objects(timing.rounded(1e3 * timing.host_loop()))

@@ -1,9 +1,11 @@
 """Cost of the decomposition on one rank as the number of ranks grows with constant bodies per rank.
 
 One rank in the middle of 64 to 4,096 is simulated: its part of the world with a quarter of a million robots (10^9 in
-all on 4,096 ranks), its boundary bodies, their destination ranks, its near ghosts, and the bodies that migrate. Both
-partitions, and the replicas as a table (used for up to 64 ranks) and as a list. The planes of a bisection are searched
-once, as by one of many ranks with equal loads. No messages are sent.
+all on 4,096 ranks), its neighbours, boundary bodies, the ranks that hold these, its near ghosts, and the bodies that
+migrate. Both partitions; the table of replicas with a column per neighbour, and per rank as used up to
+`Comm.neighbours_above` ranks. The planes of a bisection are searched once, as by one of many ranks with equal loads. No
+messages are sent; those of the counts of ghosts and migrating bodies in a step are listed: 8 bytes to each neighbour,
+or to each rank in a collective call.
 
     python bench/rank_growth.py
 """
@@ -13,7 +15,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from typing import Any
-from unittest import mock
 
 import torch
 from support import results, timing
@@ -21,7 +22,9 @@ from torch import Tensor
 
 from pgccd import ops, sim
 from pgccd.distributed import Alone, Bisection, Cells
-from pgccd.distributed.halo import replicas
+from pgccd.distributed.comm.neighbourhood import Neighbourhood
+from pgccd.distributed.halo.replicas import find_replicas
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition
 
 _KEPT = (0.0, 0.0)
@@ -30,14 +33,14 @@ _KEPT = (0.0, 0.0)
 class SameElsewhere(Alone):
     """One of many ranks that all have the same data."""
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, rank: int, size: int) -> None:
         super().__init__()
         self.sums = 0
-        self._ranks = size
+        self.rank, self.size = rank, size
 
     def sum(self, values: Tensor) -> Tensor:
         self.sums += 1
-        return values * self._ranks
+        return values * self.size
 
 
 def main() -> None:
@@ -87,37 +90,37 @@ def measure_partition(
     start = place(arguments.robots_a_rank)
     step = world.config.speed * world.radius * torch.randn(start.shape, generator=generator, dtype=torch.float64)
     centres = start, start + step, torch.full((len(start),), world.radius, dtype=torch.float64)
-    where = centres, _KEPT, partition.subdomain(rank)
+    comm = SameElsewhere(rank, ranks)
+    near, everywhere = Decomposition(comm, partition), Decomposition(comm, partition, Neighbourhood(comm))
 
     def median_ms(work: Callable[[], Any]) -> float:
         samples = [timing.seconds(work)[0] for _ in range(arguments.rounds)]
         return timing.summary(samples)["median"]
 
-    reach, rows, count = ops.boundary_bodies(centres, *_KEPT, where[2])
+    reach, rows, count = ops.boundary_bodies(centres, *_KEPT, near.subdomain)
     rows = rows[: int(count)]
     ghosts = [column[rows] for column in centres]
-    listed_at = mock.patch.object(replicas, "MOST_TABLE_RANKS", 0)
-    table_at = mock.patch.object(replicas, "MOST_TABLE_RANKS", ranks)
     row: dict[str, Any] = {"ranks": ranks, "partition": kind, "boundary bodies": len(rows)}
-    row["boundary ms"] = median_ms(lambda: ops.boundary_bodies(centres, *_KEPT, where[2]))
-    for name, patch in (("list", listed_at), ("table", table_at)):
-        with patch:
-            found = replicas.find_replicas(*where, rows, ranks)
-            counts = found.counts.tolist()
-            row["neighbours"] = sum(count > 0 for count in counts)
-            row[f"{name} ms"] = median_ms(
-                lambda: replicas.find_replicas(*where, rows, ranks).rows_by_rank(rows, counts)  # noqa: B023
-            )
-        columns = [column for column in vars(found).values() if isinstance(column, Tensor)]
-        row[f"{name} kB"] = round(sum(column.nbytes for column in columns) / 1e3)
-    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, ghosts, *_KEPT, where[2]))
-    row["leaving ms"] = median_ms(lambda: ops.leaving_bodies(centres[1], None, where[2], ranks))
-    frame, owner, _ = where[2]
+    row["neighbours"] = len(near.neighbours.ranks) - 1
+    row["neighbours ms"] = median_ms(lambda: Decomposition(comm, partition))
+    row["boundary ms"] = median_ms(lambda: ops.boundary_bodies(centres, *_KEPT, near.subdomain))
+    for name, decomposition in (("replicas", near), ("replicas of all ranks", everywhere)):
+        found = find_replicas(decomposition, centres, _KEPT, rows)
+        counts = found.counts.tolist()
+        row[f"{name} ms"] = median_ms(
+            lambda: find_replicas(decomposition, centres, _KEPT, rows).rows_by_rank(rows, counts)  # noqa: B023
+        )
+        row[f"{name} kB"] = round((found.table.nbytes + found.counts.nbytes) / 1e3)
+    row["reached ranks"] = sum(count > 0 for count in counts)
+    row["bodies beyond neighbours"] = int(find_replicas(near, centres, _KEPT, rows).counts[-1])
+    row["count messages"], row["count messages of all ranks"] = 2 * row["neighbours"], 2 * (ranks - 1)
+    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, ghosts, *_KEPT, near.subdomain))
+    row["leaving ms"] = median_ms(lambda: ops.leaving_bodies(centres[1], None, near.subdomain, near.neighbours.size))
+    frame, owner, _ = near.subdomain
     cells = int(frame[6] * frame[7] * frame[8])
     row["partition kB"] = round(owner.nbytes / 1e3)
     row["boxes of near ghosts kB"] = round(48 * cells / 1e3)
     if isinstance(partition, Bisection):
-        comm = SameElsewhere(ranks)
         weights = torch.ones(len(start), dtype=torch.int64)
         shares = [1.0] * ranks
         row["planes ms"] = timing.rounded(

@@ -23,6 +23,7 @@ import torch
 
 import pgccd
 from pgccd import distributed, sim
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.sim.step import FIRST_CONTACTS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -91,6 +92,7 @@ def of_robots() -> dict[str, Any]:
     partition = distributed.Cells.uniform((0, 0, 0), (30, 30, 30), 1)
     loads = distributed.CellLoads(*(torch.zeros(len(partition.owner), dtype=torch.int64) for _ in range(3)))
     names |= {"resolved": step.resolution, "partition": partition, "loads": loads}
+    names["decomposition"] = Decomposition(comm, partition)
     return names | {"id": state.id, "mood": state.position, "x": state.position}
 
 

@@ -122,7 +122,7 @@ def even_out(comm: Comm) -> list[float]:
     for points in crowds:
         weights = torch.randint(1, 9, (len(points),), generator=generator)
         partition = Bisection.uniform(*BOX, comm.size).rebalanced(comm, points.double(), weights, [1.0] * comm.size)
-        assert comm.gather_objects(partition.planes.tolist())[0] == partition.planes.tolist()
+        assert comm.broadcast_object(partition.planes.tolist()) == partition.planes.tolist()
         loads = comm.sum(rank_loads(weights, partition.owner_of(points.double()), comm.size))
         found.append(imbalance(loads))
     return found

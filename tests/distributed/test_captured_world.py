@@ -28,10 +28,9 @@ from pgccd.distributed import (
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.detection import padded_share
 from pgccd.distributed.halo import capacity as halo_capacity
+from pgccd.distributed.partition import rebalancing
 from pgccd.distributed.partition.balance import BackOff, RankLoads
-from pgccd.distributed.partition.rebalancing import rebalanced
 from pgccd.distributed.world import captured as captured_world
-from pgccd.distributed.world import world as world_of_bodies
 
 COUNT, STEPS, BOX = 120, 24, 5.5
 
@@ -151,7 +150,7 @@ def save_and_load(comm: Comm, folder: str, device: str = "cpu") -> int:
         world = spread(comm, torch.device(device), "cost", "cells")
         steps = CapturedWorld(world, motion, response, True).run(10)
         world.save(folder)
-        asked: dict[str, Any] = {"nonzero_toi": True, "min_separation": 1e-3, "balance": world.balance}
+        asked: dict[str, Any] = {"nonzero_toi": True, "min_separation": 1e-3, "balance": world.balancer.options}
         world = World.load(folder, meshes().meshes, comm=comm, device=device, **asked)
         assert world.id.device.type == torch.device(device).type
         after = CapturedWorld(world, motion, response, True).run(STEPS - 10)
@@ -190,6 +189,7 @@ def test_ranks_without_bodies(world: Ranks) -> None:
 def decisions(comm: Comm, graph: bool) -> tuple[list[int], int]:
     """Steps after which space is redistributed, and number of replays."""
     made: list[int] = []
+    rebalanced = rebalancing.rebalanced
     with graphs_on("cpu" if graph else "none") as stack:
         world = spread(comm, torch.device("cpu"), "cost", "bisection")
 
@@ -197,7 +197,7 @@ def decisions(comm: Comm, graph: bool) -> tuple[list[int], int]:
             made.append(world.steps_made)
             return rebalanced(*arguments)
 
-        stack.enter_context(mock.patch.object(world_of_bodies, "rebalanced", noted))
+        stack.enter_context(mock.patch.object(rebalancing, "rebalanced", noted))
         stack.enter_context(mock.patch.object(RankLoads, "are_level", lambda *_: False))
         stack.enter_context(mock.patch.object(BackOff, "is_over", lambda *_: True))
         stack.enter_context(mock.patch.object(captured_world, "_MOST_AWAY", 0.0))

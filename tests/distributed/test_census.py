@@ -31,8 +31,8 @@ def small_world() -> World:
 def losing(rows: Tensor) -> Callable[..., migrate.Moved]:
     """A migration that keeps only these rows."""
 
-    def lossy(comm: Any, partition: Any, columns: Columns, *rest: Any, **more: Any) -> migrate.Moved:
-        moved = migrate.migrate(comm, partition, columns, *rest, **more)
+    def lossy(decomposition: Any, columns: Columns, *rest: Any, **more: Any) -> migrate.Moved:
+        moved = migrate.migrate(decomposition, columns, *rest, **more)
         return replace(moved, columns={name: column[rows] for name, column in moved.columns.items()})
 
     return lossy
@@ -66,7 +66,7 @@ def test_a_count_is_not_enough_and_neither_is_a_hash() -> None:
 def test_a_body_with_another_id(monkeypatch: pytest.MonkeyPatch) -> None:
     world = small_world()
 
-    def renaming(comm: Any, partition: Any, columns: Columns, *rest: Any, **more: Any) -> migrate.Moved:
+    def renaming(decomposition: Any, columns: Columns, *rest: Any, **more: Any) -> migrate.Moved:
         changed = {**columns, "id": torch.cat([columns["id"][:-1], columns["id"][-1:] + 1])}
         return migrate.Moved(changed, 0, None)
 

@@ -8,6 +8,7 @@ from unittest import mock
 import pytest
 import torch
 from support.crowds import crowds
+from support.ranks import to_all
 
 import pgccd
 from distributed.conftest import World
@@ -45,6 +46,7 @@ def share(
         comm=comm,
         report=report,
         min_separation=crowd.min_separation,
+        axes=3 if comm.neighbours_above else 1,  # slabs, which are not all neighbours
         cells=4,
         balance=BalanceOptions("none"),
         overlap=overlap,
@@ -58,9 +60,14 @@ def share(
     return world, ids
 
 
-def find(comm: Comm, name: str, device: torch.device = torch.device("cpu")) -> list[tuple[int, int]]:  # noqa: B008
+def find(
+    comm: Comm,
+    name: str,
+    device: torch.device = torch.device("cpu"),  # noqa: B008
+    neighbours_above: int = 32,
+) -> list[tuple[int, int]]:
     """Compares all reports with one process; returns the numbers of pairs and ghosts of this rank, per assignment."""
-    seen = []
+    comm.neighbours_above, seen = neighbours_above, []
     for index, report in enumerate(REPORTS):
         whole = by_one_process(name, report)
         for seed in (0, 1 + index) if comm.size > 1 else (0,):
@@ -84,9 +91,7 @@ def find(comm: Comm, name: str, device: torch.device = torch.device("cpu")) -> l
             # The ranks together tested every pair exactly once.
             assert int(comm.sum(torch.tensor([len(world.found.pairs)]))) == whole.stats.pcs
             ids_tested = world.found.held.id[world.found.pairs]
-            everything = torch.cat(
-                [torch.tensor(rows).view(-1, 2) for rows in comm.gather_objects(ids_tested.tolist())]
-            )
+            everything = torch.cat([torch.tensor(rows).view(-1, 2) for rows in to_all(comm, ids_tested.tolist())])
             assert len(everything.unique(dim=0)) == whole.stats.pcs
             if report == "first":
                 first = pgccd.sim.first_collisions(whole.pairs, whole.toi, len(ids))
@@ -104,6 +109,12 @@ def test_same_bits_as_one_process(world: World, name: str) -> None:
         assert max(contacts for contacts, _ in seen[0]) > 0, "nothing collides: nothing was tested"
     if name == "met in a third rank's cell" and len(seen) == 4:
         assert any(strangers for rank in seen for _, strangers in rank)
+
+
+@pytest.mark.parametrize("name", list(crowds()))
+def test_same_bits_with_neighbours_only(ranks: World, name: str) -> None:
+    """Bodies that reach further than to neighbours extend these."""
+    ranks.run(4, find, name, torch.device("cpu"), 0)
 
 
 def tumble(comm: Comm, policy: str) -> list[str]:

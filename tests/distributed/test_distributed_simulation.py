@@ -15,14 +15,14 @@ from support.graphs import graphs_on
 from distributed.conftest import World
 from pgccd import sim
 from pgccd.detection.capacity import Capacity
-from pgccd.distributed import BalanceOptions, Comm
+from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm
 from pgccd.distributed.detection import padded_share
 from pgccd.distributed.halo import capacity as halo_capacity
-from pgccd.distributed.halo import replicas
-from pgccd.distributed.partition.rebalancing import make_partition
+from pgccd.distributed.partition.cut import make_partition
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.sim.distributed import DistributedSimulation, RankStep, starting_share
 from pgccd.sim.distributed import simulation as simulation_module
-from pgccd.sim.distributed.runner import gather_state, gather_step
+from pgccd.sim.distributed.gathering import gather_sample
 from pgccd.sim.resolution import RoundPlan
 
 TIMES = ("seconds", "stage_seconds", "ranks")
@@ -58,10 +58,11 @@ def make_simulation(
     device: str = "cpu",
     graph: bool | None = None,
     kind: str = "cells",
+    axes: int = 3,
 ) -> DistributedSimulation:
     model = sim.Model(sim.ModelConfig(**WORLDS[name]), device=device)
     upper = model.half_extent
-    partition = make_partition(kind, tuple(-x for x in upper), upper, comm.size, 3, 4, device)
+    partition = make_partition(kind, tuple(-x for x in upper), upper, comm.size, axes, 4, device)
     start = starting_share(comm, model)
     return DistributedSimulation(comm, model, partition, start, BalanceOptions(policy), overlap, graph=graph)
 
@@ -88,12 +89,13 @@ def follow(
     device: str = "cpu",
     graph: bool = False,
     kind: str = "cells",
+    axes: int = 3,
 ) -> dict[str, int]:
     """Compares the log of every step and the columns of the last step with one process. With `graph`, steps are
     replayed, and some ranks overflow in some steps.
     """
     records, last = single_run(name, steps)
-    simulation = make_simulation(comm, name, policy, overlap, device, graph, kind)
+    simulation = make_simulation(comm, name, policy, overlap, device, graph, kind, axes)
     if graph and comm.rank == comm.size - 1:
         simulation._plan = Cramped()
     generator = torch.Generator().manual_seed(17)
@@ -125,8 +127,8 @@ def follow(
         seen["contacts"] += made.record["contacts"]
     simulation.verify()
     assert isinstance(made, RankStep)
-    state = gather_state(comm, simulation.state)
-    step = gather_step(comm, made, state)
+    _, step = gather_sample(comm, simulation.state, made)
+    assert step is not None
     if comm.rank == 0:
         for column, expected in last.after.columns.items():
             assert torch.equal(step.after.columns[column].cpu(), expected), column
@@ -153,12 +155,32 @@ def follow_replayed(
         return follow(comm, name, policy, steps, random_owners, True, graph=True)
 
 
-def follow_listed(comm: Comm, name: str, policy: str, steps: int) -> dict[str, int]:
-    """With lists of replicas, as used for many ranks."""
-    with mock.patch.object(replicas, "MOST_TABLE_RANKS", 0):
-        seen = follow(comm, name, policy, steps, policy == "none", True)
-        followed = follow(comm, name, policy, steps, False, True, kind="bisection")
-    return {name: count + followed[name] for name, count in seen.items()}
+def follow_neighbours(comm: Comm, name: str, policy: str, steps: int, graph: bool) -> int:
+    """With messages between neighbours only, as for many ranks. If no policy assigns the cells, no ranks are neighbours
+    at first. Returns the number of times that the neighbours of ranks were extended.
+    """
+    comm.neighbours_above = 0
+    extended = 0
+    extend = Decomposition.extend
+
+    def noted(self: Decomposition, ranks: torch.Tensor) -> None:
+        nonlocal extended
+        extend(self, ranks)
+        extended += 1
+        assert self.neighbours.size == len(self.neighbours.ranks) + 1
+
+    with graphs_on("cpu" if graph else "none") as stack:
+        stack.enter_context(mock.patch.object(simulation_module, "_MOST_AWAY", 0.5))
+        stack.enter_context(mock.patch.object(Decomposition, "extend", noted))
+        if policy == "none":
+            for partition in (Cells, Bisection):
+                stack.enter_context(mock.patch.object(partition, "neighbours", lambda _, rank: [rank]))
+        for kind, axes in (("cells", 1), ("bisection", 3)):
+            seen = follow(
+                comm, name, policy, steps, kind == "cells" and policy == "none", True, "cpu", graph, kind, axes
+            )
+            assert seen["contacts"] > 100 and (seen["replayed"] > 3) == graph
+    return extended
 
 
 def follow_bisected(
@@ -247,6 +269,9 @@ def test_balance_spreads_what_one_rank_had(ranks: World) -> None:
     assert imbalances[-1] < 1.6  # 64 cells for 240 robots allow no better balance
 
 
+@pytest.mark.parametrize("graph", [False, True], ids=["launched", "replayed"])
 @pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("skewed", "cost")])
-def test_same_bits_with_lists_of_replicas(world: World, name: str, policy: str) -> None:
-    assert world(follow_listed, name, policy, 16)[0]["contacts"] > 100
+def test_same_bits_with_neighbours_only(ranks: World, name: str, policy: str, graph: bool) -> None:
+    for size in (2, 4):
+        extended = ranks.run(size, follow_neighbours, name, policy, 24, graph)
+        assert extended[0] > 0 or policy != "none"

@@ -17,6 +17,7 @@ from pgccd import ops, sim
 from pgccd.distributed import Alone, Cells, Comm
 from pgccd.distributed.detection.detect import detect_distributed
 from pgccd.distributed.detection.share import Options
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
@@ -74,10 +75,10 @@ def test_bad_poses_and_separations_are_named() -> None:
         return model.scene(columns["id"]), model.motion(state)
 
     with pytest.raises(ValueError, match="^min_separation: "):
-        detect_distributed(Alone(), partition, own, build, Options(min_separation=-1.0), StageClock())
+        detect_distributed(Decomposition(Alone(), partition), own, build, Options(min_separation=-1.0), StageClock())
     state.position[3, 1] = torch.nan
     with pytest.raises(ValueError, match="^position: body 3|^position_t0: body 3"):
-        detect_distributed(Alone(), partition, own, build, Options(), StageClock())
+        detect_distributed(Decomposition(Alone(), partition), own, build, Options(), StageClock())
 
 
 def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:

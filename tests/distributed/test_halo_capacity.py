@@ -17,7 +17,8 @@ from pgccd import sim
 from pgccd.distributed import Cells, Comm
 from pgccd.distributed.detection import share
 from pgccd.distributed.halo import capacity as halo_capacity
-from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo, Sent
+from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo
+from pgccd.distributed.halo.held import Held
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 CAPACITIES = ["ample", "usual", "exact", "none", "boundary"]
@@ -31,7 +32,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
     enough: list[bool] = []
     wait, after = PaddedHalo.wait, HaloCapacity.after
 
-    def watched(self: PaddedHalo, boundary_count: int) -> Sent | None:
+    def watched(self: PaddedHalo, boundary_count: int) -> Held | None:
         sent = wait(self, boundary_count)
         enough.append(sent is not None)
         if sent is not None:  # the rows are correct, whatever the capacity

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pgccd.distributed import Cells, factorise
-from pgccd.distributed.partition.rebalancing import PARTITIONS, make_partition
+from pgccd.distributed.partition.cut import PARTITIONS, make_partition
 
 counts = st.integers(1, 24)
 

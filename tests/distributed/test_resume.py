@@ -20,10 +20,11 @@ from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm, Partition
 from pgccd.distributed.checkpoint import shared_folder
 from pgccd.distributed.checkpoint.partition import load_partition
 from pgccd.distributed.checkpoint.shared_folder import sees_mark
-from pgccd.distributed.partition.rebalancing import PARTITIONS, make_partition
+from pgccd.distributed.partition.cut import PARTITIONS, make_partition
 from pgccd.sim.checkpoint import require_checkpoint
 from pgccd.sim.distributed import DistributedOptions, DistributedSimulation, resume, run, runner
 from pgccd.sim.distributed.runner import load_robots
+from pgccd.sim.response import respond
 from pgccd.sim.summary import write_pictures
 
 CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
@@ -206,19 +207,26 @@ def see_at_once(comm: Comm, folder: str) -> str:
         return see(comm, folder)
 
 
-def draw(comm: Comm, folder: str) -> tuple[int, list[int], bool]:
-    """Pictures of a world too large for one rank."""
+def draw(comm: Comm, folder: str) -> tuple[int, list[int], list[list[int]]]:
+    """Pictures of a world too large for one rank: the sample, and its contacts by ids."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "_MOST_GATHERED", 100)
-        finished = run(comm, CONFIG, 3, folder, keep_last_step=True)
+        finished = run(comm, CONFIG, 6, folder, keep_last_step=True)
+    step = finished.last_step
+    assert step is not None and torch.equal(step.after.id, step.before.id)
+    assert torch.equal(respond(step.before, step.resolution.fraction).position, step.after.position)
     if comm.rank == 0:
         write_pictures(finished, Path(folder))
-    return finished.one_in, finished.state.id.tolist(), finished.last_step is None
+    return finished.one_in, finished.state.id.tolist(), step.before.id[step.contacts.pairs].tolist()
 
 
 def test_large_worlds_are_drawn_from_a_sample(ranks: World, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    of_ranks = ranks.run(2, draw, str(tmp_path))  # type: ignore[attr-defined]
-    assert of_ranks[0] == (3, list(range(0, 240, 3)), True)
-    assert of_ranks[1] == (3, [], True)
-    assert "one in 3 robots is drawn" in (tmp_path / "world.html").read_text()
+    whole = sim.run(CONFIG, 6, tmp_path / "one")
+    pairs = whole.last_step.before.id[whole.last_step.contacts.pairs]
+    pairs = pairs[pairs[:, 0] % 3 == 0].tolist()
+    assert len(pairs) > 1
+    of_ranks = ranks.run(2, draw, str(tmp_path / "two"))  # type: ignore[attr-defined]
+    assert of_ranks[0] == (3, sorted({*range(0, 240, 3), *(id for pair in pairs for id in pair)}), pairs)
+    assert of_ranks[1] == (3, [], [])
+    assert "one in 3 robots is drawn" in (tmp_path / "two" / "world.html").read_text()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from unittest import mock
 
 import pytest
 import torch
@@ -13,7 +12,6 @@ from hypothesis import strategies as st
 from distributed.test_partition import partitions
 from pgccd import ops
 from pgccd.distributed import Cells
-from pgccd.distributed.halo import replicas
 
 SEPARATION = 0.25
 DEVICES = ["cpu"] + (["cuda"] if torch.cuda.is_available() else [])
@@ -99,10 +97,6 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
             ]
             assert counts.tolist() == [len(each) for each in by_rank]
             assert ops.rows_by_rank(replica_ranks, rows, counts, counts.tolist()).tolist() == sum(by_rank, [])
-            with mock.patch.object(replicas, "MOST_TABLE_RANKS", 0):
-                listed = replicas.find_replicas(tuple(here), (SEPARATION, 0.0), subdomain, rows, ranks, came_from)
-            assert isinstance(listed, replicas.ReplicaList) and listed.counts.tolist() == counts.tolist()
-            assert listed.rows_by_rank(rows, counts.tolist()).tolist() == sum(by_rank, [])
             in_rooms = [(each + [-1] * size)[:size] for each, size in zip(by_rank, capacities, strict=True)]
             assert ops.rows_by_rank(replica_ranks, rows, counts, capacities).tolist() == sum(in_rooms, [])
             for capacity in (len(rows), len(rows) - 1):

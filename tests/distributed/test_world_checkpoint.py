@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 from support.crowds import crowds
-from support.ranks import RankPool
+from support.ranks import RankPool, to_all
 
 import pgccd
 from distributed import test_motions
@@ -66,7 +66,7 @@ def state_of(world: World) -> list[list[float]]:
     }
     assert world.payload["none"].shape == (len(world.id), 0)
     columns = [world.columns[name] for name in sorted(world.columns) if name != "id"]
-    return sorted(sum(world.comm.gather_objects(numbers([world.id, *columns])), []))
+    return sorted(sum(to_all(world.comm, numbers([world.id, *columns])), []))
 
 
 def go_on(world: World, save: str = "") -> list[Any]:
@@ -80,7 +80,7 @@ def go_on(world: World, save: str = "") -> list[Any]:
         free = torch.isinf(world.first_toi(hits))[:, None]
         velocity = torch.where(free, at["velocity"], -at["velocity"])
         world.move(torch.where(free, motion.position_t1, world.position), velocity=velocity, half=at["half"] + 1)
-        contacts = sum(world.comm.gather_objects(numbers([hits.pairs, hits.toi])), [])
+        contacts = sum(to_all(world.comm, numbers([hits.pairs, hits.toi])), [])
         seen.append((sorted({tuple(row) for row in contacts}), state_of(world)))
         if save and step + 1 == SAVED:
             world.save(save)

@@ -28,5 +28,4 @@ def _exists(name: str) -> bool:
 with connect("cpu", "gloo") as comm:
     _ = comm.background
     for addresses in comm.gather_objects(own_listeners()):
-        if comm.rank == 0:
-            sys.stdout.write(f"listens: {sorted(addresses)}\n")
+        sys.stdout.write(f"listens: {sorted(addresses)}\n")

@@ -15,7 +15,8 @@ comm = MpiComm()
 for neighbours_above in (32, 0):
     test_exchange.send_about(comm, neighbours_above)
 test_exchange.reduce_values(comm)
-test_detection.find(comm, "on corners of many cells")
+for neighbours_above in (0, 32):
+    test_detection.find(comm, "on corners of many cells", neighbours_above=neighbours_above)
 test_motions.deform(comm, "all")
 test_motions.follow(comm, "earliest", True)
 test_pcccd.compare(comm, "on corners of many cells")

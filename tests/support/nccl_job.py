@@ -17,7 +17,8 @@ with connect("cuda", "nccl") as comm:
         test_exchange.send_about(comm, neighbours_above, str(device))
     test_exchange.reduce_values(comm)
     for name in crowds():
-        test_detection.find(comm, name, device)
+        for neighbours_above in (0, 32):
+            test_detection.find(comm, name, device, neighbours_above)
     for report in ("first", "all"):
         test_motions.deform(comm, report, device)
         test_motions.follow(comm, report, False, device)
@@ -26,5 +27,9 @@ with connect("cuda", "nccl") as comm:
     # With cells assigned at random, and a rank whose capacity overflows now and then.
     seen = test_distributed_simulation.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
     assert seen["contacts"] > 100 and seen["arrived"] > 20
+    seen = test_distributed_simulation.follow_bisected(comm, "skewed", "cost", int(sys.argv[1]), True, str(device))
+    assert seen["contacts"] > 100
+    # With messages between neighbours only, as for many ranks.
+    comm.neighbours_above = 0
     seen = test_distributed_simulation.follow_bisected(comm, "skewed", "cost", int(sys.argv[1]), True, str(device))
     assert seen["contacts"] > 100

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 import torch.distributed as dist
 
-from pgccd.distributed import Alone, TorchComm
+from pgccd.distributed import Alone, Comm, TorchComm
 
 MOST_RANKS = 4
 # A job that takes longer hangs.
@@ -54,6 +54,11 @@ class RankPool:
         """Kills the processes."""
         for process in self._processes:
             process.kill()
+
+
+def to_all(comm: Comm, value: Any) -> list[Any]:
+    """The picklable values of all ranks, on every rank."""
+    return comm.broadcast_object(comm.gather_objects(value))
 
 
 def _serve(rank: int, pipe: multiprocessing.connection.Connection) -> None:

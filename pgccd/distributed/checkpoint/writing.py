@@ -1,4 +1,7 @@
-"""Writing of checkpoints by all ranks: each writes its own rows, in the background."""
+"""Writing of checkpoints by all ranks: each writes its own rows, in the background.
+
+Not `torch.distributed.checkpoint`: its metadata are pickles, which run code when read, and its files have no hashes.
+"""
 
 from __future__ import annotations
 

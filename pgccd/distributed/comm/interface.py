@@ -6,45 +6,48 @@ All transfers of bodies and contacts use `Comm`. Only `torch_comm` and `mpi_comm
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, Protocol, TypeVar
 
 import torch
 from torch import Tensor
 
 from pgccd.distributed.guard import Guard, RankFailureError, is_of_all_ranks
 
-# Above this number of ranks, rows are exchanged point-to-point with neighbours; below, one collective call is faster.
+# Above this number of ranks, counts and rows are exchanged point-to-point with neighbours; up to it, one collective
+# call is faster.
 _NEIGHBOURS_ABOVE = 32
+
+T = TypeVar("T")
 
 
 class Closeable(Protocol):
     def close(self) -> None: ...
 
 
-class Pending:
+class Pending(Generic[T]):
     """A pending message. Its send buffer is kept alive until `wait`.
 
     Args:
-        wait: returns the received rows.
+        wait: returns what was received.
         guard: notified while the rank waits for others; None if it never does.
     """
 
-    def __init__(self, wait: Callable[[], Tensor], guard: Guard | None = None) -> None:
+    def __init__(self, wait: Callable[[], T], guard: Guard | None = None) -> None:
         self._wait = wait
         self._guard = guard
 
-    def wait(self) -> Tensor:
-        """The received rows, on the device of those sent."""
+    def wait(self) -> T:
+        """What was received, on the device of what was sent."""
         if self._guard is None:
             return self._wait()
         with self._guard.waiting("exchange"):
             return self._wait()
 
 
-class Background:
-    """Exchange of small picklable values from a separate thread, concurrent with other messages. This class is for one
-    rank; every method must be called by all ranks, in the same order.
+class Objects:
+    """Exchange of small picklable values with rank 0. This class is for one rank; every method must be called by all
+    ranks, in the same order.
     """
 
     def gather(self, value: Any) -> list[Any]:
@@ -69,7 +72,7 @@ class Comm(ABC):
     size: int
     #: Finds the rank at fault when a message does not arrive.
     guard: Guard
-    #: Above this number of ranks, `exchange` sends point-to-point to neighbours.
+    #: Above this number of ranks, messages are sent point-to-point, bodies and their counts to neighbours only.
     neighbours_above = _NEIGHBOURS_ABOVE
 
     @property
@@ -78,14 +81,22 @@ class Comm(ABC):
         return self.transport == "nccl"
 
     @abstractmethod
-    def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
-        """Ragged all-to-all of rows (K, bytes) uint8: the first `sent[0]` go to rank 0, and so on; `received[r]` come
-        from r.
+    def exchange(
+        self, rows: Tensor, sent: list[int], received: list[int], peers: Sequence[int] | None = None
+    ) -> Pending[Tensor]:
+        """Ragged exchange of rows (K, bytes) uint8 between ranks: the first `sent[0]` go to `peers[0]`, and so on;
+        `received[i]` come from `peers[i]`.
+
+        Args:
+            peers: ascending; only the ranks with rows for each other exchange messages. Default: all ranks, up to
+                `neighbours_above` of them by one collective call.
         """
 
-    @abstractmethod
-    def exchange_counts(self, counts: Tensor) -> Tensor:
-        """counts (size, ...) int64, one row per rank -> the row for this rank of every rank."""
+    def exchange_counts(self, counts: Tensor, peers: Sequence[int] | None = None) -> Tensor:
+        """counts (peers, ...) int64, one row per peer -> the row for this rank of each; `peers` as for `exchange`."""
+        once = [1] * len(counts)
+        packed = counts.reshape(len(counts), -1).contiguous().view(torch.uint8)
+        return self.exchange(packed, once, once, peers).wait().view(counts.dtype).view_as(counts)
 
     @abstractmethod
     def all_gather(self, values: Tensor) -> Tensor:
@@ -96,25 +107,40 @@ class Comm(ABC):
         """The sum over the ranks of values (k,) int64 (modulo 2^64) or float64."""
 
     @abstractmethod
+    def min(self, values: Tensor) -> Tensor:
+        """The minimum over the ranks of each of the values (k,) int64."""
+
     def any(self, flag: bool) -> bool:
         """True if the flag is set on any rank."""
+        return bool(self.min(torch.tensor([-int(flag)])))
 
+    @property
     @abstractmethod
+    def objects(self) -> Objects:
+        """The exchange of picklable values."""
+
+    @property
+    @abstractmethod
+    def background(self) -> Objects:
+        """The same, from a separate thread, concurrent with other messages; created by a call on all ranks."""
+
     def gather_objects(self, value: Any) -> list[Any]:
-        """A small picklable value of every rank, ordered by rank."""
+        """A small picklable value of every rank on rank 0, ordered by rank; an empty list on the others."""
+        with self.guard.waiting("gather of objects"):
+            return self.objects.gather(value)
 
     def broadcast_object(self, value: Any) -> Any:
         """Rank 0's small picklable value."""
-        return self.gather_objects(value if self.rank == 0 else None)[0]
+        with self.guard.waiting("broadcast of an object"):
+            return self.objects.broadcast(value)
+
+    def _peers(self, peers: Sequence[int] | None) -> Sequence[int] | None:
+        """The ranks to send to point-to-point; None: one collective call with all ranks."""
+        return range(self.size) if peers is None and self.size > self.neighbours_above else peers
 
     def barrier(self) -> None:
         """Returns once every rank has called it."""
         self.any(False)
-
-    @property
-    @abstractmethod
-    def background(self) -> Background:
-        """The background exchange; created by a call on all ranks."""
 
     def close_before(self, graph: Closeable) -> None:
         """Closes a graph with messages before the connection, if it still exists then: NCCL's shutdown blocks while
@@ -152,11 +178,10 @@ class Alone(Comm):
     def __init__(self) -> None:
         self.guard = Guard()
 
-    def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
+    def exchange(
+        self, rows: Tensor, sent: list[int], received: list[int], peers: Sequence[int] | None = None
+    ) -> Pending[Tensor]:
         return Pending(lambda: rows)
-
-    def exchange_counts(self, counts: Tensor) -> Tensor:
-        return counts
 
     def all_gather(self, values: Tensor) -> Tensor:
         return values[None]
@@ -164,20 +189,31 @@ class Alone(Comm):
     def sum(self, values: Tensor) -> Tensor:
         return values
 
-    def any(self, flag: bool) -> bool:
-        return flag
-
-    def gather_objects(self, value: Any) -> list[Any]:
-        return [value]
+    def min(self, values: Tensor) -> Tensor:
+        return values
 
     @property
-    def background(self) -> Background:
-        return Background()
+    def objects(self) -> Objects:
+        return Objects()
+
+    background = objects
 
     def close(self) -> None:
         self.guard.close()
 
 
-def split_rows(rows: Tensor, counts: list[int]) -> list[Tensor]:
-    """Views of consecutive rows."""
-    return list(torch.split(rows, counts))
+def messages(
+    rows: Tensor, arriving: Tensor, sent: list[int], received: list[int], peers: Sequence[int], rank: int
+) -> tuple[list[tuple[int, Tensor]], list[tuple[int, Tensor]]]:
+    """The messages of an exchange as (other rank, view of its rows): those received, and those sent; rows for this rank
+    itself are copied.
+    """
+    lists: list[list[tuple[int, Tensor]]] = []
+    for tensor, counts in ((arriving, received), (rows, sent)):
+        parts = zip(peers, torch.split(tensor, counts), strict=True)
+        lists.append([(other, part) for other, part in parts if len(part)])
+    own = [part for parts in lists for other, part in parts if other == rank]
+    if own:
+        own[0].copy_(own[1])
+    incoming, outgoing = ([message for message in parts if message[0] != rank] for parts in lists)
+    return incoming, outgoing

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import Any
 
@@ -12,8 +12,8 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from pgccd.distributed.comm.interface import Background, Comm, Pending, split_rows
-from pgccd.distributed.comm.torch_comm import GlooBackground
+from pgccd.distributed.comm.interface import Comm, Objects, Pending, messages
+from pgccd.distributed.comm.torch_comm import GroupObjects
 from pgccd.distributed.guard import Guard
 
 # Environment variables that make MPI libraries read GPU memory, or declare that they do.
@@ -24,6 +24,19 @@ _CUDA_SWITCHES = {
     "MV2_USE_CUDA": "1",  # MVAPICH
     "PGCCD_MPI_CUDA": "1",  # any other
 }
+
+
+class MpiObjects(Objects):
+    """Exchange of picklable values over an MPI communicator."""
+
+    def __init__(self, world: Any) -> None:
+        self._world = world
+
+    def gather(self, value: Any) -> list[Any]:
+        return self._world.gather(value) or []
+
+    def broadcast(self, value: Any) -> Any:
+        return self._world.bcast(value)
 
 
 class MpiComm(Comm):
@@ -74,14 +87,19 @@ class MpiComm(Comm):
         """As mpi4py expects it: an array, or a tensor with the CUDA array interface."""
         return tensor if tensor.is_cuda else tensor.numpy()
 
-    def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
+    def exchange(
+        self, rows: Tensor, sent: list[int], received: list[int], peers: Sequence[int] | None = None
+    ) -> Pending[Tensor]:
         device, rows = rows.device, self._stage(rows.contiguous())
         arriving = rows.new_empty((sum(received), rows.shape[1]))
+        peers = self._peers(peers)
         with self.guard.waiting("exchange"):
-            if self.size > self.neighbours_above:
-                requests = self._to_neighbours(rows, arriving, sent, received)
-            else:
+            if peers is None:
                 requests = [self._to_all(rows, arriving, sent, received)]
+            else:
+                incoming, outgoing = messages(rows, arriving, sent, received, peers, self.rank)
+                requests = [self._world.Irecv([self._buffer(part), self._mpi.BYTE], peer) for peer, part in incoming]
+                requests += [self._world.Isend([self._buffer(part), self._mpi.BYTE], peer) for peer, part in outgoing]
 
         def wait(rows: Tensor = rows) -> Tensor:  # keeps the send buffer alive
             self._mpi.Request.Waitall(requests)
@@ -99,23 +117,6 @@ class MpiComm(Comm):
 
         return self._world.Ialltoallv(message(rows, sent), message(arriving, received))
 
-    def _to_neighbours(self, rows: Tensor, arriving: Tensor, sent: list[int], received: list[int]) -> list[Any]:
-        if sent[self.rank]:
-            split_rows(arriving, received)[self.rank].copy_(split_rows(rows, sent)[self.rank])
-        requests = []
-        for start, tensor, counts in ((self._world.Irecv, arriving, received), (self._world.Isend, rows, sent)):
-            for other, part in enumerate(split_rows(tensor, counts)):
-                if len(part) and other != self.rank:
-                    requests.append(start([self._buffer(part), self._mpi.BYTE], other))
-        return requests
-
-    def exchange_counts(self, counts: Tensor) -> Tensor:
-        staged = counts.cpu()
-        arriving = torch.empty_like(staged)
-        with self.guard.waiting("exchange of counts"):
-            self._world.Alltoall(staged.numpy(), arriving.numpy())
-        return arriving.to(counts.device)
-
     def all_gather(self, values: Tensor) -> Tensor:
         staged = values.cpu().contiguous()
         gathered = staged.new_empty((self.size, len(staged)))
@@ -123,25 +124,27 @@ class MpiComm(Comm):
             self._world.Allgather(staged.numpy(), gathered.numpy())
         return gathered.to(values.device)
 
-    def sum(self, values: Tensor) -> Tensor:
+    def _reduce(self, values: Tensor, operation: Any, what: str) -> Tensor:
         staged = values.cpu().clone()
-        with self.guard.waiting("sum"):
-            self._world.Allreduce(self._mpi.IN_PLACE, staged.numpy(), op=self._mpi.SUM)
+        with self.guard.waiting(what):
+            self._world.Allreduce(self._mpi.IN_PLACE, staged.numpy(), op=operation)
         return staged.to(values.device)
 
-    def any(self, flag: bool) -> bool:
-        with self.guard.waiting("agreement"):
-            return bool(self._world.allreduce(int(flag), op=self._mpi.MAX))
+    def sum(self, values: Tensor) -> Tensor:
+        return self._reduce(values, self._mpi.SUM, "sum")
 
-    def gather_objects(self, value: Any) -> list[Any]:
-        with self.guard.waiting("gather of objects"):
-            return self._world.allgather(value)
+    def min(self, values: Tensor) -> Tensor:
+        return self._reduce(values, self._mpi.MIN, "agreement")
+
+    @property
+    def objects(self) -> Objects:
+        return MpiObjects(self._world)
 
     @functools.cached_property
-    def background(self) -> Background:
+    def background(self) -> Objects:
         if self.control is None:
             raise RuntimeError("control: checkpoints need a torch.distributed group beside MPI")
-        return GlooBackground(dist.new_group(backend="gloo"))
+        return GroupObjects(dist.new_group(backend="gloo"))
 
     def close(self) -> None:
         self.guard.close()

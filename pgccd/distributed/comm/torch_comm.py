@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import functools
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from pgccd.distributed.comm.interface import Background, Closeable, Comm, Pending, split_rows
+from pgccd.distributed.comm.interface import Closeable, Comm, Objects, Pending, messages
 from pgccd.distributed.guard import Guard
 
 
-class GlooBackground(Background):
-    """Background exchange over a separate Gloo group."""
+class GroupObjects(Objects):
+    """Exchange of picklable values over a process group."""
 
     def __init__(self, group: dist.ProcessGroup) -> None:
         self._group = group
@@ -58,7 +57,7 @@ class TorchComm(Comm):
             raise RuntimeError("group: torch.distributed is not initialised; see pgccd.distributed.connect")
         self._group: Any = dist.group.WORLD if group is None else group
         #: For checkpoints and objects.
-        self.control = self._group if control is None else control
+        self.control: Any = self._group if control is None else control
         self.transport = dist.get_backend(self._group)
         self.rank = dist.get_rank(self._group)
         self.size = dist.get_world_size(self._group)
@@ -72,18 +71,24 @@ class TorchComm(Comm):
             return tensor if tensor.is_cuda else tensor.cuda()
         return tensor.cpu() if self.transport == "gloo" else tensor
 
-    def exchange(self, rows: Tensor, sent: list[int], received: list[int]) -> Pending:
+    def exchange(
+        self, rows: Tensor, sent: list[int], received: list[int], peers: Sequence[int] | None = None
+    ) -> Pending[Tensor]:
         device, rows = rows.device, self._stage(rows).contiguous()
         arriving = rows.new_empty((sum(received), rows.shape[1]))
+        # NCCL sends on the current stream, which is faster than on a separate one.
+        later = self.transport != "nccl"
+        if not later:
+            # It sends no empty messages, and this call can be captured in a graph.
+            sent, received, peers = self._of_all(sent, peers), self._of_all(received, peers), None
+        else:
+            peers = self._peers(peers)
         with self.guard.waiting("exchange"):
-            # NCCL sends no empty messages, and this call can be captured in a graph.
-            if self.size > self.neighbours_above and self.transport != "nccl":
-                works = self._to_neighbours(rows, arriving, sent, received)
-            else:
-                # NCCL sends on the current stream, which is faster than on a separate one.
-                later = self.transport != "nccl"
+            if peers is None:
                 work = dist.all_to_all_single(arriving, rows, received, sent, group=self._group, async_op=later)
                 works = [work] if later else []
+            else:
+                works = self._to_peers(*messages(rows, arriving, sent, received, peers, self.rank))
 
         def wait(rows: Tensor = rows) -> Tensor:  # keeps the send buffer alive
             for work in works:
@@ -92,23 +97,22 @@ class TorchComm(Comm):
 
         return Pending(wait, self.guard)
 
-    def _to_neighbours(self, rows: Tensor, arriving: Tensor, sent: list[int], received: list[int]) -> list[Any]:
-        if sent[self.rank]:
-            split_rows(arriving, received)[self.rank].copy_(split_rows(rows, sent)[self.rank])
-        messages = []
-        for operation, tensor, counts in ((dist.irecv, arriving, received), (dist.isend, rows, sent)):
-            for other, part in enumerate(split_rows(tensor, counts)):
-                if len(part) and other != self.rank:
-                    peer = dist.get_global_rank(self._group, other)
-                    messages.append(dist.P2POp(operation, part, peer, group=self._group))
-        return dist.batch_isend_irecv(messages) if messages else []
+    def _of_all(self, counts: list[int], peers: Sequence[int] | None) -> list[int]:
+        """The number of rows for each rank, given those for the peers."""
+        if peers is None:
+            return counts
+        of_all = [0] * self.size
+        for peer, count in zip(peers, counts, strict=True):
+            of_all[peer] = count
+        return of_all
 
-    def exchange_counts(self, counts: Tensor) -> Tensor:
-        staged = self._stage(counts)
-        arriving = torch.empty_like(staged)
-        with self.guard.waiting("exchange of counts"):
-            dist.all_to_all_single(arriving, staged, group=self._group)
-            return arriving.to(counts.device)
+    def _to_peers(self, incoming: list[tuple[int, Tensor]], outgoing: list[tuple[int, Tensor]]) -> list[Any]:
+        started = [
+            dist.P2POp(operation, part, group=self._group, group_peer=other)
+            for operation, parts in ((dist.irecv, incoming), (dist.isend, outgoing))
+            for other, part in parts
+        ]
+        return dist.batch_isend_irecv(started) if started else []
 
     def all_gather(self, values: Tensor) -> Tensor:
         staged = self._stage(values)
@@ -120,28 +124,26 @@ class TorchComm(Comm):
                 dist.all_gather(list(gathered.unbind()), staged, group=self._group)
             return gathered.to(values.device)
 
-    def sum(self, values: Tensor) -> Tensor:
+    def _reduce(self, values: Tensor, operation: Any, what: str) -> Tensor:
         staged = self._stage(values.clone())
-        with self.guard.waiting("sum"):
-            dist.all_reduce(staged, group=self._group)
+        with self.guard.waiting(what):
+            dist.all_reduce(staged, op=operation, group=self._group)
             return staged.to(values.device)
 
-    def any(self, flag: bool) -> bool:
-        value = self._stage(torch.tensor([int(flag)]))
-        with self.guard.waiting("agreement"):
-            dist.all_reduce(value, op=dist.ReduceOp.MAX, group=self._group)
-            return bool(value.item())
+    def sum(self, values: Tensor) -> Tensor:
+        return self._reduce(values, dist.ReduceOp.SUM, "sum")
 
-    def gather_objects(self, value: Any) -> list[Any]:
-        values: list[Any] = [None] * self.size
-        with self.guard.waiting("gather of objects"):
-            dist.all_gather_object(values, value, group=self.control)
-        return values
+    def min(self, values: Tensor) -> Tensor:
+        return self._reduce(values, dist.ReduceOp.MIN, "agreement")
+
+    @property
+    def objects(self) -> Objects:
+        return GroupObjects(self.control)
 
     @functools.cached_property
-    def background(self) -> Background:
+    def background(self) -> Objects:
         ranks = dist.get_process_group_ranks(self._group)
-        return GlooBackground(dist.new_group(ranks, backend="gloo", use_local_synchronization=True))
+        return GroupObjects(dist.new_group(ranks, backend="gloo", use_local_synchronization=True))
 
     def close_before(self, graph: Closeable) -> None:
         self._graphs.add(graph)

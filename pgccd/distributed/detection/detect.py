@@ -12,13 +12,12 @@ from pgccd import ops
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.parts import Part, contacts_of_step, search_seconds
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.share import Build, Options, OwnSearch, PartEstimates, Share
 from pgccd.distributed.halo.capacity import HaloCapacity
 from pgccd.distributed.halo.centres import centres_of
 from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.vertices import Vertices
-from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.rebalancing import Places
 from pgccd.runtime.stages import StageClock
 
@@ -57,8 +56,7 @@ def _corners(lower: Tensor, pairs: Tensor) -> Tensor:
 
 
 def detect_distributed(
-    comm: Comm,
-    partition: Partition,
+    decomposition: Decomposition,
     own: Columns,
     build: Build,
     options: Options,
@@ -71,7 +69,7 @@ def detect_distributed(
 
     Arguments as for `OwnSearch`.
     """
-    asked = comm, partition, own, build, options, clock
+    asked = decomposition, own, build, options, clock
     search = OwnSearch(*asked, estimates or PartEstimates(), capacity, vertices)
     share = search.start().with_ghosts()
     found = contacts_of_step(share.parts)

@@ -16,13 +16,13 @@ from pgccd.detection.checks import check_separation, operator_tolerance
 from pgccd.detection.parts import Part, find_part
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.detection.body_columns import bodies_of, of_checked, take_bodies
 from pgccd.distributed.detection.share import Build, Options, PartEstimates, Share
 from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo, padded_count
 from pgccd.distributed.halo.centres import Centres, centres_of
 from pgccd.distributed.halo.held import Held
-from pgccd.distributed.halo.replicas import MOST_TABLE_RANKS
-from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.side_stream import SideStream
@@ -35,7 +35,7 @@ _OWN_SHARE, _OWN_MORE = 16, 256
 
 def can_replay(comm: Comm, device: torch.device) -> bool:
     """Whether a step of a rank can be a CUDA graph, messages included."""
-    return device.type == "cuda" and (comm.size == 1 or comm.goes_with_the_stream) and comm.size <= MOST_TABLE_RANKS
+    return device.type == "cuda" and (comm.size == 1 or comm.goes_with_the_stream)
 
 
 def rows_with_slack(count: int) -> int:
@@ -49,16 +49,15 @@ class ShareCapacity:
 
     halo: HaloCapacity
     near: int  #: own bodies near ghosts
-    common: list[int]  #: bodies held both by this rank and by each other rank
+    common: list[int]  #: bodies held both by this rank and by each neighbour
 
     @classmethod
-    def after(cls, share: Share, common: Sequence[int]) -> ShareCapacity:
-        """Capacities for a step like the one with this share, with `common` bodies in common with each rank."""
+    def after(cls, share: Share, neighbours: Neighbourhood, common: Sequence[int] = ()) -> ShareCapacity:
+        """Capacities for a step like the one with this share, with `common` bodies in common with each neighbour."""
         rows = share.parts[-1].rows
         near = 0 if rows is None else len(rows) - share.held.ghost_count
-        return cls(
-            HaloCapacity.of(share.held), padded_count(_NEAR_SLACK * near), [padded_count(count) for count in common]
-        )
+        halo, of_near = HaloCapacity.of(share.held, neighbours), padded_count(_NEAR_SLACK * near)
+        return cls(halo, of_near, [padded_count(count) for count in common])
 
 
 @dataclass(frozen=True)
@@ -73,8 +72,7 @@ class PaddedShare:
 
 
 def search_padded_share(
-    comm: Comm,
-    partition: Partition,
+    decomposition: Decomposition,
     own: Columns,
     build: Build,
     options: Options,
@@ -86,18 +84,18 @@ def search_padded_share(
     """Sends ghosts and enqueues both searches. Does not synchronise if messages are sent on the stream.
 
     Args:
-        comm, partition, build, options, estimates: as for `OwnSearch`; the motion is rigid.
+        decomposition, build, options, estimates: as for `OwnSearch`; the motion is rigid.
         own: columns of this rank's own bodies, "id" ascending, then padding with id -1 and a valid pose.
         capacity: of the halo and of bodies near ghosts.
         discard, slack: see `find_part`.
     """
     kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
-    subdomain, device = partition.subdomain(comm.rank), own["id"].device
+    subdomain, device = decomposition.subdomain, own["id"].device
     bodies = MovingBodies(*_build_padded(build, own), wait=False)
     centres, asked = centres_of(bodies), (options.query, options.broad_phase)
-    if comm.size == 1:
+    if decomposition.comm.size == 1:
         part = find_part(bodies, *asked, None, discard, estimate=estimates.own, slack=slack)
-        return PaddedShare(Held.alone(comm, own), [part], centres, kept, bodies.first_faults()[-1:])
+        return PaddedShare(Held.alone(decomposition.neighbours, own), [part], centres, kept, bodies.first_faults()[-1:])
     reach, boundary, count = ops.boundary_bodies(centres, *kept, subdomain)
     where = *kept, reach, subdomain
 
@@ -106,8 +104,7 @@ def search_padded_share(
 
     side = SideStream(device, options.overlap)
     with side:
-        halo = PaddedHalo(comm, capacity.halo, own)
-        halo.find_ranks((centres, kept, subdomain), boundary, count)
+        halo = PaddedHalo(decomposition, capacity.halo, own, centres, kept, boundary, count)
         halo.send()
     own_part = find_part(bodies, *asked, owned_by_own, discard, estimate=estimates.own, slack=slack)
     own_part.begin()

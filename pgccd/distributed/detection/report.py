@@ -8,18 +8,19 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pgccd import arguments
 from pgccd.detection.contacts import Contacts, earliest_row
 from pgccd.detection.trajectories import TrajectoryContacts
-from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
+from pgccd.distributed.comm.exchange import Columns, first_row, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.detect import Detection
 
 
-def tell_owners(comm: Comm, found: Detection) -> Contacts:
-    """All contacts of the bodies that this rank owns, in global ids, sorted by id.
+def tell_owners(found: Detection) -> Contacts:
+    """All contacts of the bodies that this rank owns, in global ids, sorted by id. Both owners of a pair are neighbours
+    of the rank that tested it: they sent it ghosts.
 
     Args:
-        comm: between the ranks.
         found: contacts of the pairs that this rank tested.
     """
     columns = _in_global_ids(found)
@@ -27,7 +28,7 @@ def tell_owners(comm: Comm, found: Detection) -> Contacts:
     everything = torch.arange(len(owner), device=owner.device)
     second = everything[owner[:, 0] != owner[:, 1]]
     rows, destination = torch.cat([everything, second]), torch.cat([owner[:, 0], owner[second, 1]])
-    received = make_route(comm, rows, destination).forward(columns).wait()
+    received = make_route(found.held.route.neighbours, rows, destination).forward(columns).wait()
     return Contacts(**_all_fields(take_rows(received, _canonical_order(received["pairs"]))), stats=found.contacts.stats)
 
 
@@ -44,15 +45,10 @@ def earliest_for_all(comm: Comm, found: Detection, ids: int | None = None) -> Co
     segment = torch.zeros_like(i) if ids is None else torch.div(i, ids, rounding_mode="floor")
     row = earliest_row(segment, columns["toi"], i, j)
     columns = {name: column[row] for name, column in columns.items()}
-    mine = torch.full((4,), torch.iinfo(torch.int64).max, device=i.device)
-    if len(row):
-        # Floats >= 0 have the same order as their bits.
-        mine = torch.cat([segment[row], columns["toi"].view(torch.int64), i[row], j[row]])
-    of_all_ranks = comm.all_gather(mine).tolist()
-    first = min(range(comm.size), key=lambda rank: of_all_ranks[rank])
-    destination = torch.arange(comm.size if comm.rank == first and len(row) else 0, device=i.device)
-    received = make_route(comm, torch.zeros_like(destination), destination).forward(columns).wait()
-    return Contacts(**_all_fields(received), stats=found.contacts.stats)
+    # Floats >= 0 have the same order as their bits.
+    order = torch.stack([segment[row], columns["toi"].view(torch.int64), i[row], j[row]], dim=1)
+    columns, stats = first_row(comm, order, columns), found.contacts.stats
+    return Contacts(**_all_fields(columns), stats=stats)
 
 
 def _in_global_ids(found: Detection) -> Columns:
@@ -76,7 +72,14 @@ def first_toi_of(id: Tensor, hits: Contacts) -> Tensor:
     Args:
         id: (N,) int64 global ids, ascending.
         hits: with `pairs` in global ids.
+
+    Raises:
+        TypeError, ValueError: `hits` are not contacts with toi.
     """
+    if not isinstance(hits, Contacts):
+        raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
+    if hits.toi is None:
+        raise ValueError('hits: report="any" gives no toi')
     first = torch.full((len(id),), torch.inf, dtype=torch.float64, device=id.device)
     time = hits.time if isinstance(hits, TrajectoryContacts) else hits.toi
     assert time is not None

@@ -65,7 +65,7 @@ class Segments:
         """
         if report == "earliest":
             return self._of(earliest_for_all(comm, found, self.ids))
-        contacts = self._of(tell_owners(comm, found))
+        contacts = self._of(tell_owners(found))
         if report == "all":
             return contacts
         # Stable: the first segment of each pair comes first.

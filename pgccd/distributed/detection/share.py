@@ -28,9 +28,8 @@ from pgccd.distributed.halo.capacity import HaloCapacity
 from pgccd.distributed.halo.centres import Centres, centres_of
 from pgccd.distributed.halo.ghosts import Halo
 from pgccd.distributed.halo.held import Held
-from pgccd.distributed.halo.replicas import MOST_TABLE_RANKS
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
-from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.runtime.host_copy import HostCopy
@@ -99,8 +98,7 @@ class OwnSearch:
     On a GPU this does not synchronise if the capacity for pairs can be estimated; otherwise ghosts are sent first.
 
     Args:
-        comm: between the ranks.
-        partition: the same on all ranks.
+        decomposition: of space.
         own: columns of this rank's own bodies, "id" ascending; these columns are sent for ghosts.
         build: makes scene and motion from columns.
         options: of the detection.
@@ -114,14 +112,13 @@ class OwnSearch:
         ValueError: a pose is invalid.
 
     Example:
-        >>> search = OwnSearch(comm, partition, own, build, Options(), StageClock(), PartEstimates())
+        >>> search = OwnSearch(decomposition, own, build, Options(), StageClock(), PartEstimates())
         >>> share = search.start().with_ghosts()
     """
 
     def __init__(
         self,
-        comm: Comm,
-        partition: Partition,
+        decomposition: Decomposition,
         own: Columns,
         build: Build,
         options: Options,
@@ -131,7 +128,8 @@ class OwnSearch:
         vertices: Vertices | None = None,
     ) -> None:
         self._vertices = vertices
-        self._comm, self._partition, self._own, self._build = comm, partition, own, build
+        self._decomposition, self._comm = decomposition, decomposition.comm
+        self._own, self._build = own, build
         self._options, self._clock, self._estimates = options, clock, estimates
         self._capacity = capacity
         self._kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
@@ -142,9 +140,9 @@ class OwnSearch:
             own = self._own if self._vertices is None else {**self._own, **self._vertices.columns}
             self._bodies = MovingBodies(*self._build(own), wait=False)
         with self._clock.stage("halo"):
-            self._halo = Halo(self._comm, self._partition, self._own, self._bodies, self._kept)
+            self._halo = Halo(self._decomposition, self._own, self._bodies, self._kept)
             self._halo.find_boundary()
-        self._where = *self._kept, self._halo.reach, self._partition.subdomain(self._comm.rank)
+        self._where = *self._kept, self._halo.reach, self._decomposition.subdomain
         self._side = SideStream(self._bodies.device, self._options.overlap and self._comm.size > 1)
         if self._comm.size > 1:
             self._send_ghosts()
@@ -203,15 +201,15 @@ class OwnSearch:
             near, found = ops.near_ghosts(own, ghosts, *self._kept, subdomain)
             return near, HostCopy.start(found)
 
-    def of_held(self, make: Callable[[Held, Centres, tuple[float, float], Partition], T]) -> T:
+    def of_held(self, make: Callable[[Held, Centres, tuple[float, float], Decomposition], T]) -> T:
         """The result of `make` for the held bodies, the centres of ghosts (of all bodies on a single rank),
-        min_separation and tolerance, and the partition; runs concurrently with the search. Waits for ghosts.
+        min_separation and tolerance, and the decomposition; runs concurrently with the search. Waits for ghosts.
         """
         held, centres = self._held, centres_of(self._bodies if self._comm.size == 1 else self._ghosts)
         if self._comm.size > 1:
             _ = self._near  # started first, so that its count is available later
         with self._side, self._clock.stage("halo"):
-            return make(held, centres, self._kept, self._partition)
+            return make(held, centres, self._kept, self._decomposition)
 
     def with_ghosts(self) -> Share:
         """The whole share: waits for ghosts, and starts the search of pairs with them."""
@@ -243,7 +241,7 @@ class OwnSearch:
 
 def _sends_ahead(comm: Comm, side: SideStream) -> bool:
     """Whether ghosts can be sent without waiting for their number."""
-    return side.is_apart and comm.goes_with_the_stream and comm.size <= MOST_TABLE_RANKS
+    return side.is_apart and comm.goes_with_the_stream
 
 
 def _with_ghosts(near: Tensor, held: Held) -> Tensor:

@@ -1,4 +1,8 @@
-"""Messages between a rank and the hub: JSON lines over TCP, authenticated by the job's token."""
+"""Messages between a rank and the hub: JSON lines over TCP, authenticated by the job's token.
+
+Not `multiprocessing.connection`, which authenticates too: its listener waits for a process that connects and stays
+silent, and its messages are pickles.
+"""
 
 from __future__ import annotations
 

@@ -13,10 +13,11 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.distributed.comm.exchange import Columns, Route, pack, unpack
-from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.halo.centres import Centres
 from pgccd.distributed.halo.held import Held
-from pgccd.distributed.halo.replicas import ReplicaTable
+from pgccd.distributed.halo.replicas import Replicas, find_replicas
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.host_copy import HostCopy
 
 # A capacity is the last count times _SLACK plus _SOME (for small counts), rounded up to a multiple, so that buffers
@@ -28,14 +29,19 @@ _SLACK, _SOME, _MULTIPLE = 1.25, 64, 256
 class HaloCapacity:
     """Padded counts of bodies in messages. Both ends of a message compute them from the last step."""
 
-    sent: list[int]  #: to each rank
-    received: list[int]  #: from each rank
+    sent: list[int]  #: to each neighbour
+    received: list[int]  #: from each neighbour
     boundary: int  #: own bodies that other ranks need
 
     @classmethod
-    def of(cls, held: Held) -> HaloCapacity:
-        """Capacities for the step after one with these held bodies."""
-        return cls.after(held.route.sent, held.route.received, len(held.boundary))
+    def of(cls, held: Held, neighbours: Neighbourhood) -> HaloCapacity:
+        """Capacities for the step after one with these held bodies, by the numbers of `neighbours`, which include those
+        of the held bodies' route.
+        """
+        route = held.route
+        counts = neighbours.renumber(route.neighbours, torch.tensor([route.sent, route.received]))
+        sent, received = counts.tolist()
+        return cls.after(sent, received, len(held.boundary))
 
     @classmethod
     def after(cls, sent: list[int], received: list[int], boundary: int) -> HaloCapacity:
@@ -53,69 +59,58 @@ def padded_count(count: int) -> int:
     return -(-int(_SLACK * count + _SOME) // _MULTIPLE) * _MULTIPLE if count else 0
 
 
-@dataclass(frozen=True)
-class Sent:
-    """Received ghosts and the bodies sent, without padding."""
-
-    route: Route
-    ghosts: Columns
-    replicas: ReplicaTable  #: of the own bodies that other ranks need
-
-
 class PaddedHalo:
-    """Exchange of ghosts in messages of fixed size: `find_ranks`, then `send`. Does not synchronise if messages are
-    sent on the stream. `announce` also sends the counts, with which `wait` removes the padding; `padded` keeps it.
+    """Exchange of ghosts in messages of fixed size. Does not synchronise if messages are sent on the stream. `announce`
+    also sends the counts, with which `wait` removes the padding; `padded` keeps it.
 
     Args:
-        comm: between the ranks.
+        decomposition: of space.
         capacity: padded counts of bodies.
         own: columns of this rank's own bodies.
+        centres, kept: of own bodies, and min_separation and tolerance, as for `find_replicas`.
+        boundary: (N,) int64: rows of own bodies that other ranks need, then -1.
+        count: (1,) int64 on the device: their number.
     """
 
-    def __init__(self, comm: Comm, capacity: HaloCapacity, own: Columns) -> None:
-        self._comm, self._capacity, self._own = comm, capacity, own
-
-    def find_ranks(
+    def __init__(
         self,
-        where: tuple[Centres, tuple[float, float], ops.Subdomain],
+        decomposition: Decomposition,
+        capacity: HaloCapacity,
+        own: Columns,
+        centres: Centres,
+        kept: tuple[float, float],
         boundary: Tensor,
         count: Tensor,
     ) -> None:
-        """Finds the ranks that need each own body.
-
-        Args:
-            where: centres of own bodies, min_separation and tolerance, and the subdomain, as for `find_replicas`.
-            boundary: (N,) int64: rows of own bodies that other ranks need, then -1.
-            count: (1,) int64 on the device: their number.
-        """
-        comm, capacity = self._comm, self._capacity
+        self._comm, self._neighbours = decomposition.comm, decomposition.neighbours
+        self._capacity, self._own = capacity, own
         self._boundary = boundary[: capacity.boundary]
-        centres, kept, subdomain = where
-        replicas = ReplicaTable(*ops.replica_ranks(centres, *kept, subdomain, self._boundary, comm.size))
-        self._rows = replicas.rows_by_rank(self._boundary, capacity.sent)
-        self._numbers = ops.counts_to_send(replicas.counts, capacity.sent, count, capacity.boundary)
-        self._replicas = replicas
+        self._replicas = find_replicas(decomposition, centres, kept, self._boundary)
+        self._rows = self._replicas.rows_by_rank(self._boundary, capacity.sent)
+        self._numbers = ops.counts_to_send(self._replicas.counts, capacity.sent, count, capacity.boundary)
 
     @property
     def overflow(self) -> Tensor:
-        """(1,) int64: 1 if a capacity of this rank was exceeded, else 0."""
+        """(1,) int64: 1 if a capacity was exceeded, or a body reaches a rank that is not a neighbour; else 0."""
         return self._numbers[0, 1:]
 
     def announce(self) -> None:
-        """Sends each rank its number of bodies, and all ranks whether a capacity was exceeded."""
-        self._messages = HostCopy.start(torch.stack([self._numbers, self._comm.exchange_counts(self._numbers)]))
+        """Sends each neighbour its number of bodies, and all ranks whether a capacity was exceeded."""
+        sent = self._numbers[:, 0].contiguous()
+        overflows = self._comm.sum(self.overflow)
+        self._messages = HostCopy.start(torch.cat([sent, self._neighbours.exchange_counts(sent), overflows]))
 
     def send(self) -> None:
         """Sends the bodies."""
         # Ids plus one, since padding is zeros.
         columns = self._own | {"id": self._own["id"] + 1}
         packed = pack(columns, self._rows)
-        self._pending = self._comm.exchange(packed, self._capacity.sent, self._capacity.received)
+        self._pending = self._neighbours.exchange(packed, self._capacity.sent, self._capacity.received)
 
     def padded(self) -> Held:
         """The held bodies, with padding: ghosts with id -1."""
         capacity, id = self._capacity, self._own["id"]
-        route = Route(self._comm, self._rows, capacity.sent, capacity.received)
+        route = Route(self._neighbours, self._rows, capacity.sent, capacity.received)
         ghosts = self._unpacked(self._pending.wait())
         return Held(id, ghosts, route, self._boundary, self._replicas)
 
@@ -123,17 +118,17 @@ class PaddedHalo:
         ghosts = unpack(packed, self._own)
         return ghosts | {"id": ghosts["id"] - 1}
 
-    def wait(self, boundary_count: int) -> Sent | None:
-        """The ghosts without padding; None, on all ranks, if the capacity of one of them was exceeded."""
-        messages = self._messages.numpy()
+    def wait(self, boundary_count: int) -> Held | None:
+        """The held bodies without padding; None, on all ranks, if the capacity of one of them was exceeded."""
+        *counts, overflows = self._messages.numpy().tolist()
         packed = self._pending.wait()
-        if messages[:, :, 1].any():
+        if overflows:
             return None
-        sent, received = messages[:, :, 0].tolist()
-        route = Route(self._comm, _filled(self._rows, self._capacity.sent, sent), sent, received)
+        sent, received = counts[: self._neighbours.size], counts[self._neighbours.size :]
+        route = Route(self._neighbours, _filled(self._rows, self._capacity.sent, sent), sent, received)
         ghosts = self._unpacked(_filled(packed, self._capacity.received, received))
-        of_boundary = ReplicaTable(self._replicas.table[:boundary_count], self._replicas.counts)
-        return Sent(route, ghosts, of_boundary)
+        replicas = Replicas(self._replicas.table[:boundary_count], self._replicas.counts)
+        return Held(self._own["id"], ghosts, route, self._boundary[:boundary_count], replicas)
 
 
 def _filled(rows: Tensor, capacities: list[int], counts: list[int]) -> Tensor:

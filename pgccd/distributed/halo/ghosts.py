@@ -17,13 +17,13 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.distributed.comm.exchange import Arrival, Route
-from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.comm.exchange import Columns, Route
+from pgccd.distributed.comm.interface import Pending
 from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo
 from pgccd.distributed.halo.centres import centres_of
 from pgccd.distributed.halo.held import Held
-from pgccd.distributed.halo.replicas import find_replicas
-from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.halo.replicas import agreed_replicas
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.host_copy import HostCopy
 
 
@@ -31,8 +31,7 @@ class Halo:
     """The ghosts of one step: `find_boundary`, then `send` or `send_padded`, then `wait`.
 
     Args:
-        comm: between the ranks.
-        partition: the same on all ranks.
+        decomposition: of space.
         own: columns of this rank's own bodies to send, "id" ascending.
         bodies: the own bodies and their motion, not validated yet.
         kept: min_separation and tolerance, as the operators take them.
@@ -40,28 +39,28 @@ class Halo:
 
     def __init__(
         self,
-        comm: Comm,
-        partition: Partition,
+        decomposition: Decomposition,
         own: Mapping[str, Tensor],
         bodies: MovingBodies,
         kept: tuple[float, float],
     ) -> None:
-        self._comm, self._own, self._bodies = comm, dict(own), bodies
-        self._where = centres_of(bodies), kept, partition.subdomain(comm.rank)
+        self._decomposition, self._own, self._bodies = decomposition, dict(own), bodies
+        self._is_alone = decomposition.comm.size == 1
+        self._where = centres_of(bodies), kept
         none_of_them = own["id"][:0]
         #: (N,) uint8: 1 for own bodies that reach cells of other ranks.
         self.reach = none_of_them.to(torch.uint8)
         #: (B,) int64: rows of these bodies.
         self._boundary = none_of_them
-        self._arrival: Arrival | None = None
+        self._arrival: Pending[Columns] | None = None
         self._padded: PaddedHalo | None = None
 
     def find_boundary(self) -> None:
         """Finds the bodies that other ranks need. Does not synchronise."""
         found = self._bodies.first_faults()
-        if self._comm.size > 1:
-            centres, kept, subdomain = self._where
-            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *kept, subdomain)
+        if not self._is_alone:
+            centres, kept = self._where
+            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *kept, self._decomposition.subdomain)
             found = torch.cat([self._count, found])
         self._found = HostCopy.start(found)
 
@@ -73,40 +72,37 @@ class Halo:
         """
         if self._bodies.checked:
             return
-        count, *faults = ([0] if self._comm.size == 1 else []) + self._found.numpy().tolist()
+        count, *faults = ([0] if self._is_alone else []) + self._found.numpy().tolist()
         self._bodies.raise_faults(faults)
         self._bodies.checked = True
         self._boundary = self._boundary[:count]
 
     def send_padded(self, capacity: HaloCapacity) -> None:
         """Sends ghosts without synchronising. If the capacity of a rank is exceeded, `wait` sends them again."""
-        self._padded = PaddedHalo(self._comm, capacity, self._own)
-        self._padded.find_ranks(self._where, self._boundary, self._count)
+        bodies = self._own, *self._where, self._boundary, self._count
+        self._padded = PaddedHalo(self._decomposition, capacity, *bodies)
         self._padded.announce()
         self._padded.send()
 
     def send(self) -> None:
         """Sends ghosts after exchanging counts. Validates the bodies first, if not done yet."""
         self.check()
-        self._replicas = find_replicas(*self._where, self._boundary, self._comm.size)
-        counts = self._replicas.counts
-        sent, received = torch.stack([counts, self._comm.exchange_counts(counts)]).tolist()
-        rows = self._replicas.rows_by_rank(self._boundary, sent)
-        self._route = Route(self._comm, rows, sent, received)
+        self._replicas = agreed_replicas(self._decomposition, *self._where, self._boundary)
+        neighbours = self._decomposition.neighbours
+        sent, received = neighbours.agree(self._replicas.counts)
+        self._route = Route(neighbours, self._replicas.rows_by_rank(self._boundary, sent), sent, received)
         self._arrival = self._route.forward(self._own)
 
     def wait(self) -> Held:
         """The held bodies, once all ghosts have arrived. Sends ghosts first, if not done yet."""
-        id = self._own["id"]
-        if self._comm.size == 1:
-            self.check()
-            return Held.alone(self._comm, self._own)
+        self.check()
+        if self._is_alone:
+            return Held.alone(self._decomposition.neighbours, self._own)
         if self._padded is not None:
-            self.check()
-            padded, self._padded = self._padded.wait(len(self._boundary)), None
-            if padded is not None:
-                return Held(id, padded.ghosts, padded.route, self._boundary, padded.replicas)
+            held, self._padded = self._padded.wait(len(self._boundary)), None
+            if held is not None:
+                return held
         if self._arrival is None:
             self.send()
         assert self._arrival is not None
-        return Held(id, self._arrival.wait(), self._route, self._boundary, self._replicas)
+        return Held(self._own["id"], self._arrival.wait(), self._route, self._boundary, self._replicas)

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from pgccd.distributed.comm.exchange import Columns, Route
-from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.halo.replicas import ReplicaList, ReplicaTable
+from pgccd.distributed.comm.neighbourhood import Neighbourhood
+from pgccd.distributed.halo.replicas import Replicas
 
 
 @dataclass(frozen=True)
@@ -21,14 +21,14 @@ class Held:
     ghosts: Columns  #: columns of G bodies, "id" among them, in order of arrival: by owner, then by id
     route: Route  #: route by which ghosts were sent: its rows index own bodies
     boundary: Tensor  #: (B,) int64, ascending: rows of own bodies that other ranks hold too
-    replicas: ReplicaTable | ReplicaList  #: the other ranks that hold each boundary body
+    replicas: Replicas  #: the other ranks that hold each boundary body
 
     @classmethod
-    def alone(cls, comm: Comm, own: Columns) -> Held:
+    def alone(cls, neighbours: Neighbourhood, own: Columns) -> Held:
         """The held bodies of a single rank, without ghosts."""
         id, ghosts = own["id"], {name: column[:0] for name, column in own.items()}
-        none = ReplicaTable(id.new_empty((0, 1), dtype=torch.uint8), id.new_zeros(1))
-        return cls(id, ghosts, Route(comm, id[:0], [0], [0]), id[:0], none)
+        none = Replicas(id.new_empty((0, 1), dtype=torch.uint8), id.new_zeros(1))
+        return cls(id, ghosts, Route(neighbours, id[:0], [0], [0]), id[:0], none)
 
     def __len__(self) -> int:
         return self.own_count + self.ghost_count
@@ -48,5 +48,5 @@ class Held:
 
     @functools.cached_property
     def owner(self) -> Tensor:
-        """(N + G,) int64: the rank that owns each."""
-        return torch.cat([torch.full_like(self.own_id, self.route.comm.rank), self.route.source])
+        """(N + G,) int64: the rank that owns each, as numbered in `route.neighbours`."""
+        return torch.cat([torch.full_like(self.own_id, self.route.neighbours.rank), self.route.source])

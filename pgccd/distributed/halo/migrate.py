@@ -11,72 +11,54 @@ from pgccd import ops
 from pgccd.distributed.comm.exchange import Columns, Route, replace_rows, unpack
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo.vertices import Vertices
-from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.hashing import row_hash
 
 # Ids generated at a time.
 _BLOCK = 1 << 22
 
 
-class Leaving:
-    """The bodies that leave this rank, found on the device.
+def leaving_bodies(
+    decomposition: Decomposition, position: Tensor, id: Tensor | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The bodies that leave this rank, found on the device: their rows, padded to (N,): ascending; and by neighbour,
+    then ascending; and the number that leave for each neighbour (neighbours.size,) int64.
 
     Args:
-        comm: between the ranks.
-        partition: the same on all ranks.
+        decomposition: of space.
         position: (N, 3) of the bodies' origins.
         id: (N,) int64, negative for padding; None: there is no padding.
     """
-
-    def __init__(self, comm: Comm, partition: Partition, position: Tensor, id: Tensor | None = None) -> None:
-        self._comm = comm
-        #: counts (ranks,) int64: number of bodies that leave for each rank.
-        self._rows, self._by_destination, self.counts = ops.leaving_bodies(
-            position, id, partition.subdomain(comm.rank), comm.size
-        )
-
-    def route(self, sent: list[int], received: list[int]) -> tuple[Route, Tensor]:
-        """Their route, and their rows, ascending.
-
-        Args:
-            sent: `counts`.
-            received: number of bodies that arrive from each rank.
-        """
-        count = sum(sent)
-        return Route(self._comm, self._by_destination[:count], sent, received), self._rows[:count]
+    return ops.leaving_bodies(position, id, decomposition.subdomain, decomposition.neighbours.size)
 
 
 def migrate(
-    comm: Comm,
-    partition: Partition,
-    columns: Columns,
-    position: Tensor,
-    known: tuple[Leaving, list[int], list[int]] | None = None,
-    vertices: Vertices | None = None,
+    decomposition: Decomposition, columns: Columns, position: Tensor, vertices: Vertices | None = None
 ) -> Moved:
     """Sends every body to the owner of the cell that contains its position.
 
+    Counts are exchanged with neighbours only; or with all ranks, if a body of any rank moves further (at the start, or
+    when the partition has changed).
+
     Args:
-        comm: between the ranks.
-        partition: the same on all ranks.
+        decomposition: of space.
         columns: of this rank's bodies, including "id" (N,) int64, ascending. Any dtypes and widths, equal on all ranks.
         position: (N, 3) of the bodies' origins.
-        known: the leaving bodies and the counts to and from each rank, if already exchanged.
         vertices: of the bodies; requires a column "vertex_count" (N,) int64.
 
     Example:
-        >>> moved = migrate(comm, partition, {"id": id, "position": x, "mood": mood}, x)
+        >>> moved = migrate(decomposition, {"id": id, "position": x, "mood": mood}, x)
     """
-    if comm.size == 1:
+    if decomposition.comm.size == 1:
         return Moved(columns, 0, vertices)
-    if known is None:
-        leaving = Leaving(comm, partition, position)
-        sent, received = torch.stack([leaving.counts, comm.exchange_counts(leaving.counts)]).tolist()
-    else:
-        leaving, sent, received = known
-    route, rows = leaving.route(sent, received)
+    rows, by_destination, counts = leaving_bodies(decomposition, position)
+    if decomposition.is_beyond(counts):
+        return migrate(decomposition.of_all_ranks(), columns, position, vertices)
+    neighbours = decomposition.neighbours
+    sent, received = neighbours.agree(counts)
+    rows, route = rows[: sum(sent)], Route(neighbours, by_destination[: sum(sent)], sent, received)
     id_first = {"id": columns["id"], **columns}  # rows are merged by the first column
-    packed = route.forward(id_first).wait_packed()
+    packed = route.send(id_first).wait()
     changed = replace_rows(id_first, rows, packed)
     if vertices is not None:
         arrived = unpack(packed, id_first)

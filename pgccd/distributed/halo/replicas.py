@@ -1,114 +1,78 @@
-"""The other ranks that hold a body: as a table, or as a list for many ranks."""
+"""The neighbours that hold copies of a rank's bodies."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from pgccd import ops
+from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.halo.centres import Centres
-
-#: Above this number of ranks lists are used: a table has one byte per body and rank.
-MOST_TABLE_RANKS = 64
-
-
-class Replicas(Protocol):
-    """The replica ranks of B bodies."""
-
-    @property
-    def counts(self) -> Tensor:
-        """(ranks,) int64: number of the bodies that each rank holds."""
-
-    def rows_by_rank(self, rows: Tensor, capacities: list[int]) -> Tensor:
-        """The rows (B,) of the bodies that rank 0 holds, then those of rank 1, ..., each padded with -1 to the capacity
-        of the rank.
-        """
+from pgccd.distributed.partition.decomposition import Decomposition
 
 
 @dataclass(frozen=True)
-class ReplicaTable:
-    """One byte per body and rank. Does not synchronise."""
+class Replicas:
+    """The neighbours that hold each of B bodies."""
 
-    table: Tensor  #: (B, ranks) uint8: 1 for each rank that holds the body
-    counts: Tensor  #: (ranks,) int64
+    table: Tensor  #: (B, neighbours.size) uint8: 1 for each that holds the body
+    counts: Tensor  #: (neighbours.size,) int64: number of the bodies that each holds
 
     def rows_by_rank(self, rows: Tensor, capacities: list[int]) -> Tensor:
+        """The rows (B,) of the bodies that the first neighbour holds, then those of the second, ..., each padded with
+        -1 to the capacity of the neighbour.
+        """
         return ops.rows_by_rank(self.table, rows, self.counts, capacities)
 
+    def overflow(self, capacities: list[int]) -> Tensor:
+        """(1,) int64: 1 if a capacity is exceeded, or a body reaches a rank that is not a neighbour."""
+        return ops.counts_to_send(self.counts, capacities, torch.zeros_like(self.counts[:1]), 0)[0, 1:]
 
-@dataclass(frozen=True)
-class ReplicaList:
-    """Pairs (number of a body, rank that holds it), ascending by rank, then by number."""
-
-    number: Tensor  #: (E,) int64, from 0 to B - 1
-    rank: Tensor  #: (E,) int64
-    bodies: int  #: B
-    counts: Tensor  #: (ranks,) int64
-
-    @classmethod
-    def of(cls, number: Tensor, rank: Tensor, bodies: int, ranks: int) -> ReplicaList:
-        """From entries in any order."""
-        order = torch.argsort(rank * max(1, bodies) + number)
-        return cls(number[order], rank[order], bodies, torch.bincount(rank, minlength=ranks))
-
-    def rows_by_rank(self, rows: Tensor, capacities: list[int]) -> Tensor:
-        if sum(capacities) == len(self.number):  # lists are exchanged without padding
-            return rows[self.number]
-        raise ValueError("capacities: a list of replicas is exchanged without padding")
-
-    def after(self, count: int) -> tuple[Tensor, Tensor]:
-        """Entries of these bodies as numbered after `count` others."""
-        return self.number + count, self.rank
+    def renumber(self, former: Neighbourhood, neighbours: Neighbourhood) -> Replicas:
+        """These replicas by the numbers of other neighbours, which include the former ones."""
+        return Replicas(*(neighbours.renumber(former, values) for values in (self.table, self.counts)))
 
 
 def find_replicas(
+    decomposition: Decomposition,
     centres: Centres,
     kept: tuple[float, float],
-    subdomain: ops.Subdomain,
     rows: Tensor,
-    ranks: int,
     received: Sequence[int] = (),
-) -> ReplicaTable | ReplicaList:
-    """The other ranks whose parts bodies reach; for ghosts also the ranks that sent them.
+) -> Replicas:
+    """The other ranks whose parts bodies reach; for ghosts also the ranks that sent them. Does not synchronise.
 
     Args:
+        decomposition: of space.
         centres: swept spheres of the bodies.
         kept: min_separation and tolerance, as the operators take them.
-        subdomain: of this rank.
-        rows: (B,) rows of `centres`; may contain -1 (reaching no rank) up to `MOST_TABLE_RANKS` ranks.
-        ranks: their number.
-        received: number of these bodies received from each rank, if they are ghosts.
+        rows: (B,) rows of `centres`; may contain -1 (reaching no rank).
+        received: number of these bodies received from each neighbour, if they are ghosts.
     """
-    if ranks <= MOST_TABLE_RANKS:
-        return ReplicaTable(*ops.replica_ranks(centres, *kept, subdomain, rows, ranks, received))
-    number, rank = ops.reached_ranks(centres, *kept, subdomain, rows, ranks)
-    if received:
-        counts, every = torch.tensor(received, device=rows.device), torch.arange(len(rows), device=rows.device)
-        source = torch.arange(ranks, device=rows.device).repeat_interleave(counts)
-        entries = torch.unique(torch.cat([rank * len(rows) + number, source * len(rows) + every]))
-        number, rank = entries % max(1, len(rows)), torch.div(entries, max(1, len(rows)), rounding_mode="floor")
-    return ReplicaList(number, rank, len(rows), torch.bincount(rank, minlength=ranks))
+    where = centres, *kept, decomposition.subdomain, rows, decomposition.neighbours.size
+    return Replicas(*ops.replica_ranks(*where, received))
 
 
-def join_replicas(
-    ghosts: ReplicaTable | ReplicaList, before: int, own: ReplicaTable | ReplicaList
-) -> ReplicaTable | ReplicaList:
-    """The replicas of the first ghosts, then own bodies, then the remaining ghosts.
-
-    Args:
-        ghosts: replicas of all ghosts.
-        before: number of ghosts before the own bodies.
-        own: replicas of the own bodies.
+def agreed_replicas(
+    decomposition: Decomposition,
+    centres: Centres,
+    kept: tuple[float, float],
+    rows: Tensor,
+    received: Sequence[int] = (),
+) -> Replicas:
+    """The same, after extending the neighbours of ranks if bodies of any rank reach further. All ranks call it.
+    Synchronises, unless all ranks are neighbours.
     """
-    if isinstance(ghosts, ReplicaTable) and isinstance(own, ReplicaTable):
-        table = torch.cat([ghosts.table[:before], own.table, ghosts.table[before:]])
-        return ReplicaTable(table, ghosts.counts + own.counts)
-    assert isinstance(ghosts, ReplicaList) and isinstance(own, ReplicaList)
-    later = torch.where(ghosts.number < before, ghosts.number, ghosts.number + own.bodies)
-    number, rank = own.after(before)
-    entries = torch.cat([later, number]), torch.cat([ghosts.rank, rank])
-    return ReplicaList.of(*entries, ghosts.bodies + own.bodies, len(own.counts))
+    former, of_neighbours = decomposition.neighbours, received
+    while True:
+        found = find_replicas(decomposition, centres, kept, rows, of_neighbours)
+        if not decomposition.is_beyond(found.counts):
+            return found
+        beyond = rows[found.table[:, -1] > 0]
+        whole = decomposition.of_all_ranks().subdomain
+        decomposition.extend(ops.reached_ranks(centres, *kept, whole, beyond, decomposition.comm.size)[1])
+        if received:
+            of_neighbours = decomposition.neighbours.renumber(former, torch.tensor(received)).tolist()

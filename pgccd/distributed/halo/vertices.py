@@ -53,7 +53,7 @@ class Vertices:
             for column, bodies in ((sent, route.sent), (received, route.received))
         ]
         packed = pack(self.columns, self.rows(route.rows))
-        return Vertices(unpack(route.comm.exchange(packed, *counts).wait(), self.columns), received)
+        return Vertices(unpack(route.neighbours.exchange(packed, *counts).wait(), self.columns), received)
 
 
 def vertex_counts(meshes: MeshSet, mesh_index: Tensor) -> Tensor:

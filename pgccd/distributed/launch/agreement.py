@@ -1,4 +1,8 @@
-"""Agreement at the start: all ranks compare their configurations, and an error of one rank is raised on all."""
+"""Agreement at the start: all ranks compare their configurations, and an error of one rank is raised on all.
+
+No launcher or library compares them: ranks with different options would hang in their first exchange, or compute
+different worlds.
+"""
 
 from __future__ import annotations
 
@@ -106,13 +110,11 @@ def together(comm: Comm, action: Callable[[], T]) -> T:
         result = action()
     except Exception as raised:
         error = raised
-    errors = comm.gather_objects(None if error is None else str(error))
-    failed = [rank for rank, text in enumerate(errors) if text is not None]
-    if error is None and not failed:
+    errors = enumerate(comm.gather_objects(None if error is None else str(error)))
+    first = comm.broadcast_object(next((f"rank {rank}: {text}" for rank, text in errors if text is not None), None))
+    if first is None:
         return result  # type: ignore[return-value]
-    if error is None:
-        error = ValueError(f"rank {failed[0]}: {errors[failed[0]]}")
-    raise of_all_ranks(error)
+    raise of_all_ranks(error or ValueError(first))
 
 
 def on_first(comm: Comm, action: Callable[[], T]) -> T:
@@ -136,8 +138,8 @@ def require_agreement(comm: Comm, facts: Mapping[str, Any]) -> None:
     mine = {"pgccd": pgccd.__version__, "torch": torch.__version__, "machine": platform.machine()}
     mine |= {name: repr(value) for name, value in facts.items()}
     short = {name: text if len(text) <= 80 else _digest(text) for name, text in mine.items()}
-    of_all_ranks = comm.gather_objects(short)
-    difference = _difference(of_all_ranks, range(len(of_all_ranks)))
+    of_ranks = comm.gather_objects(short)
+    difference = comm.broadcast_object(_difference(of_ranks, range(len(of_ranks))))
     if difference is not None:
         raise DisagreementError(difference)
 

@@ -1,4 +1,6 @@
-"""Rank, size and local rank of this process, as set by torchrun, mpirun, srun, or no launcher."""
+"""Rank, size and local rank of this process, as set by torchrun, mpirun, srun, or no launcher. torch.distributed reads
+only torchrun's variables.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Rendezvous of the ranks of a job through a common store."""
+"""Rendezvous of the ranks of a job through a common store.
+
+Torchrun's store is used where there is one. `init_process_group` does not start from the variables of mpirun or srun,
+and reuses the keys of a start before a restart.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The job's token, by which its processes authenticate each other."""
+"""The job's token, by which its processes authenticate each other: the stores of torch.distributed do not do so."""
 
 from __future__ import annotations
 

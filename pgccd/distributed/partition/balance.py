@@ -103,15 +103,6 @@ class CellLoads:
     pairs: Tensor  #: potentially colliding pairs whose reference point is in it
     contacts: Tensor  #: those of the pairs that collide
 
-    def stacked(self) -> Tensor:
-        """(3 * cell_count,) int64, to be summed over ranks."""
-        return torch.cat([self.bodies, self.pairs, self.contacts])
-
-    @classmethod
-    def unstacked(cls, sums: Tensor) -> CellLoads:
-        """The inverse."""
-        return cls(*sums.view(3, -1).unbind())
-
     @property
     def cost(self) -> Tensor:
         """(cell_count,) int64: predicted cost, in bodies."""

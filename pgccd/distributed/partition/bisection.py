@@ -20,6 +20,9 @@ from pgccd.distributed.partition.interface import Partition, Point, box_given
 _BINS, _ZOOMS = 64, 4
 # Cells per axis of a rank's part, used to find own bodies near ghosts.
 _CELLS = 16
+# Parts are neighbours if the gap between them is at most this fraction of their shortest edges: planes in different
+# branches of the tree differ slightly, so parts that meet in an edge or a corner of bodies' size need not touch.
+_NEAR = 1.0 / 8.0
 # Maximum distance of a plane outside of the part that it divides, relative to the box's largest coordinate.
 _SLACK = 1e-12
 
@@ -96,21 +99,28 @@ class Bisection(Partition):
             todo.append((int(above), [*low[:axis], coordinate, *low[axis + 1 :]], high))
         return found
 
-    def subdomain(self, rank: int) -> ops.Subdomain:
+    def neighbours(self, rank: int) -> list[int]:
+        low, high = (torch.tensor(corner, dtype=torch.float64) for corner in zip(*self.boxes, strict=True))
+        shortest = (high - low).amin(dim=1).clamp(min=0.0)
+        # Bodies outside of the world belong to the parts at its boundary.
+        low = torch.where(low <= torch.tensor(self.lower), -torch.inf, low)
+        high = torch.where(high >= torch.tensor(self.upper), torch.inf, high)
+        gap = torch.maximum(low - high[rank], low[rank] - high).amax(dim=1)
+        near = gap <= _NEAR * torch.minimum(shortest, shortest[rank])
+        return sorted({rank, *torch.nonzero(near)[:, 0].tolist()})
+
+    def subdomain(self, rank: int, numbers: Tensor | None = None) -> ops.Subdomain:
         low, high = self.boxes[rank]
         per_length = [_CELLS / (b - a) if b > a else 0.0 for a, b in zip(low, high, strict=True)]
-        return [*low, *per_length, *([float(_CELLS)] * 3)], self.planes, rank
-
-    def copy(self) -> Bisection:
-        return replace(self, planes=self.planes.clone())
-
-    def become(self, other: Partition) -> bool:
-        # The cells used to find bodies near ghosts remain those of the previous part, which are constants of a captured
-        # graph. Any cells give the same pairs, since the outermost extend to infinity.
-        if not isinstance(other, Bisection) or other.planes.shape != self.planes.shape:
-            return False
-        self.planes.copy_(other.planes)
-        return True
+        # In a captured graph these cells are constants, while planes change. Any cells give the same pairs, since the
+        # outermost extend to infinity.
+        frame = [*low, *per_length, *([float(_CELLS)] * 3)]
+        if numbers is None:
+            return frame, self.planes, rank
+        children = self.planes[:, 2:]
+        of_ranks = numbers.to(children.device)[(-1.0 - children).clamp(min=0.0).long()]
+        renamed = torch.where(children < 0.0, -1.0 - of_ranks, children)
+        return frame, torch.cat([self.planes[:, :2], renamed], dim=1), int(numbers[rank])
 
     def with_planes(self, planes: Tensor) -> Bisection:
         """The same box, divided by other planes.

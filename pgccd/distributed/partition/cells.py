@@ -138,15 +138,6 @@ class Cells(Partition):
     def cell_size(self) -> Point:
         return cast(Point, tuple((b - a) / n for a, b, n in zip(self.lower, self.upper, self.grid, strict=True)))
 
-    def copy(self) -> Cells:
-        return replace(self, owner=self.owner.clone())
-
-    def become(self, other: Partition) -> bool:
-        if not isinstance(other, Cells) or other.grid != self.grid:
-            return False
-        self.owner.copy_(other.owner)
-        return True
-
     def with_owner(self, owner: Tensor) -> Cells:
         """The same cells with other owners.
 
@@ -178,8 +169,18 @@ class Cells(Partition):
         """The grid for the operators: lower corner, cells per length unit, number of cells; each along x, y, z."""
         return [*self.lower, *(1.0 / size for size in self.cell_size), *map(float, self.grid)]
 
-    def subdomain(self, rank: int) -> ops.Subdomain:
-        return self.frame, self.owner, rank
+    def neighbours(self, rank: int) -> list[int]:
+        cells = torch.nonzero(self.owner == rank)[:, 0]
+        at = torch.stack(torch.unravel_index(cells, self.grid), dim=1)[:, None]
+        steps = torch.cartesian_prod(*[torch.arange(-1, 2)] * 3).to(at.device)
+        last = torch.tensor(self.grid, device=at.device) - 1
+        beside = self.index(torch.minimum((at + steps).clamp(min=0), last))
+        return sorted({rank, *torch.unique(self.owner[beside]).tolist()})
+
+    def subdomain(self, rank: int, numbers: Tensor | None = None) -> ops.Subdomain:
+        if numbers is None:
+            return self.frame, self.owner, rank
+        return self.frame, numbers.to(self.owner.device)[self.owner], int(numbers[rank])
 
     def index(self, coordinates: Tensor) -> Tensor:
         """(K,) int64 positions in the table of cells (K, 3)."""

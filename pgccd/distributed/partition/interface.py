@@ -46,15 +46,16 @@ class Partition(ABC):
         """(K,) int64: the rank that owns each of the points (K, 3)."""
 
     @abstractmethod
-    def subdomain(self, rank: int) -> ops.Subdomain:
-        """A rank's part, as the operators expect it."""
+    def neighbours(self, rank: int) -> list[int]:
+        """The ranks whose parts are near a rank's part, and itself, ascending; a symmetric relation. Bodies may reach
+        further: see `Decomposition`.
+        """
 
     @abstractmethod
-    def copy(self) -> Partition:
-        """A copy of the tensors, for a CUDA graph that reads it."""
+    def subdomain(self, rank: int, numbers: Tensor | None = None) -> ops.Subdomain:
+        """A rank's part, as the operators expect it.
 
-    @abstractmethod
-    def become(self, other: Partition) -> bool:
-        """Copies the values of another partition in place. False if its structure differs from what a captured graph
-        reads.
+        Args:
+            rank: whose part.
+            numbers: (ranks,) int64: the numbers by which the operators name ranks. Default: the ranks.
         """

@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from pgccd import arguments
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.partition.balance import (
     PAIR_COST,
+    BackOff,
     BalanceOptions,
     CellLoads,
+    RankLoads,
     imbalance,
     rank_loads,
     rebalance,
     relative_speeds,
 )
 from pgccd.distributed.partition.bisection import Bisection
-from pgccd.distributed.partition.cells import Cells, check_cells
-from pgccd.distributed.partition.interface import Partition, Point, Triple
-
-#: Kinds of `make_partition`.
-PARTITIONS = ("cells", "bisection")
-#: Values of the option `partition`.
-PARTITION_CHOICES = ("auto", *PARTITIONS)
-#: Default arguments of `Cells.uniform` in a world.
-DEFAULT_AXES, DEFAULT_CELLS = 3, 16
+from pgccd.distributed.partition.cells import Cells
+from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.distributed.partition.interface import Partition
 
 
 class Places(NamedTuple):
@@ -39,61 +33,46 @@ class Places(NamedTuple):
     contacts: Tensor  #: (K, 3): the same for colliding pairs
 
 
-@dataclass(frozen=True)
-class Rebalanced:
-    """Result of a decision; the same on all ranks."""
-
-    partition: Partition
-    moved: int  #: number of cells or planes that changed; 0: the partition is unchanged
-
-
-def make_partition(
-    kind: str, lower: Point, upper: Point, ranks: int, axes: int, cells: int | Triple, device: torch.device
-) -> Partition:
-    """The initial partition of a world. `axes` and `cells` are those of `Cells.uniform`.
-
-    Raises:
-        ValueError: naming the argument.
-    """
-    arguments.choice(kind, "partition", PARTITIONS)
-    check_cells(axes, cells)
-    if kind == "bisection":
-        return Bisection.uniform(lower, upper, ranks, device)
-    return Cells.uniform(lower, upper, ranks, axes=axes, cells=cells, device=device)
-
-
-def choose_partition(
-    partition: str, axes: int, cells: int | Triple, options: BalanceOptions, former: str | None = None
-) -> str:
-    """The kind of partition for the options of a world: for "auto" that of the world's checkpoint, or bisection, unless
-    other options ask for cells.
+class Balancer:
+    """Load balancing during a loop of steps: when to decide, and the decision. All ranks call every method.
 
     Args:
-        partition, axes, cells: options of the world.
-        options: its policy.
-        former: the kind in the checkpoint from which the world continues, if any.
-
-    Raises:
-        ValueError: naming the option.
+        options: policy and thresholds.
     """
-    arguments.choice(partition, "partition", PARTITION_CHOICES)
-    needs_cells = options.policy == "one-cell"
-    if partition == "bisection" and needs_cells:
-        raise ValueError('balance: "one-cell" moves cells; with partition "bisection" there are none')
-    if partition != "auto":
-        return partition
-    are_given = not (
-        isinstance(axes, int) and axes == DEFAULT_AXES and isinstance(cells, int) and cells == DEFAULT_CELLS
-    )
-    if needs_cells or are_given:
-        return "cells"
-    return former if former in PARTITIONS else "bisection"
+
+    def __init__(self, options: BalanceOptions) -> None:
+        self.options, self._back_off = options, BackOff()
+
+    def is_due(self, steps_made: int, ranks: int) -> bool:
+        """Whether to decide after `steps_made` steps, unless the loads are level."""
+        return self.options.applies(steps_made, ranks) and self._back_off.is_over(steps_made)
+
+    def are_level(self, loads: RankLoads) -> bool:
+        """Whether no decision is needed for these loads."""
+        return loads.are_level(self.options)
+
+    def decide(
+        self, decomposition: Decomposition, places: Places, loads: RankLoads, steps_made: int
+    ) -> tuple[Decomposition, int]:
+        """The decomposition of the next step, and how many cells or planes moved; if 0, it is the same one.
+
+        Args:
+            decomposition: of the last step.
+            places: of this rank's work in it.
+            loads: of all ranks in it.
+            steps_made: number of steps made.
+        """
+        comm, seconds = decomposition.comm, torch.tensor(loads.seconds, dtype=torch.float64)
+        partition, moved = rebalanced(comm, decomposition.partition, places, self.options, seconds)
+        self._back_off.tried(steps_made, moved)
+        return (Decomposition(comm, partition) if moved else decomposition), moved
 
 
 def rebalanced(
     comm: Comm, partition: Partition, places: Places, options: BalanceOptions, seconds: Tensor
-) -> Rebalanced:
-    """The partition of the next step. All ranks call it.
+) -> tuple[Partition, int]:
+    """The partition of the next step, and the number of cells or planes that changed; 0: it is the same partition. All
+    ranks call it.
 
     Args:
         comm: between the ranks.
@@ -103,10 +82,9 @@ def rebalanced(
         seconds: (ranks,) float64 of work of each rank; for "measured".
     """
     if isinstance(partition, Cells):
-        total = CellLoads.unstacked(comm.sum(cell_loads(partition, places).stacked()))
+        total = CellLoads(*comm.sum(torch.stack(list(vars(cell_loads(partition, places)).values()))))
         after = rebalance(partition, total, options, seconds)
-        moved = int((after.owner != partition.owner).sum())
-        return Rebalanced(after, moved)
+        return after, int((after.owner != partition.owner).sum())
     assert isinstance(partition, Bisection)
     return _bisected(comm, partition, places, options, seconds)
 
@@ -117,7 +95,9 @@ def cell_loads(partition: Cells, places: Places) -> CellLoads:
     return CellLoads(*counts)
 
 
-def _bisected(comm: Comm, partition: Bisection, places: Places, options: BalanceOptions, seconds: Tensor) -> Rebalanced:
+def _bisected(
+    comm: Comm, partition: Bisection, places: Places, options: BalanceOptions, seconds: Tensor
+) -> tuple[Partition, int]:
     """New planes, if their gain over the horizon exceeds the cost of moving bodies."""
     points = torch.cat([places.bodies, places.pairs])
     weights = torch.full((len(points),), PAIR_COST, dtype=torch.int64, device=points.device)
@@ -131,8 +111,8 @@ def _bisected(comm: Comm, partition: Bisection, places: Places, options: Balance
     moving = comm.sum((after.owner_of(places.bodies) != comm.rank).sum().reshape(1))
     gain = (float((before.cpu() / shares).max()) - float(loads.max())) * options.horizon
     if gain <= options.moving * float(moving) / comm.size or imbalance(loads) >= imbalance(before.cpu() / shares):
-        return Rebalanced(partition, 0)
-    return Rebalanced(after, int((after.planes != partition.planes).any(dim=1).sum()))
+        return partition, 0
+    return after, int((after.planes != partition.planes).any(dim=1).sum())
 
 
 def _loads(comm: Comm, partition: Partition, points: Tensor, weights: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.detection.capacity import COUNT_ROWS, OVERFLOWS, busy_nanoseconds
 from pgccd.detection.parts import first_contacts_of
-from pgccd.distributed.comm.exchange import Columns, pack, unpack
+from pgccd.distributed.comm.exchange import Columns, first_row
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.padded_share import (
     PaddedShare,
@@ -22,7 +22,7 @@ from pgccd.distributed.detection.padded_share import (
     rows_with_slack,
     search_padded_share,
 )
-from pgccd.distributed.halo.migrate import Leaving
+from pgccd.distributed.halo.migrate import leaving_bodies
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.distributed.world.world import World
 from pgccd.motion.paths import RigidMotion
@@ -156,7 +156,7 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
 
     def _capture(self, index: int) -> _WorldGraph:
         world = self._world
-        capacity = ShareCapacity.after(self._share, [])
+        capacity = ShareCapacity.after(self._share, world.decomposition.neighbours)
         graph = _WorldGraph(world, self._motion, self._response, capacity, index).capture()
         world.comm.close_before(graph)
         graph.load(world.columns, index)
@@ -166,7 +166,7 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         return not self._world.comm.any(not captured)
 
     def _load(self, graph: _WorldGraph, index: int) -> bool:
-        fits = len(self._world.id) <= len(graph.columns["id"]) and graph.partition.become(self._world.partition)
+        fits = len(self._world.id) <= len(graph.columns["id"]) and graph.decomposition.become(self._world.decomposition)
         if self._world.comm.any(not fits):
             return False
         graph.load(self._world.columns, index)
@@ -183,8 +183,9 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
 
     def _needs_launch(self, step: _Committed, enqueued: int) -> bool:
         # Space is redistributed after a step that is launched.
-        decides = self._world.decides_balance(self._world.steps_made + 2 + enqueued)
-        return _MOST_AWAY * step.leaving > step.ghosts or (decides and not step.loads.are_level(self._world.balance))
+        balancer, steps_made = self._world.balancer, self._world.steps_made + 2 + enqueued
+        decides = balancer.is_due(steps_made, self._world.comm.size) and not balancer.are_level(step.loads)
+        return decides or _MOST_AWAY * step.leaving > step.ghosts
 
 
 class _WorldGraph(TransactionGraph[_Committed]):
@@ -202,7 +203,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
         super().__init__(device)
         self._world, self._motion, self._response, self._capacity = world, motion, response, capacity
         #: A copy owned by the graph.
-        self.partition = world.partition.copy()
+        self.decomposition = world.decomposition.copy()
         rows = rows_with_slack(len(world.id))
         # Padding is a copy of a body, so that the user's functions get valid values.
         like = _any_body(world.comm, world.columns)
@@ -230,12 +231,12 @@ class _WorldGraph(TransactionGraph[_Committed]):
         _require_rigid(motion)
         own = world.columns_of_scene(columns) | motion.columns()
         asked = world.build, world.options, world.estimates, self._capacity, self._failed, GRAPH_SLACK
-        share = search_padded_share(comm, self.partition, own, *asked)
+        share = search_padded_share(self.decomposition, own, *asked)
         for part in share.parts:
             part.begin()
         new = _with_position(self._response(bodies, motion, _first_toi(share)))
         is_body = id >= 0
-        leaving = Leaving(comm, self.partition, new["position"], id).counts.sum()[None]
+        leaving = leaving_bodies(self.decomposition, new["position"], id)[2].sum()[None]
         is_finite = (torch.isfinite(new["position"]).all(dim=1) | ~is_body).all()
         counts = torch.stack([part.counts() for part in share.parts])
         failed = self._failed + share.failed + motion.first_faults()[-1:] + (~is_finite).to(torch.int64)
@@ -271,7 +272,7 @@ def _first_toi(share: PaddedShare) -> Tensor:
     pairs, toi = first_contacts_of(share.parts)
     first = toi.new_full((len(held) + 1,), torch.inf)  # the last row is for padding
     _lower(first, pairs.reshape(-1), toi.repeat_interleave(2))
-    if held.route.comm.size > 1:
+    if held.route.neighbours.comm.size > 1:
         answer = held.route.back({"toi": first[own_count:-1]}).wait()["toi"]
         _lower(first, held.route.rows, answer)
     return first[:own_count]
@@ -299,14 +300,6 @@ def _with_position(new: Columns) -> Columns:
 
 
 def _any_body(comm: Comm, columns: Columns) -> Columns:
-    """One row of each column: a body of the first rank that has one, or zeros."""
-    count = len(columns["id"])
-    if count:
-        row = pack(columns, torch.zeros(1, dtype=torch.int64, device=columns["id"].device))[0]
-    else:
-        empty = {name: column.new_zeros((1, *column.shape[1:])) for name, column in columns.items()}
-        row = pack(empty, torch.zeros(1, dtype=torch.int64, device=columns["id"].device))[0]
-    padded = torch.cat([row, row.new_zeros(-len(row) % 8)]).view(torch.int64)
-    rows = comm.all_gather(torch.cat([padded.new_tensor([count]), padded]))
-    first = int((rows[:, 0] > 0).to(torch.uint8).argmax())
-    return unpack(rows[first, 1:].contiguous().view(torch.uint8)[None, : len(row)].contiguous(), columns)
+    """One row of each column: a body of the first rank that has one."""
+    some = {name: column[:1] for name, column in columns.items()}
+    return first_row(comm, torch.full_like(some["id"], comm.rank)[:, None], some)

@@ -21,8 +21,9 @@ from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
+from pgccd.distributed.partition.cut import Cut
 from pgccd.distributed.partition.interface import Partition
-from pgccd.distributed.world.state import Cut, WorldState, state_given
+from pgccd.distributed.world.state import WorldState, state_given
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS

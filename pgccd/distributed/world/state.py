@@ -16,34 +16,12 @@ from pgccd.distributed.detection.share import Options
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import require_agreement
 from pgccd.distributed.partition.balance import BalanceOptions
-from pgccd.distributed.partition.interface import Partition, Point, Triple
-from pgccd.distributed.partition.rebalancing import choose_partition, make_partition
+from pgccd.distributed.partition.cut import Cut
+from pgccd.distributed.partition.interface import Partition
 from pgccd.distributed.world.columns import ids_given, payload_columns, require_unique
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
-
-
-@dataclass(frozen=True)
-class Cut:
-    """Parameters of the initial partition, as for `World`."""
-
-    partition: str
-    lower: Point
-    upper: Point
-    axes: int
-    cells: int | Triple
-
-    def uniform(
-        self, ranks: int, device: torch.device, balance: BalanceOptions, former: str | None = None
-    ) -> Partition:
-        """The uniform partition for this number of ranks. `former`: the kind in the checkpoint that is loaded.
-
-        Raises:
-            TypeError, ValueError: naming the argument of `World`.
-        """
-        kind = choose_partition(self.partition, self.axes, self.cells, balance, former)
-        return make_partition(kind, self.lower, self.upper, ranks, self.axes, self.cells, device)
 
 
 @dataclass(frozen=True)

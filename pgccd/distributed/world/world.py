@@ -11,7 +11,6 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from pgccd import arguments
 from pgccd.detection import narrow
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.contacts import Contacts
@@ -25,12 +24,14 @@ from pgccd.distributed.halo.capacity import HaloCapacity
 from pgccd.distributed.halo.migrate import Census, migrate
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import together
-from pgccd.distributed.partition.balance import PAIR_COST, BackOff, BalanceOptions, RankLoads
-from pgccd.distributed.partition.interface import Point, Triple
-from pgccd.distributed.partition.rebalancing import DEFAULT_AXES, DEFAULT_CELLS, rebalanced
+from pgccd.distributed.partition.balance import PAIR_COST, BalanceOptions, RankLoads
+from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
+from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.distributed.partition.interface import Partition, Point, Triple
+from pgccd.distributed.partition.rebalancing import Balancer
 from pgccd.distributed.world.checkpoint import load_state, save_state
 from pgccd.distributed.world.columns import OF_SCENES, motion_of, moving_columns, new_values, require_rows, scene_of
-from pgccd.distributed.world.state import Cut, WorldState, require_alike, state_given
+from pgccd.distributed.world.state import WorldState, require_alike, state_given
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -117,15 +118,18 @@ class World:
     def _begin(
         self, comm: Comm, options: Options, balance: BalanceOptions, path: Literal["rigid", "linear"], state: WorldState
     ) -> None:
-        self.comm, self.options, self.balance, self.path = comm, options, balance, path
-        self._meshes, self._cut, self.partition = state.meshes, state.cut, state.partition
+        self.comm, self.options, self.path = comm, options, path
+        self.balancer = Balancer(balance)
+        self._meshes, self._cut = state.meshes, state.cut
+        #: Of space.
+        self.decomposition = Decomposition(comm, state.partition)
         self.census = Census.of_ranks(comm, state.columns["id"])
         #: Contacts of the last step.
         self.found: Detection | None = None
         self._capacity: HaloCapacity | None = None
         self.estimates = PartEstimates()
         self.steps_made = state.steps_made
-        self._seconds, self._back_off = 0.0, BackOff()
+        self._seconds = 0.0
         ascending = torch.argsort(state.columns["id"])
         self.columns = take_rows(state.columns, ascending)
         self._vertices = None if state.vertices is None else state.vertices.take(ascending)
@@ -198,6 +202,15 @@ class World:
         return save_state(self.comm, folder, WorldState(*space, self.columns, self._vertices, self.steps_made))
 
     @property
+    def partition(self) -> Partition:
+        """The partition of space; the same on all ranks."""
+        return self.decomposition.partition
+
+    @partition.setter
+    def partition(self, partition: Partition) -> None:
+        self.decomposition, self._capacity = Decomposition(self.comm, partition), None
+
+    @property
     def id(self) -> Tensor:
         """(N,) int64, ascending: this rank's own bodies."""
         return self.columns["id"]
@@ -254,7 +267,7 @@ class World:
         found = self._detect(own, motion, self.options)
         if self.options.report == "earliest":
             return earliest_for_all(self.comm, found)
-        return tell_owners(self.comm, found)
+        return tell_owners(found)
 
     def _detect(self, own: Columns, motion: RigidMotion | VertexMotion, options: Options) -> Detection:
         count = vertex_counts(self._meshes, own["mesh_index"])
@@ -262,11 +275,10 @@ class World:
         own = own | moving
         self.comm.guard.activity = "step"
         clock = StageClock()
-        where = self.comm, self.partition, own, self.build, options, clock
-        capacity = self._capacity if vertices is None else None
-        found = detect_distributed(*where, self.estimates, capacity, vertices)
+        memory = self.estimates, self._capacity if vertices is None else None
+        found = detect_distributed(self.decomposition, own, self.build, options, clock, *memory, vertices)
         self.found, self._seconds, self.steps_made = found, clock.work, self.steps_made + 1
-        self._capacity = HaloCapacity.of(found.held)
+        self._capacity = HaloCapacity.of(found.held, self.decomposition.neighbours)
         return found
 
     def first_toi(self, hits: Contacts) -> Tensor:
@@ -275,10 +287,6 @@ class World:
         Args:
             hits: as returned by `step`.
         """
-        if not isinstance(hits, Contacts):
-            raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
-        if hits.toi is None:
-            raise ValueError('hits: report="any" gives no toi')
         return first_toi_of(self.id, hits)
 
     def move(self, position: Tensor, **payload: Tensor) -> None:
@@ -318,21 +326,15 @@ class World:
         """The scene and motion of bodies with these columns."""
         return scene_of(self._meshes, columns), motion_of(columns, self.path)
 
-    def decides_balance(self, steps_made: int) -> bool:
-        """Whether load balancing is due after `steps_made` steps."""
-        return self.balance.applies(steps_made, self.comm.size) and self._back_off.is_over(steps_made)
-
     def _change_hands(self) -> None:
-        if self.found is not None and self.decides_balance(self.steps_made):  # not before the first step after loading
-            mine = [len(self.found.held.own_id), len(self.found.pairs), len(self.found.contacts)]
-            loads = self.comm.all_gather(torch.tensor([*mine, self._seconds], dtype=torch.float64))
-            bodies, pairs, contacts = loads[:, :3].long().t().tolist()
-            if not RankLoads(bodies, pairs, contacts, loads[:, 3].tolist()).are_level(self.balance):
-                places = self.found.places(self.found.share.parts[0].bodies.position_t0)
-                after = rebalanced(self.comm, self.partition, places, self.balance, loads[:, 3])
-                self._back_off.tried(self.steps_made, after.moved)
-                self.partition = after.partition
+        found, comm = self.found, self.comm
+        if found is not None and self.balancer.is_due(self.steps_made, comm.size):  # not before the first step
+            mine = [len(found.held.own_id), len(found.pairs), len(found.contacts), self._seconds]
+            loads = RankLoads(*comm.all_gather(torch.tensor(mine, dtype=torch.float64)).T.tolist())
+            if not self.balancer.are_level(loads):
+                places = found.places(found.share.parts[0].bodies.position_t0)
+                self.decomposition, _ = self.balancer.decide(self.decomposition, places, loads, self.steps_made)
                 self._capacity = None
-        moved = migrate(self.comm, self.partition, self.columns, self.position, vertices=self._vertices)
-        self.columns, self._vertices = moved.columns, moved.vertices
-        Census.of_ranks(self.comm, self.id).require(self.census)
+        after = migrate(self.decomposition, self.columns, self.position, self._vertices)
+        self.columns, self._vertices = after.columns, after.vertices
+        Census.of_ranks(comm, self.id).require(self.census)

@@ -19,7 +19,7 @@ from pgccd.distributed.launch.agreement import on_first
 from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connect, tell_problem
 from pgccd.distributed.launch.placement import find_placement
 from pgccd.distributed.partition.balance import POLICIES, BalanceOptions
-from pgccd.distributed.partition.rebalancing import DEFAULT_AXES, DEFAULT_CELLS, PARTITION_CHOICES
+from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, PARTITION_CHOICES
 from pgccd.sim.checkpoint import find_checkpoint
 from pgccd.sim.distributed.runner import DistributedOptions
 

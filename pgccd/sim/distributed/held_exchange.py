@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.halo.centres import Centres
 from pgccd.distributed.halo.held import Held
-from pgccd.distributed.halo.replicas import ReplicaList, ReplicaTable, find_replicas, join_replicas
-from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.halo.replicas import Replicas, agreed_replicas, find_replicas
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.host_copy import HostCopy
 
 
@@ -23,16 +23,18 @@ class HeldExchange:
     from the swept box; two ranks list the bodies that both hold in the same order, by owner, then by id.
 
     Args:
-        comm: between the ranks.
+        decomposition: of space.
     """
 
-    # Bodies that other ranks hold too: their ranks, their rows, and their number per rank (being copied to the host).
-    _replicas: ReplicaTable | ReplicaList
+    # Bodies that other ranks hold too: the neighbours that hold them, their rows, and their number per neighbour (being
+    # copied to the host).
+    _replicas: Replicas
     _rows: Tensor
     _known: HostCopy
 
-    def __init__(self, comm: Comm) -> None:
-        self._comm = comm
+    def __init__(self, decomposition: Decomposition) -> None:
+        self._comm = decomposition.comm
+        self._neighbours = decomposition.neighbours
 
     @classmethod
     def start(
@@ -40,62 +42,62 @@ class HeldExchange:
         held: Held,
         ghosts: Centres,
         kept: tuple[float, float],
-        partition: Partition,
+        decomposition: Decomposition,
         capacities: list[int] | None = None,
     ) -> HeldExchange:
-        """Finds the bodies that other ranks hold too. Does not synchronise.
+        """Finds the bodies that other ranks hold too.
 
         Args:
             held: the bodies.
             ghosts: swept spheres of the ghosts among them.
             kept: min_separation and tolerance, as the operators take them.
-            partition: used for the halo.
-            capacities: padded number of bodies shared with each rank, equal on both ranks. Default: the exact number,
-                which synchronises.
+            decomposition: used for the halo. Without capacities, it is extended if ranks that hold the same ghost are
+                not neighbours (which synchronises, unless all ranks are neighbours).
+            capacities: padded number of bodies shared with each neighbour, equal on both ranks. Default: the exact
+                number.
         """
-        comm = held.route.comm
-        exchange = cls(comm)
-        if comm.size == 1:
+        if decomposition.comm.size == 1:
+            exchange = cls(decomposition)
             exchange._shared = held.own_id[:0], [0]
             exchange._replicas = held.replicas
             return exchange
-        received, ghost = held.route.received, torch.arange(held.ghost_count, device=held.own_id.device)
-        subdomain, row = partition.subdomain(comm.rank), ghost + held.own_count
-        if capacities is not None:
+        route, ghost = held.route, torch.arange(held.ghost_count, device=held.own_id.device)
+        row, before = ghost + held.own_count, sum(route.received[: route.neighbours.rank])
+        if capacities is None:
+            of_ghosts = agreed_replicas(decomposition, ghosts, kept, ghost, route.received)
+        else:
             ghost = torch.where(held.ghosts["id"] < 0, -1, ghost)
-        of_ghosts = find_replicas(ghosts, kept, subdomain, ghost, comm.size, received)
-        before = sum(received[: comm.rank])
-        exchange._replicas = join_replicas(of_ghosts, before, held.replicas)
+            of_ghosts = find_replicas(decomposition, ghosts, kept, ghost, route.received)
+        exchange = cls(decomposition)
+        of_own = held.replicas.renumber(route.neighbours, decomposition.neighbours)
+        # By owner, then by id: ghosts are in this order, and own bodies come between them.
+        table = torch.cat([of_ghosts.table[:before], of_own.table, of_ghosts.table[before:]])
+        exchange._replicas = Replicas(table, of_ghosts.counts + of_own.counts)
         exchange._rows = torch.cat([row[:before], held.boundary, row[before:]])
         if capacities is None:
             exchange._known = HostCopy.start(exchange._replicas.counts)  # copied while pairs are tested
         else:
-            exchange._shared = exchange._rows_by_rank(capacities), capacities
+            exchange._shared = exchange._replicas.rows_by_rank(exchange._rows, capacities), capacities
         return exchange
 
     def overflow(self) -> Tensor:
-        """(1,) int64: nonzero if a capacity was exceeded."""
-        counts, capacities = self._replicas.counts, self._shared[1]
-        return ops.counts_to_send(counts, capacities, torch.zeros_like(counts[:1]), 0)[0, 1:]
-
-    def _rows_by_rank(self, capacities: list[int]) -> Tensor:
-        return self._replicas.rows_by_rank(self._rows, capacities)
+        """(1,) int64: nonzero if a capacity was exceeded, or ranks that hold the same ghost are not neighbours."""
+        return self._replicas.overflow(self._shared[1])
 
     @functools.cached_property
     def _shared(self) -> tuple[Tensor, list[int]]:
-        """Rows of bodies that other ranks hold too, by rank; and their number per rank."""
+        """Rows of bodies that other ranks hold too, by neighbour; and their number per neighbour."""
         counts: list[int] = self._known.numpy().tolist()
-        return self._rows_by_rank(counts), counts
+        return self._replicas.rows_by_rank(self._rows, counts), counts
 
     @functools.cached_property
     def _twice(self) -> Tensor:
         """(S, 2): these rows, each repeated as a pair."""
         return self._shared[0][:, None].expand(-1, 2).contiguous()
 
-    @property
-    def common(self) -> list[int]:
-        """Number of bodies that this rank shares with each other rank."""
-        return self._shared[1]
+    def common(self, neighbours: Neighbourhood) -> list[int]:
+        """Number of bodies that this rank shares with each of these neighbours."""
+        return neighbours.renumber(self._neighbours, torch.tensor(self._shared[1])).tolist()
 
     @property
     def rank(self) -> int:
@@ -110,7 +112,7 @@ class HeldExchange:
         if self._comm.size == 1:
             return
         rows, counts = self._shared
-        answer = self._comm.exchange(ops.pack_rows([first], rows), counts, counts).wait()
+        answer = self._neighbours.exchange(ops.pack_rows([first], rows), counts, counts).wait()
         ops.simulate_first_toi(first, None, self._twice, answer.view(first.dtype)[:, 0])
 
     def gather(self, values: Tensor) -> Tensor:

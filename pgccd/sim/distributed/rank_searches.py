@@ -8,11 +8,10 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.parts import pairs_of_step
-from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.padded_share import ShareCapacity, search_padded_share
 from pgccd.distributed.detection.share import Build, Options, PartEstimates
-from pgccd.distributed.halo.migrate import Leaving
-from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.halo.migrate import leaving_bodies
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.sim.captured import Searches, clear_rows
 from pgccd.sim.distributed.held_exchange import HeldExchange
@@ -25,15 +24,13 @@ class RankSearches:
     """`search` and `conclude` of a `StepGraph` on one of many ranks.
 
     Args:
-        comm: between the ranks.
-        partition: a copy owned by the graph.
+        decomposition: a copy owned by the graph.
         capacity: of the halo, bodies near ghosts and shared bodies.
         notes: (2,) int64, written before a replay: number of robots that arrived since the last one; whether to stop.
         model, build, options, estimates: of the simulation.
     """
 
-    comm: Comm
-    partition: Partition
+    decomposition: Decomposition
     capacity: ShareCapacity
     notes: Tensor
     model: Model
@@ -45,8 +42,8 @@ class RankSearches:
         """Enqueues the searches of a planned step."""
         own, capacity = planned.moving_columns, self.capacity
         asked = self.build, self.options, self.estimates, capacity, discard, GRAPH_SLACK
-        share = search_padded_share(self.comm, self.partition, own, *asked)
-        agreed = share.held, share.ghost_centres, share.kept, self.partition
+        share = search_padded_share(self.decomposition, own, *asked)
+        agreed = share.held, share.ghost_centres, share.kept, self.decomposition
         exchange = HeldExchange.start(*agreed, capacity.common)
         partners = Partners(self.model, own, share.held.ghosts, pairs_of_step(share.parts))
         return Searches(share.parts, partners, share.held.id, exchange, share.failed + exchange.overflow())
@@ -54,7 +51,7 @@ class RankSearches:
     def conclude(self, searches: Searches, after: RobotState) -> Tensor:
         """(4,) int64 as in `Reports`: robots held, arrived, whether to stop, and number in cells of other ranks."""
         held = (searches.id >= 0).sum()[None]
-        leaving = Leaving(self.comm, self.partition, after.position, after.id).counts.sum()[None]
+        leaving = leaving_bodies(self.decomposition, after.position, after.id)[2].sum()[None]
         concluded = torch.cat([held, self.notes, leaving])
         self.notes[:1].zero_()
         return concluded

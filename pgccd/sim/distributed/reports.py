@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from pgccd.distributed.partition.balance import imbalance
+from pgccd.distributed.partition.balance import RankLoads, imbalance
 from pgccd.sim.tally import COUNTED, WORK, Rows
 
 
@@ -20,14 +20,13 @@ class Reports:
     held: Rows  #: (ranks,): robots held
     arrived: Rows  #: (ranks,): number of robots that arrived from other ranks before the step
     stop: Rows  #: (ranks,): 0 or 1
-    leaving: Rows  #: (ranks,): number of robots in cells of other ranks after it
-    moves: Rows  #: (ranks, ranks): number of these in cells of each rank; (ranks, 0) if sent later
+    leaving: Rows  #: (ranks,): number of robots in cells of other ranks after it, if it was a replay
 
     @classmethod
     def of(cls, work: Rows, conclusions: Rows) -> Reports:
         """`conclusions`: (ranks, k): what each rank of `DistributedSimulation` concludes, in this order."""
         counted, rest = conclusions[:, :COUNTED], conclusions[:, COUNTED:]
-        return cls(work, counted, rest[:, 0], rest[:, 1], rest[:, 2], rest[:, 3], rest[:, 4:])
+        return cls(work, counted, *rest.T)
 
     @property
     def robots(self) -> list[int]:
@@ -42,6 +41,11 @@ class Reports:
     def worked(self, name: str) -> list[int]:
         """One of `WORK`, per rank."""
         return self.work[:, WORK.index(name)].tolist()
+
+    @property
+    def loads(self) -> RankLoads:
+        """The ranks' loads, for balancing."""
+        return RankLoads(self.robots, self.worked("pcs"), self.worked("contacts"), self.seconds())
 
     def seconds(self) -> list[float]:
         """Seconds that each rank spent in traversal and narrow phase."""

@@ -3,43 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from pgccd.detection.broad import BroadPhase
-from pgccd.detection.contacts import Contacts
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
 from pgccd.distributed.checkpoint.reading import load_share
 from pgccd.distributed.checkpoint.shared_folder import hold_together
 from pgccd.distributed.checkpoint.writing import CheckpointWriter
-from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
+from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
 from pgccd.distributed.partition.interface import Partition, Triple
-from pgccd.distributed.partition.rebalancing import (
-    DEFAULT_AXES,
-    DEFAULT_CELLS,
-    choose_partition,
-    make_partition,
-)
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
 from pgccd.sim.checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
+from pgccd.sim.distributed.gathering import gather_sample
 from pgccd.sim.distributed.simulation import CommittedRankStep, DistributedSimulation, RankStep, starting_share
 from pgccd.sim.log import StepLog
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
 from pgccd.sim.run_folder import begin
 from pgccd.sim.runner import Run, continued, drive
-from pgccd.sim.step import Step
 
-# Maximum number of robots gathered on one rank: some 2 GB.
-_MOST_GATHERED = 20_000_000
+# Maximum number of robots gathered on one rank, some 0.3 GB with their contacts; a picture draws no more.
+_MOST_GATHERED = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -82,8 +74,8 @@ def run(
             `pgccd.sim.run`; equal on all ranks.
         device: of this rank.
         options: of the distribution.
-        keep_last_step: gather the robots and the contacts of the last step on rank 0 (for pictures); of more than 20
-            million robots an even sample, without contacts.
+        keep_last_step: gather the robots and the contacts of the last step on rank 0 (for pictures); of more than a
+            million robots an even sample, whose size does not grow with the world.
 
     Returns:
         The run; without records on ranks other than 0. With `keep_last_step` rank 0 has the gathered state.
@@ -165,10 +157,9 @@ def _compare(
 
 
 def _partition(comm: Comm, model: Model, options: DistributedOptions, former: str | None = None) -> Partition:
-    kind = choose_partition(options.partition, options.axes, options.cells, options.balance, former)
     x, y, z = model.half_extent
-    cut = (-x, -y, -z), (x, y, z), comm.size, options.axes, options.cells, model.device
-    return make_partition(kind, *cut)
+    cut = Cut(options.partition, (-x, -y, -z), (x, y, z), options.axes, options.cells)
+    return cut.uniform(comm.size, model.device, options.balance, former)
 
 
 class _SimulationMachine:
@@ -220,40 +211,7 @@ def _continue(
     comm.barrier()  # rank 0 has completed the last checkpoint
     state, last_step = simulation.state, None
     one_in = -(-model.config.robots // _MOST_GATHERED) if keep_last_step else 1
-    if one_in > 1:
-        sample = torch.nonzero(state.id % one_in == 0)[:, 0]
-        state = gather_state(comm, RobotState(**take_rows(state.columns, sample)))
-    elif keep_last_step:
-        state = gather_state(comm, state)
-        last_step = None if machine.last_step is None else gather_step(comm, machine.last_step, state)
+    if keep_last_step:
+        state, last_step = gather_sample(comm, state, machine.last_step, one_in)
     records = [] if log is None else log.records
     return Run(model, state, made, records, last_step, interrupted=made < steps, one_in=one_in)
-
-
-def gather_columns(comm: Comm, columns: Columns) -> Columns:
-    """All ranks' rows on rank 0, ordered by rank; none on the others."""
-    first = next(iter(columns.values()))
-    rows = torch.arange(len(first), device=first.device)
-    return make_route(comm, rows, torch.zeros_like(rows)).forward(columns).wait()
-
-
-def gather_state(comm: Comm, state: RobotState) -> RobotState:
-    """All robots on rank 0, by ascending id; none on the others."""
-    columns = gather_columns(comm, state.columns)
-    return RobotState(**take_rows(columns, torch.argsort(columns["id"])))
-
-
-def gather_step(comm: Comm, step: RankStep, after: RobotState) -> Step:
-    """A whole step on rank 0, as from a single process. The row of a robot is its id."""
-    held, found = step.detection.held, step.detection.contacts
-    own = step.resolution.fraction[: len(step.before)].contiguous()
-    before = gather_columns(comm, step.before.columns | {"fraction": own})
-    before = take_rows(before, torch.argsort(before["id"]))
-    fraction = before.pop("fraction")
-    columns = {name: value for name, value in vars(found).items() if isinstance(value, Tensor)}
-    columns["pairs"] = held.id[found.pairs]
-    contacts = gather_columns(comm, columns)
-    order = torch.argsort(contacts["pairs"][:, 0] * max(1, len(fraction)) + contacts["pairs"][:, 1])
-    whole = Contacts(**take_rows(contacts, order), stats=found.stats)
-    resolution = replace(step.resolution, fraction=fraction)
-    return Step(step.index, RobotState(**before), resolution, after, lambda: whole, lambda: step.record)

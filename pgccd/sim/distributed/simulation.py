@@ -18,10 +18,11 @@ from pgccd.distributed.detection.detect import Detection
 from pgccd.distributed.detection.padded_share import ShareCapacity, can_replay, rows_with_slack
 from pgccd.distributed.detection.share import Options, OwnSearch, PartEstimates, Share
 from pgccd.distributed.halo.capacity import HaloCapacity
-from pgccd.distributed.halo.migrate import Census, Leaving, id_range, migrate
-from pgccd.distributed.partition.balance import BackOff, BalanceOptions, RankLoads
+from pgccd.distributed.halo.migrate import Census, id_range, migrate
+from pgccd.distributed.partition.balance import BalanceOptions
+from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition
-from pgccd.distributed.partition.rebalancing import rebalanced
+from pgccd.distributed.partition.rebalancing import Balancer
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
@@ -33,12 +34,10 @@ from pgccd.sim.distributed.reports import Reports
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
 from pgccd.sim.replay import SimulationSteps
-from pgccd.sim.resolution import Resolution, ResolvedStep, RoundPlan, resolve_collisions
+from pgccd.sim.resolution import Resolution, RoundPlan, resolve_collisions
 from pgccd.sim.response import respond
 from pgccd.sim.tally import Tally, count_step
 
-# Up to this number of ranks, counts of leaving robots are gathered with the tally; above it, `migrate` exchanges them.
-_TELLS_MOVES = 64
 # Robots that have left their rank's cells migrate once they exceed the number of ghosts over this (each may be a
 # ghost).
 _MOST_AWAY = 4
@@ -99,8 +98,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         state: of any share of the robots; each robot is on exactly one rank.
         balance: options of load balancing.
         broad_phase, overlap: see `Options`.
-        graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream, and
-            there are at most `MOST_TABLE_RANKS` ranks.
+        graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream.
 
     Example:
         >>> simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
@@ -120,15 +118,14 @@ class DistributedSimulation(SimulationSteps[RankStep]):
     ) -> None:
         super().__init__(can_replay(comm, model.device) if graph is None else graph)
         self.comm, self.model = comm, model
-        self.balance = balance or BalanceOptions()
+        self._balancer = Balancer(balance or BalanceOptions())
         # nonzero_toi: robots that separate after a contact may move.
         self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
         self._plan, self._estimates = RoundPlan(), PartEstimates()
         self._expected = Census.of_range(comm, model.config.robots)
         self._capacity: HaloCapacity | None = None
         self._share_capacity: ShareCapacity | None = None
-        self._partition, self._stop = partition, False
-        self._back_off = BackOff()
+        self._decomposition, self._stop = Decomposition(comm, partition), False
         self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
         self.verify()
 
@@ -146,11 +143,12 @@ class DistributedSimulation(SimulationSteps[RankStep]):
     @property
     def partition(self) -> Partition:
         """The partition of space; the same on all ranks."""
-        return self._partition
+        return self._decomposition.partition
 
     @partition.setter
     def partition(self, partition: Partition) -> None:
-        self.state, self._partition = self.state, partition
+        self.state, self._decomposition = self.state, Decomposition(self.comm, partition)
+        self._capacity = None
 
     def verify(self) -> None:
         """Checks that every robot is on exactly one rank.
@@ -177,44 +175,39 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         return made if isinstance(made, RankStep) else self._reports_of(made)
 
     def _launch(self, index: int) -> RankStep:
-        comm, clock = self.comm, StageClock()
+        clock = StageClock()
         with clock.stage("plan"):
             planned = self.model.plan(self._state, index)
-        where = comm, self._partition, planned.moving_columns, self._build, self.options, clock
+        where = self._decomposition, planned.moving_columns, self._build, self.options, clock
         search = OwnSearch(*where, self._estimates, self._capacity).start()
         # In this order, so that the counts are available before the search with ghosts ends.
         exchange, share = search.of_held(HeldExchange.start), search.with_ghosts()
-        self._capacity = HaloCapacity.of(share.held)
+        self._capacity = HaloCapacity.of(share.held, self._decomposition.neighbours)
         with clock.stage("halo"):
             partners = Partners(self.model, planned.moving_columns, share.held.ghosts, share.pairs)
         after: RobotState = planned
-        leaving: Leaving | None = None
 
         def conclude(fraction: Tensor) -> Tensor:
-            nonlocal after, leaving
+            nonlocal after
             fraction = fraction[: len(planned)]
             with clock.stage("respond"):
                 after = respond(planned, fraction)
             with clock.stage("hash"):
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
-                leaving = Leaving(comm, self._partition, after.position)
-                moves = [leaving.counts] if comm.size <= _TELLS_MOVES else []
-                return torch.cat([counted, self._host_numbers(share), leaving.counts.sum()[None], *moves])
+                return torch.cat([counted, self._host_numbers(share)])
 
         held = share.parts, len(share.held), partners
         resolved = resolve_collisions(*held, self._plan, conclude, clock, exchange)
         reports = Reports.of(resolved.work, resolved.conclusions)
-        moved_cells = self._balance(index, share, resolved, planned, reports, clock)
+        resolved.learn()  # so that reading the contacts does not synchronise
+        moved_cells = self._balance(index, share, planned, reports, clock)
         with clock.stage("migrate"):
-            known = None
-            if leaving is not None and moved_cells == 0 and reports.moves.size:
-                known = leaving, reports.moves[comm.rank].tolist(), reports.moves[:, comm.rank].tolist()
-            self._migrate(after, known)
+            self._migrate(after)
         clock.stop()
         tally = self._tally(reports)
-        resolved.learn()
         if self._wants_graph:
-            self._share_capacity = ShareCapacity.after(share, exchange.common)
+            neighbours = self._decomposition.neighbours
+            self._share_capacity = ShareCapacity.after(share, neighbours, exchange.common(neighbours))
 
         def make_record() -> dict[str, Any]:
             record = tally.record(index, resolved.resolution.rounds, clock)
@@ -232,48 +225,34 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         return tally
 
     def _host_numbers(self, share: Share) -> Tensor:
-        numbers = torch.tensor([len(share.held), self._arrived, int(self._stop)])
+        numbers = torch.tensor([len(share.held), self._arrived, int(self._stop), 0])
         return numbers.to(self.model.device, non_blocking=True)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
         pose = (columns["position"], columns["orientation"], columns["velocity"], columns["angular_velocity"])
         return self.model.scene(columns["id"]), RigidMotion.from_velocity(*pose, dt=1.0)
 
-    def _balance(
-        self,
-        index: int,
-        share: Share,
-        resolved: ResolvedStep,
-        planned: RobotState,
-        reports: Reports,
-        clock: StageClock,
-    ) -> int:
+    def _balance(self, index: int, share: Share, planned: RobotState, reports: Reports, clock: StageClock) -> int:
         """Rebalances space. Returns the number of cells or planes that moved."""
         if not self._is_balance_due(index, reports):
             return 0
         with clock.stage("balance"):
-            resolved.learn()  # so that reading the contacts does not synchronise
             found = Detection(share, contacts_of_step(share.parts))
-            seconds = torch.tensor(reports.seconds(), dtype=torch.float64)
-            after = rebalanced(self.comm, self._partition, found.places(planned.position), self.balance, seconds)
-            self._back_off.tried(index, after.moved)
-            if after.moved > 0:
-                self._partition, self._capacity = after.partition, None
-            return after.moved
+            given = found.places(planned.position), reports.loads, index + 1
+            self._decomposition, moved = self._balancer.decide(self._decomposition, *given)
+            self._capacity = None if moved else self._capacity
+            return moved
 
     def _is_balance_due(self, index: int, reports: Reports) -> bool:
-        if not self.balance.applies(index + 1, self.comm.size) or not self._back_off.is_over(index):
-            return False
-        loads = RankLoads(reports.robots, reports.worked("pcs"), reports.worked("contacts"), reports.seconds())
-        return not loads.are_level(self.balance)
+        return self._balancer.is_due(index + 1, self.comm.size) and not self._balancer.are_level(reports.loads)
 
     # Methods for replays.
 
     def _capture(self, index: int) -> StepGraph:
         assert self._share_capacity is not None
         self._notes = torch.zeros(2, dtype=torch.int64, device=self.model.device)
-        self._graph_partition = self._partition.copy()
-        where = self.comm, self._graph_partition, self._share_capacity, self._notes
+        self._graph_decomposition = self._decomposition.copy()
+        where = self._graph_decomposition, self._share_capacity, self._notes
         searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
         state = padded_state(self._state, rows_with_slack(len(self._state)))
         made = self.model, state, index, searches.search, self._plan, max(self._rounds), searches.conclude
@@ -286,7 +265,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         return not self.comm.any(not captured)
 
     def _load(self, graph: StepGraph, index: int) -> bool:
-        fits = len(self._state) <= len(graph.state) and self._graph_partition.become(self._partition)
+        fits = len(self._state) <= len(graph.state) and self._graph_decomposition.become(self._decomposition)
         if self.comm.any(not fits):
             return False
         self._notes[0], self._notes[1] = self._arrived, int(self._stop)
@@ -311,9 +290,9 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         self._tally(reports)
         return CommittedRankStep(step, reports, bool(reports.stop.any()))
 
-    def _migrate(self, state: RobotState, known: tuple[Leaving, list[int], list[int]] | None = None) -> None:
+    def _migrate(self, state: RobotState) -> None:
         """Migrates robots; the state's ids ascend."""
-        moved = migrate(self.comm, self._partition, state.columns, state.position, known)
+        moved = migrate(self._decomposition, state.columns, state.position)
         self._state, self._arrived = RobotState(**moved.columns), moved.arrived
 
 
