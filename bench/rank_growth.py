@@ -93,13 +93,13 @@ def measure_partition(
         samples = [timing.seconds(work)[0] for _ in range(arguments.rounds)]
         return timing.summary(samples)["median"]
 
-    reach, rows, count = ops.boundary_bodies(centres, *_KEPT, where[2])
+    reach, rows, count = ops.boundary_bodies(centres, *_KEPT, *where[2])
     rows = rows[: int(count)]
     ghosts = [column[rows] for column in centres]
     listed_at = mock.patch.object(replicas, "MOST_TABLE_RANKS", 0)
     table_at = mock.patch.object(replicas, "MOST_TABLE_RANKS", ranks)
     row: dict[str, Any] = {"ranks": ranks, "partition": kind, "boundary bodies": len(rows)}
-    row["boundary ms"] = median_ms(lambda: ops.boundary_bodies(centres, *_KEPT, where[2]))
+    row["boundary ms"] = median_ms(lambda: ops.boundary_bodies(centres, *_KEPT, *where[2]))
     for name, patch in (("list", listed_at), ("table", table_at)):
         with patch:
             found = replicas.find_replicas(*where, rows, ranks)
@@ -110,8 +110,8 @@ def measure_partition(
             )
         columns = [column for column in vars(found).values() if isinstance(column, Tensor)]
         row[f"{name} kB"] = round(sum(column.nbytes for column in columns) / 1e3)
-    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, ghosts, *_KEPT, where[2]))
-    row["leaving ms"] = median_ms(lambda: ops.leaving_bodies(centres[1], None, where[2], ranks))
+    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, ghosts, *_KEPT, *where[2]))
+    row["leaving ms"] = median_ms(lambda: ops.leaving_bodies(centres[1], None, *where[2], ranks))
     frame, owner, _ = where[2]
     cells = int(frame[6] * frame[7] * frame[8])
     row["partition kB"] = round(owner.nbytes / 1e3)

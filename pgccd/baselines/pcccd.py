@@ -147,7 +147,7 @@ class PCCCD:
             found = MovingBodies(scene, RigidMotion.from_rotation(*pose, path=motion.path))
             pairs, candidates = feature_candidates(found, triangle_pairs)
             rest = (pairs, candidates, *settings, self._query.nonzero_toi, narrow.REPORTS[self._query.report])
-            row, *rows = ops.narrow_rigid(found.mesh_set, found.tensors, found.linear_path, *rest)
+            row, *rows = ops.narrow(found.operands, *rest)
         with clock.stage("report"):
             of_contacts = pairs[row.long()]
             contacts = {"pairs": columns["id"][of_contacts]} | dict(zip(_COLUMNS, rows, strict=True))

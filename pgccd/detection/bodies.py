@@ -121,6 +121,11 @@ class MovingBodies:
         return self.scene.meshes.tensors
 
     @property
+    def operands(self) -> ops.Bodies:
+        """The arguments of operators for both kinds of bodies."""
+        return self.mesh_set, self.tensors, None if self.deforming else self.linear_path
+
+    @property
     def position_t0(self) -> Tensor:
         return self.tensors[1]
 

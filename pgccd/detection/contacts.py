@@ -12,13 +12,10 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.detection.capacity import COUNT_ROWS, Capacity, CapacityError, Counts
 from pgccd.motion.faults import Faults
+from pgccd.ops import ContactRows
 
 if TYPE_CHECKING:
     from pgccd.geometry.scene import Scene
-
-#: Columns of contacts from the operators: index into the pairs (K,), kind (K,), features (K, 2), status (K,), toi (K,),
-#: coordinates (K, 2), point (K, 3), normal (K, 3).
-ContactRows = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
 def earliest_row(toi: Tensor, *ties: Tensor) -> Tensor:

@@ -146,11 +146,8 @@ def contacts(
     )
     arguments.choice(report, "report", REPORTS)
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
-    rest = (pairs, candidates.contiguous(), *settings, arguments.flag(nonzero_toi, "nonzero_toi"), REPORTS[report])
-    if bodies.deforming:
-        rows = ops.narrow_deforming(bodies.mesh_set, bodies.tensors, *rest)
-    else:
-        rows = ops.narrow_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
+    rest = (*settings, arguments.flag(nonzero_toi, "nonzero_toi"), REPORTS[report])
+    rows = ops.narrow(bodies.operands, pairs, candidates.contiguous(), *rest)
     return take_earliest(rows) if report == "earliest" else rows
 
 

@@ -121,11 +121,10 @@ def search_padded(
         pair_counts = counts_of_given(pairs) if pair_counts is None else pair_counts
         if not bodies.checked:
             pair_counts = pair_counts * (1 - faults[-1:])
-    linear_path = None if bodies.deforming else bodies.linear_path
-    rows, counts = contacts_padded(
-        bodies.mesh_set, bodies.tensors, linear_path, pairs, pair_counts, faults, query, capacity
-    )
-    return Search(bodies, query, capacity, chosen or "given", rows, counts)
+    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
+    rest = (pairs, pair_counts, faults, *settings, _REPORTS[query.report], capacity.of_contacts)
+    *rows, counts = ops.contacts_padded(bodies.operands, *rest)
+    return Search(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
 
 
 def search_rigid(
@@ -162,39 +161,6 @@ def search_rigid(
     return Search(bodies, query, capacity, chosen, tuple(rows), counts)  # type: ignore[arg-type]
 
 
-def contacts_padded(
-    mesh_set: Sequence[Tensor],
-    tensors: Sequence[Tensor],
-    linear_path: bool | None,
-    pairs: Tensor,
-    pair_counts: Tensor,
-    faults: Tensor,
-    query: Query,
-    capacity: Capacity,
-) -> tuple[ContactRows, Tensor]:
-    """Traversal and narrow phase of a step; the number of pairs may be on the device only.
-
-    Args:
-        mesh_set, tensors: as of `MovingBodies`.
-        linear_path: True if vertices move on straight lines, False if on arcs; None: the bodies deform.
-        pairs: (P, 2) int64; rows beyond `pairs_written` are padding.
-        pair_counts: (7,) int64, the first of `Counts`.
-        faults: (F,) int64, appended to the counts.
-        query: options of the search.
-        capacity: of the result.
-
-    Returns:
-        Padded contacts, body pairs in the first column; and counts (21 + F,).
-    """
-    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
-    rest = (pairs, pair_counts, faults, *settings, _REPORTS[query.report], capacity.of_contacts)
-    if linear_path is None:
-        *rows, counts = ops.contacts_padded_deforming(mesh_set, tensors, *rest)
-    else:
-        *rows, counts = ops.contacts_padded_rigid(mesh_set, tensors, linear_path, *rest)
-    return tuple(rows), counts  # type: ignore[return-value]
-
-
 def lower_first_toi(
     first: Tensor,
     owners: Tensor,
@@ -206,11 +172,15 @@ def lower_first_toi(
     query: Query,
     capacity: Capacity,
 ) -> Tensor:
-    """As `contacts_padded` for the first contacts of rigid bodies; only toi is computed.
+    """Traversal and narrow phase of rigid bodies for the first toi of each pair alone. Does not synchronise.
 
     Args:
         first: (N,) float64: the first toi so far; lowered in place.
         owners: (P, 2) int64: the rows of `first` that each pair lowers.
+        mesh_set, tensors, linear_path: as of `MovingBodies`.
+        pairs: (P, 2) int64; rows beyond `pairs_written` are padding.
+        pair_counts: (7,) int64 on the device, the first of `Counts`.
+        query, capacity: of the search.
 
     Returns:
         Counts (21,); `contacts` is the number of pairs with a contact.

@@ -41,10 +41,7 @@ def bvtt(
     if horizon is not None:
         _check_horizon(horizon, pairs)
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
-    rest = (pairs, horizon, *settings)
-    if bodies.deforming:
-        return ops.traverse_deforming(bodies.mesh_set, bodies.tensors, *rest)
-    return ops.traverse_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
+    return ops.traverse(bodies.operands, pairs, horizon, *settings)
 
 
 def _check_horizon(horizon: Tensor, pairs: Tensor) -> None:

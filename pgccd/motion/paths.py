@@ -187,9 +187,11 @@ class RigidMotion(MovingColumns):
             )
         time = broadcast_times(t, self.body_count, self.device)
         columns = (self.position_t0, self.position_t1, self.orientation_t0, self.rotation)
-        rows = (column.expand(*time.shape, -1).reshape(-1, column.shape[1]) for column in columns)
+        rows = (column.expand(*time.shape, -1).reshape(-1, column.shape[1]).contiguous() for column in columns)
         position_t0, position_t1, orientation_t0, rotation = rows
-        position, orientation = ops.poses_at(position_t0, position_t1, orientation_t0, rotation, time.reshape(-1))
+        position, orientation = ops.poses_at(
+            position_t0, position_t1, orientation_t0, rotation, time.reshape(-1).contiguous()
+        )
         return position.view(*time.shape, 3), orientation.view(*time.shape, 4)
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> RigidMotion:

@@ -91,7 +91,8 @@ class PaddedHalo:
         comm, capacity = self._comm, self._capacity
         self._boundary = boundary[: capacity.boundary]
         centres, kept, subdomain = where
-        replicas = ReplicaTable(*ops.replica_ranks(centres, *kept, subdomain, self._boundary, comm.size))
+        reach = *kept, *subdomain
+        replicas = ReplicaTable(*ops.replica_ranks(centres, *reach, self._boundary, [], comm.size))
         self._rows = replicas.rows_by_rank(self._boundary, capacity.sent)
         self._numbers = ops.counts_to_send(replicas.counts, capacity.sent, count, capacity.boundary)
         self._replicas = replicas

@@ -61,7 +61,8 @@ class Halo:
         found = self._bodies.first_faults()
         if self._comm.size > 1:
             centres, kept, subdomain = self._where
-            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *kept, subdomain)
+            where = *kept, *subdomain
+            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *where)
             found = torch.cat([self._count, found])
         self._found = HostCopy.start(found)
 

@@ -32,7 +32,7 @@ class Leaving:
         self._comm = comm
         #: counts (ranks,) int64: number of bodies that leave for each rank.
         self._rows, self._by_destination, self.counts = ops.leaving_bodies(
-            position, id, partition.subdomain(comm.rank), comm.size
+            position, id, *partition.subdomain(comm.rank), comm.size
         )
 
     def route(self, sent: list[int], received: list[int]) -> tuple[Route, Tensor]:

@@ -84,7 +84,8 @@ def find_replicas(
         received: number of these bodies received from each rank, if they are ghosts.
     """
     if ranks <= MOST_TABLE_RANKS:
-        return ReplicaTable(*ops.replica_ranks(centres, *kept, subdomain, rows, ranks, received))
+        where = *kept, *subdomain
+        return ReplicaTable(*ops.replica_ranks(centres, *where, rows, received, ranks))
     number, rank = ops.reached_ranks(centres, *kept, subdomain, rows, ranks)
     if received:
         counts, every = torch.tensor(received, device=rows.device), torch.arange(len(rows), device=rows.device)
