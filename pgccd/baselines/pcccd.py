@@ -22,7 +22,7 @@ from pgccd.baselines.voxel_directory import VoxelDirectory, greedy_ranks, run_st
 from pgccd.detection import narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import operator_tolerance
-from pgccd.detection.contacts import Contacts, Stats
+from pgccd.detection.contacts import COLUMNS, Contacts, Stats
 from pgccd.detection.query import Query
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
@@ -32,8 +32,6 @@ from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
-
-_COLUMNS = ("kind", "features", "status", "toi", "coordinates", "point", "normal")
 
 # For the nanorobots; from 6 to 9 edges the time is within a tenth of the minimum, at 15 twice the minimum.
 _EDGES_A_VOXEL = 8.0
@@ -150,7 +148,7 @@ class PCCCD:
             row, *rows = ops.narrow(found.operands, *rest)
         with clock.stage("report"):
             of_contacts = pairs[row.long()]
-            contacts = {"pairs": columns["id"][of_contacts]} | dict(zip(_COLUMNS, rows, strict=True))
+            contacts = dict(zip(COLUMNS, (columns["id"][of_contacts], *rows), strict=True))
             received = self._report(contacts, owner[of_contacts])
         unresolved = int((contacts["status"] == narrow.Status.UNRESOLVED).sum())
         self.stats = VoxelStats(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
@@ -77,14 +78,7 @@ def vertex_face(
         >>> hit = pgccd.narrow.vertex_face(x0, x1)
         >>> colliding = hit.status != pgccd.FREE
     """
-    return ElementaryResult(
-        *ops.vertex_face(
-            *_queries(points_t0, points_t1),
-            check_separation(min_separation),
-            _ELEMENTARY_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance"),
-            arguments.flag(nonzero_toi, "nonzero_toi"),
-        )
-    )
+    return _solve(ops.vertex_face, points_t0, points_t1, min_separation, tolerance, nonzero_toi)
 
 
 def edge_edge(
@@ -99,14 +93,21 @@ def edge_edge(
     Example:
         >>> hit = pgccd.narrow.edge_edge(x0, x1, min_separation=1e-3)
     """
-    return ElementaryResult(
-        *ops.edge_edge(
-            *_queries(points_t0, points_t1),
-            check_separation(min_separation),
-            _ELEMENTARY_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance"),
-            arguments.flag(nonzero_toi, "nonzero_toi"),
-        )
-    )
+    return _solve(ops.edge_edge, points_t0, points_t1, min_separation, tolerance, nonzero_toi)
+
+
+def _solve(
+    test: Callable[[Tensor, Tensor, float, float, bool], tuple[Tensor, Tensor, Tensor, Tensor]],
+    points_t0: Tensor,
+    points_t1: Tensor,
+    min_separation: float,
+    tolerance: float | None,
+    nonzero_toi: bool,
+) -> ElementaryResult:
+    points_t0, points_t1 = _queries(points_t0, points_t1)
+    tolerance = _ELEMENTARY_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
+    settings = check_separation(min_separation), tolerance, arguments.flag(nonzero_toi, "nonzero_toi")
+    return ElementaryResult(*test(points_t0, points_t1, *settings))
 
 
 def contacts(

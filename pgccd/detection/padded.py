@@ -13,7 +13,7 @@ from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts
 from pgccd.detection.checks import operator_tolerance
-from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, stats_of, take_earliest
+from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, named_columns, stats_of, take_earliest
 from pgccd.detection.query import Query
 
 
@@ -48,24 +48,24 @@ class Search:
             rows = take_earliest(rows)
         bodies, waits = self.bodies.scene.body_count, int(self.counts.is_cuda)
         stats = stats_of(counts, self.capacity, bodies, rows[0].shape[0], self.broad_phase, waits)
-        if self.query.report == "any":
-            return Contacts(rows[0], None, None, None, None, None, None, None, stats)
-        pairs, kind, features, status, toi, coordinates, point, normal = rows
-        return Contacts(pairs, toi, kind, features, coordinates, point, normal, status, stats)
+        return Contacts(**named_columns(rows, self.query.report), stats=stats)
 
     def padded(self) -> PaddedContacts:
         """The padded contacts, without reading the counts."""
         rows, count = self.rows, self._count("contacts")
         if self.query.report == "earliest":
             rows, count = take_earliest(rows), count.clamp(max=1)
-        pairs, kind, features, status, toi, coordinates, point, normal = rows
-        columns = (toi, kind, features, coordinates, point, normal, status)
-        if self.query.report == "any":
-            columns = (None,) * len(columns)  # type: ignore[assignment]
         lost = sum(self._count(f"{stage}_overflow") for stage in ("pairs", "traverse", "contacts"))
-        overflow = lost + self.counts[-1:] > 0
-        origin = (self.broad_phase, self.bodies.scene.body_count, self.bodies.faults)
-        padded = PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, *origin)
+        padded = PaddedContacts(
+            **named_columns(rows, self.query.report),
+            count=count,
+            overflow=lost + self.counts[-1:] > 0,
+            counts=self.counts,
+            capacity=self.capacity,
+            broad_phase=self.broad_phase,
+            bodies=self.bodies.scene.body_count,
+            faults=self.bodies.faults,
+        )
         padded.scene = self.bodies.scene
         return padded
 
