@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -136,14 +136,22 @@ def real_tensor(values: Any, name: str) -> None:
     refuse_gradient(values, name)
 
 
+def shape(values: Tensor, name: str, expected: Sequence[int | str], device: torch.device | None = None) -> None:
+    """Raises ValueError unless the tensor has this shape, in which a letter stands for any number, on this device."""
+    alike = len(expected) == values.dim()
+    if not alike or any(isinstance(n, int) and n != size for n, size in zip(expected, values.shape, strict=True)):
+        lengths = ", ".join(map(str, expected)) + "," * (len(expected) == 1)
+        raise ValueError(f"{name}: expected shape ({lengths}), got {tuple(values.shape)}")
+    if device is not None and values.device != device:
+        raise ValueError(f"{name}: expected device {device}, got {values.device}")
+
+
 def real_rows(values: Any, name: str, count: int | None, width: int, device: torch.device | None) -> Tensor:
     """The values as contiguous float64 rows (count, width) on the device. None: any number of rows, or any device."""
     real_tensor(values, name)
-    if values.dim() != 2 or values.shape[1] != width or (count is not None and values.shape[0] != count):
-        rows = "N" if count is None else count
-        raise ValueError(f"{name}: expected shape ({rows}, {width}), got {tuple(values.shape)}")
-    if device is not None and values.device != device:
-        raise ValueError(f"{name}: expected device {device}, got {values.device}")
+    fits = values.dim() == 2 and values.shape[1] == width and (count is None or values.shape[0] == count)
+    if not fits or (device is not None and values.device != device):  # compared here, since `shape` takes longer
+        shape(values, name, ("N" if count is None else count, width), device)
     if values.dtype == torch.float64 and not values.requires_grad and values.is_contiguous():
         return values  # the common case; converting anyway takes a tenth of a `detect` call for two bodies
     return values.detach().to(torch.float64).contiguous()

@@ -12,13 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.baselines.triangle_pairs import feature_candidates
 from pgccd.baselines.voxel_boxes import VoxelContents, send_boxes
-from pgccd.baselines.voxel_directory import VoxelDirectory, greedy_ranks, run_starts, voxel_keys
+from pgccd.baselines.voxel_directory import VoxelDirectory, first_rows, greedy_ranks, voxel_keys
 from pgccd.detection import narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import operator_tolerance
@@ -230,11 +231,9 @@ class PCCCD:
         keys = [received["pairs"][:, 0], received["pairs"][:, 1], received["kind"], *received["features"].unbind(dim=1)]
         if self._query.report == "first":
             keys.insert(2, received["toi"])
-        order = torch.arange(len(received["toi"]))
-        for key in reversed(keys):
-            order = order[torch.argsort(key[order], stable=True)]
+        order = torch.from_numpy(np.lexsort([key.numpy() for key in reversed(keys)]))
         if self._query.report == "first":
-            order = order[run_starts(received["pairs"][order])]
+            order = order[first_rows(received["pairs"][order])]
         return take_rows(received, order)
 
 

@@ -12,7 +12,14 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.checks import check_pairs, check_separation, operator_tolerance, require, require_bodies
+from pgccd.detection.checks import (
+    check_integers,
+    check_pairs,
+    check_separation,
+    operator_tolerance,
+    require,
+    require_bodies,
+)
 from pgccd.detection.contacts import ContactRows, take_earliest
 
 Report = Literal["any", "first", "all", "earliest"]
@@ -135,12 +142,7 @@ def contacts(
     require_bodies(bodies)
     pairs = check_pairs(pairs, bodies)
     bodies.check()
-    if not isinstance(candidates, Tensor) or candidates.dtype != torch.int32:
-        raise TypeError(f"candidates: expected an int32 tensor, got {arguments.describe(candidates)}")
-    if candidates.dim() != 2 or candidates.shape[1] != 4:
-        raise ValueError(f"candidates: expected shape (C, 4), got {tuple(candidates.shape)}")
-    if candidates.device != bodies.device:
-        raise ValueError(f"candidates: expected device {bodies.device}, got {candidates.device}")
+    check_integers(candidates, "candidates", torch.int32, ("C", 4), bodies.device)
     require(
         _names_features(bodies, pairs, candidates),
         "candidates: a row refers to a missing pair, kind or feature",
@@ -170,12 +172,8 @@ def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> 
 def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:
     for name, points in (("points_t0", points_t0), ("points_t1", points_t1)):
         arguments.real_tensor(points, name)
-        if points.dim() != 3 or points.shape[1:] != (4, 3):
-            raise ValueError(f"{name}: expected shape (n, 4, 3), got {tuple(points.shape)}")
+        arguments.shape(points, name, ("n", 4, 3))
     if points_t0.dtype != points_t1.dtype:
         raise TypeError(f"points_t1: expected dtype {points_t0.dtype}, got {points_t1.dtype}")
-    if points_t0.shape != points_t1.shape:
-        raise ValueError(f"points_t1: expected shape {tuple(points_t0.shape)}, got {tuple(points_t1.shape)}")
-    if points_t0.device != points_t1.device:
-        raise ValueError(f"points_t1: expected device {points_t0.device}, got {points_t1.device}")
+    arguments.shape(points_t1, "points_t1", points_t0.shape, points_t0.device)
     return points_t0.detach().contiguous(), points_t1.detach().contiguous()

@@ -145,8 +145,7 @@ def load_checkpoint(run_folder: str | Path) -> Checkpoint:
     columns, total = stored.rows(ROBOTS, 0, stored.row_count(ROBOTS))
     stored.require_hash(ROBOTS, total)
     order = torch.argsort(columns["id"])
-    ordered = RobotState(**{name: column[order] for name, column in columns.items()})
-    return Checkpoint(**vars(stored.run), state=ordered)
+    return Checkpoint(**vars(stored.run), state=RobotState(**columns).map(lambda column: column[order]))
 
 
 def forget_checkpoints(run_folder: Path) -> None:

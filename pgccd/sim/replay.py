@@ -104,7 +104,7 @@ class StepMaker(SimulationSteps[Step]):
         return True
 
     def _take(self, graph: StepGraph) -> None:
-        self._state = RobotState(**{name: column.clone() for name, column in graph.state.columns.items()})
+        self._state = graph.state.map(Tensor.clone)
 
 
 def capture_step(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
@@ -39,7 +37,5 @@ def respond(state: RobotState, fraction: Tensor) -> RobotState:
     Example:
         >>> state = pgccd.sim.respond(state, resolved.fraction)
     """
-    position, orientation, velocity, angular_velocity = ops.simulate_respond(list(state.columns.values()), fraction)
-    return replace(
-        state, position=position, orientation=orientation, velocity=velocity, angular_velocity=angular_velocity
-    )
+    moved = ops.simulate_respond(list(state.columns.values()), fraction)
+    return RobotState(state.id, *moved, state.target, state.stay_until)
