@@ -22,7 +22,6 @@ from pgccd.baselines.voxel_boxes import VoxelContents, send_boxes
 from pgccd.baselines.voxel_directory import VoxelDirectory, first_rows, greedy_ranks, voxel_keys
 from pgccd.detection import narrow
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.checks import operator_tolerance
 from pgccd.detection.contacts import COLUMNS, Contacts, Stats
 from pgccd.detection.query import Query
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
@@ -127,9 +126,9 @@ class PCCCD:
         self.comm.guard.activity = "step"
         clock = StageClock()
 
-        settings = (self._query.min_separation, operator_tolerance(self._query.tolerance))
+        kept = self._query.settings[:2]
         contents, boxes_sent = send_boxes(
-            self.comm, self._directory, bodies, bodies_before[:-1], self.voxel_size, settings, clock
+            self.comm, self._directory, bodies, bodies_before[:-1], self.voxel_size, kept, clock
         )
         self._contents = contents
         with clock.stage("synchronize"):
@@ -145,7 +144,7 @@ class PCCCD:
             scene = Scene.of_checked(self._meshes, columns["mesh_index"])
             found = MovingBodies(scene, RigidMotion.from_rotation(*pose, path=motion.path))
             pairs, candidates = feature_candidates(found, triangle_pairs)
-            rest = (pairs, candidates, *settings, self._query.nonzero_toi, narrow.REPORTS[self._query.report])
+            rest = (pairs, candidates, *self._query.settings, narrow.REPORTS[self._query.report])
             row, *rows = ops.narrow(found.operands, *rest)
         with clock.stage("report"):
             of_contacts = pairs[row.long()]

@@ -29,7 +29,7 @@ def all_columns(columns: Mapping[str, Tensor]) -> dict[str, Any]:
 
 def named_columns(rows: ContactRows, report: str) -> dict[str, Any]:
     """Columns of contacts by name, from rows with body pairs in the first column; of report="any" only the pairs."""
-    return all_columns(dict(zip(COLUMNS, rows[:1] if report == "any" else rows, strict=False)))
+    return all_columns({"pairs": rows[0]}) if report == "any" else dict(zip(COLUMNS, rows, strict=True))
 
 
 def earliest_row(toi: Tensor, *ties: Tensor) -> Tensor:

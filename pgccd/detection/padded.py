@@ -12,7 +12,6 @@ from pgccd import ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts
-from pgccd.detection.checks import operator_tolerance
 from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, named_columns, stats_of, take_earliest
 from pgccd.detection.query import Query
 
@@ -121,8 +120,7 @@ def search_padded(
         pair_counts = counts_of_given(pairs) if pair_counts is None else pair_counts
         if not bodies.checked:
             pair_counts = pair_counts * (1 - faults[-1:])
-    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
-    rest = (pairs, pair_counts, faults, *settings, _REPORTS[query.report], capacity.of_contacts)
+    rest = (pairs, pair_counts, faults, *query.settings, _REPORTS[query.report], capacity.of_contacts)
     *rows, counts = ops.contacts_padded(bodies.operands, *rest)
     return Search(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
 
@@ -142,6 +140,7 @@ def search_rigid(
             contacts are searched, and the overflow is counted.
     """
     chosen = broad.choose(bodies, broad_phase)
+    min_separation, tolerance, nonzero_toi = query.settings
     *rows, counts = ops.detect_rigid(
         bodies.mesh_set,
         bodies.tensors,
@@ -150,9 +149,9 @@ def search_rigid(
         *broad.filters(bodies),
         bodies.known_faults(),
         *bodies.motion.checks,
-        query.min_separation,
-        operator_tolerance(query.tolerance),
-        query.nonzero_toi,
+        min_separation,
+        tolerance,
+        nonzero_toi,
         _REPORTS[query.report],
         broad.BROAD_PHASE_NUMBERS[chosen],
         pair_capacity,
@@ -185,6 +184,5 @@ def lower_first_toi(
     Returns:
         Counts (21,); `contacts` is the number of pairs with a contact.
     """
-    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
-    rest = (*settings, capacity.of_contacts[:-1])  # no contacts are written
+    rest = (*query.settings, capacity.of_contacts[:-1])  # no contacts are written
     return ops.lower_first_toi_rigid(first, owners, mesh_set, tensors, linear_path, pairs, pair_counts, *rest)

@@ -27,3 +27,8 @@ class Query:
         check_separation(self.min_separation)
         operator_tolerance(self.tolerance)
         arguments.flag(self.nonzero_toi, "nonzero_toi")
+
+    @property
+    def settings(self) -> tuple[float, float, bool]:
+        """The operators' arguments min_separation, tolerance and nonzero_toi."""
+        return self.min_separation, operator_tolerance(self.tolerance), self.nonzero_toi

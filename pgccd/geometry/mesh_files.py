@@ -22,16 +22,6 @@ class Geometry:
     name: str | None = None
 
 
-@dataclass(frozen=True)
-class CleanGeometry:
-    """A geometry after cleaning, with the source row of each vertex and face."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    source_vertex: np.ndarray  #: (V,) int64
-    source_face: np.ndarray  #: (F,) int64
-
-
 def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
     """Loads a file with trimesh.
 
@@ -95,8 +85,9 @@ def joined_geometry(loaded: Any) -> Geometry:
     return Geometry(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
-def clean(geometry: Geometry, weld: bool) -> CleanGeometry:
-    """Drops faces that repeat a vertex; with `weld`, first merges vertices at the same position.
+def clean(geometry: Geometry, weld: bool) -> tuple[Geometry, np.ndarray, np.ndarray]:
+    """Drops faces that repeat a vertex; with `weld`, first merges vertices at the same position. Returns also the
+    source row of each vertex (V,) and face (F,), int64.
 
     Raises:
         ValueError: a vertex is not finite, a vertex index is out of range, or no face is left.
@@ -112,7 +103,7 @@ def clean(geometry: Geometry, weld: bool) -> CleanGeometry:
     if repeats.all():
         raise ValueError("mesh: there are no triangles with three different corners")
     kept = np.flatnonzero(~repeats)
-    return CleanGeometry(vertices, faces[kept], source, kept)
+    return Geometry(vertices, faces[kept], geometry.name), source, kept
 
 
 def _unique_rows(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

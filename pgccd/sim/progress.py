@@ -17,11 +17,6 @@ class Progress(Protocol):
     def advance(self, record: dict[str, Any]) -> None: ...
 
 
-class Silent:
-    def advance(self, record: dict[str, Any]) -> None:
-        pass
-
-
 class _Lines:
     """Plain lines for files and pipes: the first step, the last, and one every few seconds."""
 

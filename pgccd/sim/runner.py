@@ -20,7 +20,7 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.sim.checkpoint import Checkpoint, Header, load_checkpoint, require_checkpoint, save_checkpoint
 from pgccd.sim.log import StepLog
 from pgccd.sim.model import Model, ModelConfig, RobotState
-from pgccd.sim.progress import Progress, Silent
+from pgccd.sim.progress import Progress
 from pgccd.sim.replay import StepMaker
 from pgccd.sim.run_folder import begin
 from pgccd.sim.step import Step
@@ -243,7 +243,7 @@ def drive(
         raise ValueError(f"checkpoint_every: expected a number >= 0, got {checkpoint_every}")
     every = checkpoint_every
     with log or nullcontext(), _stop_requests() as stop:
-        with _DelayedLog(log, progress or Silent()) as lines:
+        with _DelayedLog(log, progress) as lines:
             while steps_made < steps and not machine.stops(stop.is_set()):
                 until = steps if not checkpoint_every else min(steps, -(-(steps_made + 1) // every) * every)
                 lines.add(machine.step(steps_made, more=until - steps_made - 1))
@@ -265,7 +265,7 @@ class _DelayedLog:
         progress: notified after every step.
     """
 
-    def __init__(self, log: StepLog | None, progress: Progress) -> None:
+    def __init__(self, log: StepLog | None, progress: Progress | None) -> None:
         self._log, self._progress = log, progress
         self._last: HasRecord | None = None
 
@@ -287,7 +287,8 @@ class _DelayedLog:
         record, self._last = self._last.record, None
         if self._log is not None:
             self._log.append(record)
-        self._progress.advance(record)
+        if self._progress is not None:
+            self._progress.advance(record)
 
     def __enter__(self) -> _DelayedLog:
         return self
