@@ -57,10 +57,15 @@ def choice(value: Any, name: str, choices: Iterable[str]) -> None:
         raise error(f"{name}: expected one of {list(choices)}, got {describe(value)}")
 
 
+def dtype_name(dtype: torch.dtype) -> str:
+    """The name of a dtype, such as "float64"."""
+    return str(dtype).removeprefix("torch.")
+
+
 def describe(value: Any) -> str:
     """A short description of a value for an error message."""
     if isinstance(value, Tensor):
-        return f"a {str(value.dtype).removeprefix('torch.')} tensor of shape {tuple(value.shape)}"
+        return f"a {dtype_name(value.dtype)} tensor of shape {tuple(value.shape)}"
     if value is None or isinstance(value, (bool, int, float, complex)):
         return repr(value)
     if isinstance(value, str):

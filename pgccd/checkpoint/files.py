@@ -21,7 +21,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn.functional import pad
 
-from pgccd import ops
+from pgccd import arguments, ops
 from pgccd.runtime.hashing import row_hash
 
 FOLDER = "checkpoints"
@@ -33,7 +33,7 @@ SHARED = "shared.safetensors"
 NAME = re.compile(r"step-\d{9,12}-[0-9a-f]{8}")
 #: Dtypes supported by safetensors, by their names in an index.
 DTYPES = {
-    str(dtype).removeprefix("torch."): dtype
+    arguments.dtype_name(dtype): dtype
     for dtype in (
         *(torch.bool, torch.uint8, torch.int8, torch.uint16, torch.int16, torch.uint32, torch.int32, torch.uint64),
         *(torch.int64, torch.float16, torch.bfloat16, torch.float32, torch.float64, torch.complex64),
@@ -152,9 +152,7 @@ def write_tables(folder: Path, rank: int, tables: Mapping[str, Columns]) -> File
 def layout_of(tables: Mapping[str, Columns]) -> dict[str, dict[str, list[Any]]]:
     """The dtype and row shape of each column, by table and name, as stored in the index."""
     return {
-        table: {
-            name: [str(column.dtype).removeprefix("torch."), list(column.shape[1:])] for name, column in columns.items()
-        }
+        table: {name: [arguments.dtype_name(column.dtype), list(column.shape[1:])] for name, column in columns.items()}
         for table, columns in tables.items()
     }
 
@@ -262,7 +260,7 @@ def _write_tensors(path: Path, tensors: Columns) -> FileEntry:
     """Writes a file and syncs it to disk."""
     with file_errors(path, "written"):
         for name, tensor in tensors.items():
-            if str(tensor.dtype).removeprefix("torch.") not in DTYPES:
+            if tensor.dtype not in DTYPES.values():
                 raise CheckpointError(f"{path} cannot be written: {name!r} is of {tensor.dtype}")
         save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
         _sync(path)

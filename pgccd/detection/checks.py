@@ -30,13 +30,14 @@ def operator_tolerance(tolerance: float | None) -> float:
     return -RELATIVE_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
 
 
-def check_integers(
+def check_tensor(
     values: Tensor, name: str, dtype: torch.dtype, shape: Sequence[int | str], device: torch.device
 ) -> None:
     """Raises unless the values are a tensor of this dtype and shape (see `arguments.shape`) on the device."""
     if not isinstance(values, Tensor) or values.dtype != dtype:
-        kind = str(dtype).removeprefix("torch.")
-        raise TypeError(f"{name}: expected an {kind} tensor, got {arguments.describe(values)}")
+        kind = arguments.dtype_name(dtype)
+        article = "an" if kind.startswith("i") else "a"
+        raise TypeError(f"{name}: expected {article} {kind} tensor, got {arguments.describe(values)}")
     arguments.shape(values, name, shape, device)
 
 
@@ -46,7 +47,7 @@ def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) ->
     Args:
         ascending: whether rows must be sorted and unique.
     """
-    check_integers(pairs, "pairs", torch.int64, ("P", 2), bodies.device)
+    check_tensor(pairs, "pairs", torch.int64, ("P", 2), bodies.device)
     count = bodies.scene.body_count
     i, j = pairs.unbind(dim=1)
     in_order = (i >= 0) & (i < j) & (j < count)

@@ -13,9 +13,9 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import (
-    check_integers,
     check_pairs,
     check_separation,
+    check_tensor,
     operator_tolerance,
     require,
     require_bodies,
@@ -142,7 +142,7 @@ def contacts(
     require_bodies(bodies)
     pairs = check_pairs(pairs, bodies)
     bodies.check()
-    check_integers(candidates, "candidates", torch.int32, ("C", 4), bodies.device)
+    check_tensor(candidates, "candidates", torch.int32, ("C", 4), bodies.device)
     require(
         _names_features(bodies, pairs, candidates),
         "candidates: a row refers to a missing pair, kind or feature",

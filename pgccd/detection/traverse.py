@@ -7,7 +7,14 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.checks import check_pairs, check_separation, operator_tolerance, require, require_bodies
+from pgccd.detection.checks import (
+    check_pairs,
+    check_separation,
+    check_tensor,
+    operator_tolerance,
+    require,
+    require_bodies,
+)
 
 
 def bvtt(
@@ -39,16 +46,8 @@ def bvtt(
     pairs = check_pairs(pairs, bodies)
     bodies.check()
     if horizon is not None:
-        _check_horizon(horizon, pairs)
+        check_tensor(horizon, "horizon", torch.float64, pairs.shape[:1], pairs.device)
+        arguments.refuse_gradient(horizon, "horizon")
+        require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
     return ops.traverse(bodies.operands, pairs, horizon, *settings)
-
-
-def _check_horizon(horizon: Tensor, pairs: Tensor) -> None:
-    if not isinstance(horizon, Tensor) or horizon.shape != pairs.shape[:1] or horizon.dtype != torch.float64:
-        expected = f"a float64 tensor of shape ({len(pairs)},)"
-        raise ValueError(f"horizon: expected {expected}, got {arguments.describe(horizon)}")
-    if horizon.device != pairs.device:
-        raise ValueError(f"horizon: expected device {pairs.device}, got {horizon.device}")
-    arguments.refuse_gradient(horizon, "horizon")
-    require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")

@@ -32,8 +32,7 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
     Raises:
         FileNotFoundError, ValueError, ImportError: as `pgccd.Mesh.load`.
     """
-    if not isinstance(path, (str, PathLike)):
-        raise TypeError(f"path: expected the name of a file, got {type(path).__name__}")
+    arguments.path(path, "path")
     try:
         import trimesh
     except ImportError as error:

@@ -84,7 +84,8 @@ def run(
     model = Model(config, meshes, device)
     with hold(folder):
         begin(folder, model.describe() | dict(notes or {}), overwrite)
-        return _continue(model, model.start(), 0, steps, folder, broad_phase, checkpoint_every, progress, graph)
+        machine = _OneProcess(model, model.start(), folder, broad_phase, graph)
+        return _finish(machine, 0, steps, folder, checkpoint_every, progress)
 
 
 def resume(
@@ -119,8 +120,8 @@ def resume(
     with hold(folder):
         checkpoint = load_checkpoint(folder)
         model, steps = continued(folder, checkpoint, steps, meshes, device)
-        state, made = checkpoint.state.to(model.device), checkpoint.steps_made
-        return _continue(model, state, made, steps, folder, broad_phase, checkpoint_every, progress, graph)
+        machine = _OneProcess(model, checkpoint.state.to(model.device), folder, broad_phase, graph)
+        return _finish(machine, checkpoint.steps_made, steps, folder, checkpoint_every, progress)
 
 
 def continued(
@@ -201,21 +202,12 @@ class _OneProcess:
         pass
 
 
-def _continue(
-    model: Model,
-    state: RobotState,
-    steps_made: int,
-    steps: int,
-    folder: Path,
-    broad_phase: BroadPhase,
-    checkpoint_every: int,
-    progress: Progress | None,
-    graph: bool | None,
+def _finish(
+    machine: _OneProcess, made: int, steps: int, folder: Path, checkpoint_every: int, progress: Progress | None
 ) -> Run:
-    machine = _OneProcess(model, state, folder, broad_phase, graph)
-    log = StepLog(folder, steps_made)
-    made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
-    return Run(model, machine.state, made, log.records, machine.last_step, interrupted=made < steps)
+    log = StepLog(folder, made)
+    made = drive(machine, log, made, steps, checkpoint_every, progress)
+    return Run(machine.model, machine.state, made, log.records, machine.last_step, interrupted=made < steps)
 
 
 def drive(
