@@ -1,7 +1,5 @@
 """Argument checks: each raises a TypeError or ValueError whose message starts with the argument's name."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path

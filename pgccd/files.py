@@ -1,7 +1,5 @@
 """Scenes and motions from files, as read by the command line."""
 
-from __future__ import annotations
-
 import difflib
 import json
 from collections.abc import Iterable, Sequence

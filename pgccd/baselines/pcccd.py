@@ -6,8 +6,6 @@ the work. Differences from the original: boxes enclose triangles swept over a st
 pairs found, and all boxes for one rank are sent in one message.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal

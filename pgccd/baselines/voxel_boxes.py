@@ -1,7 +1,5 @@
 """Exchange of the boxes of swept triangles: sent to the ranks of the voxels that they touch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -1,7 +1,5 @@
 """Assignment of the voxels of a sparse, distributed grid to ranks."""
 
-from __future__ import annotations
-
 import heapq
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Writing of checkpoint files; see `pgccd.checkpoint`."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Reading of checkpoints; see `pgccd.checkpoint`."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A scene and its motion, as input of the stages."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import torch

@@ -1,7 +1,5 @@
 """Broad phase: from swept spheres to the potentially colliding set (PCS)."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal, get_args
 

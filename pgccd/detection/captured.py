@@ -1,7 +1,5 @@
 """Detection as one CUDA graph, for loops that must not be limited by kernel launches from the host."""
 
-from __future__ import annotations
-
 from typing import Unpack
 
 import torch

@@ -1,7 +1,5 @@
 """Argument checks shared by several stages."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

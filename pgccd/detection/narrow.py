@@ -1,7 +1,5 @@
 """Narrow phase: from candidate feature pairs to contacts; and elementary tests of the caller's own points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum

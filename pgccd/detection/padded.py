@@ -1,7 +1,5 @@
 """Detection in a given capacity, without synchronising until the result is read."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

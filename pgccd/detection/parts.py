@@ -1,7 +1,5 @@
 """A step whose body pairs are searched in parts, each as soon as it is known, while the rest are still being found."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

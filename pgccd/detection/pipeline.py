@@ -1,7 +1,5 @@
 """One step of continuous collision detection, from poses to contacts."""
 
-from __future__ import annotations
-
 import time
 from functools import partial
 from typing import TypedDict, Unpack, overload

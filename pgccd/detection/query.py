@@ -1,7 +1,5 @@
 """Options of a detection step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from pgccd import arguments

@@ -1,7 +1,5 @@
 """Detection in chunks: the PCS is streamed, each chunk traversed and solved before the next."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Detection along a trajectory: all segments in one call."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """Traversal: from body pairs to candidate feature pairs, by the bounding volume test tree (BVTT)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

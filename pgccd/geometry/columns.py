@@ -1,7 +1,5 @@
 """Columns of a scene from user input: checked, converted to the operators' dtypes, and moved to the scene's device."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

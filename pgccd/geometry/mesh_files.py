@@ -1,7 +1,5 @@
 """Triangles from files and from trimesh: extraction, placement and welding."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from os import PathLike, fspath

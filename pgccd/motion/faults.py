@@ -1,7 +1,5 @@
 """Invalid numbers in motions: `ops.first_faults` finds them; errors name the column and the row."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Integration of orientations."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Trajectories: paths through many waypoints."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

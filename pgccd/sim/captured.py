@@ -2,8 +2,6 @@
 and the poses are valid; otherwise `pgccd.sim.replay` runs it launch by launch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Checkpoints of a run, in the files of `pgccd.checkpoint`."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path

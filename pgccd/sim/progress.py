@@ -1,7 +1,5 @@
 """Progress of a run on a terminal, or as plain lines."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Steps of a simulation as replays of a graph."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Protocol, TypeVar
 

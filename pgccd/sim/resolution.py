@@ -7,8 +7,6 @@ resulting step no robot touches another, and the next step starts without contac
 Several rounds are enqueued at a time, before it is known whether they are needed: superfluous rounds change nothing.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

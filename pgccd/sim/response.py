@@ -1,7 +1,5 @@
 """Response of robots to a collision: stop and reverse (the simple response of Du, Liu & Suzumura 2017)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Close-up of one collision: the two bodies, a section through the contact, and the gap over the step."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A self-contained interactive page of a world: rotate, zoom, play the step, step through the collisions."""
 
-from __future__ import annotations
-
 import base64
 import html
 import json

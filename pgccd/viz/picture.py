@@ -1,7 +1,5 @@
 """A picture of a world: all robots, the colliding ones, and a close-up of one collision."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

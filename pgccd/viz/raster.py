@@ -1,7 +1,5 @@
 """A small z-buffer renderer in NumPy: shaded triangle meshes, many instances, no graphics library."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
