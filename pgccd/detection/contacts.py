@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -158,7 +158,7 @@ class Contacts(ContactColumns):
             >>> early = hits[hits.toi < 0.5]
         """
         picked = arguments.rows(rows, "rows", len(self))
-        return self._with({name: column[picked] for name, column in self.columns.items()})
+        return self._map(lambda column: column[picked])
 
     def earliest(self, *ties: Tensor) -> Contacts:
         """The contact with the smallest toi (see `earliest_row` for ties), or none if there are no contacts."""
@@ -173,7 +173,7 @@ class Contacts(ContactColumns):
             >>> hits = hits.to("cpu")
         """
         device = arguments.device(device)
-        return self._with({name: column.to(device) for name, column in self.columns.items()})
+        return self._map(lambda column: column.to(device))
 
     def clone(self) -> Contacts:
         """A copy of all columns.
@@ -181,9 +181,10 @@ class Contacts(ContactColumns):
         Example:
             >>> kept = hits.clone()
         """
-        return self._with({name: column.clone() for name, column in self.columns.items()})
+        return self._map(Tensor.clone)
 
-    def _with(self, columns: dict[str, Any]) -> Contacts:
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Contacts:
+        columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
         changed = replace(self, **columns)
         changed.scene = self.scene
         return changed

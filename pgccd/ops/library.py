@@ -26,8 +26,8 @@ def operator(fake: Callable[P, R]) -> Callable[P, R]:
     torch.library.register_fake(f"pgccd::{name}", fake)
 
     @wraps(fake)
-    def call(*arguments: P.args, **_: P.kwargs) -> Any:
-        return getattr(operators, name)(*arguments)
+    def call(*arguments: P.args, **named: P.kwargs) -> Any:
+        return getattr(operators, name)(*arguments, **named)
 
     return call
 
@@ -38,28 +38,28 @@ def operator_of_bodies(fake: Callable[P, R]) -> Callable[P, R]:
     """
     rigid, deforming = (f"{fake.__name__}_{kind}" for kind in ("rigid", "deforming"))
     make: Callable[..., Any] = fake
-    torch.library.register_fake(f"pgccd::{rigid}", lambda *three, **_: make(three[:3], *three[3:]))
-    torch.library.register_fake(f"pgccd::{deforming}", lambda *two, **_: make((*two[:2], None), *two[2:]))
+    torch.library.register_fake(f"pgccd::{rigid}", lambda *three, **named: make(three[:3], *three[3:], **named))
+    torch.library.register_fake(f"pgccd::{deforming}", lambda *two, **named: make((*two[:2], None), *two[2:], **named))
 
     @wraps(fake)
-    def call(*arguments: P.args, **_: P.kwargs) -> Any:
+    def call(*arguments: P.args, **named: P.kwargs) -> Any:
         given: Any = arguments
         (mesh_set, tensors, linear_path), *rest = given
         if linear_path is None:
-            return getattr(operators, deforming)(mesh_set, tensors, *rest)
-        return getattr(operators, rigid)(mesh_set, tensors, linear_path, *rest)
+            return getattr(operators, deforming)(mesh_set, tensors, *rest, **named)
+        return getattr(operators, rigid)(mesh_set, tensors, linear_path, *rest, **named)
 
     return call
 
 
 def on_contiguous(wrapper: Callable[P, R]) -> Callable[P, R]:
-    """Makes the tensors that an operator is called with contiguous, also those in lists."""
+    """Makes the positional arguments of an operator, tensors and lists of tensors, contiguous."""
 
     @wraps(wrapper)
-    def call(*arguments: P.args, **_: P.kwargs) -> Any:
+    def call(*arguments: P.args, **named: P.kwargs) -> Any:
         given: Any = arguments
         made = (each.contiguous() if isinstance(each, Tensor) else [x.contiguous() for x in each] for each in given)
-        return wrapper(*made)  # type: ignore[call-arg, arg-type]
+        return wrapper(*made, **named)  # type: ignore[arg-type]
 
     return call
 

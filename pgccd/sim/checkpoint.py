@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from pgccd.checkpoint.files import (
     FOLDER,
@@ -27,6 +26,13 @@ KIND = "simulation"
 ROBOTS = "robots"  #: the name of their table
 _FORMER = "checkpoint.pt"  # of format 1
 _WIDTHS = {"position": 3, "orientation": 4, "velocity": 3, "angular_velocity": 3}  # of float64; others are int64
+# As from `layout_of`.
+_LAYOUT = {
+    ROBOTS: {
+        field.name: ["float64", [_WIDTHS[field.name]]] if field.name in _WIDTHS else ["int64", []]
+        for field in fields(RobotState)
+    }
+}
 
 
 @dataclass
@@ -70,7 +76,7 @@ class StoredCheckpoint(Stored):
                 raise ValueError("steps_wanted: expected a number >= 0")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CheckpointError(f"{path} is not the index of a run: {error}") from error
-        if layout_of(self.layout) != layout_of({ROBOTS: _no_robots()}):
+        if layout_of(self.layout) != _LAYOUT:
             raise CheckpointError(f"{path}: expected the columns of robots, and no others")
         if self.row_count(ROBOTS) != self.run.config.robots:
             raise CheckpointError(f"{path}: of {self.run.config.robots} robots it has {self.row_count(ROBOTS)}")
@@ -153,12 +159,3 @@ def forget_checkpoints(run_folder: Path) -> None:
     if root.is_dir():
         (root / POINTER).unlink(missing_ok=True)  # first: the checkpoint it names is complete as long as it exists
         shutil.rmtree(root)
-
-
-def _no_robots() -> dict[str, Tensor]:
-    """Empty columns of robots."""
-    columns = {}
-    for name in (field.name for field in fields(RobotState)):
-        shape = (0, _WIDTHS[name]) if name in _WIDTHS else (0,)
-        columns[name] = torch.empty(shape, dtype=torch.float64 if name in _WIDTHS else torch.int64)
-    return columns

@@ -127,12 +127,12 @@ def _pack_colours(colours: np.ndarray) -> np.ndarray:
     return (levels[:, 0] << np.uint64(16)) | (levels[:, 1] << np.uint64(8)) | levels[:, 2]
 
 
-def rotation_matrices(orientation: np.ndarray) -> np.ndarray:
-    """(N, 4) unit quaternions (w, x, y, z) -> (N, 3, 3)."""
+def placed(points: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+    """(N, V, 3) world: points (V, 3) of a body in N poses, positions (N, 3) and quaternions (w, x, y, z) (N, 4)."""
     w, x, y, z = orientation.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return np.einsum("ijb,vj->bvi", np.array(rows), points) + position[:, None]

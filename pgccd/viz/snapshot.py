@@ -12,7 +12,7 @@ from pgccd.detection.narrow import Kind
 from pgccd.geometry.mesh import Mesh
 from pgccd.motion.paths import RigidMotion
 from pgccd.sim import Model, RobotState, Step
-from pgccd.viz.raster import rotation_matrices
+from pgccd.viz.raster import placed
 
 # The features of two touching bodies.
 _SHAPES = {Kind.VF_AB: ("vertex", "face"), Kind.VF_BA: ("face", "vertex"), Kind.EE: ("edge", "edge")}
@@ -112,7 +112,7 @@ def _impact(model: Model, step: Step) -> Impact | None:
     for body in range(2):
         at = coordinates[body:] if shapes[body] == "edge" else coordinates
         local = _point_on(model.meshes.meshes[kinds[body]], shapes[body], int(features[body]), at)
-        paths.append(position[:, body] + rotation_matrices(orientation[:, body]) @ local)
+        paths.append(placed(local[None], position[:, body], orientation[:, body])[:, 0])
     return Impact(
         (first, second),
         kinds,
