@@ -86,9 +86,11 @@ def ghosts(partition: Cells, centres: list[Tensor], owner: Tensor, separation: f
 def reach(partition: Cells, centres: list[Tensor], rows: Tensor, separation: float = 0.0) -> Tensor:
     """Entry (B, ranks) uint8: 1 where one of the rows (B,) reaches a cell of the rank."""
     ranks = partition.ranks
-    reached, _ = ops.replica_ranks(centres, separation, 0.0, partition.subdomain(0), rows, ranks)
+    reached, _ = ops.replica_ranks(centres, separation, 0.0, *partition.subdomain(0), rows, [], ranks)
     # The operator omits the calling rank; its column is computed as another rank.
-    reached[:, 0] = ops.replica_ranks(centres, separation, 0.0, partition.subdomain(ranks - 1), rows, ranks)[0][:, 0]
+    reached[:, 0] = ops.replica_ranks(centres, separation, 0.0, *partition.subdomain(ranks - 1), rows, [], ranks)[0][
+        :, 0
+    ]
     return reached
 
 

@@ -212,9 +212,9 @@ class Counts:
         owner = partition.owner[centre]
         first, last = (partition.cell_of(corner) for corner in ops.swept_boxes(*centres, 0.0, 0.0))
         for rows in torch.nonzero(first != last)[:, 0].split(max(1, _BLOCK // ranks)):
-            reached, _ = ops.replica_ranks(centres, 0.0, 0.0, partition.subdomain(0), rows, ranks)
+            reached, _ = ops.replica_ranks(centres, 0.0, 0.0, *partition.subdomain(0), rows, [], ranks)
             if ranks > 1:  # the operator omits the calling rank
-                reached[:, 0] = ops.replica_ranks(centres, 0.0, 0.0, partition.subdomain(1), rows, ranks)[0][:, 0]
+                reached[:, 0] = ops.replica_ranks(centres, 0.0, 0.0, *partition.subdomain(1), rows, [], ranks)[0][:, 0]
             row, destination = torch.nonzero(reached).unbind(dim=1)
             source = owner[rows[row]]
             away = source != destination

@@ -97,13 +97,13 @@ def measure_partition(
         samples = [timing.seconds(work)[0] for _ in range(arguments.rounds)]
         return timing.summary(samples)["median"]
 
-    reach, rows, count = ops.boundary_bodies(centres, *_KEPT, near.subdomain)
+    reach, rows, count = ops.boundary_bodies(centres, *_KEPT, *near.subdomain)
     rows = rows[: int(count)]
     ghosts = [column[rows] for column in centres]
     row: dict[str, Any] = {"ranks": ranks, "partition": kind, "boundary bodies": len(rows)}
     row["neighbours"] = len(near.neighbours.ranks) - 1
     row["neighbours ms"] = median_ms(lambda: Decomposition(comm, partition))
-    row["boundary ms"] = median_ms(lambda: ops.boundary_bodies(centres, *_KEPT, near.subdomain))
+    row["boundary ms"] = median_ms(lambda: ops.boundary_bodies(centres, *_KEPT, *near.subdomain))
     for name, decomposition in (("replicas", near), ("replicas of all ranks", everywhere)):
         found = find_replicas(decomposition, centres, _KEPT, rows)
         counts = found.counts.tolist()
@@ -114,8 +114,8 @@ def measure_partition(
     row["reached ranks"] = sum(count > 0 for count in counts)
     row["bodies beyond neighbours"] = int(find_replicas(near, centres, _KEPT, rows).counts[-1])
     row["count messages"], row["count messages of all ranks"] = 2 * row["neighbours"], 2 * (ranks - 1)
-    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, ghosts, *_KEPT, near.subdomain))
-    row["leaving ms"] = median_ms(lambda: ops.leaving_bodies(centres[1], None, near.subdomain, near.neighbours.size))
+    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, ghosts, *_KEPT, *near.subdomain))
+    row["leaving ms"] = median_ms(lambda: ops.leaving_bodies(centres[1], None, *near.subdomain, near.neighbours.size))
     frame, owner, _ = near.subdomain
     cells = int(frame[6] * frame[7] * frame[8])
     row["partition kB"] = round(owner.nbytes / 1e3)

@@ -1,7 +1,5 @@
 """Information about this build and its backends."""
 
-from __future__ import annotations
-
 import torch
 
 from pgccd._host import build_information

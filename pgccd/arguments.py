@@ -1,8 +1,6 @@
 """Argument checks: each raises a TypeError or ValueError whose message starts with the argument's name."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -57,10 +55,15 @@ def choice(value: Any, name: str, choices: Iterable[str]) -> None:
         raise error(f"{name}: expected one of {list(choices)}, got {describe(value)}")
 
 
+def dtype_name(dtype: torch.dtype) -> str:
+    """The name of a dtype, such as "float64"."""
+    return str(dtype).removeprefix("torch.")
+
+
 def describe(value: Any) -> str:
     """A short description of a value for an error message."""
     if isinstance(value, Tensor):
-        return f"a {str(value.dtype).removeprefix('torch.')} tensor of shape {tuple(value.shape)}"
+        return f"a {dtype_name(value.dtype)} tensor of shape {tuple(value.shape)}"
     if value is None or isinstance(value, (bool, int, float, complex)):
         return repr(value)
     if isinstance(value, str):
@@ -136,14 +139,22 @@ def real_tensor(values: Any, name: str) -> None:
     refuse_gradient(values, name)
 
 
+def shape(values: Tensor, name: str, expected: Sequence[int | str], device: torch.device | None = None) -> None:
+    """Raises ValueError unless the tensor has this shape, in which a letter stands for any number, on this device."""
+    alike = len(expected) == values.dim()
+    if not alike or any(isinstance(n, int) and n != size for n, size in zip(expected, values.shape, strict=True)):
+        lengths = ", ".join(map(str, expected)) + "," * (len(expected) == 1)
+        raise ValueError(f"{name}: expected shape ({lengths}), got {tuple(values.shape)}")
+    if device is not None and values.device != device:
+        raise ValueError(f"{name}: expected device {device}, got {values.device}")
+
+
 def real_rows(values: Any, name: str, count: int | None, width: int, device: torch.device | None) -> Tensor:
     """The values as contiguous float64 rows (count, width) on the device. None: any number of rows, or any device."""
     real_tensor(values, name)
-    if values.dim() != 2 or values.shape[1] != width or (count is not None and values.shape[0] != count):
-        rows = "N" if count is None else count
-        raise ValueError(f"{name}: expected shape ({rows}, {width}), got {tuple(values.shape)}")
-    if device is not None and values.device != device:
-        raise ValueError(f"{name}: expected device {device}, got {values.device}")
+    fits = values.dim() == 2 and values.shape[1] == width and (count is None or values.shape[0] == count)
+    if not fits or (device is not None and values.device != device):  # compared here, since `shape` takes longer
+        shape(values, name, ("N" if count is None else count, width), device)
     if values.dtype == torch.float64 and not values.requires_grad and values.is_contiguous():
         return values  # the common case; converting anyway takes a tenth of a `detect` call for two bodies
     return values.detach().to(torch.float64).contiguous()

@@ -1,7 +1,5 @@
 """The command line: `pgccd simulate`, `pgccd detect`, `pgccd info`."""
 
-from __future__ import annotations
-
 import argparse
 import functools
 import json

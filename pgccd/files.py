@@ -1,12 +1,9 @@
 """Scenes and motions from files, as read by the command line."""
 
-from __future__ import annotations
-
 import difflib
 import json
 from collections.abc import Iterable, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +35,7 @@ def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -
         >>> np.savez("poses.npz", position_t0=x0, orientation_t0=q0, position_t1=x1, orientation_t1=q1)
         >>> motion = pgccd.files.load_motion("poses.npz")
     """
-    device = _checked(path, device)
+    path, device = arguments.path(path, "path"), arguments.device(device)
     try:
         with np.load(path) as archive:
             arrays = {name: archive[name] for name in archive.files}
@@ -78,8 +75,7 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
     Example:
         >>> hits = pgccd.detect(*pgccd.files.load_scene("scene.json"))
     """
-    device = _checked(path, device)
-    path = Path(path)
+    path, device = arguments.path(path, "path"), arguments.device(device)
     try:
         content: Any = json.loads(path.read_text())
     except (OSError, ValueError) as error:
@@ -105,12 +101,6 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
     return scene, load_motion(path.parent / content["poses"], device)
-
-
-def _checked(path: str | PathLike[str], device: torch.device | str) -> torch.device:
-    if not isinstance(path, (str, PathLike)):
-        raise TypeError(f"path: expected the name of a file, got {arguments.describe(path)}")
-    return arguments.device(device)
 
 
 def _require_known(path: str | PathLike[str], given: Iterable[str], known: Sequence[str]) -> None:

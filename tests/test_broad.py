@@ -21,7 +21,7 @@ NUMBERS = pgccd.broad.BROAD_PHASE_NUMBERS
 # Each broad phase, and the sweep along each axis.
 WAYS: tuple[tuple[Callable[..., torch.Tensor], tuple[int, ...]], ...] = (
     *((ops.broad_pairs, (NUMBERS["sweep"], axis)) for axis in AXES),
-    *((ops.broad_pairs, (number,)) for name, number in NUMBERS.items() if name != "sweep"),
+    *((ops.broad_pairs, (number, -1)) for name, number in NUMBERS.items() if name != "sweep"),
 )
 ROUNDING = 1e-12
 

@@ -6,23 +6,21 @@ the work. Differences from the original: boxes enclose triangles swept over a st
 pairs found, and all boxes for one rank are sent in one message.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.baselines.triangle_pairs import feature_candidates
 from pgccd.baselines.voxel_boxes import VoxelContents, send_boxes
-from pgccd.baselines.voxel_directory import VoxelDirectory, greedy_ranks, run_starts, voxel_keys
+from pgccd.baselines.voxel_directory import VoxelDirectory, first_rows, greedy_ranks, voxel_keys
 from pgccd.detection import narrow
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.checks import operator_tolerance
-from pgccd.detection.contacts import Contacts, Stats
+from pgccd.detection.contacts import COLUMNS, Contacts, Stats
 from pgccd.detection.query import Query
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
@@ -32,8 +30,6 @@ from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
-
-_COLUMNS = ("kind", "features", "status", "toi", "coordinates", "point", "normal")
 
 # For the nanorobots; from 6 to 9 edges the time is within a tenth of the minimum, at 15 twice the minimum.
 _EDGES_A_VOXEL = 8.0
@@ -128,9 +124,9 @@ class PCCCD:
         self.comm.guard.activity = "step"
         clock = StageClock()
 
-        settings = (self._query.min_separation, operator_tolerance(self._query.tolerance))
+        kept = self._query.settings[:2]
         contents, boxes_sent = send_boxes(
-            self.comm, self._directory, bodies, bodies_before[:-1], self.voxel_size, settings, clock
+            self.comm, self._directory, bodies, bodies_before[:-1], self.voxel_size, kept, clock
         )
         self._contents = contents
         with clock.stage("synchronize"):
@@ -146,11 +142,11 @@ class PCCCD:
             scene = Scene.of_checked(self._meshes, columns["mesh_index"])
             found = MovingBodies(scene, RigidMotion.from_rotation(*pose, path=motion.path))
             pairs, candidates = feature_candidates(found, triangle_pairs)
-            rest = (pairs, candidates, *settings, self._query.nonzero_toi, narrow.REPORTS[self._query.report])
-            row, *rows = ops.narrow_rigid(found.mesh_set, found.tensors, found.linear_path, *rest)
+            rest = (pairs, candidates, *self._query.settings, narrow.REPORTS[self._query.report])
+            row, *rows = ops.narrow(found.operands, *rest)
         with clock.stage("report"):
             of_contacts = pairs[row.long()]
-            contacts = {"pairs": columns["id"][of_contacts]} | dict(zip(_COLUMNS, rows, strict=True))
+            contacts = dict(zip(COLUMNS, (columns["id"][of_contacts], *rows), strict=True))
             received = self._report(contacts, owner[of_contacts])
         unresolved = int((contacts["status"] == narrow.Status.UNRESOLVED).sum())
         self.stats = VoxelStats(
@@ -232,11 +228,9 @@ class PCCCD:
         keys = [received["pairs"][:, 0], received["pairs"][:, 1], received["kind"], *received["features"].unbind(dim=1)]
         if self._query.report == "first":
             keys.insert(2, received["toi"])
-        order = torch.arange(len(received["toi"]))
-        for key in reversed(keys):
-            order = order[torch.argsort(key[order], stable=True)]
+        order = torch.from_numpy(np.lexsort([key.numpy() for key in reversed(keys)]))
         if self._query.report == "first":
-            order = order[run_starts(received["pairs"][order])]
+            order = order[first_rows(received["pairs"][order])]
         return take_rows(received, order)
 
 

@@ -1,7 +1,5 @@
 """From pairs of triangles whose boxes overlap to candidate feature pairs of body pairs."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

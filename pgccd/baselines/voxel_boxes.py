@@ -1,14 +1,12 @@
 """Exchange of the boxes of swept triangles: sent to the ranks of the voxels that they touch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.baselines.voxel_directory import VoxelDirectory, run_starts, voxel_keys
+from pgccd.baselines.voxel_directory import VoxelDirectory, first_rows, voxel_keys
 from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import make_route
 from pgccd.distributed.comm.interface import Comm
@@ -77,7 +75,7 @@ def _by_voxel(boxes: Tensor, voxels: Tensor, counts: Tensor, first_body: Tensor)
     segments = torch.stack([counts.cumsum(0) - counts, counts, first_body], dim=1)
     keys = voxel_keys(voxels)
     order = torch.argsort(keys, stable=True)
-    keys = keys[order]
-    is_first = run_starts(keys)
-    first_segment = torch.cat([is_first.nonzero()[:, 0], keys.new_tensor([len(keys)])])
-    return VoxelContents(boxes, segments[order], voxels[order][is_first], first_segment)
+    first = first_rows(keys[order])
+    return VoxelContents(
+        boxes, segments[order], voxels[order][first], torch.cat([first, first.new_tensor([len(keys)])])
+    )

@@ -1,9 +1,8 @@
 """Assignment of the voxels of a sparse, distributed grid to ranks."""
 
-from __future__ import annotations
-
 import heapq
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -62,18 +61,17 @@ class VoxelDirectory:
     def _answer(self, keys: Tensor, source: Tensor) -> Tensor:
         """The ranks of the voxels (V,) queried by the ranks `source` (V,), ascending."""
         _, is_here = _find(self._keys, keys)
-        first_asked, first_by = _first_of_each(keys[~is_here], source[~is_here])
-        self._keys, self._ranks = _merge(self._keys, self._ranks, first_asked, first_by)
+        asked, asking = keys[~is_here], source[~is_here]
+        first = first_rows(asked)
+        self._keys, self._ranks = _merge(self._keys, self._ranks, asked[first], asking[first])
         row, _ = _find(self._keys, keys)
         return self._ranks[row]
 
 
-def run_starts(values: Tensor) -> Tensor:
-    """(K,) bool: whether each of the sorted values (K,) or rows (K, n) differs from the previous one."""
-    starts = torch.ones(len(values), dtype=torch.bool)
-    differ = values[1:] != values[:-1]
-    starts[1:] = differ if differ.dim() == 1 else differ.any(dim=1)
-    return starts
+def first_rows(values: Tensor) -> Tensor:
+    """The first row of each distinct value of values (K,) or (K, n), by ascending value."""
+    _, rows = np.unique(values.numpy(), return_index=True, axis=None if values.dim() == 1 else 0)
+    return torch.from_numpy(rows)
 
 
 def _find(sorted_keys: Tensor, keys: Tensor) -> tuple[Tensor, Tensor]:
@@ -82,13 +80,6 @@ def _find(sorted_keys: Tensor, keys: Tensor) -> tuple[Tensor, Tensor]:
         return torch.zeros_like(keys), torch.zeros_like(keys, dtype=torch.bool)
     row = torch.searchsorted(sorted_keys, keys).clamp_(max=len(sorted_keys) - 1)
     return row, sorted_keys[row] == keys
-
-
-def _first_of_each(keys: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
-    """Unique keys, each with its first value."""
-    order = torch.argsort(keys, stable=True)
-    is_first = run_starts(keys[order])
-    return keys[order][is_first], values[order][is_first]
 
 
 def _merge(keys: Tensor, values: Tensor, more_keys: Tensor, more_values: Tensor) -> tuple[Tensor, Tensor]:

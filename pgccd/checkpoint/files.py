@@ -1,7 +1,5 @@
 """Writing of checkpoint files; see `pgccd.checkpoint`."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -9,8 +7,8 @@ import re
 import secrets
 import shutil
 import warnings
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn.functional import pad
 
-from pgccd import ops
+from pgccd import arguments, ops
 from pgccd.runtime.hashing import row_hash
 
 FOLDER = "checkpoints"
@@ -33,7 +31,7 @@ SHARED = "shared.safetensors"
 NAME = re.compile(r"step-\d{9,12}-[0-9a-f]{8}")
 #: Dtypes supported by safetensors, by their names in an index.
 DTYPES = {
-    str(dtype).removeprefix("torch."): dtype
+    arguments.dtype_name(dtype): dtype
     for dtype in (
         *(torch.bool, torch.uint8, torch.int8, torch.uint16, torch.int16, torch.uint32, torch.int32, torch.uint64),
         *(torch.int64, torch.float16, torch.bfloat16, torch.float32, torch.float64, torch.complex64),
@@ -49,6 +47,15 @@ _BLOCK = 1 << 20
 
 class CheckpointError(ValueError):
     """A checkpoint cannot be read or written; the message names the file."""
+
+
+@contextmanager
+def file_errors(path: Path, done: str) -> Iterator[None]:
+    """Turns errors of files and their formats into a CheckpointError: the path cannot be `done`."""
+    try:
+        yield
+    except (OSError, SafetensorError, UnicodeError) as error:
+        raise CheckpointError(f"{path} cannot be {done}: {getattr(error, 'strerror', None) or error}") from error
 
 
 @dataclass(frozen=True)
@@ -121,10 +128,8 @@ def make_folder(root: Path, kind: str, steps_made: int) -> str:
     if (root / POINTER).exists():
         read_pointer(root, kind)
     name = f"step-{steps_made:09d}-{secrets.token_hex(4)}"
-    try:
+    with file_errors(root / name, "made"):
         (root / name).mkdir(parents=True)
-    except OSError as error:
-        raise CheckpointError(f"{root / name} cannot be made: {error.strerror or error}") from error
     return name
 
 
@@ -145,9 +150,7 @@ def write_tables(folder: Path, rank: int, tables: Mapping[str, Columns]) -> File
 def layout_of(tables: Mapping[str, Columns]) -> dict[str, dict[str, list[Any]]]:
     """The dtype and row shape of each column, by table and name, as stored in the index."""
     return {
-        table: {
-            name: [str(column.dtype).removeprefix("torch."), list(column.shape[1:])] for name, column in columns.items()
-        }
+        table: {name: [arguments.dtype_name(column.dtype), list(column.shape[1:])] for name, column in columns.items()}
         for table, columns in tables.items()
     }
 
@@ -173,7 +176,7 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
     index |= {"header": content.header, "layout": layout, "files": [asdict(entry) for entry in files]}
     if content.shared:
         index["shared"] = asdict(_write_tensors(folder / SHARED, content.shared))
-    try:
+    with file_errors(folder, "written"):
         raw = json.dumps(index, indent=1).encode()
         _write_bytes(folder / INDEX, raw)
         _sync(folder)
@@ -184,8 +187,6 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
         _write_bytes(unfinished, json.dumps(pointer).encode())
         os.replace(unfinished, root / POINTER)
         _sync(root)
-    except OSError as error:
-        raise CheckpointError(f"{folder} cannot be written: {error.strerror or error}") from error
     try:
         _remove_others(root, name)
     except OSError as error:  # the new checkpoint is complete
@@ -224,10 +225,8 @@ def read_pointer(root: Path, kind: str) -> tuple[str, str]:
 
 def read_bytes(path: Path) -> bytes:
     """The content of a file; raises CheckpointError if it cannot be read."""
-    try:
+    with file_errors(path, "read"):
         return path.read_bytes()
-    except OSError as error:
-        raise CheckpointError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
 def read_json(path: Path, raw: bytes) -> dict[str, Any]:
@@ -249,19 +248,21 @@ def require_format(path: Path, content: Mapping[str, Any], kind: str) -> None:
         raise CheckpointError(f"{path}: expected the checkpoint of a {kind}, it is of kind {content.get('kind')!r}")
 
 
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def _write_tensors(path: Path, tensors: Columns) -> FileEntry:
     """Writes a file and syncs it to disk."""
-    try:
+    with file_errors(path, "written"):
         for name, tensor in tensors.items():
-            if str(tensor.dtype).removeprefix("torch.") not in DTYPES:
+            if tensor.dtype not in DTYPES.values():
                 raise CheckpointError(f"{path} cannot be written: {name!r} is of {tensor.dtype}")
         save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
         _sync(path)
-        with open(path, "rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        return FileEntry(path.name, path.stat().st_size, digest)
-    except (OSError, SafetensorError, UnicodeError) as error:
-        raise CheckpointError(f"{path} cannot be written: {error}") from error
+        return FileEntry(path.name, path.stat().st_size, file_hash(path))
 
 
 def _write_bytes(path: Path, content: bytes) -> None:

@@ -1,7 +1,5 @@
 """Locks folders, so that one job at a time writes to them."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import socket

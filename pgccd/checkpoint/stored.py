@@ -1,14 +1,12 @@
 """Reading of checkpoints; see `pgccd.checkpoint`."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from torch import Tensor
 
 from pgccd.checkpoint.files import (
@@ -20,6 +18,8 @@ from pgccd.checkpoint.files import (
     CheckpointError,
     FileEntry,
     Rows,
+    file_errors,
+    file_hash,
     rank_file,
     read_bytes,
     read_json,
@@ -83,13 +83,10 @@ class Stored:
         """
         for entry in files:
             path = self.folder / entry.name
-            try:
+            with file_errors(path, "read"):
                 size = path.stat().st_size
                 if size == entry.bytes:
-                    with open(path, "rb") as file:
-                        digest = hashlib.file_digest(file, "sha256").hexdigest()
-            except OSError as error:
-                raise CheckpointError(f"{path} cannot be read: {error.strerror or error}") from error
+                    digest = file_hash(path)
             if size != entry.bytes:
                 raise CheckpointError(f"{path} is damaged: it has {size} bytes instead of {entry.bytes}")
             if digest != entry.sha256:
@@ -150,11 +147,8 @@ class Stored:
             return {}
         path = self.folder / SHARED
         self.verify([FileEntry(SHARED, self._shared.bytes, self._shared.sha256)])
-        try:
-            with safe_open(path, framework="pt") as file:
-                return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (no mapping)
-        except (OSError, SafetensorError) as error:
-            raise CheckpointError(f"{path} cannot be read: {error}") from error
+        with file_errors(path, "read"), safe_open(path, framework="pt") as file:
+            return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (no mapping)
 
     def _places(self, table: str, begin: int, end: int) -> list[tuple[int, int, int]]:
         """(rank, begin, end) of each file that holds some of the rows."""
@@ -169,18 +163,15 @@ class Stored:
     def _read(self, rank: int, table: str, names: Sequence[str], begin: int, end: int) -> dict[str, Tensor]:
         entry = self.files[rank]
         path, columns = self.folder / entry.name, {}
-        try:
-            with safe_open(path, framework="pt") as file:
-                for name in names:
-                    part, empty = file.get_slice(f"{table}/{name}"), self.layout[table][name]
-                    expected = [entry.tables[table].count, *empty.shape[1:]]
-                    if part.get_shape() != expected:
-                        raise CheckpointError(f"{path}: {name!r}: expected shape {expected}, got {part.get_shape()}")
-                    columns[name] = part[begin:end]
-                    if columns[name].dtype != empty.dtype:
-                        raise CheckpointError(f"{path}: {name!r}: expected {empty.dtype}, got {columns[name].dtype}")
-        except (OSError, SafetensorError) as error:
-            raise CheckpointError(f"{path} cannot be read: {error}") from error
+        with file_errors(path, "read"), safe_open(path, framework="pt") as file:
+            for name in names:
+                part, empty = file.get_slice(f"{table}/{name}"), self.layout[table][name]
+                expected = [entry.tables[table].count, *empty.shape[1:]]
+                if part.get_shape() != expected:
+                    raise CheckpointError(f"{path}: {name!r}: expected shape {expected}, got {part.get_shape()}")
+                columns[name] = part[begin:end]
+                if columns[name].dtype != empty.dtype:
+                    raise CheckpointError(f"{path}: {name!r}: expected {empty.dtype}, got {columns[name].dtype}")
         return columns
 
 

@@ -1,7 +1,5 @@
 """A scene and its motion, as input of the stages."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import torch
@@ -119,6 +117,11 @@ class MovingBodies:
     def mesh_set(self) -> list[Tensor]:
         """The operators' `mesh_set` argument."""
         return self.scene.meshes.tensors
+
+    @property
+    def operands(self) -> ops.Bodies:
+        """The arguments of operators for both kinds of bodies."""
+        return self.mesh_set, self.tensors, None if self.deforming else self.linear_path
 
     @property
     def position_t0(self) -> Tensor:

@@ -1,7 +1,5 @@
 """Broad phase: from swept spheres to the potentially colliding set (PCS)."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal, get_args
 
@@ -63,12 +61,7 @@ def grid(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
 
     Fastest for bodies of few different sizes. Memory is proportional to the number of bodies, whatever their positions.
 
-    Args:
-        bodies: the scene in motion.
-        min_separation, tolerance: as for `sweep`.
-
-    Returns:
-        (P, 2) int64: the pairs of `sweep`, bit for bit.
+    Arguments and result, (P, 2) int64, are those of `sweep`.
 
     Example:
         >>> pairs = pgccd.broad.grid(bodies)
@@ -82,12 +75,7 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
 
     Suited to bodies of very different sizes.
 
-    Args:
-        bodies: the scene in motion.
-        min_separation, tolerance: as for `sweep`.
-
-    Returns:
-        (P, 2) int64: the pairs of `sweep`, bit for bit.
+    Arguments and result, (P, 2) int64, are those of `sweep`.
 
     Example:
         >>> pairs = pgccd.broad.lbvh(bodies)

@@ -128,7 +128,7 @@ class Capacity:
 
     @property
     def of_contacts(self) -> list[int]:
-        """The `capacity` argument of `ops.contacts_padded_*`."""
+        """The `capacity` argument of `ops.contacts_padded`."""
         return [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches, self.open, self.contacts]
 
 

@@ -1,16 +1,14 @@
 """Detection as one CUDA graph, for loops that must not be limited by kernel launches from the host."""
 
-from __future__ import annotations
-
-from typing import Any
+from typing import Unpack
 
 import torch
 
 from pgccd import arguments
-from pgccd.detection import broad, narrow
+from pgccd.detection import narrow
 from pgccd.detection.capacity import Capacity, CapacityError, check_capacity
 from pgccd.detection.contacts import Contacts, PaddedContacts
-from pgccd.detection.pipeline import detect
+from pgccd.detection.pipeline import Options, detect
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.runtime.graph import capture
@@ -28,8 +26,9 @@ class CapturedDetection:
     Args:
         scene: the bodies. Its columns are read at each replay and may be changed in place.
         motion: a step of the same kind as later ones, with the same number of bodies or vertices.
-        report, min_separation, tolerance, nonzero_toi, broad_phase: as for `detect`.
+        report, min_separation: as for `detect`.
         capacity: of the result and of all intermediate lists. Default: 1.5 times what `motion` needs.
+        options: tolerance, nonzero_toi, broad_phase: as for `detect`.
 
     Raises:
         TypeError, ValueError: naming the argument.
@@ -48,19 +47,16 @@ class CapturedDetection:
         report: narrow.Report = "first",
         min_separation: float = 0.0,
         *,
-        tolerance: float | None = None,
-        nonzero_toi: bool = False,
-        broad_phase: broad.BroadPhase = "auto",
         capacity: Capacity | None = None,
+        **options: Unpack[Options],
     ) -> None:
         if not isinstance(motion, (RigidMotion, VertexMotion)):
             kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
         self.scene = scene
-        self._options: dict[str, Any] = {"report": report, "min_separation": min_separation, "tolerance": tolerance}
-        self._options |= {"nonzero_toi": nonzero_toi, "broad_phase": broad_phase}
+        self._report, self._min_separation, self._options = report, min_separation, options
         if capacity is None:
-            needed = detect(scene, motion, **self._options).stats.needed
+            needed = detect(scene, motion, report, min_separation, **options).stats.needed
             if needed is None:
                 raise ValueError("motion: this step does not fit in memory in one pass; use pgccd.detect")
             capacity = needed.times(_SLACK)
@@ -123,7 +119,8 @@ class CapturedDetection:
         return self._graph is not None
 
     def _detect(self) -> PaddedContacts:
-        return detect(self.scene, self.motion, capacity=self.capacity, **self._options)
+        given = self.scene, self.motion, self._report, self._min_separation
+        return detect(*given, capacity=self.capacity, **self._options)
 
     def _capture(self, capacity: Capacity) -> None:
         #: Capacity of the result and of all intermediate lists.

@@ -1,6 +1,6 @@
 """Argument checks shared by several stages."""
 
-from __future__ import annotations
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -28,18 +28,24 @@ def operator_tolerance(tolerance: float | None) -> float:
     return -RELATIVE_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
 
 
+def check_tensor(
+    values: Tensor, name: str, dtype: torch.dtype, shape: Sequence[int | str], device: torch.device
+) -> None:
+    """Raises unless the values are a tensor of this dtype and shape (see `arguments.shape`) on the device."""
+    if not isinstance(values, Tensor) or values.dtype != dtype:
+        kind = arguments.dtype_name(dtype)
+        article = "an" if kind.startswith("i") else "a"
+        raise TypeError(f"{name}: expected {article} {kind} tensor, got {arguments.describe(values)}")
+    arguments.shape(values, name, shape, device)
+
+
 def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) -> Tensor:
     """Validates dtype, shape, device and body indices of `pairs`, and returns it.
 
     Args:
         ascending: whether rows must be sorted and unique.
     """
-    if not isinstance(pairs, Tensor) or pairs.dtype != torch.int64:
-        raise TypeError(f"pairs: expected an int64 tensor, got {arguments.describe(pairs)}")
-    if pairs.dim() != 2 or pairs.shape[1] != 2:
-        raise ValueError(f"pairs: expected shape (P, 2), got {tuple(pairs.shape)}")
-    if pairs.device != bodies.device:
-        raise ValueError(f"pairs: expected device {bodies.device}, got {pairs.device}")
+    check_tensor(pairs, "pairs", torch.int64, ("P", 2), bodies.device)
     count = bodies.scene.body_count
     i, j = pairs.unbind(dim=1)
     in_order = (i >= 0) & (i < j) & (j < count)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
@@ -12,13 +12,24 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.detection.capacity import COUNT_ROWS, Capacity, CapacityError, Counts
 from pgccd.motion.faults import Faults
+from pgccd.ops import ContactRows
 
 if TYPE_CHECKING:
     from pgccd.geometry.scene import Scene
 
-#: Columns of contacts from the operators: index into the pairs (K,), kind (K,), features (K, 2), status (K,), toi (K,),
-#: coordinates (K, 2), point (K, 3), normal (K, 3).
-ContactRows = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
+
+#: Names of the columns of contacts, in the operators' order.
+COLUMNS = ("pairs", "kind", "features", "status", "toi", "coordinates", "point", "normal")
+
+
+def all_columns(columns: Mapping[str, Tensor]) -> dict[str, Any]:
+    """The given columns of contacts, and None for the others."""
+    return {name: columns.get(name) for name in COLUMNS}
+
+
+def named_columns(rows: ContactRows, report: str) -> dict[str, Any]:
+    """Columns of contacts by name, from rows with body pairs in the first column; of report="any" only the pairs."""
+    return all_columns({"pairs": rows[0]}) if report == "any" else dict(zip(COLUMNS, rows, strict=True))
 
 
 def earliest_row(toi: Tensor, *ties: Tensor) -> Tensor:
@@ -96,34 +107,31 @@ def first_time(pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By) 
 
 
 @dataclass
-class Contacts:
-    """K contacts, sorted by pair, then kind and features.
-
-    With report="any" only `pairs` is meaningful and all other fields are None.
-    """
+class ContactColumns:
+    """One row per contact. With report="any" only `pairs` is meaningful and all other columns are None."""
 
     pairs: Tensor  #: (K, 2) int64 body indices, i < j; i, i where a body touches itself
     toi: Tensor | None  #: (K,) float64 in [0, 1]: these features do not touch before it; 0 if they touch at t0
     kind: Tensor | None  #: (K,) int8, see `Kind`
     features: Tensor | None  #: (K, 2) int32: vertex, face or edge index of i, then of j, in their meshes
-    coordinates: (
-        Tensor | None
-    )  #: (K, 2): face point f0 + u (f1 - f0) + v (f2 - f0), or parameters along i's and j's edge
+    #: (K, 2): face point f0 + u (f1 - f0) + v (f2 - f0), or parameters along i's and j's edge
+    coordinates: Tensor | None
     point: Tensor | None  #: (K, 3) world: halfway between the nearest points at toi
-    normal: (
-        Tensor | None
-    )  #: (K, 3) unit vector from i (or the first feature) towards j at toi; zero if degenerate features coincide
+    #: (K, 3) unit vector from i (or the first feature) towards j at toi; zero if degenerate features coincide
+    normal: Tensor | None
     status: Tensor | None  #: (K,) int8, see `Status`
-    stats: Stats
     #: The scene of the bodies; None where `pairs` are not rows of one scene.
     scene: Scene | None = field(default=None, init=False, repr=False, compare=False)
 
-    def __len__(self) -> int:
-        return self.pairs.shape[0]
+    @property
+    def columns(self) -> dict[str, Tensor]:
+        """The columns that are not None, by name."""
+        columns = {name: getattr(self, name) for name in COLUMNS}
+        return {name: column for name, column in columns.items() if column is not None}
 
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
-        largest world index), or (N,) per "body".
+        largest world index), or (N,) per "body". Does not synchronise; contacts missing after an overflow are ignored.
 
         Raises:
             ValueError: the report was "any", or `by` is unknown or needs a scene.
@@ -133,6 +141,16 @@ class Contacts:
         """
         return first_time(self.pairs, self.toi, self.scene, by)
 
+
+@dataclass
+class Contacts(ContactColumns):
+    """K contacts, sorted by pair, then kind and features."""
+
+    stats: Stats
+
+    def __len__(self) -> int:
+        return self.pairs.shape[0]
+
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Contacts:
         """A subset of the contacts: a mask (K,), row numbers or a slice. `stats` remain those of the whole call.
 
@@ -140,7 +158,7 @@ class Contacts:
             >>> early = hits[hits.toi < 0.5]
         """
         picked = arguments.rows(rows, "rows", len(self))
-        return self._with({name: column[picked] for name, column in _columns(self).items()})
+        return self._map(lambda column: column[picked])
 
     def earliest(self, *ties: Tensor) -> Contacts:
         """The contact with the smallest toi (see `earliest_row` for ties), or none if there are no contacts."""
@@ -155,7 +173,7 @@ class Contacts:
             >>> hits = hits.to("cpu")
         """
         device = arguments.device(device)
-        return self._with({name: column.to(device) for name, column in _columns(self).items()})
+        return self._map(lambda column: column.to(device))
 
     def clone(self) -> Contacts:
         """A copy of all columns.
@@ -163,9 +181,10 @@ class Contacts:
         Example:
             >>> kept = hits.clone()
         """
-        return self._with({name: column.clone() for name, column in _columns(self).items()})
+        return self._map(Tensor.clone)
 
-    def _with(self, columns: dict[str, Any]) -> Contacts:
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Contacts:
+        columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
         changed = replace(self, **columns)
         changed.scene = self.scene
         return changed
@@ -175,21 +194,13 @@ class Contacts:
 
 
 @dataclass
-class PaddedContacts:
+class PaddedContacts(ContactColumns):
     """Contacts in a fixed number of rows, from `detect(capacity=...)`: the host has not synchronised yet.
 
     The first `count` rows are contacts as in `Contacts`. The rest is padding: pairs and features -1, toi inf, status
-    FREE, all else 0, so `toi.min()` needs no mask. With report="any" the same columns are None as in `Contacts`.
+    FREE, all else 0, so `toi.min()` needs no mask.
     """
 
-    pairs: Tensor  #: (capacity.contacts, 2) int64
-    toi: Tensor | None
-    kind: Tensor | None
-    features: Tensor | None
-    coordinates: Tensor | None
-    point: Tensor | None
-    normal: Tensor | None
-    status: Tensor | None
     count: Tensor  #: (1,) int64: number of contacts
     #: (1,) bool: a capacity was exceeded or the input is invalid, so contacts may be missing. `trim` raises the error.
     overflow: Tensor
@@ -198,11 +209,6 @@ class PaddedContacts:
     broad_phase: str  #: as in `Stats`
     bodies: int  #: number of bodies
     faults: Faults  #: meaning of the last values of `counts`
-    scene: Scene | None = field(default=None, init=False, repr=False, compare=False)
-
-    def first_toi(self, by: By = "scene") -> Tensor:
-        """As `Contacts.first_toi`, without synchronising. After overflow, contacts may be missing."""
-        return first_time(self.pairs, self.toi, self.scene, by)
 
     def trim(self) -> Contacts:
         """The contacts without padding, with stats. Synchronises.
@@ -220,9 +226,9 @@ class PaddedContacts:
         if counts.overflow:
             raise CapacityError(self.capacity, counts.needed(self.capacity))
         count = min(counts.contacts, len(self.pairs))  # "earliest" has one row
-        columns = {name: None if column is None else column[:count] for name, column in _all_columns(self).items()}
+        columns = all_columns({name: column[:count] for name, column in self.columns.items()})
         stats = stats_of(counts, self.capacity, self.bodies, count, self.broad_phase, waits=int(self.counts.is_cuda))
-        contacts = Contacts(**columns, stats=stats)  # type: ignore[arg-type]
+        contacts = Contacts(**columns, stats=stats)
         contacts.scene = self.scene
         return contacts
 
@@ -245,14 +251,3 @@ def stats_of(counts: Counts, capacity: Capacity, bodies: int, contacts: int, bro
         needed=counts.needed(capacity),
         seconds=counts.seconds,
     )
-
-
-_COLUMNS = tuple(each.name for each in fields(Contacts) if each.name not in ("stats", "scene"))
-
-
-def _all_columns(contacts: Contacts | PaddedContacts) -> dict[str, Any]:
-    return {name: getattr(contacts, name) for name in _COLUMNS}
-
-
-def _columns(contacts: Contacts) -> dict[str, Tensor]:
-    return {name: column for name, column in _all_columns(contacts).items() if column is not None}

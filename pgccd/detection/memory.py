@@ -1,7 +1,5 @@
 """Memory limits and estimates of a step."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

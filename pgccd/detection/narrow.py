@@ -1,7 +1,6 @@
 """Narrow phase: from candidate feature pairs to contacts; and elementary tests of the caller's own points."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
@@ -11,7 +10,14 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.checks import check_pairs, check_separation, operator_tolerance, require, require_bodies
+from pgccd.detection.checks import (
+    check_pairs,
+    check_separation,
+    check_tensor,
+    operator_tolerance,
+    require,
+    require_bodies,
+)
 from pgccd.detection.contacts import ContactRows, take_earliest
 
 Report = Literal["any", "first", "all", "earliest"]
@@ -77,14 +83,7 @@ def vertex_face(
         >>> hit = pgccd.narrow.vertex_face(x0, x1)
         >>> colliding = hit.status != pgccd.FREE
     """
-    return ElementaryResult(
-        *ops.vertex_face(
-            *_queries(points_t0, points_t1),
-            check_separation(min_separation),
-            _ELEMENTARY_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance"),
-            arguments.flag(nonzero_toi, "nonzero_toi"),
-        )
-    )
+    return _solve(ops.vertex_face, points_t0, points_t1, min_separation, tolerance, nonzero_toi)
 
 
 def edge_edge(
@@ -99,14 +98,21 @@ def edge_edge(
     Example:
         >>> hit = pgccd.narrow.edge_edge(x0, x1, min_separation=1e-3)
     """
-    return ElementaryResult(
-        *ops.edge_edge(
-            *_queries(points_t0, points_t1),
-            check_separation(min_separation),
-            _ELEMENTARY_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance"),
-            arguments.flag(nonzero_toi, "nonzero_toi"),
-        )
-    )
+    return _solve(ops.edge_edge, points_t0, points_t1, min_separation, tolerance, nonzero_toi)
+
+
+def _solve(
+    test: Callable[[Tensor, Tensor, float, float, bool], tuple[Tensor, Tensor, Tensor, Tensor]],
+    points_t0: Tensor,
+    points_t1: Tensor,
+    min_separation: float,
+    tolerance: float | None,
+    nonzero_toi: bool,
+) -> ElementaryResult:
+    points_t0, points_t1 = _queries(points_t0, points_t1)
+    tolerance = _ELEMENTARY_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
+    settings = check_separation(min_separation), tolerance, arguments.flag(nonzero_toi, "nonzero_toi")
+    return ElementaryResult(*test(points_t0, points_t1, *settings))
 
 
 def contacts(
@@ -134,23 +140,15 @@ def contacts(
     require_bodies(bodies)
     pairs = check_pairs(pairs, bodies)
     bodies.check()
-    if not isinstance(candidates, Tensor) or candidates.dtype != torch.int32:
-        raise TypeError(f"candidates: expected an int32 tensor, got {arguments.describe(candidates)}")
-    if candidates.dim() != 2 or candidates.shape[1] != 4:
-        raise ValueError(f"candidates: expected shape (C, 4), got {tuple(candidates.shape)}")
-    if candidates.device != bodies.device:
-        raise ValueError(f"candidates: expected device {bodies.device}, got {candidates.device}")
+    check_tensor(candidates, "candidates", torch.int32, ("C", 4), bodies.device)
     require(
         _names_features(bodies, pairs, candidates),
         "candidates: a row refers to a missing pair, kind or feature",
     )
     arguments.choice(report, "report", REPORTS)
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
-    rest = (pairs, candidates.contiguous(), *settings, arguments.flag(nonzero_toi, "nonzero_toi"), REPORTS[report])
-    if bodies.deforming:
-        rows = ops.narrow_deforming(bodies.mesh_set, bodies.tensors, *rest)
-    else:
-        rows = ops.narrow_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
+    rest = (*settings, arguments.flag(nonzero_toi, "nonzero_toi"), REPORTS[report])
+    rows = ops.narrow(bodies.operands, pairs, candidates.contiguous(), *rest)
     return take_earliest(rows) if report == "earliest" else rows
 
 
@@ -172,12 +170,8 @@ def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> 
 def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:
     for name, points in (("points_t0", points_t0), ("points_t1", points_t1)):
         arguments.real_tensor(points, name)
-        if points.dim() != 3 or points.shape[1:] != (4, 3):
-            raise ValueError(f"{name}: expected shape (n, 4, 3), got {tuple(points.shape)}")
+        arguments.shape(points, name, ("n", 4, 3))
     if points_t0.dtype != points_t1.dtype:
         raise TypeError(f"points_t1: expected dtype {points_t0.dtype}, got {points_t1.dtype}")
-    if points_t0.shape != points_t1.shape:
-        raise ValueError(f"points_t1: expected shape {tuple(points_t0.shape)}, got {tuple(points_t1.shape)}")
-    if points_t0.device != points_t1.device:
-        raise ValueError(f"points_t1: expected device {points_t0.device}, got {points_t1.device}")
+    arguments.shape(points_t1, "points_t1", points_t0.shape, points_t0.device)
     return points_t0.detach().contiguous(), points_t1.detach().contiguous()

@@ -1,7 +1,5 @@
 """Detection in a given capacity, without synchronising until the result is read."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,8 +10,7 @@ from pgccd import ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts
-from pgccd.detection.checks import operator_tolerance
-from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, stats_of, take_earliest
+from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, named_columns, stats_of, take_earliest
 from pgccd.detection.query import Query
 
 
@@ -48,24 +45,24 @@ class Search:
             rows = take_earliest(rows)
         bodies, waits = self.bodies.scene.body_count, int(self.counts.is_cuda)
         stats = stats_of(counts, self.capacity, bodies, rows[0].shape[0], self.broad_phase, waits)
-        if self.query.report == "any":
-            return Contacts(rows[0], None, None, None, None, None, None, None, stats)
-        pairs, kind, features, status, toi, coordinates, point, normal = rows
-        return Contacts(pairs, toi, kind, features, coordinates, point, normal, status, stats)
+        return Contacts(**named_columns(rows, self.query.report), stats=stats)
 
     def padded(self) -> PaddedContacts:
         """The padded contacts, without reading the counts."""
         rows, count = self.rows, self._count("contacts")
         if self.query.report == "earliest":
             rows, count = take_earliest(rows), count.clamp(max=1)
-        pairs, kind, features, status, toi, coordinates, point, normal = rows
-        columns = (toi, kind, features, coordinates, point, normal, status)
-        if self.query.report == "any":
-            columns = (None,) * len(columns)  # type: ignore[assignment]
         lost = sum(self._count(f"{stage}_overflow") for stage in ("pairs", "traverse", "contacts"))
-        overflow = lost + self.counts[-1:] > 0
-        origin = (self.broad_phase, self.bodies.scene.body_count, self.bodies.faults)
-        padded = PaddedContacts(pairs, *columns, count, overflow, self.counts, self.capacity, *origin)
+        padded = PaddedContacts(
+            **named_columns(rows, self.query.report),
+            count=count,
+            overflow=lost + self.counts[-1:] > 0,
+            counts=self.counts,
+            capacity=self.capacity,
+            broad_phase=self.broad_phase,
+            bodies=self.bodies.scene.body_count,
+            faults=self.bodies.faults,
+        )
         padded.scene = self.bodies.scene
         return padded
 
@@ -121,11 +118,9 @@ def search_padded(
         pair_counts = counts_of_given(pairs) if pair_counts is None else pair_counts
         if not bodies.checked:
             pair_counts = pair_counts * (1 - faults[-1:])
-    linear_path = None if bodies.deforming else bodies.linear_path
-    rows, counts = contacts_padded(
-        bodies.mesh_set, bodies.tensors, linear_path, pairs, pair_counts, faults, query, capacity
-    )
-    return Search(bodies, query, capacity, chosen or "given", rows, counts)
+    rest = (pairs, pair_counts, faults, *query.settings, _REPORTS[query.report], capacity.of_contacts)
+    *rows, counts = ops.contacts_padded(bodies.operands, *rest)
+    return Search(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
 
 
 def search_rigid(
@@ -143,6 +138,7 @@ def search_rigid(
             contacts are searched, and the overflow is counted.
     """
     chosen = broad.choose(bodies, broad_phase)
+    min_separation, tolerance, nonzero_toi = query.settings
     *rows, counts = ops.detect_rigid(
         bodies.mesh_set,
         bodies.tensors,
@@ -151,48 +147,15 @@ def search_rigid(
         *broad.filters(bodies),
         bodies.known_faults(),
         *bodies.motion.checks,
-        query.min_separation,
-        operator_tolerance(query.tolerance),
-        query.nonzero_toi,
+        min_separation,
+        tolerance,
+        nonzero_toi,
         _REPORTS[query.report],
         broad.BROAD_PHASE_NUMBERS[chosen],
         pair_capacity,
         capacity.of_contacts,
     )
     return Search(bodies, query, capacity, chosen, tuple(rows), counts)  # type: ignore[arg-type]
-
-
-def contacts_padded(
-    mesh_set: Sequence[Tensor],
-    tensors: Sequence[Tensor],
-    linear_path: bool | None,
-    pairs: Tensor,
-    pair_counts: Tensor,
-    faults: Tensor,
-    query: Query,
-    capacity: Capacity,
-) -> tuple[ContactRows, Tensor]:
-    """Traversal and narrow phase of a step; the number of pairs may be on the device only.
-
-    Args:
-        mesh_set, tensors: as of `MovingBodies`.
-        linear_path: True if vertices move on straight lines, False if on arcs; None: the bodies deform.
-        pairs: (P, 2) int64; rows beyond `pairs_written` are padding.
-        pair_counts: (7,) int64, the first of `Counts`.
-        faults: (F,) int64, appended to the counts.
-        query: options of the search.
-        capacity: of the result.
-
-    Returns:
-        Padded contacts, body pairs in the first column; and counts (21 + F,).
-    """
-    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
-    rest = (pairs, pair_counts, faults, *settings, _REPORTS[query.report], capacity.of_contacts)
-    if linear_path is None:
-        *rows, counts = ops.contacts_padded_deforming(mesh_set, tensors, *rest)
-    else:
-        *rows, counts = ops.contacts_padded_rigid(mesh_set, tensors, linear_path, *rest)
-    return tuple(rows), counts  # type: ignore[return-value]
 
 
 def lower_first_toi(
@@ -206,15 +169,18 @@ def lower_first_toi(
     query: Query,
     capacity: Capacity,
 ) -> Tensor:
-    """As `contacts_padded` for the first contacts of rigid bodies; only toi is computed.
+    """Traversal and narrow phase of rigid bodies for the first toi of each pair alone. Does not synchronise.
 
     Args:
         first: (N,) float64: the first toi so far; lowered in place.
         owners: (P, 2) int64: the rows of `first` that each pair lowers.
+        mesh_set, tensors, linear_path: as of `MovingBodies`.
+        pairs: (P, 2) int64; rows beyond `pairs_written` are padding.
+        pair_counts: (7,) int64 on the device, the first of `Counts`.
+        query, capacity: of the search.
 
     Returns:
         Counts (21,); `contacts` is the number of pairs with a contact.
     """
-    settings = (query.min_separation, operator_tolerance(query.tolerance), query.nonzero_toi)
-    rest = (*settings, capacity.of_contacts[:-1])  # no contacts are written
+    rest = (*query.settings, capacity.of_contacts[:-1])  # no contacts are written
     return ops.lower_first_toi_rigid(first, owners, mesh_set, tensors, linear_path, pairs, pair_counts, *rest)

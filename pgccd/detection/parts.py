@@ -1,10 +1,8 @@
 """A step whose body pairs are searched in parts, each as soon as it is known, while the rest are still being found."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -25,46 +23,34 @@ from pgccd.detection.streaming import join_contacts
 _SLACK = 1.5
 
 
+@dataclass(eq=False)
 class Part:
-    """Body pairs of a step that are searched together.
+    """Body pairs of a step that are searched together."""
 
-    Args:
-        query: options of the search.
-        bodies: the bodies of the pairs.
-        pairs: (P, 2) int64 rows of `bodies`; contacts name the first body of a pair first. Rows of -1 may follow.
-        pair_counts: (7,) int64, left on the device: the first of `Counts`. Default: there are P pairs.
-        rows: (B,) int64: index of each of `bodies` in the step. Default: `bodies` are those of the step.
-        capacity: of the search, chosen before the pairs were known. Default: as estimated.
-        find_pairs: finds all pairs, called if they exceeded the capacity.
-        estimate: capacity estimate of this part, updated with what the search needed.
-    """
+    query: Query
+    bodies: MovingBodies  #: of the pairs
+    #: (P, 2) int64 rows of `bodies`; contacts name the first body of a pair first. Rows of -1 may follow.
+    pairs: Tensor
+    pair_counts: Tensor | None = None  #: (7,) int64, left on the device: the first of `Counts`. Default: P pairs
+    rows: Tensor | None = None  #: (B,) int64: index of each of `bodies` in the step. Default: the same
+    capacity: Capacity | None = None  #: of the search, chosen before the pairs were known. Default: as estimated
+    find_pairs: Callable[[], Tensor] | None = None  #: finds all pairs, called if they exceeded the capacity
+    #: Capacity estimate of this part, updated with what the search needed.
+    estimate: CapacityEstimate = field(default_factory=CapacityEstimate)
+    _search: Search | None = field(default=None, init=False)
+    _counts: Counts | None = field(default=None, init=False)
+    _scratch_bytes: int = field(default=0, init=False)
+    _contacts: Contacts | None = field(default=None, init=False)
 
-    def __init__(
-        self,
-        query: Query,
-        bodies: MovingBodies,
-        pairs: Tensor,
-        pair_counts: Tensor | None = None,
-        rows: Tensor | None = None,
-        capacity: Capacity | None = None,
-        find_pairs: Callable[[], Tensor] | None = None,
-        estimate: CapacityEstimate | None = None,
-    ) -> None:
-        self.query, self.bodies, self.pairs, self.rows = query, bodies, pairs, rows
-        self._estimate = estimate or CapacityEstimate()
-        self._pair_counts, self._capacity, self._find_pairs = pair_counts, capacity, find_pairs
+    def __post_init__(self) -> None:
         # The capacity is proportional to the number of pairs, or of bodies if it was chosen before the pairs were
         # known.
-        self._size = len(pairs) if capacity is None else bodies.scene.body_count
-        self._search: Search | None = None
-        self._counts: Counts | None = None
-        self._scratch_bytes = 0
-        self._contacts: Contacts | None = None
+        self._size = len(self.pairs) if self.capacity is None else self.bodies.scene.body_count
 
     def start(self) -> Search:
         """Starts the search, unless it has been started. Does not synchronise."""
         if self._search is None:
-            given = self._pair_counts, self._capacity, self._estimate
+            given = self.pair_counts, self.capacity, self.estimate
             self._search = start_search(self.bodies, self.query, self.pairs, *given)
             # Read now: another search may start before the counts are read.
             self._scratch_bytes = ops.take_scratch_peak() if self.pairs.is_cuda else 0
@@ -85,7 +71,7 @@ class Part:
             return
         self._counts = counts
         if not counts.overflow:
-            self._estimate.learn(self._size, counts.needed(self.start().capacity))
+            self.estimate.learn(self._size, counts.needed(self.start().capacity))
 
     def find(self) -> Contacts:
         """The contacts, as rows of `bodies`. Synchronises."""
@@ -99,10 +85,10 @@ class Part:
                 self._contacts = self._search.contacts(self._counts)
                 self._contacts.stats.scratch_bytes = self._scratch_bytes
                 return self._contacts
-        if self._pair_counts is not None:
-            numbers, self._pair_counts = self._pair_counts.tolist(), None
-            if numbers[COUNT_ROWS["pairs_overflow"]] and self._find_pairs is not None:
-                self.pairs = self._find_pairs()
+        if self.pair_counts is not None:
+            numbers, self.pair_counts = self.pair_counts.tolist(), None
+            if numbers[COUNT_ROWS["pairs_overflow"]] and self.find_pairs is not None:
+                self.pairs = self.find_pairs()
             else:
                 self.pairs = self.pairs[: numbers[COUNT_ROWS["pairs_written"]]]
         self._contacts = find_contacts(self.bodies, self.query, pairs=self.pairs)
@@ -115,7 +101,7 @@ class Part:
                     overlaps=self._counts.overlaps,
                     long_rows=self._counts.long_rows != 0,
                 )
-            self._estimate.learn(self._size, needed)
+            self.estimate.learn(self._size, needed)
         return self._contacts
 
     def first_contacts(self) -> tuple[Tensor, Tensor]:

@@ -1,11 +1,8 @@
 """One step of continuous collision detection, from poses to contacts."""
 
-from __future__ import annotations
-
-import sys
 import time
-from collections.abc import Callable
-from typing import Any, overload
+from functools import partial
+from typing import TypedDict, Unpack, overload
 
 from torch import Tensor
 
@@ -18,7 +15,7 @@ from pgccd.detection.contacts import Contacts, PaddedContacts
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
 from pgccd.detection.padded import Search, search_padded, search_rigid
 from pgccd.detection.query import Query
-from pgccd.detection.streaming import SolvePairs, stream
+from pgccd.detection.streaming import stream
 from pgccd.detection.trajectories import TrajectoryContacts, detect_trajectory
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -28,6 +25,15 @@ from pgccd.motion.trajectory import Trajectory
 _ATTEMPTS = 6
 
 
+class Options(TypedDict, total=False):
+    """Options of `detect`."""
+
+    tolerance: float | None
+    nonzero_toi: bool
+    broad_phase: broad.BroadPhase
+    memory_budget: int | None
+
+
 @overload
 def detect(
     scene: Scene,
@@ -35,12 +41,9 @@ def detect(
     report: narrow.Report = "first",
     min_separation: float = 0.0,
     *,
-    tolerance: float | None = None,
-    nonzero_toi: bool = False,
-    broad_phase: broad.BroadPhase = "auto",
     pairs: Tensor | None = None,
-    memory_budget: int | None = None,
     capacity: None = None,
+    **options: Unpack[Options],
 ) -> Contacts: ...
 @overload
 def detect(
@@ -49,12 +52,9 @@ def detect(
     report: narrow.Report = "first",
     min_separation: float = 0.0,
     *,
-    tolerance: float | None = None,
-    nonzero_toi: bool = False,
-    broad_phase: broad.BroadPhase = "auto",
     pairs: Tensor | None = None,
-    memory_budget: int | None = None,
     capacity: Capacity,
+    **options: Unpack[Options],
 ) -> PaddedContacts: ...
 @overload
 def detect(
@@ -62,11 +62,7 @@ def detect(
     motion: Trajectory,
     report: narrow.Report = "first",
     min_separation: float = 0.0,
-    *,
-    tolerance: float | None = None,
-    nonzero_toi: bool = False,
-    broad_phase: broad.BroadPhase = "auto",
-    memory_budget: int | None = None,
+    **options: Unpack[Options],
 ) -> TrajectoryContacts: ...
 def detect(
     scene: Scene,
@@ -133,11 +129,9 @@ def detect(
             if value is not None:
                 raise ValueError(f"{name}: cannot be given with a Trajectory, whose segments are found in one call")
 
-        def detect_step(scene: Scene, motion: RigidMotion | VertexMotion, report: narrow.Report) -> Contacts:
-            options: dict[str, Any] = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "broad_phase": broad_phase}
-            return detect(scene, motion, report, min_separation, memory_budget=memory_budget, **options)
-
-        return detect_trajectory(scene, motion, query, detect_step)
+        options: Options = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "broad_phase": broad_phase}
+        options["memory_budget"] = memory_budget
+        return detect_trajectory(scene, motion, query, partial(detect, min_separation=min_separation, **options))
     on_cpu = isinstance(scene, Scene) and scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
     # An operator for the whole step also checks the poses.
@@ -172,10 +166,16 @@ def find_contacts(
     on_cpu = bodies.device.type == "cpu"
     at_once = _detect_exactly if on_cpu else _detect_at_once
     found = at_once(bodies, query, broad_phase, pairs, memory_budget)
-    if found is None:
-        solve = _on_cpu(bodies, query) if on_cpu else _on_gpu(bodies, query, memory_budget)
-        found = stream(bodies, query, broad_phase, pairs, memory_budget, *solve)
-    return found
+    if found is not None:
+        return found
+
+    def solve(chunk: Tensor, budget: int | None) -> Contacts | None:
+        if not on_cpu:
+            return _detect_at_once(bodies, query, "auto", chunk, budget)
+        search = search_padded(bodies, query, EXACTLY, "auto", chunk)
+        return search.contacts(search.read())
+
+    return stream(bodies, query, broad_phase, pairs, memory_budget, solve)
 
 
 def start_search(
@@ -209,33 +209,6 @@ def expected_capacity(
         return EXACTLY
     capacity = estimate.capacity(bodies.scene, pairs, **slack)
     return None if capacity.bytes > memory_limit(None, capacity.bytes, bodies.device) else capacity
-
-
-def _on_cpu(bodies: MovingBodies, query: Query) -> tuple[SolvePairs, Callable[[Tensor], Contacts]]:
-    """Solvers of chunks, with exact buffer sizes."""
-
-    def solve(pairs: Tensor) -> Contacts:
-        search = search_padded(bodies, query, EXACTLY, "auto", pairs)
-        return search.contacts(search.read())
-
-    return solve, solve
-
-
-def _on_gpu(
-    bodies: MovingBodies, query: Query, memory_budget: int | None
-) -> tuple[SolvePairs, Callable[[Tensor], Contacts]]:
-    """Solvers of chunks, with and without a memory limit."""
-
-    def solve(pairs: Tensor) -> Contacts | None:
-        return _detect_at_once(bodies, query, "auto", pairs, memory_budget)
-
-    def solve_at_any_price(pairs: Tensor) -> Contacts:
-        found = _detect_at_once(bodies, query, "auto", pairs, sys.maxsize)
-        if found is None:
-            raise RuntimeError("memory: a single pair of bodies needs more rows than can be numbered")
-        return found
-
-    return solve, solve_at_any_price
 
 
 def _detect_exactly(

@@ -1,7 +1,5 @@
 """Options of a detection step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from pgccd import arguments
@@ -27,3 +25,8 @@ class Query:
         check_separation(self.min_separation)
         operator_tolerance(self.tolerance)
         arguments.flag(self.nonzero_toi, "nonzero_toi")
+
+    @property
+    def settings(self) -> tuple[float, float, bool]:
+        """The operators' arguments min_separation, tolerance and nonzero_toi."""
+        return self.min_separation, operator_tolerance(self.tolerance), self.nonzero_toi

@@ -1,11 +1,8 @@
 """Detection in chunks: the PCS is streamed, each chunk traversed and solved before the next."""
 
-from __future__ import annotations
-
+import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,15 +10,14 @@ from torch import Tensor
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import Capacity
-from pgccd.detection.contacts import Contacts, Stats
+from pgccd.detection.contacts import Contacts, Stats, all_columns
 from pgccd.detection.memory import estimate_of, pairs_a_chunk
 from pgccd.detection.query import Query
 
-_COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 _SUMS = ("pcs", "node_tests", "candidates", "contacts", "unresolved", "chunks", "waits")
 
-#: Finds the contacts of given pairs (P, 2); None if they need more memory than the limit.
-SolvePairs = Callable[[Tensor], Contacts | None]
+#: Finds the contacts of given pairs (P, 2); None if they need more memory than a budget.
+SolvePairs = Callable[[Tensor, int | None], Contacts | None]
 
 
 def stream(
@@ -31,7 +27,6 @@ def stream(
     pairs: Tensor | None,
     memory_budget: int | None,
     solve: SolvePairs,
-    solve_at_any_price: Callable[[Tensor], Contacts],
 ) -> Contacts:
     """`pgccd.detect` in limited memory; on a CPU also with given pairs, and for deforming bodies.
 
@@ -39,8 +34,7 @@ def stream(
         bodies: the scene in motion.
         query: options of the search.
         broad_phase, pairs, memory_budget: as for `detect`.
-        solve: solves a chunk; if that needs too much memory, its halves are solved.
-        solve_at_any_price: solves a single pair without a memory limit.
+        solve: solves a chunk; if that needs too much memory, its halves are solved, and a single pair without a limit.
     """
     start = time.perf_counter()
     chosen = broad.choose(bodies, broad_phase) if pairs is None else "given"
@@ -55,12 +49,16 @@ def stream(
     chunks = [pairs] if pairs.shape[0] <= length else list(pairs.split(length))[::-1]
     while chunks:
         chunk = chunks.pop()
-        found = solve(chunk)
+        found = solve(chunk, memory_budget)
         if found is None and len(chunk) > 1:
             half = len(chunk) // 2
             chunks += [chunk[half:], chunk[:half]]
             continue
-        parts.append(solve_at_any_price(chunk) if found is None else found)
+        if found is None:
+            found = solve(chunk, sys.maxsize)
+        if found is None:
+            raise RuntimeError("memory: a single pair of bodies needs more rows than can be numbered")
+        parts.append(found)
     contacts = parts[0] if len(parts) == 1 else join_contacts(parts, [part.pairs for part in parts])
     if len(parts) > 1 and query.report == "earliest":
         contacts = contacts.earliest()
@@ -78,22 +76,16 @@ def join_contacts(parts: Sequence[Contacts], pairs: Sequence[Tensor]) -> Contact
         parts: contacts of the same report.
         pairs: (K, 2) per part, replacing its own.
     """
-    given = [replace(part, pairs=column) for part, column in zip(parts, pairs, strict=True)]
-    columns = [torch.cat(values) for values in zip(*map(_columns, given), strict=True)]
+    columns = {name: torch.cat([part.columns[name] for part in parts]) for name in parts[0].columns if name != "pairs"}
+    columns["pairs"] = torch.cat(list(pairs))
     stats = Stats(bodies=parts[0].stats.bodies, broad_phase=parts[0].stats.broad_phase)
     for part in parts:
         for name in _SUMS:
             setattr(stats, name, getattr(stats, name) + getattr(part.stats, name))
         for stage, spent in part.stats.seconds.items():
             stats.seconds[stage] = stats.seconds.get(stage, 0.0) + spent
-    stats.contacts = len(columns[0])
+    stats.contacts = len(columns["pairs"])
     stats.scratch_bytes = max(part.stats.scratch_bytes for part in parts)
-    if columns[0].device.type == "cpu":
+    if columns["pairs"].device.type == "cpu":
         stats.needed = Capacity(pairs=stats.pcs, contacts=stats.contacts, candidates=stats.candidates)
-    named: dict[str, Any] = dict.fromkeys(_COLUMNS)
-    named |= zip(_COLUMNS, columns, strict=False)  # report="any" has only the first column
-    return Contacts(**named, stats=stats)
-
-
-def _columns(part: Contacts) -> list[Tensor]:
-    return [column for column in (getattr(part, name) for name in _COLUMNS) if column is not None]
+    return Contacts(**all_columns(columns), stats=stats)

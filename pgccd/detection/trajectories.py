@@ -1,16 +1,13 @@
 """Detection along a trajectory: all segments in one call."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from pgccd.detection import narrow
-from pgccd.detection.contacts import By, Contacts, earliest_row, first_time
+from pgccd.detection.contacts import By, Contacts, all_columns, earliest_row, first_time
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -69,7 +66,7 @@ def detect_trajectory(
     if query.report == "any":
         pairs = torch.unique(pairs, dim=0) if len(pairs) else pairs
         stats.contacts = len(pairs)
-        contacts = TrajectoryContacts(pairs, None, None, None, None, None, None, None, stats)
+        contacts = TrajectoryContacts(**all_columns({"pairs": pairs}), stats=stats)
         contacts.scene = scene
         return contacts
     assert found.toi is not None
@@ -79,14 +76,11 @@ def detect_trajectory(
     elif query.report == "earliest" and len(pairs):
         first = segment[0]  # rows are sorted by segment
         chosen = earliest_row(torch.where(segment == first, found.toi, torch.inf))
-    columns: dict[str, Any] = {
-        name: getattr(found, name)[chosen]
-        for name in ("toi", "kind", "features", "coordinates", "point", "normal", "status")
-    }
+    columns = {name: column[chosen] for name, column in (found.columns | {"pairs": pairs}).items()}
     segment = segment[chosen]
     time = (segment + columns["toi"]) / segments
     stats.contacts = len(segment)
-    contacts = TrajectoryContacts(pairs[chosen], **columns, stats=stats, segment=segment, time=time)
+    contacts = TrajectoryContacts(**columns, stats=stats, segment=segment, time=time)
     contacts.scene = scene
     return contacts
 
@@ -114,10 +108,6 @@ def repeated(scene: Scene, times: int) -> Scene:
 
 def _first_of_pairs(pairs: Tensor, count: int) -> Tensor:
     """The first row of each pair of `pairs` (K, 2), in the order of the pairs."""
-    if not len(pairs):
-        return torch.arange(0, device=pairs.device)
-    order = torch.argsort(pairs[:, 0] * count + pairs[:, 1], stable=True)
-    ordered = pairs[order]
-    is_first = torch.ones(len(order), dtype=torch.bool, device=pairs.device)
-    is_first[1:] = (ordered[1:] != ordered[:-1]).any(dim=1)
-    return order[is_first]
+    keys, pair_of_row = torch.unique(pairs[:, 0] * count + pairs[:, 1], return_inverse=True)
+    rows = torch.arange(len(pairs), device=pairs.device)
+    return torch.full_like(keys, len(pairs)).scatter_reduce_(0, pair_of_row, rows, "amin")

@@ -1,13 +1,18 @@
 """Traversal: from body pairs to candidate feature pairs, by the bounding volume test tree (BVTT)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.checks import check_pairs, check_separation, operator_tolerance, require, require_bodies
+from pgccd.detection.checks import (
+    check_pairs,
+    check_separation,
+    check_tensor,
+    operator_tolerance,
+    require,
+    require_bodies,
+)
 
 
 def bvtt(
@@ -39,19 +44,8 @@ def bvtt(
     pairs = check_pairs(pairs, bodies)
     bodies.check()
     if horizon is not None:
-        _check_horizon(horizon, pairs)
+        check_tensor(horizon, "horizon", torch.float64, pairs.shape[:1], pairs.device)
+        arguments.refuse_gradient(horizon, "horizon")
+        require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
     settings = (check_separation(min_separation), operator_tolerance(tolerance))
-    rest = (pairs, horizon, *settings)
-    if bodies.deforming:
-        return ops.traverse_deforming(bodies.mesh_set, bodies.tensors, *rest)
-    return ops.traverse_rigid(bodies.mesh_set, bodies.tensors, bodies.linear_path, *rest)
-
-
-def _check_horizon(horizon: Tensor, pairs: Tensor) -> None:
-    if not isinstance(horizon, Tensor) or horizon.shape != pairs.shape[:1] or horizon.dtype != torch.float64:
-        expected = f"a float64 tensor of shape ({len(pairs)},)"
-        raise ValueError(f"horizon: expected {expected}, got {arguments.describe(horizon)}")
-    if horizon.device != pairs.device:
-        raise ValueError(f"horizon: expected device {pairs.device}, got {horizon.device}")
-    arguments.refuse_gradient(horizon, "horizon")
-    require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
+    return ops.traverse(bodies.operands, pairs, horizon, *settings)

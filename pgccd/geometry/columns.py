@@ -1,7 +1,5 @@
 """Columns of a scene from user input: checked, converted to the operators' dtypes, and moved to the scene's device."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +7,6 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.geometry.mesh import MeshSet
 
 
 def require_meshes(mesh_index: Tensor, count: int) -> None:
@@ -91,16 +88,3 @@ def self_column(values: Tensor | Sequence[bool] | bool, count: int, device: torc
     if isinstance(values, bool):
         return torch.ones(count, dtype=torch.bool, device=device) if values else None
     return bool_column(values, "self_collision", count, device).to(torch.bool)
-
-
-def vertex_count(meshes: MeshSet, mesh_index: Tensor) -> int:
-    """Total number of vertices of bodies with these meshes (S,)."""
-    begin = meshes.offsets[:, 0]
-    return int((begin[1:] - begin[:-1])[mesh_index.cpu().long()].sum()) if len(mesh_index) else 0
-
-
-def rows_of(column: Tensor | None, device: torch.device) -> Tensor:
-    """(S,) int64, ascending: rows whose flag is set; none for None."""
-    if column is None:
-        return torch.empty(0, dtype=torch.int64, device=device)
-    return torch.nonzero(column).flatten()

@@ -1,7 +1,5 @@
 """Digests of meshes, used to compare runs and ranks."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 

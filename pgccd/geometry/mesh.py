@@ -181,13 +181,13 @@ class Mesh:
 
     @classmethod
     def _of_geometry(cls, geometry: mesh_files.Geometry, origin: Origin, weld: bool) -> Mesh:
-        cleaned = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
+        cleaned, source_vertex, source_face = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
         mesh = cls(cleaned.vertices, cleaned.faces, origin)
         mesh.name = geometry.name
         mesh.welded_vertices = len(geometry.vertices) - len(cleaned.vertices)
         mesh.dropped_faces = len(geometry.faces) - len(cleaned.faces)
-        mesh.source_vertex = torch.from_numpy(cleaned.source_vertex)
-        mesh.source_face = torch.from_numpy(cleaned.source_face)
+        mesh.source_vertex = torch.from_numpy(source_vertex)
+        mesh.source_face = torch.from_numpy(source_face)
         return mesh
 
     #: Its name in the file.

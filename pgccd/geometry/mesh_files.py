@@ -1,7 +1,5 @@
 """Triangles from files and from trimesh: extraction, placement and welding."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from os import PathLike, fspath
@@ -22,16 +20,6 @@ class Geometry:
     name: str | None = None
 
 
-@dataclass(frozen=True)
-class CleanGeometry:
-    """A geometry after cleaning, with the source row of each vertex and face."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    source_vertex: np.ndarray  #: (V,) int64
-    source_face: np.ndarray  #: (F,) int64
-
-
 def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
     """Loads a file with trimesh.
 
@@ -42,8 +30,7 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
     Raises:
         FileNotFoundError, ValueError, ImportError: as `pgccd.Mesh.load`.
     """
-    if not isinstance(path, (str, PathLike)):
-        raise TypeError(f"path: expected the name of a file, got {type(path).__name__}")
+    arguments.path(path, "path")
     try:
         import trimesh
     except ImportError as error:
@@ -95,8 +82,9 @@ def joined_geometry(loaded: Any) -> Geometry:
     return Geometry(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
-def clean(geometry: Geometry, weld: bool) -> CleanGeometry:
-    """Drops faces that repeat a vertex; with `weld`, first merges vertices at the same position.
+def clean(geometry: Geometry, weld: bool) -> tuple[Geometry, np.ndarray, np.ndarray]:
+    """Drops faces that repeat a vertex; with `weld`, first merges vertices at the same position. Returns also the
+    source row of each vertex (V,) and face (F,), int64.
 
     Raises:
         ValueError: a vertex is not finite, a vertex index is out of range, or no face is left.
@@ -112,7 +100,7 @@ def clean(geometry: Geometry, weld: bool) -> CleanGeometry:
     if repeats.all():
         raise ValueError("mesh: there are no triangles with three different corners")
     kept = np.flatnonzero(~repeats)
-    return CleanGeometry(vertices, faces[kept], source, kept)
+    return Geometry(vertices, faces[kept], geometry.name), source, kept
 
 
 def _unique_rows(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,5 @@
 """The point of a mesh that poses refer to."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -17,9 +17,7 @@ from pgccd.geometry.columns import (
     integer_column,
     margin_column,
     require_meshes,
-    rows_of,
     self_column,
-    vertex_count,
     world_column,
 )
 from pgccd.geometry.mesh import Mesh, MeshSet
@@ -120,10 +118,7 @@ class Scene:
         self.self_collision = self_column(self_collision, count, self.device)
         if self.self_collision is not None and self.static is not None:
             self.self_collision &= self.static == 0
-        #: (S,) int64, ascending: these bodies. Computed once, so that a step need not synchronise.
-        self.self_colliding = rows_of(self.self_collision, self.device)
-        #: Their total number of vertices.
-        self.self_colliding_vertices = vertex_count(meshes, self.mesh_index[self.self_colliding])
+        self._count_self_colliding()
 
     # Capacity estimates by kind of step, managed by `pgccd.detection.memory`. They change how often a step is repeated
     # on a GPU, never its result.
@@ -156,9 +151,20 @@ class Scene:
         for name in OPTIONAL_COLUMNS:
             setattr(scene, name, columns.get(name))
         scene.self_collision = self_collision
-        scene.self_colliding = rows_of(self_collision, meshes.device)
-        scene.self_colliding_vertices = vertex_count(meshes, mesh_index[scene.self_colliding])
+        scene._count_self_colliding()
         return scene
+
+    def _count_self_colliding(self) -> None:
+        flags, begin = self.self_collision, self.meshes.offsets[:, 0]
+        #: (S,) int64, ascending: the bodies tested against themselves. Computed once, so that a step need not
+        #: synchronise.
+        self.self_colliding = torch.empty(0, dtype=torch.int64, device=self.device)
+        #: Their total number of vertices.
+        self.self_colliding_vertices = 0
+        if flags is not None:
+            self.self_colliding = torch.nonzero(flags).flatten()
+            meshes = self.mesh_index[self.self_colliding].cpu().long()
+            self.self_colliding_vertices = int((begin[1:] - begin[:-1])[meshes].sum())
 
     # Cached values derived from `mesh_index` and `world`.
     _radius: _Derived | None = None
@@ -214,7 +220,9 @@ class Scene:
             if column is None and name != "mesh_index":
                 continue
             if not isinstance(column, Tensor) or column.dtype != dtype:
-                raise TypeError(f"{name}: expected {_word(dtype)} in a scene, got {arguments.describe(column)}")
+                raise TypeError(
+                    f"{name}: expected {arguments.dtype_name(dtype)} in a scene, got {arguments.describe(column)}"
+                )
             if column.shape != (self.body_count,) or column.device != self.device:
                 expected = f"shape ({self.body_count},) on {self.device}"
                 raise ValueError(f"{name}: expected {expected}, got {tuple(column.shape)} on {column.device}")
@@ -271,7 +279,3 @@ _DTYPES = {
     "static": torch.uint8,
     "margin": torch.float64,
 }
-
-
-def _word(dtype: torch.dtype) -> str:
-    return str(dtype).removeprefix("torch.")

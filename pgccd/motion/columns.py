@@ -1,7 +1,5 @@
 """The columns of a motion, validated at each use: a user may modify or replace them at any time."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Mapping, Sequence
 from typing import TypeVar

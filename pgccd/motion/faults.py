@@ -1,7 +1,5 @@
 """Invalid numbers in motions: `ops.first_faults` finds them; errors name the column and the row."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -43,6 +41,11 @@ def checks_of(names: Iterable[str]) -> tuple[list[int], list[float]]:
     return [check[0] for check in checks], [check[1] for check in checks]
 
 
+def expected(name: str) -> str:
+    """The values that a column of this name should have."""
+    return _CHECKS.get(name, _FINITE)[2]
+
+
 def joined(first: Tensor | None, more: Tensor) -> Tensor:
     """The `first_faults` of two sets of columns, combined."""
     if first is None:
@@ -74,7 +77,7 @@ class Faults:
         for name, index in zip(self.names, of_columns, strict=False):
             if index < self.count:
                 source = f" (it follows from {self.sources[name]})" if name in self.sources else ""
-                raise ValueError(f"{name}: {self.row} {index}: expected {_CHECKS.get(name, _FINITE)[2]}{source}")
+                raise ValueError(f"{name}: {self.row} {index}: expected {expected(name)}{source}")
         if self.radius is not None and first[0] < len(self.radius):
             raise ValueError(
                 f"motion: body {first[0]} has SBV radius {float(self.radius[first[0]]):g}; "

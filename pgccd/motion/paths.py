@@ -15,7 +15,7 @@ from pgccd.motion.faults import checks_of
 from pgccd.motion.times import broadcast_times
 
 PathKind = Literal["rigid", "linear"]
-_PATHS = get_args(PathKind)
+PATHS = get_args(PathKind)
 
 
 class RigidMotion(MovingColumns):
@@ -156,7 +156,7 @@ class RigidMotion(MovingColumns):
         count, device = self.position_t0.shape[0], self.position_t0.device
         self.orientation_t0 = real_rows(orientation_t0, "orientation_t0", count, 4, device)
         self.position_t1 = real_rows(position_t1, "position_t1", count, 3, device)
-        arguments.choice(path, "path", _PATHS)
+        arguments.choice(path, "path", PATHS)
         self.path: PathKind = path
 
     @property
@@ -187,9 +187,11 @@ class RigidMotion(MovingColumns):
             )
         time = broadcast_times(t, self.body_count, self.device)
         columns = (self.position_t0, self.position_t1, self.orientation_t0, self.rotation)
-        rows = (column.expand(*time.shape, -1).reshape(-1, column.shape[1]) for column in columns)
+        rows = (column.expand(*time.shape, -1).reshape(-1, column.shape[1]).contiguous() for column in columns)
         position_t0, position_t1, orientation_t0, rotation = rows
-        position, orientation = ops.poses_at(position_t0, position_t1, orientation_t0, rotation, time.reshape(-1))
+        position, orientation = ops.poses_at(
+            position_t0, position_t1, orientation_t0, rotation, time.reshape(-1).contiguous()
+        )
         return position.view(*time.shape, 3), orientation.view(*time.shape, 4)
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> RigidMotion:

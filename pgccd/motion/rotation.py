@@ -1,11 +1,10 @@
 """Integration of orientations."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
-from pgccd import arguments, ops
+from pgccd import ops
+from pgccd.arguments import real_rows
 
 
 def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
@@ -25,14 +24,8 @@ def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
         >>> motion = pgccd.RigidMotion.from_velocity(x, q, v, omega, dt=1e-3)
         >>> x, q = motion.position_t1, pgccd.integrate_orientation(q, motion.rotation)
     """
-    for name, values, width in (("orientation", orientation, 4), ("rotation", rotation, 3)):
-        arguments.real_tensor(values, name)
-        if values.dim() != 2 or values.shape[1] != width or values.shape[0] != orientation.shape[0]:
-            expected = "N" if name == "orientation" else orientation.shape[0]
-            raise ValueError(f"{name}: expected shape ({expected}, {width}), got {tuple(values.shape)}")
-        if values.device != orientation.device:
-            raise ValueError(f"{name}: expected device {orientation.device}, got {values.device}")
-    start, turn = orientation.double().contiguous(), rotation.double().contiguous()
+    start = real_rows(orientation, "orientation", None, 4, None)
+    turn = real_rows(rotation, "rotation", len(start), 3, start.device)
     nowhere, end = torch.zeros_like(turn), torch.ones_like(turn[:, 0])
     _, turned = ops.poses_at(nowhere, nowhere, start, turn, end)
     return torch.nn.functional.normalize(turned, dim=1).to(orientation.dtype)

@@ -1,7 +1,5 @@
 """Times at which motions are evaluated."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

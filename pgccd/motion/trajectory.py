@@ -1,13 +1,11 @@
 """Trajectories: paths through many waypoints."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.motion.faults import LARGEST_COORDINATE, UNIT_TOLERANCE
-from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
+from pgccd.motion.faults import expected, first_faults
+from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 
 
 class Trajectory:
@@ -32,20 +30,20 @@ class Trajectory:
     """
 
     def __init__(self, position: Tensor, orientation: Tensor | None = None, path: PathKind = "rigid") -> None:
-        if path not in ("rigid", "linear"):
-            raise ValueError(f'path: expected "rigid" or "linear", got {path!r}')
+        arguments.choice(path, "path", PATHS)
         self.path: PathKind = path
-        row = "vertex" if orientation is None else "body"
         self.position = _waypoints(position, "position", 3, None)
-        _require(
-            self.position.abs() <= LARGEST_COORDINATE, "position", row, f"finite numbers up to {LARGEST_COORDINATE:g}"
-        )
         #: (T, N, 4) float64, or None for deforming bodies.
         self.orientation: Tensor | None = None
+        columns = {"position": self.position}
         if orientation is not None:
-            self.orientation = _waypoints(orientation, "orientation", 4, self.position)
-            is_unit = (self.orientation.norm(dim=2, keepdim=True) - 1.0).abs() <= UNIT_TOLERANCE
-            _require(is_unit, "orientation", row, "a unit quaternion (w, x, y, z)")
+            columns["orientation"] = self.orientation = _waypoints(orientation, "orientation", 4, self.position)
+        first = first_faults({name: column.flatten(0, 1) for name, column in columns.items()}).tolist()
+        _, count, _ = self.position.shape
+        for name, fault in zip(columns, first, strict=False):
+            if fault < self.position.shape[0] * count:
+                row = f"waypoint {fault // count}, {'vertex' if orientation is None else 'body'} {fault % count}"
+                raise ValueError(f"{name}: {row}: expected {expected(name)}")
 
     @property
     def device(self) -> torch.device:
@@ -89,15 +87,8 @@ def _waypoints(values: Tensor, name: str, width: int, like: Tensor | None) -> Te
     if values.dim() != 3 or values.shape[2] != width or values.shape[0] < 2:
         raise ValueError(f"{name}: expected shape (T, N, {width}) with T >= 2, got {tuple(values.shape)}")
     if like is not None and values.shape[:2] != like.shape[:2]:
-        expected = (*like.shape[:2], width)
-        raise ValueError(f"{name}: expected shape {expected}, as of position, got {tuple(values.shape)}")
+        shape = (*like.shape[:2], width)
+        raise ValueError(f"{name}: expected shape {shape}, as of position, got {tuple(values.shape)}")
     if like is not None and values.device != like.device:
         raise ValueError(f"{name}: expected device {like.device}, got {values.device}")
     return values.detach().to(torch.float64).contiguous()
-
-
-def _require(valid: Tensor, name: str, row: str, expected: str) -> None:
-    faulty = ~valid.all(dim=2)
-    if bool(faulty.any()):
-        waypoint, index = torch.nonzero(faulty)[0].tolist()
-        raise ValueError(f"{name}: waypoint {waypoint}, {row} {index}: expected {expected}")

@@ -1,29 +1,27 @@
-"""One-to-one wrappers of the compiled operators (`library`); their fake kernels are in `pgccd.ops.fake`.
+"""Typed wrappers of the compiled operators, each with its fake kernel as its body: see `pgccd.ops.library`.
 
 The operators check shapes and dtypes; the stage modules that call these wrappers document meaning and units.
 """
 
 from pgccd.ops.detection import (
+    ContactRows,
     broad_pairs,
-    contacts_padded_deforming,
-    contacts_padded_rigid,
+    contacts_padded,
     detect_rigid,
     edge_edge,
     first_faults,
     lower_first_toi_rigid,
     moving_spheres,
-    narrow_deforming,
-    narrow_rigid,
+    narrow,
     pairs_padded,
     poses_at,
     refit,
     rotations_between,
     swept_boxes,
-    traverse_deforming,
-    traverse_rigid,
+    traverse,
     vertex_face,
 )
-from pgccd.ops.library import take_scratch_peak
+from pgccd.ops.library import Bodies, take_scratch_peak
 from pgccd.ops.rows import merge_rows, pack_rows, take_rows, unpack_rows
 from pgccd.ops.simulate import (
     random_uniforms,
@@ -50,52 +48,3 @@ from pgccd.ops.subdomain import (
     rows_by_rank,
 )
 from pgccd.ops.voxel import voxel_boxes, voxel_pairs, voxels_touched
-
-__all__ = [
-    "broad_pairs",
-    "Centres",
-    "Subdomain",
-    "boundary_bodies",
-    "contacts_padded_deforming",
-    "contacts_padded_rigid",
-    "counts_to_send",
-    "detect_rigid",
-    "edge_edge",
-    "first_faults",
-    "replica_ranks",
-    "leaving_bodies",
-    "lower_first_toi_rigid",
-    "merge_rows",
-    "moving_spheres",
-    "narrow_deforming",
-    "narrow_rigid",
-    "near_ghosts",
-    "owned_pairs",
-    "pack_rows",
-    "pairs_padded",
-    "poses_at",
-    "random_uniforms",
-    "refit",
-    "rotations_between",
-    "reached_ranks",
-    "rows_by_rank",
-    "simulate_affected_motion",
-    "simulate_commit",
-    "simulate_first_toi",
-    "simulate_hash",
-    "simulate_plan",
-    "simulate_respond",
-    "simulate_slow_all_down",
-    "simulate_start",
-    "simulate_tally",
-    "swept_boxes",
-    "take_rows",
-    "take_scratch_peak",
-    "traverse_deforming",
-    "traverse_rigid",
-    "unpack_rows",
-    "vertex_face",
-    "voxel_boxes",
-    "voxel_pairs",
-    "voxels_touched",
-]

@@ -1,11 +1,82 @@
-"""The compiled operators; no other module uses torch.ops."""
+"""The compiled operators, and the decorators that wrap them; no other module uses torch.ops."""
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 import torch
+from torch import Tensor
 
 import pgccd._C as _C  # importing it registers the operators
-import pgccd.ops.fake  # noqa: F401  (and this their fake kernels)
 
 operators = torch.ops.pgccd
+
+#: Moving bodies: the operators' arguments `mesh_set`, `bodies` and `linear_path`, the last None if the bodies deform.
+Bodies = tuple[list[Tensor], list[Tensor], bool | None]
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def operator(fake: Callable[P, R]) -> Callable[P, R]:
+    """Turns a function into a wrapper of the compiled operator of its name (without a leading underscore). The
+    function's own body becomes the operator's fake kernel: it returns outputs with shapes and dtypes, but without data,
+    for `torch.compile` and `torch.export`.
+    """
+    name = fake.__name__.lstrip("_")
+    torch.library.register_fake(f"pgccd::{name}", fake)
+
+    @wraps(fake)
+    def call(*arguments: P.args, **named: P.kwargs) -> Any:
+        return getattr(operators, name)(*arguments, **named)
+
+    return call
+
+
+def operator_of_bodies(fake: Callable[P, R]) -> Callable[P, R]:
+    """As `operator`, for a pair of operators NAME_rigid and NAME_deforming, which do the same for the two kinds of
+    bodies. The first argument of the function is `Bodies`.
+    """
+    rigid, deforming = (f"{fake.__name__}_{kind}" for kind in ("rigid", "deforming"))
+    make: Callable[..., Any] = fake
+    torch.library.register_fake(f"pgccd::{rigid}", lambda *three, **named: make(three[:3], *three[3:], **named))
+    torch.library.register_fake(f"pgccd::{deforming}", lambda *two, **named: make((*two[:2], None), *two[2:], **named))
+
+    @wraps(fake)
+    def call(*arguments: P.args, **named: P.kwargs) -> Any:
+        given: Any = arguments
+        (mesh_set, tensors, linear_path), *rest = given
+        if linear_path is None:
+            return getattr(operators, deforming)(mesh_set, tensors, *rest, **named)
+        return getattr(operators, rigid)(mesh_set, tensors, linear_path, *rest, **named)
+
+    return call
+
+
+def on_contiguous(wrapper: Callable[P, R]) -> Callable[P, R]:
+    """Makes the positional arguments of an operator, tensors and lists of tensors, contiguous."""
+
+    @wraps(wrapper)
+    def call(*arguments: P.args, **named: P.kwargs) -> Any:
+        given: Any = arguments
+        made = (each.contiguous() if isinstance(each, Tensor) else [x.contiguous() for x in each] for each in given)
+        return wrapper(*made, **named)  # type: ignore[arg-type]
+
+    return call
+
+
+def int64(like: Tensor, *shape: int | torch.SymInt) -> Tensor:
+    """An int64 tensor without data, for fake kernels."""
+    return like.new_empty(shape, dtype=torch.int64)
+
+
+def float64(like: Tensor, *shape: int | torch.SymInt) -> Tensor:
+    """A float64 tensor without data, for fake kernels."""
+    return like.new_empty(shape, dtype=torch.float64)
+
+
+def unknown_count() -> torch.SymInt:
+    """A number of rows that depends on data, for fake kernels."""
+    return torch.library.get_ctx().new_dynamic_size(min=0)
 
 
 def take_scratch_peak() -> int:

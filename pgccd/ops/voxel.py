@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
-from pgccd.ops import library
+from pgccd.ops.library import int64, operator, unknown_count
 
 
+@operator
 def voxels_touched(
     mesh_set: Sequence[Tensor],
     bodies: Sequence[Tensor],
@@ -18,11 +20,11 @@ def voxels_touched(
     """Coordinates (V, 3) int32, ascending, of the voxels touched by the boxes of rigid bodies' swept triangles; and the
     number of boxes per voxel (V,) int64.
     """
-    return library.operators.voxels_touched(
-        list(mesh_set), list(bodies), linear_path, voxel_size, min_separation, tolerance
-    )
+    count = unknown_count()
+    return bodies[0].new_empty((count, 3), dtype=torch.int32), int64(bodies[0], count)
 
 
+@operator
 def voxel_boxes(
     mesh_set: Sequence[Tensor],
     bodies: Sequence[Tensor],
@@ -34,10 +36,10 @@ def voxel_boxes(
     counts: Tensor,
 ) -> Tensor:
     """These boxes, packed (B, 32) uint8, grouped by voxel in the given order."""
-    settings = (linear_path, voxel_size, min_separation, tolerance)
-    return library.operators.voxel_boxes(list(mesh_set), list(bodies), *settings, voxels, counts)
+    return bodies[0].new_empty((unknown_count(), 32), dtype=torch.uint8)
 
 
+@operator
 def voxel_pairs(boxes: Tensor, segments: Tensor, voxels: Tensor, first_segment: Tensor, voxel_size: float) -> Tensor:
     """Rows (body a, triangle a, body b, triangle b) (K, 4) int64, a < b, of boxes that overlap, each pair once.
 
@@ -49,4 +51,4 @@ def voxel_pairs(boxes: Tensor, segments: Tensor, voxels: Tensor, first_segment: 
         first_segment: (V + 1,) int64: voxel k has the segments [first_segment[k], first_segment[k + 1]).
         voxel_size: length units.
     """
-    return library.operators.voxel_pairs(boxes, segments, voxels, first_segment, voxel_size)
+    return int64(boxes, unknown_count(), 4)

@@ -1,7 +1,5 @@
 """CUDA events."""
 
-from __future__ import annotations
-
 import torch
 
 

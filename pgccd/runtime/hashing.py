@@ -5,8 +5,6 @@ Each row is mixed to 64 bits (SplitMix64: Steele, Lea & Flood 2014, doi:10.1145/
 the hashes (as needed over ranks).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Device memory."""
 
-from __future__ import annotations
-
 import torch
 
 

@@ -1,7 +1,5 @@
 """Consecutive steps as replays of a graph, run launch by launch where the graph does not suffice."""
 
-from __future__ import annotations
-
 import warnings
 from abc import ABC, abstractmethod
 from collections import deque

@@ -1,7 +1,5 @@
 """A second stream for work concurrent with the current stream."""
 
-from __future__ import annotations
-
 import functools
 from contextlib import AbstractContextManager, nullcontext
 

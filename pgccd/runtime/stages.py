@@ -68,17 +68,13 @@ class StageClock:
         self._read(_WORK)
         return sum(self._seconds.get(stage, 0.0) for stage in _WORK)
 
-    def restart(self) -> None:
-        """Restarts `total`. Stage times are kept."""
-        self._start = time.perf_counter()
-
     def stop(self) -> None:
         """Stops `total`."""
         self._total = self.total
 
     @property
     def total(self) -> float:
-        """Seconds since the clock was made or restarted, until it was stopped."""
+        """Seconds since the clock was made, until it was stopped."""
         return time.perf_counter() - self._start if self._total is None else self._total
 
     def _read(self, names: Sequence[str]) -> None:

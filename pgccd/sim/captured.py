@@ -2,8 +2,6 @@
 and the poses are valid; otherwise `pgccd.sim.replay` runs it launch by launch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +17,7 @@ from pgccd.detection.capacity import COUNT_ROWS, OVERFLOWS, Counts
 from pgccd.detection.parts import Part, first_contacts_of
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import TransactionGraph
-from pgccd.sim.model import Model, RobotState
+from pgccd.sim.model import PLANNED, Model, RobotState
 from pgccd.sim.partners import Partners
 from pgccd.sim.resolution import Attempt, Exchange, RoundPlan
 from pgccd.sim.tally import COUNTED, Rows, Tally, count_step, work_of_counts
@@ -97,7 +95,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         super().__init__(model.device)
         self._model, self._search, self._plan, self.rounds = model, search, plan, rounds
         self._conclude = conclude
-        self.state = RobotState(**{name: column.clone() for name, column in state.columns.items()})
+        self.state = state.map(Tensor.clone)
         self._index = torch.full((1,), index, dtype=torch.int64, device=model.device)
         self._is_overflow = torch.zeros(len(COUNT_ROWS), dtype=torch.int64, device=model.device)
         self._is_overflow[OVERFLOWS] = 1
@@ -129,7 +127,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         searched = exchange.gather(torch.cat([failed, changes, counts.reshape(-1)]))
         self._failed.copy_(searched[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
         fraction = attempt.fraction[: len(state)]
-        plan = planned.velocity, planned.angular_velocity, planned.target, planned.stay_until
+        plan = [getattr(planned, name) for name in PLANNED]
         ops.simulate_commit(list(state.columns.values()), plan, fraction, self._failed)
         concluded = count_step(state, fraction, searches.id, *first_contacts_of(searches.parts))
         if self._conclude is not None:

@@ -1,14 +1,11 @@
 """Checkpoints of a run, in the files of `pgccd.checkpoint`."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from pgccd.checkpoint.files import (
     FOLDER,
@@ -29,6 +26,13 @@ KIND = "simulation"
 ROBOTS = "robots"  #: the name of their table
 _FORMER = "checkpoint.pt"  # of format 1
 _WIDTHS = {"position": 3, "orientation": 4, "velocity": 3, "angular_velocity": 3}  # of float64; others are int64
+# As from `layout_of`.
+_LAYOUT = {
+    ROBOTS: {
+        field.name: ["float64", [_WIDTHS[field.name]]] if field.name in _WIDTHS else ["int64", []]
+        for field in fields(RobotState)
+    }
+}
 
 
 @dataclass
@@ -72,7 +76,7 @@ class StoredCheckpoint(Stored):
                 raise ValueError("steps_wanted: expected a number >= 0")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CheckpointError(f"{path} is not the index of a run: {error}") from error
-        if layout_of(self.layout) != layout_of({ROBOTS: _no_robots()}):
+        if layout_of(self.layout) != _LAYOUT:
             raise CheckpointError(f"{path}: expected the columns of robots, and no others")
         if self.row_count(ROBOTS) != self.run.config.robots:
             raise CheckpointError(f"{path}: of {self.run.config.robots} robots it has {self.row_count(ROBOTS)}")
@@ -145,8 +149,7 @@ def load_checkpoint(run_folder: str | Path) -> Checkpoint:
     columns, total = stored.rows(ROBOTS, 0, stored.row_count(ROBOTS))
     stored.require_hash(ROBOTS, total)
     order = torch.argsort(columns["id"])
-    ordered = RobotState(**{name: column[order] for name, column in columns.items()})
-    return Checkpoint(**vars(stored.run), state=ordered)
+    return Checkpoint(**vars(stored.run), state=RobotState(**columns).map(lambda column: column[order]))
 
 
 def forget_checkpoints(run_folder: Path) -> None:
@@ -156,12 +159,3 @@ def forget_checkpoints(run_folder: Path) -> None:
     if root.is_dir():
         (root / POINTER).unlink(missing_ok=True)  # first: the checkpoint it names is complete as long as it exists
         shutil.rmtree(root)
-
-
-def _no_robots() -> dict[str, Tensor]:
-    """Empty columns of robots."""
-    columns = {}
-    for name in (field.name for field in fields(RobotState)):
-        shape = (0, _WIDTHS[name]) if name in _WIDTHS else (0,)
-        columns[name] = torch.empty(shape, dtype=torch.float64 if name in _WIDTHS else torch.int64)
-    return columns

@@ -1,7 +1,5 @@
 """Order-independent hashes of contacts and states, so that runs can be compared by their logs alone."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from pgccd.runtime.hashing import row_hash

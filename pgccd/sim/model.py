@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -18,7 +18,9 @@ from pgccd.sim.robot import robot_mesh
 
 Pattern = Literal["random", "skewed"]
 PATTERNS: tuple[str, ...] = get_args(Pattern)
-# In the order of ops.simulate_affected_motion.
+#: The columns that a plan changes, in the order of `ops.simulate_plan` and `ops.simulate_commit`.
+PLANNED = ("velocity", "angular_velocity", "target", "stay_until")
+# In the order of `ops.simulate_affected_motion`.
 _MOVING = ("id", "position", "orientation", "velocity", "angular_velocity")
 
 
@@ -141,8 +143,12 @@ class RobotState:
         """The columns that define the motion of a planned step."""
         return {name: getattr(self, name) for name in _MOVING}
 
+    def map(self, change: Callable[[Tensor], Tensor]) -> RobotState:
+        """The state with every column changed, for example by `Tensor.clone`."""
+        return RobotState(*map(change, self.columns.values()))
+
     def to(self, device: torch.device | str) -> RobotState:
-        return RobotState(**{name: column.to(device) for name, column in self.columns.items()})
+        return self.map(lambda column: column.to(device))
 
 
 class Model:
@@ -209,10 +215,8 @@ class Model:
                 raise ValueError(f"step: expected a value in [0, 2^32), got {step}")
             step = torch.full((1,), step, dtype=torch.int64, device=self.device)
         tensors = list(state.columns.values())
-        velocity, angular_velocity, target, stay_until = ops.simulate_plan(tensors, step, self._integers, self._scales)
-        return replace(
-            state, velocity=velocity, angular_velocity=angular_velocity, target=target, stay_until=stay_until
-        )
+        planned = ops.simulate_plan(tensors, step, self._integers, self._scales)
+        return replace(state, **dict(zip(PLANNED, planned, strict=True)))
 
     def motion(self, state: RobotState, fraction: Tensor | None = None) -> RigidMotion:
         """The motion of a planned state's step; or of a `fraction` (N,) of it, at constant velocities."""
@@ -246,13 +250,6 @@ class Model:
         radius = self.meshes.radius
         found, *bodies, counts = ops.simulate_affected_motion(own, ghosts, fraction, changed, pairs, radius, capacity)
         return found, tuple(bodies), counts
-
-    def pair_motion(self, bodies: Sequence[Tensor]) -> tuple[Scene, RigidMotion]:
-        """Scene and motion of the copies returned by `affected_pairs`."""
-        mesh_index, position_t0, position_t1, radius, orientation, rotation = bodies
-        scene = Scene.of_checked(self.meshes, mesh_index)
-        scene.radius = radius  # computed already
-        return scene, RigidMotion.of_checked(position_t0, orientation, position_t1, rotation)
 
     def scene(self, id: Tensor) -> Scene:
         """The scene of the robots `id` (N,) int64."""

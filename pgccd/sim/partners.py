@@ -1,7 +1,5 @@
 """Detection in rounds of collision resolution: between slowed robots and all others."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Progress of a run on a terminal, or as plain lines."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator
@@ -15,11 +13,6 @@ class Progress(Protocol):
     """Display of the progress of a run."""
 
     def advance(self, record: dict[str, Any]) -> None: ...
-
-
-class Silent:
-    def advance(self, record: dict[str, Any]) -> None:
-        pass
 
 
 class _Lines:

@@ -1,7 +1,5 @@
 """Steps of a simulation as replays of a graph."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Protocol, TypeVar
 
@@ -104,7 +102,7 @@ class StepMaker(SimulationSteps[Step]):
         return True
 
     def _take(self, graph: StepGraph) -> None:
-        self._state = RobotState(**{name: column.clone() for name, column in graph.state.columns.items()})
+        self._state = graph.state.map(Tensor.clone)
 
 
 def capture_step(

@@ -7,8 +7,6 @@ resulting step no robot touches another, and the next step starts without contac
 Several rounds are enqueued at a time, before it is known whether they are needed: superfluous rounds change nothing.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -176,28 +174,26 @@ def resolve_collisions(
         partners.look_among(pairs_of_step(parts))
 
 
+@dataclass(eq=False)
 class Attempt:
     """Rounds on the device, in given capacities: `begin`, then `make_rounds` until a round changes no robot.
 
     Arguments as for `resolve_collisions`.
     """
 
-    def __init__(
-        self,
-        parts: Sequence[Part],
-        body_count: int,
-        partners: Partners,
-        plan: RoundPlan,
-        exchange: Exchange,
-        clock: StageClock,
-    ) -> None:
-        self._parts, self._partners, self._plan, self._exchange = parts, partners, plan, exchange
-        self._clock = clock
-        self._device = parts[0].bodies.device
+    parts: Sequence[Part]
+    body_count: int
+    partners: Partners
+    plan: RoundPlan
+    exchange: Exchange
+    clock: StageClock
+
+    def __post_init__(self) -> None:
+        self._device = self.parts[0].bodies.device
         #: (N,) float64: the part of the step that each robot moves.
-        self.fraction = torch.ones(body_count, dtype=torch.float64, device=self._device)
+        self.fraction = torch.ones(self.body_count, dtype=torch.float64, device=self._device)
         self._first = torch.full_like(self.fraction, torch.inf)
-        self._changed = torch.empty(body_count, dtype=torch.uint8, device=self._device)
+        self._changed = torch.empty(self.body_count, dtype=torch.uint8, device=self._device)
         #: Capacity of each round.
         self.capacities: list[Capacity] = []
 
@@ -206,7 +202,7 @@ class Attempt:
         does.
         """
         change = torch.zeros(1, dtype=torch.int64, device=self._device)
-        for part in self._parts:
+        for part in self.parts:
             pairs, toi = part.first_contacts()
             ops.simulate_first_toi(self._first, None, pairs, toi)
         self._slow_down(0, change)
@@ -218,26 +214,26 @@ class Attempt:
         """
         changes, counts = torch.zeros(count, dtype=torch.int64, device=self._device), []
         for change in changes.split(1) if count else ():
-            capacity = self._plan.capacity(len(self.capacities))
+            capacity = self.plan.capacity(len(self.capacities))
             self.capacities.append(capacity)
-            counts.append(self._partners.start_round(self._changed, self.fraction, capacity, self._first))
+            counts.append(self.partners.start_round(self._changed, self.fraction, capacity, self._first))
             self._slow_down(len(self.capacities), change)
         return changes, counts
 
     def _slow_down(self, round: int, change: Tensor) -> None:
-        self._exchange.share(self._first)
+        self.exchange.share(self._first)
         # Every round slows at least one robot, and from _STOPPING_ROUND on stops it at t0, so the iteration terminates.
         smallest = _SMALLEST_PART if round < _STOPPING_ROUND else torch.inf
         ops.simulate_slow_all_down(self._first, self.fraction, self._changed, change, _APPROACH, smallest)
 
     def run(self, conclude: Conclude) -> ResolvedStep | None:
         """Runs all rounds; None, on all ranks, if a rank exceeded a capacity, which has then grown."""
-        exchange, clock = self._exchange, self._clock
+        exchange, clock = self.exchange, self.clock
         with clock.stage("respond"):
             changes = self.begin()
             # A single rank on the CPU can read the result of each round.
             at_sight = exchange.ranks == 1 and self._device.type == "cpu"
-            more = int(changes) if at_sight else self._plan.at_once
+            more = int(changes) if at_sight else self.plan.at_once
         went_on: list[bool] = []  # for each round: whether a robot had changed on any rank before it
         made: list[NDArray[np.int64]] = []  # counts of this rank, for each round
         secondary_contacts = np.zeros(exchange.ranks, dtype=np.int64)
@@ -248,7 +244,7 @@ class Attempt:
                 while at_sight and int(changes[-1]):
                     one_change, one_count = self.make_rounds(1)
                     changes, counts = torch.cat([changes, one_change]), counts + one_count
-            counts = [part.counts() for part in self._parts] + counts
+            counts = [part.counts() for part in self.parts] + counts
             mine = [changes, *counts, conclude(self.fraction)]
             with clock.stage("gather"):
                 gathered = exchange.gather(torch.cat(mine))
@@ -256,7 +252,7 @@ class Attempt:
             begin, end = len(changes), len(changes) + len(COUNT_ROWS) * len(counts)
             searched = numbers[:, begin:end].reshape(exchange.ranks, len(counts), len(COUNT_ROWS))
             # The counts of parts come first, then those of rounds.
-            of_parts, of_rounds = searched[:, : len(self._parts)], searched[:, len(self._parts) :]
+            of_parts, of_rounds = searched[:, : len(self.parts)], searched[:, len(self.parts) :]
             if searched[:, :, OVERFLOWS].any():
                 self._grow(of_parts[exchange.rank], of_rounds[exchange.rank], len(made))
                 return None
@@ -265,29 +261,29 @@ class Attempt:
             made += list(of_rounds[exchange.rank])
             if not all(went_on):
                 rounds = went_on.index(False)
-                self._plan.learn(rounds, partial(_needed, made[:rounds], self.capacities))
+                self.plan.learn(rounds, partial(_needed, made[:rounds], self.capacities))
                 resolution = Resolution(self.fraction, rounds, int(secondary_contacts[exchange.rank]))
                 work = work_of_counts(of_parts, secondary_contacts)
                 return ResolvedStep(resolution, work, numbers[:, end:], self._learning(of_parts[exchange.rank]))
             more, changes = _MORE_ROUNDS, changes[:0]
 
     def _grow(self, of_parts: NDArray[np.int64], of_rounds: NDArray[np.int64], first_round: int) -> None:
-        for part, numbers in zip(self._parts, of_parts, strict=True):
+        for part, numbers in zip(self.parts, of_parts, strict=True):
             if numbers[OVERFLOWS].any():
                 part.find()
         # Rounds after the first that overflowed saw only part of the contacts.
         for round, numbers in enumerate(of_rounds, first_round):
             if numbers[OVERFLOWS].any():
-                self._plan.grow(round, Counts.of(numbers.tolist()))
+                self.plan.grow(round, Counts.of(numbers.tolist()))
                 return
 
     def _learning(self, of_parts: NDArray[np.int64]) -> Callable[[], None]:
         @cache
         def learn() -> None:
-            for part, numbers in zip(self._parts, of_parts.tolist(), strict=True):
+            for part, numbers in zip(self.parts, of_parts.tolist(), strict=True):
                 counts = Counts.of(numbers)
                 part.learn(counts)
-                self._clock.add(search_seconds(counts))
+                self.clock.add(search_seconds(counts))
 
         return learn
 

@@ -1,9 +1,5 @@
 """Response of robots to a collision: stop and reverse (the simple response of Du, Liu & Suzumura 2017)."""
 
-from __future__ import annotations
-
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
@@ -39,7 +35,5 @@ def respond(state: RobotState, fraction: Tensor) -> RobotState:
     Example:
         >>> state = pgccd.sim.respond(state, resolved.fraction)
     """
-    position, orientation, velocity, angular_velocity = ops.simulate_respond(list(state.columns.values()), fraction)
-    return replace(
-        state, position=position, orientation=orientation, velocity=velocity, angular_velocity=angular_velocity
-    )
+    moved = ops.simulate_respond(list(state.columns.values()), fraction)
+    return RobotState(state.id, *moved, state.target, state.stay_until)

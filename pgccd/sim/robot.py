@@ -1,7 +1,5 @@
 """The robot of the nanorobot model: a closed genus-0 mesh of 352 vertices and 700 triangles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pgccd.geometry.mesh import Mesh

@@ -20,7 +20,7 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.sim.checkpoint import Checkpoint, Header, load_checkpoint, require_checkpoint, save_checkpoint
 from pgccd.sim.log import StepLog
 from pgccd.sim.model import Model, ModelConfig, RobotState
-from pgccd.sim.progress import Progress, Silent
+from pgccd.sim.progress import Progress
 from pgccd.sim.replay import StepMaker
 from pgccd.sim.run_folder import begin
 from pgccd.sim.step import Step
@@ -84,7 +84,8 @@ def run(
     model = Model(config, meshes, device)
     with hold(folder):
         begin(folder, model.describe() | dict(notes or {}), overwrite)
-        return _continue(model, model.start(), 0, steps, folder, broad_phase, checkpoint_every, progress, graph)
+        machine = _OneProcess(model, model.start(), folder, broad_phase, graph)
+        return _finish(machine, 0, steps, folder, checkpoint_every, progress)
 
 
 def resume(
@@ -119,8 +120,8 @@ def resume(
     with hold(folder):
         checkpoint = load_checkpoint(folder)
         model, steps = continued(folder, checkpoint, steps, meshes, device)
-        state, made = checkpoint.state.to(model.device), checkpoint.steps_made
-        return _continue(model, state, made, steps, folder, broad_phase, checkpoint_every, progress, graph)
+        machine = _OneProcess(model, checkpoint.state.to(model.device), folder, broad_phase, graph)
+        return _finish(machine, checkpoint.steps_made, steps, folder, checkpoint_every, progress)
 
 
 def continued(
@@ -201,21 +202,12 @@ class _OneProcess:
         pass
 
 
-def _continue(
-    model: Model,
-    state: RobotState,
-    steps_made: int,
-    steps: int,
-    folder: Path,
-    broad_phase: BroadPhase,
-    checkpoint_every: int,
-    progress: Progress | None,
-    graph: bool | None,
+def _finish(
+    machine: _OneProcess, made: int, steps: int, folder: Path, checkpoint_every: int, progress: Progress | None
 ) -> Run:
-    machine = _OneProcess(model, state, folder, broad_phase, graph)
-    log = StepLog(folder, steps_made)
-    made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
-    return Run(model, machine.state, made, log.records, machine.last_step, interrupted=made < steps)
+    log = StepLog(folder, made)
+    made = drive(machine, log, made, steps, checkpoint_every, progress)
+    return Run(machine.model, machine.state, made, log.records, machine.last_step, interrupted=made < steps)
 
 
 def drive(
@@ -243,7 +235,7 @@ def drive(
         raise ValueError(f"checkpoint_every: expected a number >= 0, got {checkpoint_every}")
     every = checkpoint_every
     with log or nullcontext(), _stop_requests() as stop:
-        with _DelayedLog(log, progress or Silent()) as lines:
+        with _DelayedLog(log, progress) as lines:
             while steps_made < steps and not machine.stops(stop.is_set()):
                 until = steps if not checkpoint_every else min(steps, -(-(steps_made + 1) // every) * every)
                 lines.add(machine.step(steps_made, more=until - steps_made - 1))
@@ -265,7 +257,7 @@ class _DelayedLog:
         progress: notified after every step.
     """
 
-    def __init__(self, log: StepLog | None, progress: Progress) -> None:
+    def __init__(self, log: StepLog | None, progress: Progress | None) -> None:
         self._log, self._progress = log, progress
         self._last: HasRecord | None = None
 
@@ -287,7 +279,8 @@ class _DelayedLog:
         record, self._last = self._last.record, None
         if self._log is not None:
             self._log.append(record)
-        self._progress.advance(record)
+        if self._progress is not None:
+            self._progress.advance(record)
 
     def __enter__(self) -> _DelayedLog:
         return self

@@ -1,7 +1,5 @@
 """One step of the model: plan, detect, resolve collisions, respond, count."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """Summary of a finished run: statistics and pictures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,41 +17,22 @@ from pgccd.sim.model import RobotState
 #: (ranks, k) int64: one row per rank.
 Rows = NDArray[np.int64]
 
-#: Counts of a rank's searches in a step, and nanoseconds of traversal and narrow phase of the whole step: the first
-#: columns of the values that ranks gather.
-WORK = ("pcs", "contacts", "secondary_contacts", "candidates", "unresolved", "nanoseconds")
-#: Number of values of `count_step`, which follow.
-COUNTED = 6
 
+class Tally(NamedTuple):
+    """Counts of a step, over all ranks: those of its searches, then those of `count_step`."""
 
-def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int64]) -> Rows:
-    """(ranks, 6), columns as in `WORK`.
-
-    Args:
-        counts: (ranks, parts, 21): `pgccd.detection.capacity.Counts` of each part of the whole step.
-        secondary_contacts: (ranks,) contacts found in rounds of collision resolution.
-    """
-    names = ("pairs_written", "contacts", "candidates", "unresolved")
-    pcs, contacts, candidates, unresolved = (counts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in names)
-    return np.stack([pcs, contacts, secondary_contacts, candidates, unresolved, busy_nanoseconds(counts)], axis=1)
-
-
-@dataclass
-class Tally:
-    """Counts of a step, over all ranks."""
-
-    # Counts of the searches, then those of `count_step`.
     pcs: int
     contacts: int
     secondary_contacts: int
     candidates: int
     unresolved: int
+    nanoseconds: int  #: of traversal and narrow phase of the whole step
     robots: int
-    contacts_hash: int  #: modulo 2^64, like state_hash
+    contacts_hash: int  #: modulo 2^64, like the other hashes
     state_hash: int
     stopped: int
     touching_at_t0: int
-    id_hash: int  #: modulo 2^64
+    id_hash: int
 
     @classmethod
     def of(cls, work: Rows, counted: Rows) -> Tally:
@@ -62,12 +42,9 @@ class Tally:
             work: (ranks, 6).
             counted: (ranks, 6) by `count_step`.
         """
-        # Sums of int64 wrap modulo 2^64.
-        pcs, contacts, secondary_contacts, candidates, unresolved, _ = work.sum(axis=0).tolist()
-        robots, contacts_hash, state_hash, stopped, touching_at_t0, id_hash = counted.sum(axis=0).tolist()
-        found = pcs, contacts, secondary_contacts, candidates, unresolved
-        hashes = contacts_hash % 2**64, state_hash % 2**64
-        return cls(*found, robots, *hashes, stopped, touching_at_t0, id_hash % 2**64)
+        sums = cls(*np.concatenate([work, counted], axis=1).sum(axis=0).tolist())  # int64, modulo 2^64
+        hashes = {name: number % 2**64 for name, number in sums._asdict().items() if name.endswith("hash")}
+        return sums._replace(**hashes)
 
     def record(self, index: int, rounds: int, clock: StageClock) -> dict[str, Any]:
         """The line of steps.jsonl."""
@@ -88,6 +65,24 @@ class Tally:
             "seconds": round(clock.total, 6),
             "stage_seconds": stage_seconds,
         }
+
+
+#: The columns of a rank's searches, the first of the values that ranks gather; those of `count_step` follow.
+WORK = Tally._fields[:6]
+#: Number of values of `count_step`.
+COUNTED = len(Tally._fields) - len(WORK)
+
+
+def work_of_counts(counts: NDArray[np.int64], secondary_contacts: NDArray[np.int64]) -> Rows:
+    """(ranks, 6), columns as in `WORK`.
+
+    Args:
+        counts: (ranks, parts, 21): `pgccd.detection.capacity.Counts` of each part of the whole step.
+        secondary_contacts: (ranks,) contacts found in rounds of collision resolution.
+    """
+    names = ("pairs_written", "contacts", "candidates", "unresolved")
+    pcs, contacts, candidates, unresolved = (counts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in names)
+    return np.stack([pcs, contacts, secondary_contacts, candidates, unresolved, busy_nanoseconds(counts)], axis=1)
 
 
 def count_step(after: RobotState, fraction: Tensor, id: Tensor, pairs: Tensor, toi: Tensor) -> Tensor:

@@ -1,12 +1,10 @@
 """Close-up of one collision: the two bodies, a section through the contact, and the gap over the step."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 
-from pgccd.viz.raster import Camera, Canvas, rotation_matrices
+from pgccd.viz.raster import Camera, Canvas, placed
 from pgccd.viz.snapshot import Impact, Snapshot
 
 PAPER = (1.0, 1.0, 1.0)
@@ -29,8 +27,8 @@ def _frame(impact: Impact) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _placed(snapshot: Snapshot, impact: Impact, body: int, moment: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3), world frame, and faces (F, 3) of one of the two bodies at t0, toi or t1 (moment 0, 1, 2)."""
     mesh = snapshot.meshes[impact.kinds[body]]
-    turned = mesh.vertices.numpy() @ rotation_matrices(impact.orientation[moment, body : body + 1])[0].T
-    return turned + impact.position[moment, body], mesh.faces.numpy()
+    pose = impact.position[moment, body, None], impact.orientation[moment, body, None]
+    return placed(mesh.vertices.numpy(), *pose)[0], mesh.faces.numpy()
 
 
 def draw_impact(axes: Any, snapshot: Snapshot, impact: Impact) -> None:

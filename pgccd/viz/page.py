@@ -1,7 +1,5 @@
 """A self-contained interactive page of a world: rotate, zoom, play the step, step through the collisions."""
 
-from __future__ import annotations
-
 import base64
 import html
 import json
@@ -10,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pgccd.viz.page_template import TEMPLATE
 from pgccd.viz.snapshot import Motion, Snapshot
+
+# A WebGL 2 viewer without external scripts; @NAME@ is replaced.
+_TEMPLATE = Path(__file__).with_name("page.html")
 
 # About 80 bytes of text per robot or contact: keeps the page below 5 MB.
 _MOST_ROBOTS = 50_000
@@ -33,7 +33,10 @@ def world_page(path: str | Path, snapshot: Snapshot) -> Path:
     Example:
         >>> pgccd.viz.world_page("model.html", pgccd.viz.Snapshot.of_step(model, step))
     """
-    motion = snapshot.motion or _at_rest(snapshot)
+    still = np.zeros_like(snapshot.position)
+    no_contacts = np.zeros((0, 2), dtype=np.int64), np.zeros(0), still[:0]
+    at_rest = Motion(snapshot.position, snapshot.orientation, still, still, np.ones(len(still)), *no_contacts)
+    motion = snapshot.motion or at_rest
     # Colliding robots first, then the others in random order, so that any prefix is a random sample.
     order = np.random.default_rng(0).permutation(len(snapshot.kind))
     order = order[np.argsort(~snapshot.colliding[order], kind="stable")][:_MOST_ROBOTS]
@@ -76,7 +79,7 @@ def world_page(path: str | Path, snapshot: Snapshot) -> Path:
         "@FIGURES@": "".join(f"<p>{html.escape(line)}</p>" for line in figures),
         "@DATA@": json.dumps(data, separators=(",", ":")),
     }
-    page = TEMPLATE
+    page = _TEMPLATE.read_text(encoding="utf-8")
     for name, text in filled.items():
         page = page.replace(name, text)
     path = Path(path)
@@ -86,17 +89,3 @@ def world_page(path: str | Path, snapshot: Snapshot) -> Path:
 
 def _encode(values: np.ndarray, dtype: Any) -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode("ascii")
-
-
-def _at_rest(snapshot: Snapshot) -> Motion:
-    still = np.zeros_like(snapshot.position)
-    return Motion(
-        snapshot.position,
-        snapshot.orientation,
-        still,
-        still,
-        np.ones(len(still)),
-        np.zeros((0, 2), dtype=np.int64),
-        np.zeros(0),
-        np.zeros((0, 3)),
-    )

@@ -1,7 +1,5 @@
 """A picture of a world: all robots, the colliding ones, and a close-up of one collision."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pgccd.viz.impact import COLLIDING, PAPER, draw_gap, draw_impact, draw_section
-from pgccd.viz.raster import Camera, Canvas, rotation_matrices
+from pgccd.viz.raster import Camera, Canvas, placed
 from pgccd.viz.snapshot import Snapshot
 
 _RESTING = np.array([0.52, 0.62, 0.74])
@@ -74,10 +72,9 @@ def _placed(snapshot: Snapshot, rows: np.ndarray, stride: int) -> Iterator[tuple
         step = max(1, _TRIANGLES_AT_ONCE // len(faces))
         for begin in range(0, len(members), step):
             piece = members[begin : begin + step]
-            turned = np.einsum("bij,vj->bvi", rotation_matrices(snapshot.orientation[piece]), local)
-            placed = (turned + snapshot.position[piece, None, :]).reshape(-1, 3)
+            vertices = placed(local, snapshot.position[piece], snapshot.orientation[piece]).reshape(-1, 3)
             first = len(local) * np.arange(len(piece))[:, None, None]
-            yield placed, (first + faces).reshape(-1, 3), np.repeat(piece, len(faces))
+            yield vertices, (first + faces).reshape(-1, 3), np.repeat(piece, len(faces))
 
 
 def _draw_world(axes: Any, snapshot: Snapshot, shown: np.ndarray, title: str) -> None:

@@ -1,13 +1,10 @@
 """A small z-buffer renderer in NumPy: shaded triangle meshes, many instances, no graphics library."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
-# Small triangles are drawn as grids of points about a pixel apart, grouped by grid size; others pixel by pixel.
-_FINEST_GRID = 32
+# Triangles are drawn as grids of points at most a pixel apart, grouped by grid size.
 _POINTS_AT_ONCE = 1 << 21
 _DEPTH_LEVELS = float((1 << 24) - 1)  # exact in float32
 _EMPTY = np.uint64(2**64 - 1)
@@ -88,13 +85,9 @@ class Canvas:
         veil = np.broadcast_to(haze, len(faces))[inside] * np.clip(distance, 0.0, 1.0)
         lit = ((1.0 - veil) * shade)[:, None] * colours[inside] + veil[:, None] * self._background
         paint = _pack_colours(lit)
-        grid = 1
-        while grid <= _FINEST_GRID:
-            chosen = (size <= grid) & (size > grid // 2)
-            self._splat(corners[chosen], paint[chosen], grid)
-            grid *= 2
-        for triangle in np.flatnonzero(size > _FINEST_GRID):
-            self._fill(corners[triangle], paint[triangle])
+        grids = 2 ** np.ceil(np.log2(np.maximum(size, 1.0))).astype(np.int64)
+        for grid in np.unique(grids):
+            self._splat(corners[grids == grid], paint[grids == grid], grid)
 
     def _splat(self, corners: np.ndarray, paint: np.ndarray, grid: int) -> None:
         u, v = (axis.ravel() / grid for axis in np.meshgrid(np.arange(grid + 1), np.arange(grid + 1)))
@@ -107,23 +100,6 @@ class Canvas:
             column, row, depth = np.moveaxis(weights @ corners[begin : begin + step], -1, 0)
             colour = np.broadcast_to(paint[begin : begin + step, None], column.shape)
             self._put(column.ravel(), row.ravel(), depth.ravel(), colour.ravel())
-
-    def _fill(self, corners: np.ndarray, paint: np.uint64) -> None:
-        """Draws all pixels whose centre is inside the triangle."""
-        low = np.maximum(np.floor(corners[:, :2].min(axis=0)), 0.0)
-        high = np.minimum(np.ceil(corners[:, :2].max(axis=0)), np.array(self.camera.pixels))
-        column, row = (
-            axis.ravel() + 0.5 for axis in np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)))
-        )
-        (x0, y0), (x1, y1), (x2, y2) = corners[:, :2]
-        double_area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if double_area == 0.0:
-            return
-        u = ((column - x0) * (y2 - y0) - (x2 - x0) * (row - y0)) / double_area
-        v = ((x1 - x0) * (row - y0) - (column - x0) * (y1 - y0)) / double_area
-        inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
-        depth = corners[0, 2] + u * (corners[1, 2] - corners[0, 2]) + v * (corners[2, 2] - corners[0, 2])
-        self._put(column[inside], row[inside], depth[inside], np.broadcast_to(paint, inside.sum()))
 
     def _put(self, column: np.ndarray, row: np.ndarray, depth: np.ndarray, paint: np.ndarray) -> None:
         width, height = self.camera.pixels
@@ -151,12 +127,12 @@ def _pack_colours(colours: np.ndarray) -> np.ndarray:
     return (levels[:, 0] << np.uint64(16)) | (levels[:, 1] << np.uint64(8)) | levels[:, 2]
 
 
-def rotation_matrices(orientation: np.ndarray) -> np.ndarray:
-    """(N, 4) unit quaternions (w, x, y, z) -> (N, 3, 3)."""
+def placed(points: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+    """(N, V, 3) world: points (V, 3) of a body in N poses, positions (N, 3) and quaternions (w, x, y, z) (N, 4)."""
     w, x, y, z = orientation.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return np.einsum("ijb,vj->bvi", np.array(rows), points) + position[:, None]

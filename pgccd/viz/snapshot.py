@@ -7,13 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from pgccd.detection.narrow import Kind
 from pgccd.geometry.mesh import Mesh
+from pgccd.motion.paths import RigidMotion
 from pgccd.sim import Model, RobotState, Step
-from pgccd.sim.response import respond
-from pgccd.viz.raster import rotation_matrices
+from pgccd.viz.raster import placed
+
+# The features of two touching bodies.
+_SHAPES = {Kind.VF_AB: ("vertex", "face"), Kind.VF_BA: ("face", "vertex"), Kind.EE: ("edge", "edge")}
 
 
 @dataclass
@@ -97,74 +99,41 @@ def _impact(model: Model, step: Step) -> Impact | None:
     if len(contacts) == 0:
         return None
     row = int(torch.argmin((step.toi - 0.5).abs()))
-    pair = contacts.pairs[row]
-    toi = float(step.toi[row])
-    columns = {name: column[pair] for name, column in step.before.columns.items()}
-    whole = torch.ones_like(step.toi[row])
-    moments = [respond(RobotState(**columns), part.repeat(2)) for part in (0.0 * whole, step.toi[row], whole)]
-    ids = (int(columns["id"][0]), int(columns["id"][1]))
-    kinds = (ids[0] % len(model.meshes), ids[1] % len(model.meshes))
-    meshes = [model.meshes.meshes[kind] for kind in kinds]
-    kind = Kind(int(_row(contacts.kind, row)))
-    features = _row(contacts.features, row).tolist()
-    normal = _row(contacts.normal, row).cpu().numpy()
-    coordinates = _row(contacts.coordinates, row).tolist()
+    toi, pair = float(step.toi[row]), contacts.pairs[row]
+    names = ("kind", "features", "coordinates", "point", "normal")  # report="first" gives all columns
+    kind, features, coordinates, point, normal = (getattr(contacts, name)[row].cpu().numpy() for name in names)
+    shapes = _SHAPES[Kind(int(kind))]
+    first, second = step.before.id[pair].tolist()
+    kinds = first % len(model.meshes), second % len(model.meshes)
+    motion = model.motion(step.before)[pair]
     times = np.linspace(0.0, 1.0, 401)
-    feature_points = _feature_points(meshes, kind, features, coordinates)
-    paths = [_path(columns, body, feature_points[body], times) for body in range(2)]
-    names = {
-        Kind.VF_AB: f"vertex {features[0]} of {ids[0]} on face {features[1]} of {ids[1]}",
-        Kind.VF_BA: f"face {features[0]} of {ids[0]} on vertex {features[1]} of {ids[1]}",
-        Kind.EE: f"edge {features[0]} of {ids[0]} on edge {features[1]} of {ids[1]}",
-    }
+    position, orientation = _poses(motion, times)
+    paths = []
+    for body in range(2):
+        at = coordinates[body:] if shapes[body] == "edge" else coordinates
+        local = _point_on(model.meshes.meshes[kinds[body]], shapes[body], int(features[body]), at)
+        paths.append(placed(local[None], position[:, body], orientation[:, body])[:, 0])
     return Impact(
-        ids,
+        (first, second),
         kinds,
         toi,
-        names[kind],
-        _row(contacts.point, row).cpu().numpy(),
+        f"{shapes[0]} {features[0]} of {first} on {shapes[1]} {features[1]} of {second}",
+        point,
         normal,
-        torch.stack([at.position for at in moments]).cpu().numpy(),
-        torch.stack([at.orientation for at in moments]).cpu().numpy(),
+        *_poses(motion, np.array([0.0, toi, 1.0])),
         times,
         (paths[1] - paths[0]) @ normal,
     )
 
 
-def _row(column: Tensor | None, row: int) -> Tensor:
-    if column is None:
-        raise AssertionError("detect(report='first') gives all columns")
-    return column[row]
+def _poses(motion: RigidMotion, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, N, 3) and orientations (n, N, 4) of all bodies at these times (n,)."""
+    position, orientation = motion.at(torch.from_numpy(times)[:, None])
+    return position.cpu().numpy(), orientation.cpu().numpy()
 
 
-def _feature_points(meshes: list[Mesh], kind: Kind, features: list[int], at: list[float]) -> list[np.ndarray]:
-    """The points of the two features that touch, in their body frames."""
-
-    def on_face(mesh: Mesh, face: int) -> np.ndarray:
-        a, b, c = mesh.vertices[mesh.faces[face].long()].numpy()
-        return a + at[0] * (b - a) + at[1] * (c - a)
-
-    def on_edge(mesh: Mesh, edge: int, parameter: float) -> np.ndarray:
-        a, b = mesh.vertices[mesh.edges[edge].long()].numpy()
-        return a + parameter * (b - a)
-
-    if kind == Kind.VF_AB:
-        return [meshes[0].vertices[features[0]].numpy(), on_face(meshes[1], features[1])]
-    if kind == Kind.VF_BA:
-        return [on_face(meshes[0], features[0]), meshes[1].vertices[features[1]].numpy()]
-    return [on_edge(meshes[body], features[body], at[body]) for body in range(2)]
-
-
-def _path(columns: dict[str, Tensor], body: int, local: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """(n, 3) world positions of a point of a body during the step (Rodrigues' formula)."""
-    position, velocity, spin = (
-        columns[name][body].cpu().numpy() for name in ("position", "velocity", "angular_velocity")
-    )
-    offset = rotation_matrices(columns["orientation"][body : body + 1].cpu().numpy())[0] @ local
-    rate = np.linalg.norm(spin)
-    axis = spin / rate if rate > 0.0 else np.array([0.0, 0.0, 1.0])
-    angle = rate * times[:, None]
-    turned = (
-        offset * np.cos(angle) + np.cross(axis, offset) * np.sin(angle) + axis * (axis @ offset) * (1.0 - np.cos(angle))
-    )
-    return position + times[:, None] * velocity + turned
+def _point_on(mesh: Mesh, shape: str, index: int, at: np.ndarray) -> np.ndarray:
+    """(3,): the point of a vertex, edge or face with these coordinates, in the body frame."""
+    rows = {"edge": mesh.edges, "face": mesh.faces}.get(shape, torch.arange(len(mesh.vertices))[:, None])[index]
+    corners = mesh.vertices[rows.long()].numpy()
+    return corners[0] + at[: len(corners) - 1] @ (corners[1:] - corners[0])

@@ -65,15 +65,15 @@ def test_operators_reach_the_ranks_whose_boxes_a_body_touches(seed: int, device:
     on_device = [column.to(device) for column in centres]
     assert torch.equal(there.owner_of(on_device[0]).cpu(), partition.owner_of(start))
     for rank in range(ranks):
-        where = on_device, 0.0, 0.0, there.subdomain(rank)
-        reached, counts = ops.replica_ranks(*where, everything.to(device), ranks)
+        where = on_device, 0.0, 0.0, *there.subdomain(rank)
+        reached, counts = ops.replica_ranks(*where, everything.to(device), [], ranks)
         others = expected.clone()
         others[:, rank] = False
         assert torch.equal(reached.cpu().bool(), others) and torch.equal(counts.cpu(), others.sum(dim=0))
         reach, rows, found = ops.boundary_bodies(*where)
         assert torch.equal(reach.cpu().bool(), others.any(dim=1))
         assert torch.equal(rows[: int(found)].cpu(), torch.nonzero(others.any(dim=1))[:, 0])
-        leaving, _, to = ops.leaving_bodies(on_device[0], None, there.subdomain(rank), ranks)
+        leaving, _, to = ops.leaving_bodies(on_device[0], None, *there.subdomain(rank), ranks)
         away = partition.owner_of(start) != rank
         assert torch.equal(leaving[: int(away.sum())].cpu(), torch.nonzero(away)[:, 0])
         assert torch.equal(to.cpu(), torch.bincount(partition.owner_of(start)[away], minlength=ranks))
@@ -93,7 +93,7 @@ def test_a_box_that_ends_on_a_plane_reaches_what_is_above() -> None:
             on_plane = torch.full((1, 3), float(at), dtype=torch.float64)
             assert partition.owner_of(on_plane).tolist() == [1]
             for rank in (0, 1):
-                found, _ = ops.replica_ranks(centres, 0.0, 0.0, partition.subdomain(rank), rows, 2)
+                found, _ = ops.replica_ranks(centres, 0.0, 0.0, *partition.subdomain(rank), rows, [], 2)
                 expected = [other and there for other, there in zip((rank != 0, rank != 1), reached, strict=True)]
                 assert found[0].bool().tolist() == expected
 
@@ -105,7 +105,7 @@ def test_planes_that_are_none_are_refused() -> None:
         planes = torch.tensor([wrong], dtype=torch.float64)
         frame = [0.0] * 3 + [1.0] * 3 + [4.0] * 3
         with pytest.raises(ValueError, match="^owner: row 0"):
-            ops.replica_ranks(centres, 0.0, 0.0, (frame, planes, 0), rows, 2)
+            ops.replica_ranks(centres, 0.0, 0.0, frame, planes, 0, rows, [], 2)
 
 
 def even_out(comm: Comm) -> list[float]:

@@ -84,13 +84,13 @@ def test_operators_number_the_neighbours(make: Any, device: torch.device) -> Non
         assert 1 < len(ranks) < 23 and ranks[number] == rank == ranks[decomposition.neighbours.rank]
         here = frame, owners.to(device), number
         whole = frame, partition.subdomain(rank)[1].to(device), rank
-        found, counts = ops.replica_ranks(centres, 0.0, 0.0, here, rows, decomposition.neighbours.size)
-        expected, _ = ops.replica_ranks(centres, 0.0, 0.0, whole, rows, 23)
+        found, counts = ops.replica_ranks(centres, 0.0, 0.0, *here, rows, [], decomposition.neighbours.size)
+        expected, _ = ops.replica_ranks(centres, 0.0, 0.0, *whole, rows, [], 23)
         assert torch.equal(found[:, :-1], expected[:, list(ranks)])
         others = [other for other in range(23) if other not in ranks]
         assert torch.equal(found[:, -1], expected[:, others].amax(dim=1)) and int(counts[-1]) > 0
         for own, other in zip(
-            ops.boundary_bodies(centres, 0.0, 0.0, here), ops.boundary_bodies(centres, 0.0, 0.0, whole), strict=True
+            ops.boundary_bodies(centres, 0.0, 0.0, *here), ops.boundary_bodies(centres, 0.0, 0.0, *whole), strict=True
         ):
             assert torch.equal(own, other)
 

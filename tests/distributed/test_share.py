@@ -53,14 +53,14 @@ def by_ranks(comm: Comm, capacity: str) -> tuple[list[dict[str, Any]], int, int]
     class Watched(Part):
         def __init__(self, *given: Any, **more: Any) -> None:
             super().__init__(*given, **more)
-            find_pairs = self._find_pairs
+            find_pairs = self.find_pairs
 
             def renew() -> Any:
                 nonlocal renewed
                 renewed += 1
                 return find_pairs()
 
-            self._find_pairs = find_pairs and renew
+            self.find_pairs = find_pairs and renew
 
         def find(self) -> Any:
             nonlocal searched

@@ -81,13 +81,13 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     for device in DEVICES:
         subdomain = (partition.frame, partition.owner.to(device), rank)
         here, there = ([column.to(device) for column in columns] for columns in (centres, ghosts))
-        reach, at_edge, found = ops.boundary_bodies(here, SEPARATION, 0.0, subdomain)
+        reach, at_edge, found = ops.boundary_bodies(here, SEPARATION, 0.0, *subdomain)
         assert reach.tolist() == [int(crosses) for crosses in crossing]
         assert kept(at_edge, found) == [body for body, crosses in enumerate(crossing) if crosses]
         assert bool((at_edge[int(found) :] == -1).all()) and len(at_edge) == len(cells)
         rows = torch.arange(len(cells), device=device).flip(0)
         for came_from in ([], received):
-            replica_ranks, counts = ops.replica_ranks(here, SEPARATION, 0.0, subdomain, rows, ranks, came_from)
+            replica_ranks, counts = ops.replica_ranks(here, SEPARATION, 0.0, *subdomain, rows, came_from, ranks)
             expected = [{owner[cell] for cell in each} - {rank} for each in reversed(cells)]
             if came_from:
                 expected = [each | {source} for each, source in zip(expected, sources.tolist(), strict=True)]
@@ -107,7 +107,7 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
         # Rows may be padded.
         padded = torch.where(rows % 3 == 1, -1, rows)
         for came_from in ([], received):
-            replica_ranks, counts = ops.replica_ranks(here, SEPARATION, 0.0, subdomain, padded, ranks, came_from)
+            replica_ranks, counts = ops.replica_ranks(here, SEPARATION, 0.0, *subdomain, padded, came_from, ranks)
             expected = [set() if row < 0 else {owner[cell] for cell in cells[row]} - {rank} for row in padded.tolist()]
             if came_from:
                 every = zip(padded.tolist(), expected, sources.tolist(), strict=True)
@@ -117,26 +117,26 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
         # Padding rows reach no cell, and nothing is near them.
         gone = torch.arange(len(cells)) % 3 == 0
         some = [*here[:2], torch.where(gone.to(device), -torch.inf, here[2])]
-        marks, at_edge, found = ops.boundary_bodies(some, SEPARATION, 0.0, subdomain)
+        marks, at_edge, found = ops.boundary_bodies(some, SEPARATION, 0.0, *subdomain)
         assert kept(at_edge, found) == [body for body, crosses in enumerate(crossing) if crosses and not gone[body]]
         assert int(marks.sum()) == int(found)
-        assert kept(*ops.near_ghosts(some, there, SEPARATION, 0.0, subdomain)) == [b for b in near if not gone[b]]
+        assert kept(*ops.near_ghosts(some, there, SEPARATION, 0.0, *subdomain)) == [b for b in near if not gone[b]]
         none = [*there[:2], torch.full_like(there[2], -torch.inf)]
-        assert kept(*ops.near_ghosts(here, none, SEPARATION, 0.0, subdomain)) == []
-        assert kept(*ops.near_ghosts(here, there, SEPARATION, 0.0, subdomain)) == near
+        assert kept(*ops.near_ghosts(here, none, SEPARATION, 0.0, *subdomain)) == []
+        assert kept(*ops.near_ghosts(here, there, SEPARATION, 0.0, *subdomain)) == near
         mine = [column[:own_count] for column in here]
         at_edge = [column[boundary.to(device)] for column in here]
         for candidates, rows, those, expected in (
             (pairs[is_own], None, mine, turned[is_own & is_here]),
             (at_boundary, boundary.to(device), at_edge, torch.argsort(boundary)[turned[~is_own & is_here]]),
         ):
-            where = (those, SEPARATION, 0.0, reach[:own_count], subdomain)
+            where = (those, SEPARATION, 0.0, reach[:own_count], *subdomain)
             owned, found = ops.owned_pairs(candidates.to(device), rows, id.to(device), *where)
             assert kept(owned, found) == expected.tolist()
             assert bool((owned[int(found) :] == -1).all()) and len(owned) == len(candidates)
         padding = torch.arange(len(id)) % 4 == 2
         for numbers, is_there in ((None, ~padding | padding), (torch.where(padding, -1, id).to(device), ~padding)):
-            leaving, by_destination, counts = ops.leaving_bodies(here[0], numbers, subdomain, ranks)
+            leaving, by_destination, counts = ops.leaving_bodies(here[0], numbers, *subdomain, ranks)
             gone = (centre_owner != rank) & is_there
             assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()
             rows = torch.nonzero(gone)[:, 0]
@@ -151,7 +151,7 @@ def test_many_leave_for_many(device: torch.device) -> None:
     position = torch.rand((30_000, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(4))
     owner, rank = partition.owner_of(position), 7
     leaving, by_destination, counts = ops.leaving_bodies(
-        position.to(device), None, (partition.frame, partition.owner.to(device), rank), partition.ranks
+        position.to(device), None, partition.frame, partition.owner.to(device), rank, partition.ranks
     )
     rows = torch.nonzero(owner != rank)[:, 0]
     assert counts.tolist() == torch.bincount(owner[rows], minlength=partition.ranks).tolist()
@@ -162,7 +162,7 @@ def test_many_leave_for_many(device: torch.device) -> None:
 def test_positions_that_are_no_numbers_have_a_cell() -> None:
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     wrong = torch.tensor([[torch.nan] * 3, [torch.inf] * 3, [-torch.inf] * 3], dtype=torch.float64)
-    *_, counts = ops.leaving_bodies(wrong, None, partition.subdomain(5), 2)
+    *_, counts = ops.leaving_bodies(wrong, None, *partition.subdomain(5), 2)
     assert int(counts.sum()) == 3
 
 
@@ -171,4 +171,4 @@ def test_arguments_are_checked(change: dict) -> None:
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     arguments = {"frame": partition.frame, "owner": partition.owner} | change
     with pytest.raises(RuntimeError, match=next(iter(change))):
-        ops.leaving_bodies(torch.zeros((2, 3), dtype=torch.float64), None, (*arguments.values(), 0), 2)
+        ops.leaving_bodies(torch.zeros((2, 3), dtype=torch.float64), None, *arguments.values(), 0, 2)

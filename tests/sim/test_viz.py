@@ -29,7 +29,7 @@ def test_canvas_draws_the_nearer_of_two_triangles_where_it_is() -> None:
     camera = Camera(np.array([0.0, 0.0, 10.0]), np.zeros(3), 4.0, (80, 80), up=(0.0, 1.0, 0.0))
     square = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
-    for scale in (1.0, 0.5):  # large triangles are filled, small ones splatted
+    for scale in (1.0, 0.5):
         canvas = Canvas(camera, (0.0, 0.0, 0.0), (5.0, 15.0))
         canvas.draw(scale * square + [0.0, 0.0, 1.0], faces, np.tile([1.0, 0.0, 0.0], (2, 1)))
         canvas.draw(scale * square, faces, np.tile([0.0, 1.0, 0.0], (2, 1)))  # behind the first

@@ -96,11 +96,12 @@ def search_padded_share(
     if decomposition.comm.size == 1:
         part = find_part(bodies, *asked, None, discard, estimate=estimates.own, slack=slack)
         return PaddedShare(Held.alone(decomposition.neighbours, own), [part], centres, kept, bodies.first_faults()[-1:])
-    reach, boundary, count = ops.boundary_bodies(centres, *kept, subdomain)
-    where = *kept, reach, subdomain
+    where = *kept, *subdomain
+    reach, boundary, count = ops.boundary_bodies(centres, *where)
+    of_pairs = *kept, reach, *subdomain
 
     def owned_by_own(pairs: Tensor) -> tuple[Tensor, Tensor]:
-        return ops.owned_pairs(pairs, None, own["id"], centres, *where)
+        return ops.owned_pairs(pairs, None, own["id"], centres, *of_pairs)
 
     side = SideStream(device, options.overlap)
     with side:
@@ -116,7 +117,7 @@ def search_padded_share(
                     held.ghosts["id"] < 0, 1.0
                 )  # padding is zeros, which is not a unit quaternion
         ghosts = of_checked(*_build_padded(build, held.ghosts))
-        near, near_count = ops.near_ghosts(centres, centres_of(ghosts), *kept, subdomain)
+        near, near_count = ops.near_ghosts(centres, centres_of(ghosts), *where)
         near = _first_rows(near[: capacity.near], near_count)
         rows = torch.cat([near, torch.arange(held.own_count, len(held), device=device)])
         columns = take_bodies(bodies, ghosts, rows)
@@ -124,7 +125,7 @@ def search_padded_share(
         at_boundary = bodies_of(bodies, columns)
 
         def owned_at_boundary(pairs: Tensor) -> tuple[Tensor, Tensor]:
-            return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *where)
+            return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *of_pairs)
 
         found = find_part(at_boundary, *asked, owned_at_boundary, discard, rows, estimates.with_ghosts, slack)
         found.begin()

@@ -142,7 +142,7 @@ class OwnSearch:
         with self._clock.stage("halo"):
             self._halo = Halo(self._decomposition, self._own, self._bodies, self._kept)
             self._halo.find_boundary()
-        self._where = *self._kept, self._halo.reach, self._decomposition.subdomain
+        self._where = *self._kept, self._halo.reach, *self._decomposition.subdomain
         self._side = SideStream(self._bodies.device, self._options.overlap and self._comm.size > 1)
         if self._comm.size > 1:
             self._send_ghosts()
@@ -195,10 +195,10 @@ class OwnSearch:
         If this rank tests a ghost against an own body, both reach a common cell, in which the body's box overlaps the
         box around all ghosts.
         """
-        subdomain = self._where[-1]
+        where = *self._kept, *self._decomposition.subdomain
         own, ghosts = centres_of(self._bodies), centres_of(self._ghosts)
         with self._side, self._clock.stage("halo"):
-            near, found = ops.near_ghosts(own, ghosts, *self._kept, subdomain)
+            near, found = ops.near_ghosts(own, ghosts, *where)
             return near, HostCopy.start(found)
 
     def of_held(self, make: Callable[[Held, Centres, tuple[float, float], Decomposition], T]) -> T:

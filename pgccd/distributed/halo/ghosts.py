@@ -60,7 +60,8 @@ class Halo:
         found = self._bodies.first_faults()
         if not self._is_alone:
             centres, kept = self._where
-            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *kept, self._decomposition.subdomain)
+            where = *kept, *self._decomposition.subdomain
+            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *where)
             found = torch.cat([self._count, found])
         self._found = HostCopy.start(found)
 

@@ -29,7 +29,7 @@ def leaving_bodies(
         position: (N, 3) of the bodies' origins.
         id: (N,) int64, negative for padding; None: there is no padding.
     """
-    return ops.leaving_bodies(position, id, decomposition.subdomain, decomposition.neighbours.size)
+    return ops.leaving_bodies(position, id, *decomposition.subdomain, decomposition.neighbours.size)
 
 
 def migrate(

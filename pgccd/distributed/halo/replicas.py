@@ -52,8 +52,8 @@ def find_replicas(
         rows: (B,) rows of `centres`; may contain -1 (reaching no rank).
         received: number of these bodies received from each neighbour, if they are ghosts.
     """
-    where = centres, *kept, decomposition.subdomain, rows, decomposition.neighbours.size
-    return Replicas(*ops.replica_ranks(*where, received))
+    where = centres, *kept, *decomposition.subdomain, rows
+    return Replicas(*ops.replica_ranks(*where, received, decomposition.neighbours.size))
 
 
 def agreed_replicas(
