@@ -1,8 +1,10 @@
-"""Slabs of straight vertex paths up to a horizon: required thickness for a sheet that turns over in the step.
+"""Slabs up to a horizon: required thickness for a flat sheet that turns in the step.
 
-A flat sheet with normal n is turned by about pi about an axis k at a small angle to n. Halfway through straight paths
-shrink it; up to a small horizon h its far end rises by up to 3 h |k.n| |k x n| times its distance from a node's centre,
-measured along the mean of the slab's two normals, which themselves are only 2 h |k x n| apart.
+On arcs, about an axis in its plane: the sheet's ends rise fastest.
+
+On straight paths, turned by about pi about an axis k at a small angle to its normal n: halfway through, the paths
+shrink the sheet. Up to a small horizon h its far end rises by up to 3 h |k.n| |k x n| times its distance from a node's
+centre, measured along the mean of the slab's two normals, which themselves are only 2 h |k x n| apart.
 """
 
 from __future__ import annotations
@@ -66,6 +68,40 @@ def test_a_turning_sheet_meets_a_speck_before_the_horizon(device: torch.device, 
         truth = linear_truth([[start, end], [rest, rest]], [m.faces.long().numpy() for m in bodies.meshes])
         assert any(c.toi_upper <= until for c in truth.contacts)
         assert_all_there(candidates(moving(bodies, device, "linear"), horizon=[until])[0], truth, until)
+
+
+@pytest.mark.parametrize("turn", [1.0, 2.5, 6.0, 15.0, 200.0])
+def test_a_sheet_on_arcs_meets_a_speck_before_the_horizon(device: torch.device, turn: float) -> None:
+    """The sheet turns about an axis in its plane: up to a horizon its ends rise by up to the horizon's part of the
+    turn, however large the whole turn is. The earliest contact of the scene is searched up to a contact of another
+    pair.
+    """
+    plate = pgccd.Mesh([[-1, -1, 0], [1, -1, 0], [-1, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])
+    speck, found = tetrahedron(TINY), 0
+    for until in np.geomspace(0.2, 0.9, 5) / max(turn, 1.0):
+        for part in (0.2, 0.9, 0.99):
+            t = part * until
+            place = 0.98 * np.array([np.cos(turn * t), 0.0, -np.sin(turn * t)])
+            positions = np.array([[0.0, 0.0, 0.0], place, [100.0, 0.0, 0.0], [100.0, 0.0, 0.01]])
+            velocities = np.zeros((4, 3))
+            # The speck comes from the side; the plates touch at the horizon.
+            positions[1, 1], velocities[1, 1] = -0.2 * part, 0.2 / until
+            velocities[3, 2] = -0.01 / until
+            spins = np.zeros((4, 3))
+            spins[0, 1] = turn
+            meshes = [sheet(), speck, plate, plate]
+            bodies = Bodies(meshes, positions, np.tile([1.0, 0, 0, 0], (4, 1)), velocities, spins)
+            scene, motion = bodies.scene(device), bodies.motion("rigid", device)
+            every, earliest = (pgccd.detect(scene, motion, report) for report in ("all", "earliest"))
+            assert torch.equal(earliest.toi[0], every.toi.min())
+            if every.toi.min() >= until or every.pairs[every.toi.argmin()].tolist() != [0, 1]:
+                continue
+            found += 1
+            horizon = torch.tensor([until], dtype=torch.float64, device=device)
+            pair = torch.tensor([[0, 1]], device=device)
+            rows, _ = pgccd.traverse.bvtt(pgccd.MovingBodies(scene, motion), pair, horizon=horizon)
+            assert len(rows) > 0
+    assert found >= 10
 
 
 def with_floor(speck: np.ndarray, height: float) -> pgccd.Mesh:

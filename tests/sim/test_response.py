@@ -16,6 +16,7 @@ import pgccd
 from pgccd import ops
 from pgccd.sim import Model, ModelConfig, first_collisions, make_step, respond
 from pgccd.sim.model import RobotState
+from pgccd.viz.raster import placed
 
 
 def test_first_collisions_takes_the_smallest_of_each_body() -> None:
@@ -107,11 +108,8 @@ def pierces(edges: np.ndarray, triangles: np.ndarray) -> bool:
 
 def overlapping_pairs(model: Model, state: RobotState) -> list[tuple[int, int]]:
     """Pairs whose surfaces cross, by brute force in numpy, from the poses only."""
-    from pgccd.viz.raster import rotation_matrices
-
     mesh = model.meshes.meshes[0]
-    rotation = rotation_matrices(state.orientation.numpy())
-    vertices = np.einsum("bij,vj->bvi", rotation, mesh.vertices.numpy()) + state.position.numpy()[:, None]
+    vertices = placed(mesh.vertices.numpy(), state.position.numpy(), state.orientation.numpy())
     faces, edges = mesh.faces.numpy(), mesh.edges.numpy()
     found = []
     distance = torch.cdist(state.position, state.position).numpy()

@@ -80,8 +80,8 @@ struct alignas(16) RigidSweep : PairFrame {
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
     for (int side = 0; side < 2; ++side) {
       const double angle = norm(load_vec3(bodies.rotation + 3 * body[side]));
-      const double turn = horizon * smaller(angle, 2.0 * segment_count) / segment_count;
-      growth[side] = sweep_detail::rounded_up((bodies.linear_path ? 1.5 : 0.5) * turn);
+      const double whole_change = smaller(angle, 2.0), change = smaller(horizon * angle / segment_count, 2.0);
+      growth[side] = sweep_detail::rounded_up(bodies.linear_path ? 1.5 * horizon * whole_change : 0.5 * change);
     }
   }
 
