@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from support.shapes import bumpy
 
 import pgccd
 from pgccd import ops
+from pgccd.geometry.mesh import LEAF_SIZE
 
 # A mesh with all vertices in one point raises its own error.
 SHAPES = strategies.meshes().filter(
@@ -207,6 +210,47 @@ def test_blocks_are_mostly_full(subdivisions: int) -> None:
     links = bumpy(np.random.default_rng(0), subdivisions)._node_links.view(-1, 8, 4)
     below_the_root = links[1:, :, 1] >= 0
     assert below_the_root.sum(dim=1).float().mean() > 5.5
+
+
+def smallest_radius(points: np.ndarray) -> float:
+    """Of all spheres through two, three or four of the points that contain all of them."""
+    best = math.inf
+    for size in (2, 3, 4):
+        for chosen in itertools.combinations(range(len(points)), size):
+            first, others = points[chosen[0]], points[list(chosen[1:])] - points[chosen[0]]
+            # The centre of the sphere in the plane or line that the points span.
+            centre = np.linalg.lstsq(2.0 * others, (others**2).sum(axis=1), rcond=None)[0]
+            radius = math.sqrt(centre @ centre)
+            if radius < best and np.linalg.norm(points - first - centre, axis=1).max() <= radius * (1.0 + 1e-9):
+                best = radius
+    return best
+
+
+def test_spheres_of_leaves_are_nearly_the_smallest() -> None:
+    mesh = bumpy(np.random.default_rng(0), 2)
+    radii = mesh._node_blocks[:, 3].reshape(-1)
+    compared = 0
+    for radius, (_, count, row, rows) in zip(radii.tolist(), mesh._node_links.view(-1, 4).tolist(), strict=True):
+        if count <= 0:
+            continue
+        points = mesh._leaf_points[row : row + rows, :3].transpose(1, 2).reshape(-1, 3).view(torch.float32)
+        smallest = smallest_radius(np.unique(points.double().numpy(), axis=0))
+        assert smallest * (1.0 - 1e-6) <= radius <= smallest * 1.0011
+        compared += 1
+    assert compared > 40
+
+
+@pytest.mark.parametrize("count", [100, 1000])
+def test_triangles_at_one_place_and_far_apart(count: int) -> None:
+    """No plane separates the middles of the first ones; nearly all others fall into one bin."""
+    corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    far = [corner + [4.0**k, 0.0, 0.0] for k in range(1, 40)]
+    vertices = np.concatenate([*[corner] * count, *far])
+    mesh = pgccd.Mesh(vertices, np.arange(len(vertices)).reshape(-1, 3))
+    links = mesh._node_links.view(-1, 4)
+    leaves = links[links[:, 1] > 0]
+    assert torch.equal(torch.sort(mesh._triangles[:, 6])[0], torch.arange(count + 39, dtype=torch.int32))
+    assert int(leaves[:, 1].sum()) == count + 39 and int(leaves[:, 1].max()) <= LEAF_SIZE
 
 
 @given(SHAPES, st.sampled_from(["ply", "stl", "obj", "off", "glb"]))

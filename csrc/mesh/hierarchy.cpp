@@ -48,7 +48,6 @@ class Folder {
   }
 
  private:
-
   // How a node is represented by at most k slots of a block: by itself, or by its descendants, of which its first
   // child's take slots_of_first[k] (0: by itself). `cost[k]`: of all blocks below.
   struct Folding {
