@@ -71,6 +71,18 @@ def test_layers_include_only_what_they_may() -> None:
     assert wrong == []
 
 
+def test_kernels_wait_for_previous_ones() -> None:
+    """A launch may begin before the previous kernel has ended: each kernel first waits for it."""
+    kernels = 0
+    for path in sources():
+        text = path.read_text()
+        assert "<<<" not in text, f"{path.relative_to(ROOT)}: launch_kernel launches kernels"
+        for signature, body in re.findall(r"__global__([^{;]*)\{\s*([^;]*;)", text):
+            assert body == "wait_for_previous_kernels();", f"{path.relative_to(ROOT)}:{signature}"
+            kernels += 1
+    assert kernels > 30
+
+
 def test_stages_do_not_know_one_another() -> None:
     """Only the pipeline includes other stages, and no stage includes the pipeline."""
     wrong = []

@@ -1,5 +1,5 @@
 #include "kernels/begin_counts.h"
-#include "kernels/device.cuh"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 

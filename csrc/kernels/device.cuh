@@ -1,14 +1,12 @@
-// Utilities of CUDA launches: checked calls, one stream, few synchronisations.
+// Utilities of CUDA code: checked calls, copies, and what kernels share.
 #pragma once
 
 #include <cuda_runtime.h>
 
 #include <cassert>
 #include <cstdint>
-#include <map>
 #include <stdexcept>
 #include <string>
-#include <utility>
 
 #include "core/scalar.h"
 #include "kernels/device_context.h"
@@ -65,102 +63,10 @@ constexpr unsigned kAllLanes = ~0u;
 constexpr int kBlockThreads = 128;
 constexpr int kWarpsPerBlock = kBlockThreads / kWarp;
 
-namespace device_detail {
-
-template <class Fn>
-__global__ void __launch_bounds__(kBlockThreads) for_each_kernel(int64_t count, Fn fn) {
-  const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
-  for (int64_t item = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; item < count; item += stride)
-    fn(item);
-}
-
-}  // namespace device_detail
-
-// Runs fn(item) for every item in [0, count).
-template <class Fn>
-void for_each_item(const DeviceContext& context, int64_t count, Fn fn) {
-  if (count <= 0) return;
-  const int64_t blocks = (count + kBlockThreads - 1) / kBlockThreads;
-  constexpr int64_t kMostBlocks = int64_t{1} << 20;
-  device_detail::for_each_kernel<<<static_cast<unsigned>(blocks < kMostBlocks ? blocks : kMostBlocks), kBlockThreads, 0,
-                                   context.stream>>>(count, fn);
-  check_cuda(cudaGetLastError(), "kernel launch");
-}
-
-// Sets every byte.
-template <class T>
-void fill_bytes(const DeviceContext& context, T* target, int value, int64_t count) {
-  // In a CUDA graph a small memset takes 7 us, a kernel less than 2.
-  constexpr int64_t kFewBytes = 4096;
-  const int64_t bytes = count * static_cast<int64_t>(sizeof(T));
-  if (bytes == 0) return;  // adds no node to a CUDA graph
-  if constexpr (sizeof(T) % sizeof(uint32_t) == 0 && alignof(T) % alignof(uint32_t) == 0) {
-    if (bytes <= kFewBytes) {
-      auto* const words = reinterpret_cast<uint32_t*>(target);
-      const uint32_t word = 0x01010101u * static_cast<uint8_t>(value);
-      return for_each_item(context, bytes / static_cast<int64_t>(sizeof(uint32_t)),
-                           [=] __device__(int64_t k) { words[k] = word; });
-    }
-  }
-  check_cuda(cudaMemsetAsync(target, value, bytes, context.stream), "cudaMemsetAsync");
-}
-
-inline int current_device() {
-  int device = 0;
-  check_cuda(cudaGetDevice(&device), "cudaGetDevice");
-  return device;
-}
-
-inline int resident_blocks(int blocks_a_multiprocessor) {
-  int multiprocessors = 0;
-  check_cuda(cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, current_device()),
-             "cudaDeviceGetAttribute");
-  return multiprocessors * blocks_a_multiprocessor;
-}
-
-// The number of blocks that the device holds at once; for kernels whose amount of work is only known on the device.
-template <class Kernel>
-int resident_blocks_of(Kernel kernel, int block_threads = kBlockThreads) {
-  // Cached: the query takes longer than a launch.
-  thread_local std::map<std::pair<Kernel, int>, int> known;
-  int& found = known[{kernel, current_device()}];
-  if (found > 0) return found;
-  int blocks = 0;
-  check_cuda(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, kernel, block_threads, 0),
-             "cudaOccupancyMaxActiveBlocksPerMultiprocessor");
-  return found = resident_blocks(larger(blocks, 1));
-}
-
-namespace device_detail {
-
-template <class Count, class Fn>
-__global__ void __launch_bounds__(kBlockThreads) for_each_counted_kernel(const Count* count, int64_t most, Fn fn) {
-  const int64_t counted = static_cast<int64_t>(*count), end = counted < most ? counted : most;
-  const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
-  for (int64_t item = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; item < end; item += stride) fn(item);
-}
-
-}  // namespace device_detail
-
-// Runs fn(item) for every item in [0, *count), a count in device memory, but at most `most` items.
-template <class Count, class Fn>
-void for_each_counted(const DeviceContext& context, const Count* count, int64_t most, Fn fn) {
-  if (most <= 0) return;
-  const int64_t blocks = smaller<int64_t>(resident_blocks(8), (most + kBlockThreads - 1) / kBlockThreads);
-  device_detail::for_each_counted_kernel<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(count,
-                                                                                                              most, fn);
-  check_cuda(cudaGetLastError(), "kernel launch");
-}
-
 __device__ inline int64_t nanoseconds() {
   int64_t now;
   asm volatile("mov.u64 %0, %%globaltimer;" : "=l"(now));
   return now;
-}
-
-// Records the time at this point of the stream.
-inline void note_time(const DeviceContext& context, int64_t* time) {
-  for_each_item(context, 1, [=] __device__(int64_t) { *time = nanoseconds(); });
 }
 
 // Whether all other blocks of the launch have also called this. Called by one thread of each block, after its last

@@ -5,7 +5,7 @@
 
 #include <cub/cub.cuh>
 
-#include "kernels/device.cuh"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 

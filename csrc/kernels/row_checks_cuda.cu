@@ -1,4 +1,4 @@
-#include "kernels/device.cuh"
+#include "kernels/launch.cuh"
 #include "kernels/row_checks_cuda.h"
 
 namespace pgccd {

@@ -1,7 +1,7 @@
 #include "kernels/bounds/bounds_cuda.h"
 #include "kernels/bounds/moving_sphere_item.h"
 #include "kernels/bounds/refit_item.h"
-#include "kernels/device.cuh"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 namespace {
@@ -82,6 +82,7 @@ __device__ Vec3<double> sum_in_order(int64_t count, double (&staged)[kStaged][3]
 
 // The same number of warps per body: several if there are few bodies, which may be large.
 __global__ void __launch_bounds__(kBlockThreads) name_bodies(Refit refit, int warps_a_body) {
+  wait_for_previous_kernels();
   const int64_t warp = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
   const int64_t index = warp / warps_a_body, first = kWarp * (warp % warps_a_body);
   if (index >= refit.input.body_count) return;
@@ -96,6 +97,7 @@ __global__ void __launch_bounds__(kBlockThreads) name_bodies(Refit refit, int wa
 
 // One warp per node block and end of the step: sums the chunk with the block's number, if the mesh has one.
 __global__ void __launch_bounds__(kBlockThreads) sum_chunks(Refit refit) {
+  wait_for_previous_kernels();
   __shared__ double staged[kWarpsPerBlock][kStaged][3];
   const int64_t task = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
   if (task >= 2 * refit.input.block_count) return;
@@ -114,6 +116,7 @@ __global__ void __launch_bounds__(kBlockThreads) sum_chunks(Refit refit) {
 
 // One warp per body and end of the step.
 __global__ void __launch_bounds__(kBlockThreads) place_centres(Refit refit) {
+  wait_for_previous_kernels();
   __shared__ double staged[kWarpsPerBlock][kStaged][3];
   const int64_t task = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
   if (task >= 2 * refit.input.body_count) return;
@@ -130,6 +133,7 @@ __global__ void __launch_bounds__(kBlockThreads) place_centres(Refit refit) {
 
 // One warp per node block: measures an equal share of its body's corners, and records the blocks below this one.
 __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
+  wait_for_previous_kernels();
   const int lane = threadIdx.x % kWarp;
   const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
   if (row >= refit.input.block_count || refit.body_of_block[row] == kNoBody) return;
@@ -174,6 +178,7 @@ class SlotLanes {
 // One warp per block. Bottom-up from the blocks without children: the warp that finishes a block's last child continues
 // with that block (Karras 2012).
 __global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
+  wait_for_previous_kernels();
   const int lane = threadIdx.x % kWarp, slot = lane / SlotLanes::kCount;
   const SlotLanes team(lane);
   const int64_t row = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / kWarp;
@@ -246,17 +251,14 @@ void refit_cuda(const DeviceContext& context, const DeformingInput& input, const
   fill_bytes(context, refit.body_of_block, 0xff, input.block_count);
   const int64_t most_warps = (input.block_count + kWarp - 1) / kWarp;  // that have a block each
   const int warps_a_body = static_cast<int>(larger<int64_t>(1, most_warps / input.body_count));
-  name_bodies<<<blocks_for(kWarp * warps_a_body * input.body_count), kBlockThreads, 0, context.stream>>>(refit,
-                                                                                                         warps_a_body);
-  check_cuda(cudaGetLastError(), "name_bodies");
-  sum_chunks<<<blocks_for(2 * kWarp * input.block_count), kBlockThreads, 0, context.stream>>>(refit);
-  check_cuda(cudaGetLastError(), "sum_chunks");
-  place_centres<<<blocks_for(2 * kWarp * input.body_count), kBlockThreads, 0, context.stream>>>(refit);
-  check_cuda(cudaGetLastError(), "place_centres");
-  measure_bodies<<<blocks_for(kWarp * input.block_count), kBlockThreads, 0, context.stream>>>(refit);
-  check_cuda(cudaGetLastError(), "measure_bodies");
-  refit_nodes<<<blocks_for(kWarp * input.block_count), kBlockThreads, 0, context.stream>>>(refit);
-  check_cuda(cudaGetLastError(), "refit_nodes");
+  const auto run = [&](auto kernel, int64_t warps, const auto&... arguments) {
+    launch_kernel(context, kernel, blocks_for(kWarp * warps), kBlockThreads, refit, arguments...);
+  };
+  run(name_bodies, warps_a_body * input.body_count, warps_a_body);
+  run(sum_chunks, 2 * input.block_count);
+  run(place_centres, 2 * input.body_count);
+  run(measure_bodies, input.block_count);
+  run(refit_nodes, input.block_count);
 }
 
 }  // namespace pgccd

@@ -1,7 +1,7 @@
 #include <stdexcept>
 
 #include "kernels/bounds/faults_cuda.h"
-#include "kernels/device.cuh"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 namespace {
@@ -12,6 +12,7 @@ struct Columns {
 };
 
 __global__ void __launch_bounds__(kBlockThreads) find_faults(Columns columns, int64_t* first) {
+  wait_for_previous_kernels();
   const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
   for (int c = 0; c < columns.count; ++c) {
     const RowColumn& column = columns.column[c];
@@ -38,8 +39,7 @@ void first_faults_cuda(const DeviceContext& context, const std::vector<RowColumn
                 [=] __device__(int64_t c) { first[c] = c < all.count ? all.column[c].rows : 0; });
   if (most == 0) return;
   const int64_t blocks = smaller<int64_t>((most + kBlockThreads - 1) / kBlockThreads, resident_blocks(16));
-  find_faults<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(all, first);
-  check_cuda(cudaGetLastError(), "find_faults");
+  launch_kernel(context, find_faults, static_cast<unsigned>(blocks), kBlockThreads, all, first);
 }
 
 }  // namespace pgccd

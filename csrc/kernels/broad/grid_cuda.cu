@@ -5,12 +5,14 @@
 #include "kernels/broad/grid_table.h"
 #include "kernels/broad/pair_list.cuh"
 #include "kernels/broad/scene_sample.cuh"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 namespace {
 
 // One block.
 __global__ void __launch_bounds__(kSampleThreads) choose_frame(BroadBodies bodies, GridFrame* frame) {
+  wait_for_previous_kernels();
   __shared__ BlockSample sample;
   const double weight = sample_weight(bodies.count);
   double mean[6] = {};  // middle, extent
@@ -47,6 +49,7 @@ struct LevelCounts {
 
 __global__ void __launch_bounds__(kBlockThreads)
     find_cells(BroadBodies bodies, const GridFrame* frame, GridCell* cells, LevelCounts* counts) {
+  wait_for_previous_kernels();
   __shared__ LevelCounts block_counts;
   for (uint32_t level = threadIdx.x; level < kGridLevels; level += blockDim.x) block_counts.of_level[level] = 0;
   __syncthreads();
@@ -74,6 +77,7 @@ __global__ void __launch_bounds__(kBlockThreads)
 
 // One block.
 __global__ void make_tables(const LevelCounts* counts, int64_t body_count, GridTables* tables) {
+  wait_for_previous_kernels();
   __shared__ LevelCounts own;  // a single read instead of sequential ones
   if (threadIdx.x < kGridLevels) own.of_level[threadIdx.x] = counts->of_level[threadIdx.x];
   __syncthreads();
@@ -96,6 +100,7 @@ struct SortedCells {
 
 __global__ void __launch_bounds__(kBlockThreads)
     find_candidates(BroadBodies bodies, const GridFrame* frame, SortedCells sorted, PairList out) {
+  wait_for_previous_kernels();
   if (!out.is_wanted()) return;
   __shared__ PairBuffer buffer;
   buffer.clear();
@@ -147,10 +152,9 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
   GridTables* tables = context.allocate<GridTables>(1);
   GridCell* unsorted_cells = context.allocate<GridCell>(count);
   fill_bytes(context, level_counts, 0, 1);
-  choose_frame<<<1, kSampleThreads, 0, context.stream>>>(bodies, frame);
-  find_cells<<<resident_blocks(16), kBlockThreads, 0, context.stream>>>(bodies, frame, unsorted_cells, level_counts);
-  make_tables<<<1, kBlockThreads, 0, context.stream>>>(level_counts, count, tables);
-  check_cuda(cudaGetLastError(), "broad phase");
+  launch_kernel(context, choose_frame, 1, kSampleThreads, bodies, frame);
+  launch_kernel(context, find_cells, resident_blocks(16), kBlockThreads, bodies, frame, unsorted_cells, level_counts);
+  launch_kernel(context, make_tables, 1, kBlockThreads, level_counts, count, tables);
 
   // Counting sort by bucket; the order within a bucket does not matter.
   const int64_t bucket_count = most_buckets(count);
@@ -178,8 +182,8 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
 
   collect_pairs(context, bodies, out, [&](const PairList& list) {
     const auto blocks = static_cast<unsigned>((count + kBlockThreads - 1) / kBlockThreads);
-    find_candidates<<<blocks, kBlockThreads, 0, context.stream>>>(bodies, frame,
-                                                                  {tables, start, bucket_count, boxes, cells}, list);
+    launch_kernel(context, find_candidates, blocks, kBlockThreads, bodies, frame,
+                  SortedCells{tables, start, bucket_count, boxes, cells}, list);
   });
 }
 

@@ -3,12 +3,14 @@
 #include "kernels/broad/lbvh_item.h"
 #include "kernels/broad/pair_list.cuh"
 #include "kernels/broad/scene_sample.cuh"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 namespace {
 
 // One block.
 __global__ void __launch_bounds__(kSampleThreads) choose_frame(BroadBodies bodies, LbvhFrame* frame) {
+  wait_for_previous_kernels();
   __shared__ BlockSample sample;
   const double weight = sample_weight(bodies.count);
   double mean[3] = {}, deviation[3] = {};
@@ -24,6 +26,7 @@ __global__ void __launch_bounds__(kSampleThreads) choose_frame(BroadBodies bodie
 }
 
 __global__ void __launch_bounds__(kBlockThreads) build_nodes(LbvhTree tree, unsigned* arrivals, int32_t* root) {
+  wait_for_previous_kernels();
   const int64_t p = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   if (p >= tree.leaf_count) return;
   const int32_t top = climb(tree, static_cast<int32_t>(p), [&](int32_t node) {
@@ -36,6 +39,7 @@ __global__ void __launch_bounds__(kBlockThreads) build_nodes(LbvhTree tree, unsi
 }
 
 __global__ void __launch_bounds__(kBlockThreads) find_candidates(LbvhTree tree, const int32_t* root, PairList out) {
+  wait_for_previous_kernels();
   if (!out.is_wanted()) return;
   __shared__ PairBuffer buffer;
   buffer.clear();
@@ -63,7 +67,7 @@ void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
     return;
   }
   LbvhFrame* frame = context.allocate<LbvhFrame>(1);
-  choose_frame<<<1, kSampleThreads, 0, context.stream>>>(bodies, frame);
+  launch_kernel(context, choose_frame, 1, kSampleThreads, bodies, frame);
   uint64_t* keys = context.allocate<uint64_t>(count);
   uint64_t* sorted_keys = context.allocate<uint64_t>(count);
   int32_t* order = context.allocate<int32_t>(count);
@@ -85,10 +89,9 @@ void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
   unsigned* arrivals = context.allocate<unsigned>(count - 1);
   int32_t* root = context.allocate<int32_t>(1);
   fill_bytes(context, arrivals, 0, count - 1);
-  build_nodes<<<blocks_for(count), kBlockThreads, 0, context.stream>>>(tree, arrivals, root);
-  check_cuda(cudaGetLastError(), "broad phase");
+  launch_kernel(context, build_nodes, blocks_for(count), kBlockThreads, tree, arrivals, root);
   collect_pairs(context, bodies, out, [&](const PairList& list) {
-    find_candidates<<<blocks_for(count), kBlockThreads, 0, context.stream>>>(tree, root, list);
+    launch_kernel(context, find_candidates, blocks_for(count), kBlockThreads, tree, root, list);
   });
 }
 

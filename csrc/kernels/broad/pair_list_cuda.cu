@@ -2,6 +2,7 @@
 
 #include "core/bits.h"
 #include "kernels/broad/pair_list.cuh"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 namespace {
@@ -24,6 +25,7 @@ struct RankedPairs {
 
 __global__ void __launch_bounds__(kBlockThreads)
     keep_colliding(BroadBodies bodies, PairList candidates, RankedPairs out) {
+  wait_for_previous_kernels();
   __shared__ PairBuffer buffer;
   buffer.clear();
   const int64_t listed = smaller(static_cast<int64_t>(*candidates.count), candidates.capacity);
@@ -119,8 +121,7 @@ Found find_pairs(const DeviceContext& context, const BroadBodies& bodies, const 
   fill_bytes(context, row_counts, 0, bodies.count + 1);
   launch(candidates);
   check_cuda(cudaGetLastError(), "broad phase");
-  keep_colliding<<<resident_blocks(16), kBlockThreads, 0, context.stream>>>(bodies, candidates, found.ranked);
-  check_cuda(cudaGetLastError(), "broad phase");
+  launch_kernel(context, keep_colliding, resident_blocks(16), kBlockThreads, bodies, candidates, found.ranked);
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceScan::ExclusiveSum(scratch, bytes, row_counts, row_begin, bodies.count + 1, context.stream);
   });

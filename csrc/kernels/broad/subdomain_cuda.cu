@@ -5,6 +5,7 @@
 #include "core/count_leading.h"
 #include "kernels/broad/subdomain_cuda.h"
 #include "kernels/find_rows.cuh"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 namespace {
@@ -25,6 +26,7 @@ __device__ void raise_to(int64_t* target, int64_t value) {
 
 // Number of nonzero rows of each column; one row of thread blocks per column.
 __global__ void __launch_bounds__(kBlockThreads) count_columns(const uint8_t* table, int64_t rows, int64_t* counts) {
+  wait_for_previous_kernels();
   using Reduce = cub::BlockReduce<int64_t, kBlockThreads>;
   __shared__ typename Reduce::TempStorage storage;
   const int64_t columns = gridDim.y, column = blockIdx.y, stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
@@ -108,9 +110,8 @@ void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& i
     replica_ranks[k * ranks + source] = 1;
   });
   const int64_t blocks = smaller<int64_t>((input.row_count + kBlockThreads - 1) / kBlockThreads, 256);
-  count_columns<<<dim3(static_cast<unsigned>(blocks), static_cast<unsigned>(ranks)), kBlockThreads, 0,
-                  context.stream>>>(replica_ranks, input.row_count, out.counts);
-  check_cuda(cudaGetLastError(), "count_columns");
+  launch_kernel(context, count_columns, dim3(static_cast<unsigned>(blocks), static_cast<unsigned>(ranks)),
+                kBlockThreads, replica_ranks, input.row_count, out.counts);
 }
 
 void reached_ranks_cuda(const DeviceContext& context, const ReachedRanks& input, int64_t* out) {

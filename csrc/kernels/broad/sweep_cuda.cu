@@ -2,6 +2,7 @@
 
 #include "kernels/broad/pair_list.cuh"
 #include "kernels/broad/sweep_item.h"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 namespace {
@@ -23,6 +24,7 @@ struct Frame {
 
 // From a sample: the axis affects the time of the sweep, not its result.
 __global__ void choose_axis(BroadBodies bodies, int given, Frame* frame) {
+  wait_for_previous_kernels();
   constexpr int kSample = 8192;
   __shared__ double sums[3], squares[3];
   if (threadIdx.x < 3) sums[threadIdx.x] = squares[threadIdx.x] = 0.0;
@@ -58,6 +60,7 @@ __global__ void choose_axis(BroadBodies bodies, int given, Frame* frame) {
 }
 
 __global__ void __launch_bounds__(kBlockThreads) lower_corner(BroadBodies bodies, Frame* frame) {
+  wait_for_previous_kernels();
   __shared__ unsigned long long block_lower[3];
   if (threadIdx.x < 3) block_lower[threadIdx.x] = ~0ull;
   __syncthreads();
@@ -90,6 +93,7 @@ struct SweepArrays {
 };
 
 __global__ void __launch_bounds__(kBlockThreads) sweep_pieces(int64_t body_count, SweepArrays arrays, PairList out) {
+  wait_for_previous_kernels();
   if (!out.is_wanted()) return;
   const int lane = threadIdx.x & 31;
   const int64_t warps = static_cast<int64_t>(gridDim.x) * blockDim.x / 32;
@@ -128,8 +132,8 @@ void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axi
   }
   Frame* frame = context.allocate<Frame>(1);
   fill_bytes(context, frame, 0xff, 1);
-  choose_axis<<<1, 256, 0, context.stream>>>(bodies, axis, frame);
-  lower_corner<<<resident_blocks(4), kBlockThreads, 0, context.stream>>>(bodies, frame);
+  launch_kernel(context, choose_axis, 1, 256, bodies, axis, frame);
+  launch_kernel(context, lower_corner, resident_blocks(4), kBlockThreads, bodies, frame);
 
   uint64_t* keys = context.allocate<uint64_t>(count);
   uint64_t* sorted_keys = context.allocate<uint64_t>(count);
@@ -184,7 +188,7 @@ void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axi
 
   const SweepArrays arrays{sorted_keys, sorted_order, boxes, ends, first_piece};
   collect_pairs(context, bodies, out, [&](const PairList& list) {
-    sweep_pieces<<<resident_blocks(16), kBlockThreads, 0, context.stream>>>(count, arrays, list);
+    launch_kernel(context, sweep_pieces, resident_blocks(16), kBlockThreads, count, arrays, list);
   });
 }
 

@@ -1,6 +1,6 @@
 #include "kernels/broad/swept_boxes_cuda.h"
 #include "kernels/broad/swept_boxes_item.h"
-#include "kernels/device.cuh"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 

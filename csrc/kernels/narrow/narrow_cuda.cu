@@ -1,6 +1,7 @@
 #include <bit>
 #include <cub/cub.cuh>
 
+#include "kernels/launch.cuh"
 #include "kernels/narrow/contact_item.h"
 #include "kernels/narrow/narrow_cuda.h"
 #include "kernels/narrow/search_candidates.cuh"
@@ -30,6 +31,7 @@ void allocate_first(const DeviceContext& context, Search& search, bool with_winn
 
 // One thread per pair.
 __global__ void __launch_bounds__(kBlockThreads) lower_owners(Search search, FirstToi known, int64_t* counts) {
+  wait_for_previous_kernels();
   SearchCounters& seen = *search.counters;
   const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   const unsigned long long toi = pair < search.input.pair_count ? search.best[pair] : ~0ull;
@@ -209,8 +211,7 @@ void write_contacts(const DeviceContext& context, const Bodies& bodies, const Se
 
 void lower_first_toi(const DeviceContext& context, const Search& search, const FirstToi& known, int64_t* counts) {
   const int64_t blocks = larger<int64_t>(1, (search.input.pair_count + kBlockThreads - 1) / kBlockThreads);
-  lower_owners<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(search, known, counts);
-  check_cuda(cudaGetLastError(), "lower_owners");
+  launch_kernel(context, lower_owners, static_cast<unsigned>(blocks), kBlockThreads, search, known, counts);
 }
 
 template void search_candidates(const DeviceContext&, const RigidBodies&, Search&, const CandidateSpan&, bool);

@@ -4,6 +4,7 @@
 // others can be skipped.
 #pragma once
 
+#include "kernels/launch.cuh"
 #include "kernels/narrow/search.cuh"
 #include "kernels/warp_share.cuh"
 
@@ -30,6 +31,7 @@ __device__ inline void leave_open(const Search& search, int64_t at, const Progre
 // One thread per candidate. The few candidates of a small search are all left to the plain phase.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies, Search search) {
+  wait_for_previous_kernels();
   const CandidateSpan candidates = search.input.candidates;
   const int64_t count = candidates.count(), before = search.counters->open_before;
   const int64_t thread = int64_t{blockIdx.x} * blockDim.x + threadIdx.x, stride = int64_t{gridDim.x} * blockDim.x;
@@ -75,6 +77,7 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
 // each or none is likely (`least` is null); the second those that may be earlier than the contacts found.
 template <class Bodies>
 __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies, Search search, bool is_first) {
+  wait_for_previous_kernels();
   __shared__ WaitingItems waiting[kSolveThreads / kWarp];
   const uint32_t begin = search.counters->open_before, end = smaller(search.counters->open, search.capacity);
   const bool all_at_once = search.least == nullptr || end - begin <= gridDim.x * blockDim.x;
@@ -93,6 +96,7 @@ __global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies
 // The patient phase, of all parts, after repeating the plain one, whose progress is not stored.
 template <class Bodies>
 __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies, Search search) {
+  wait_for_previous_kernels();
   // Rows of the first part may be overwritten if not all candidates fit.
   const uint32_t count = search.input.candidates.fits_all() ? search.counters->patient : 0;
   const WarpShare share = share_of_warp(count);
@@ -110,9 +114,8 @@ __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies,
 
 template <class Bodies>
 void launch_quickly(const DeviceContext& context, const Bodies& bodies, const Search& search) {
-  search_quickly<Bodies>
-      <<<resident_blocks_of(search_quickly<Bodies>), kBlockThreads, 0, context.stream>>>(bodies, search);
-  check_cuda(cudaGetLastError(), "search_quickly");
+  launch_kernel(context, search_quickly<Bodies>, resident_blocks_of(search_quickly<Bodies>), kBlockThreads, bodies,
+                search);
 }
 
 template <class Bodies>
@@ -122,8 +125,7 @@ void launch_plainly(const DeviceContext& context, const Bodies& bodies, const Se
       search.least == nullptr || search.capacity <= static_cast<uint32_t>(blocks) * uint32_t{kSolveThreads};
   for (const bool is_first : {true, false}) {
     if (!is_first && all_at_once) break;
-    search_plainly<Bodies><<<blocks, kSolveThreads, 0, context.stream>>>(bodies, search, is_first);
-    check_cuda(cudaGetLastError(), "search_plainly");
+    launch_kernel(context, search_plainly<Bodies>, blocks, kSolveThreads, bodies, search, is_first);
   }
 }
 
@@ -137,9 +139,8 @@ inline void end_first_part(const DeviceContext& context, Search& search) {
 
 template <class Bodies>
 void launch_patiently(const DeviceContext& context, const Bodies& bodies, const Search& search) {
-  const int patient_blocks = resident_blocks_of(search_patiently<Bodies>, kSolveThreads);
-  search_patiently<Bodies><<<patient_blocks, kSolveThreads, 0, context.stream>>>(bodies, search);
-  check_cuda(cudaGetLastError(), "search_patiently");
+  launch_kernel(context, search_patiently<Bodies>, resident_blocks_of(search_patiently<Bodies>, kSolveThreads),
+                kSolveThreads, bodies, search);
 }
 
 }  // namespace pgccd

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cub/cub.cuh>
 
-#include "kernels/device.cuh"
+#include "kernels/launch.cuh"
 #include "kernels/rows/rows_cuda.h"
 
 namespace pgccd {
@@ -49,6 +49,7 @@ __device__ void copy_word(const uint8_t* source, uint8_t* target, uint32_t word)
 template <class Rows>
 __global__ void __launch_bounds__(kBlockThreads)
     copy_rows_kernel(const __grid_constant__ ColumnGroup group, const uint32_t row_words, const Rows rows) {
+  wait_for_previous_kernels();
   __shared__ int64_t sources[kTileRows];
   const int64_t stride = kTileRows * static_cast<int64_t>(gridDim.x);
   for (int64_t begin = kTileRows * static_cast<int64_t>(blockIdx.x); begin < rows.count; begin += stride) {
@@ -88,8 +89,7 @@ void launch_copies(const DeviceContext& context, const std::vector<ColumnCopy>& 
   for (size_t begin = 0; begin < columns.size(); begin += kGroupColumns) {
     const size_t count = std::min(kGroupColumns, columns.size() - begin);
     const ColumnGroup group = group_of(columns, begin, count);
-    copy_rows_kernel<<<blocks, kBlockThreads, 0, context.stream>>>(group, group.words_before[count], rows);
-    check_cuda(cudaGetLastError(), "kernel launch");
+    launch_kernel(context, copy_rows_kernel<Rows>, blocks, kBlockThreads, group, group.words_before[count], rows);
   }
 }
 

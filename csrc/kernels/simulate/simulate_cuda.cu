@@ -1,6 +1,6 @@
 #include <cub/cub.cuh>
 
-#include "kernels/device.cuh"
+#include "kernels/launch.cuh"
 #include "kernels/simulate/robot_item.h"
 #include "kernels/simulate/simulate_cuda.h"
 
@@ -8,6 +8,7 @@ namespace pgccd {
 namespace {
 
 __global__ void __launch_bounds__(kBlockThreads) hash_rows(HashColumns columns, unsigned long long* sum) {
+  wait_for_previous_kernels();
   using Reduce = cub::BlockReduce<unsigned long long, kBlockThreads>;
   __shared__ typename Reduce::TempStorage storage;
   const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
@@ -20,6 +21,7 @@ __global__ void __launch_bounds__(kBlockThreads) hash_rows(HashColumns columns, 
 }
 
 __global__ void __launch_bounds__(kBlockThreads) tally_step(StepOutcome outcome, StepTally* tally) {
+  wait_for_previous_kernels();
   using Reduce = cub::BlockReduce<uint64_t, kBlockThreads>;
   __shared__ typename Reduce::TempStorage storage;
   const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
@@ -50,6 +52,7 @@ struct FoundPairs {
 constexpr int kTilePairs = 8 * kBlockThreads;
 
 __global__ void __launch_bounds__(kBlockThreads) affected_motion(AffectedMotion given, FoundPairs* found) {
+  wait_for_previous_kernels();
   __shared__ int32_t tile[kTilePairs];
   __shared__ uint32_t count, first;
   const int64_t stride = static_cast<int64_t>(gridDim.x) * kTilePairs;
@@ -145,23 +148,20 @@ void affected_motion_cuda(const DeviceContext& context, const AffectedMotion& gi
   fill_bytes(context, found, 0, 1);
   const int64_t tiles = (given.pair_count + kTilePairs - 1) / kTilePairs;
   const int64_t blocks = larger<int64_t>(1, smaller<int64_t>(tiles, resident_blocks_of(affected_motion)));
-  affected_motion<<<static_cast<unsigned>(blocks), kBlockThreads, 0, context.stream>>>(given, found);
-  check_cuda(cudaGetLastError(), "affected_motion");
+  launch_kernel(context, affected_motion, static_cast<unsigned>(blocks), kBlockThreads, given, found);
 }
 
 void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {
   fill_bytes(context, sum, 0, 1);
   if (columns.count == 0) return;
-  hash_rows<<<blocks_for(columns.count), kBlockThreads, 0, context.stream>>>(
-      columns, reinterpret_cast<unsigned long long*>(sum));
-  check_cuda(cudaGetLastError(), "hash_rows");
+  launch_kernel(context, hash_rows, blocks_for(columns.count), kBlockThreads, columns,
+                reinterpret_cast<unsigned long long*>(sum));
 }
 
 void tally_step_cuda(const DeviceContext& context, const StepOutcome& outcome, StepTally* tally) {
   fill_bytes(context, tally, 0, 1);
   const int64_t count = larger(outcome.state.count, outcome.contact_count);
-  tally_step<<<blocks_for(count), kBlockThreads, 0, context.stream>>>(outcome, tally);
-  check_cuda(cudaGetLastError(), "tally_step");
+  launch_kernel(context, tally_step, blocks_for(count), kBlockThreads, outcome, tally);
 }
 
 }  // namespace pgccd

@@ -2,6 +2,7 @@
 // time and then takes the next, so that all lanes of a warp have work although the number of steps differs.
 #pragma once
 
+#include "kernels/launch.cuh"
 #include "kernels/traverse/leaf_separation.h"
 #include "kernels/traverse/task_queue.cuh"
 
@@ -21,6 +22,7 @@ __device__ inline bool is_later(float time, unsigned long long latest) {
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     cull_leaves(Pairs<Bodies> pairs, LeafPairList leaves, LeafPairList meeting, PairTimes times) {
+  wait_for_previous_kernels();
   __shared__ WarpBuffer<LeafPair> buffers[kWarpsPerBlock];
   WarpBuffer<LeafPair>& buffer = buffers[threadIdx.x / kWarp];
   const int lane = threadIdx.x % kWarp;

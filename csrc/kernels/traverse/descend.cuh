@@ -3,6 +3,7 @@
 // costs differ by a factor of a thousand still load the device evenly, and most stay within their group.
 #pragma once
 
+#include "kernels/launch.cuh"
 #include "kernels/traverse/start_self_pairs.cuh"
 #include "kernels/traverse/words.cuh"
 #include "kernels/traverse/work_share.cuh"
@@ -170,6 +171,7 @@ template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
     descend_from_roots(Pairs<Bodies> pairs, const SplitPair* roots, uint32_t* next, LeafPairList leaves, TaskList rest,
                        Counter* node_tests) {
+  wait_for_previous_kernels();
   const uint32_t pair_count = pairs.count();
   const int shared_rounds = shared_rounds_of(pair_count);
   const uint32_t count = pair_count << (Route::kSlotBits * shared_rounds);
@@ -183,6 +185,7 @@ __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
     descend_further(Pairs<Bodies> pairs, int launch, TaskHandover rest, LeafPairList leaves, Counter* node_tests) {
+  wait_for_previous_kernels();
   rest.prepare_next();
   const TaskList from = rest.from;
   const int shared_rounds = shared_rounds_of(from.size());

@@ -1,6 +1,7 @@
 // From body pairs to the first tasks of the descent: the sweep, the poses and the first split of each pair.
 #pragma once
 
+#include "kernels/launch.cuh"
 #include "kernels/traverse/start_self_pairs.cuh"
 #include "kernels/traverse/words.cuh"
 
@@ -39,6 +40,7 @@ __device__ void store_rows(const uint4 (&staged)[kWarp][kWords], int rows, T* ta
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     place_pairs(Pairs<Bodies> pairs, TraverseInput input, PlacedPairs<Bodies> out, TraverseCounters* counters) {
+  wait_for_previous_kernels();
   using Sweep = typename SweepOf<Bodies>::type;
   __shared__ StagedRows<Sweep> all_staged[kWarpsPerBlock];
   StagedRows<Sweep>& staged = all_staged[threadIdx.x / kWarp];

@@ -1,6 +1,7 @@
 // Start of the test of a body against itself: pairs of nodes that share a block, and pairs of a leaf and itself.
 #pragma once
 
+#include "kernels/launch.cuh"
 #include "kernels/traverse/task_queue.cuh"
 #include "kernels/traverse/traverse_counters.h"
 
@@ -40,6 +41,7 @@ template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     start_self_pairs(Pairs<Bodies> pairs, SelfPairs self_pairs, LeafPairList leaves, TaskList rest,
                      Counter* node_tests) {
+  wait_for_previous_kernels();
   if (pairs.count() == 0 || !fits(*self_pairs.blocks, kMostSelfBlocks)) return;
   const uint32_t row_count = static_cast<uint32_t>(*self_pairs.reserved >> 32);
   const uint32_t block_count = static_cast<uint32_t>(*self_pairs.reserved);

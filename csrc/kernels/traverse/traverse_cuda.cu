@@ -2,6 +2,7 @@
 // the counts then show whether everything fit.
 #include <cub/cub.cuh>
 
+#include "kernels/launch.cuh"
 #include "kernels/traverse/cull_leaves.cuh"
 #include "kernels/traverse/descend.cuh"
 #include "kernels/traverse/place_pairs.cuh"
@@ -16,6 +17,13 @@ namespace {
 // Number of waves of blocks: kernels of other streams, of any priority, can only start between waves. Four waves do not
 // measurably slow down a search.
 constexpr int kWaves = 4;
+
+// The number of blocks for at most as many threads: up to kWaves waves, and at least one, so that every multiprocessor
+// takes part.
+unsigned blocks_in_waves(int resident, int64_t most_threads) {
+  const int64_t waves = most_threads / (int64_t{resident} * kBlockThreads) + 1;
+  return static_cast<unsigned>(resident * smaller<int64_t>(waves, kWaves));
+}
 
 // Enough for the standard scene, see Traversal::enqueue.
 constexpr int64_t kLaunches = 4;
@@ -40,6 +48,7 @@ TraverseListSizes guess_sizes(const TraverseInput& input, int64_t vertex_count) 
 
 template <class Bodies, class Select, class Fn>
 __global__ void __launch_bounds__(kBlockThreads) for_selected_pairs(Pairs<Bodies> pairs, Select is_selected, Fn fn) {
+  wait_for_previous_kernels();
   __shared__ WaitingItems waiting[kWarpsPerBlock];
   for_each_selected(0, pairs.count(), waiting[threadIdx.x / kWarp], is_selected, fn);
 }
@@ -167,9 +176,9 @@ struct Traversal {
     roots_ = context_.allocate<SplitPair>(input_.pair_count);
     const PlacedPairs<Bodies> placed{sweeps_, poses, pose_begin_, roots_, leaves, self_pairs_};
     const int64_t blocks = (input_.pair_count + kBlockThreads - 1) / kBlockThreads;
-    place_pairs<Bodies><<<static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks_of(place_pairs<Bodies>))),
-                          kBlockThreads, 0, context_.stream>>>(pairs_, input_, placed, counters_);
-    check_cuda(cudaGetLastError(), "place_pairs");
+    launch_kernel(context_, place_pairs<Bodies>,
+                  static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks_of(place_pairs<Bodies>))),
+                  kBlockThreads, pairs_, input_, placed, counters_);
   }
 
   // Sweeps and poses of the pairs of which a contact was found, until its toi. The descent, which has ended, is the
@@ -191,8 +200,7 @@ struct Traversal {
       store_words(sweep, sweeps[pair]);
     };
     const auto kernel = for_selected_pairs<Bodies, decltype(has_contact), decltype(shorten_pair)>;
-    kernel<<<resident_blocks_of(kernel), kBlockThreads, 0, context_.stream>>>(pairs, has_contact, shorten_pair);
-    check_cuda(cudaGetLastError(), "for_selected_pairs");
+    launch_kernel(context_, kernel, resident_blocks_of(kernel), kBlockThreads, pairs, has_contact, shorten_pair);
   }
 
   // Tasks left over by the launch.
@@ -200,14 +208,12 @@ struct Traversal {
 
   void descend_roots(LeafPairList leaves) {
     const TaskList rest = rest_of(0);
-    descend_from_roots<Bodies>
-        <<<kWaves * resident_blocks_of(descend_from_roots<Bodies>), kBlockThreads, 0, context_.stream>>>(
-            pairs_, roots_, &counters_->taken[0], leaves, rest, &counters_->node_tests);
-    check_cuda(cudaGetLastError(), "descend_from_roots");
+    launch_kernel(context_, descend_from_roots<Bodies>,
+                  blocks_in_waves(resident_blocks_of(descend_from_roots<Bodies>), kBlockWidth * input_.pair_count),
+                  kBlockThreads, pairs_, roots_, &counters_->taken[0], leaves, rest, &counters_->node_tests);
     if constexpr (Sweep::may_be_one_body) {
-      start_self_pairs<Bodies><<<resident_blocks_of(start_self_pairs<Bodies>), kBlockThreads, 0, context_.stream>>>(
-          pairs_, self_pairs_, leaves, rest, &counters_->node_tests);
-      check_cuda(cudaGetLastError(), "start_self_pairs");
+      launch_kernel(context_, start_self_pairs<Bodies>, resident_blocks_of(start_self_pairs<Bodies>), kBlockThreads,
+                    pairs_, self_pairs_, leaves, rest, &counters_->node_tests);
     }
   }
 
@@ -216,22 +222,21 @@ struct Traversal {
     const int next = (launch + 1) % 3;
     const TaskHandover rest{rest_of(launch - 1),    rest_of(launch),         &counters_->taken[launch % 3],
                             &counters_->rest[next], &counters_->taken[next], &counters_->most_rest};
-    descend_further<Bodies><<<resident_blocks_of(descend_further<Bodies>), kBlockThreads, 0, context_.stream>>>(
-        pairs_, kind, rest, leaves, &counters_->node_tests);
-    check_cuda(cudaGetLastError(), "descend_further");
+    launch_kernel(context_, descend_further<Bodies>, resident_blocks_of(descend_further<Bodies>), kBlockThreads, pairs_,
+                  kind, rest, leaves, &counters_->node_tests);
   }
 
   LeafPairList cull(LeafPairList leaves, LeafPairList meeting, PairTimes times) {
-    cull_leaves<Bodies><<<kWaves * resident_blocks_of(cull_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(
-        pairs_, leaves, meeting, times);
-    check_cuda(cudaGetLastError(), "cull_leaves");
+    launch_kernel(context_, cull_leaves<Bodies>,
+                  blocks_in_waves(resident_blocks_of(cull_leaves<Bodies>), leaves.capacity), kBlockThreads, pairs_,
+                  leaves, meeting, times);
     return meeting;
   }
 
   void visit(LeafPairList leaves, CandidateSink out) {
-    visit_leaves<Bodies>
-        <<<kWaves * resident_blocks_of(visit_leaves<Bodies>), kBlockThreads, 0, context_.stream>>>(pairs_, leaves, out);
-    check_cuda(cudaGetLastError(), "visit_leaves");
+    launch_kernel(context_, visit_leaves<Bodies>,
+                  blocks_in_waves(resident_blocks_of(visit_leaves<Bodies>), int64_t{kWarp / 2} * leaves.capacity),
+                  kBlockThreads, pairs_, leaves, out);
   }
 
   const DeviceContext& context_;

@@ -2,6 +2,7 @@
 // feature pairs, are collected in lists until all lanes have one: on average a leaf pair has nine and five.
 #pragma once
 
+#include "kernels/launch.cuh"
 #include "kernels/traverse/leaf_shared.cuh"
 
 namespace pgccd {
@@ -179,6 +180,7 @@ class LeafVisitor {
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     visit_leaves(Pairs<Bodies> pairs, LeafPairList leaves, CandidateSink out) {
+  wait_for_previous_kernels();
   __shared__ LeafShared shared[kWarpsPerBlock];
   __shared__ CandidateBuffers buffers[kWarpsPerBlock];
   CandidateWriter writer(buffers[threadIdx.x / kWarp], out);
