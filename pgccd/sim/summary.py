@@ -60,7 +60,7 @@ def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
     world = f"{run.model.config.robots:,} robots of {kinds} triangles, {run.model.config.pattern} model"
     caption = [f"{world}, after step {run.steps_made}"]
     if run.one_in > 1:
-        caption.append(f"one in {run.one_in} robots is drawn")
+        caption.append(f"one in {run.one_in} robots is shown, and those that collide with them")
     if run.last_step is None:
         snapshot = viz.Snapshot.of_state(run.model, run.state, caption)
     else:

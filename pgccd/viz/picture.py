@@ -47,7 +47,7 @@ def world_picture(path: str | Path, snapshot: Snapshot) -> Path:
     figure.text(0.015, 0.947, "     ".join(snapshot.caption[1:]), size=13, color="0.25", va="center")
     every_robot = np.ones(len(snapshot.kind), dtype=bool)
     count = int(snapshot.colliding.sum())
-    title = f"All {len(every_robot):,} robots, the {count:,} that collide in this step in orange"
+    title = f"{len(every_robot):,} robots, the {count:,} that collide in this step in orange"
     _draw_world(figure.add_subplot(upper[0, 0]), snapshot, every_robot, title)
     _draw_world(figure.add_subplot(upper[0, 1]), snapshot, snapshot.colliding, "The colliding ones alone")
     if snapshot.impact is None:

@@ -12,9 +12,11 @@ import torch
 from torch import Tensor
 
 from distributed.conftest import World
+from distributed.test_neighbours import OneOf
 from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
 from pgccd import sim
 from pgccd.distributed import Cells, Comm
+from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.detection import share
 from pgccd.distributed.halo import capacity as halo_capacity
 from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo
@@ -40,9 +42,10 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
             assert len(sent.ghosts["id"]) == sum(sent.route.received) and len(sent.replicas.table) == boundary_count
         return sent
 
-    def cramped(sent: list[int], received: list[int], boundary: int) -> HaloCapacity:
+    def cramped(sent: list[int], received: list[int], boundary: int, neighbours: Neighbourhood) -> HaloCapacity:
         """A capacity in which one rank overflows."""
-        return replace(after(sent, received, boundary), boundary=boundary // 2 if comm.rank == 0 else boundary)
+        ample = after(sent, received, boundary, neighbours)
+        return replace(ample, boundary=boundary // 2 if comm.rank == 0 else boundary)
 
     functions = {"ample": lambda count: 4 * count + 500, "exact": lambda count: count, "none": lambda _: 0}
     patches = [
@@ -81,14 +84,16 @@ def test_same_bits_for_any_capacity(world: World, capacities: str) -> None:
 
 
 def test_capacity_exceeds_what_was_needed() -> None:
-    capacity = HaloCapacity.after([0, 1, 1000], [3, 0, 5_000_000], 12)
-    assert capacity.sent[0] == 0 and capacity.received[1] == 0  # not neighbours
+    neighbours = Neighbourhood(OneOf(5, 40), [2, 5, 7, 9])
+    capacity = HaloCapacity.after([0, 0, 1, 1000, 0], [3, 0, 0, 5_000_000, 0], 12, neighbours)
+    for column in (capacity.sent, capacity.received):
+        assert column[1] == 0 and column[-1] == 0  # this rank, and all that are not neighbours
     for size, count in zip(
-        [*capacity.sent[1:], capacity.received[0], capacity.received[2], capacity.boundary],
-        [1, 1000, 3, 5_000_000, 12],
+        [capacity.sent[0], *capacity.sent[2:4], capacity.received[0], *capacity.received[2:4], capacity.boundary],
+        [0, 1, 1000, 3, 0, 5_000_000, 12],
         strict=True,
     ):
-        assert 1.25 * count <= size <= 1.25 * count + 320
+        assert max(1, 1.25 * count) <= size <= 1.25 * count + 320
 
 
 def test_what_filled_the_capacities() -> None:

@@ -45,6 +45,11 @@ class Neighbourhood:
         """The number of this rank."""
         return self.ranks.index(self.comm.rank)
 
+    @property
+    def others(self) -> list[int]:
+        """The numbers of the other neighbours."""
+        return [number for number, rank in enumerate(self.ranks) if rank != self.comm.rank]
+
     def numbers(self) -> Tensor | None:
         """(ranks,) int64: the number of each rank; None if ranks keep their numbers."""
         if self._ranks is None:

@@ -19,7 +19,7 @@ from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.detection.body_columns import bodies_of, of_checked, take_bodies
 from pgccd.distributed.detection.share import Build, Options, PartEstimates, Share
-from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo, padded_count
+from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo, padded_count, padded_counts
 from pgccd.distributed.halo.centres import Centres, centres_of
 from pgccd.distributed.halo.held import Held
 from pgccd.distributed.partition.decomposition import Decomposition
@@ -57,7 +57,7 @@ class ShareCapacity:
         rows = share.parts[-1].rows
         near = 0 if rows is None else len(rows) - share.held.ghost_count
         halo, of_near = HaloCapacity.of(share.held, neighbours), padded_count(_NEAR_SLACK * near)
-        return cls(halo, of_near, [padded_count(count) for count in common])
+        return cls(halo, of_near, padded_counts(common, neighbours))
 
 
 @dataclass(frozen=True)

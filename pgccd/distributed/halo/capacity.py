@@ -6,6 +6,7 @@ own pairs, and these small messages would wait for free multiprocessors.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -35,28 +36,29 @@ class HaloCapacity:
 
     @classmethod
     def of(cls, held: Held, neighbours: Neighbourhood) -> HaloCapacity:
-        """Capacities for the step after one with these held bodies, by the numbers of `neighbours`, which include those
-        of the held bodies' route.
-        """
+        """Capacities for the step after one with these held bodies, by the numbers of `neighbours`."""
         route = held.route
         counts = neighbours.renumber(route.neighbours, torch.tensor([route.sent, route.received]))
         sent, received = counts.tolist()
-        return cls.after(sent, received, len(held.boundary))
+        return cls.after(sent, received, len(held.boundary), neighbours)
 
     @classmethod
-    def after(cls, sent: list[int], received: list[int], boundary: int) -> HaloCapacity:
+    def after(cls, sent: list[int], received: list[int], boundary: int, neighbours: Neighbourhood) -> HaloCapacity:
         """Capacities for the next step, given this step's counts."""
-        return cls(
-            [padded_count(count) for count in sent],
-            [padded_count(count) for count in received],
-            padded_count(boundary),
-        )
+        return cls(padded_counts(sent, neighbours), padded_counts(received, neighbours), padded_count(boundary))
 
 
 def padded_count(count: int) -> int:
-    """The capacity for a count; 0 for 0."""
-    # Ranks that were not neighbours send each other nothing.
-    return -(-int(_SLACK * count + _SOME) // _MULTIPLE) * _MULTIPLE if count else 0
+    """The capacity for a count."""
+    return -(-int(_SLACK * count + _SOME) // _MULTIPLE) * _MULTIPLE
+
+
+def padded_counts(counts: Sequence[int], neighbours: Neighbourhood) -> list[int]:
+    """Capacities for a count per destination; 0 for this rank, and for all that are not neighbours. Other neighbours
+    have a capacity even if their count is 0: parts that meet at a corner share a body in some steps, none in others.
+    """
+    others = neighbours.others
+    return [padded_count(count) if number in others else 0 for number, count in enumerate(counts)]
 
 
 class PaddedHalo:

@@ -103,8 +103,8 @@ class Bisection(Partition):
         low, high = (torch.tensor(corner, dtype=torch.float64) for corner in zip(*self.boxes, strict=True))
         shortest = (high - low).amin(dim=1).clamp(min=0.0)
         # Bodies outside of the world belong to the parts at its boundary.
-        low = torch.where(low <= torch.tensor(self.lower), -torch.inf, low)
-        high = torch.where(high >= torch.tensor(self.upper), torch.inf, high)
+        low = torch.where(low <= torch.tensor(self.lower, dtype=torch.float64), -torch.inf, low)
+        high = torch.where(high >= torch.tensor(self.upper, dtype=torch.float64), torch.inf, high)
         gap = torch.maximum(low - high[rank], low[rank] - high).amax(dim=1)
         near = gap <= _NEAR * torch.minimum(shortest, shortest[rank])
         return sorted({rank, *torch.nonzero(near)[:, 0].tolist()})
