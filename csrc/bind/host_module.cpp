@@ -40,6 +40,7 @@ py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces
     tree = pgccd::build_hierarchy(vertices.data(), vertices.shape(0), rows, leaf_size);
     const std::vector<int32_t> represented =
         pgccd::representatives(rows, topology, tree.triangle_order, vertices.shape(0));
+    triangles.reserve(rows.size());
     for (size_t k = 0; k < rows.size(); ++k) {
       const int32_t f = tree.triangle_order[k];
       const Face &v = rows[f], &e = topology.face_edges[f];

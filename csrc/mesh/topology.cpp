@@ -1,31 +1,43 @@
 #include "mesh/topology.h"
 
 #include <algorithm>
+#include <numeric>
 
 namespace pgccd {
 
 Topology make_topology(const std::vector<Face>& faces) {
-  // Both ends of an edge in one number, which sorts faster.
+  int32_t last_vertex = -1;
+  for (const Face& face : faces) last_vertex = std::max({last_vertex, face[0], face[1], face[2]});
+  // Edges by their first vertex, counted, then few at a time by their second.
   struct HalfEdge {
-    uint64_t ends;
+    int32_t second;
+    int8_t corner;
     int64_t face;
-    int corner;
   };
-  std::vector<HalfEdge> halves;
-  halves.reserve(3 * faces.size());
-  for (size_t f = 0; f < faces.size(); ++f) {
-    for (int corner = 0; corner < 3; ++corner) {
-      const auto [p, q] = std::minmax({faces[f][corner], faces[f][(corner + 1) % 3]});
-      halves.push_back({uint64_t(p) << 32 | uint64_t(q), static_cast<int64_t>(f), corner});
+  std::vector<int64_t> begin(static_cast<size_t>(last_vertex) + 2);
+  const auto for_each_half = [&](auto&& use) {
+    for (size_t f = 0; f < faces.size(); ++f) {
+      for (int8_t corner = 0; corner < 3; ++corner) {
+        const auto [first, second] = std::minmax(faces[f][corner], faces[f][(corner + 1) % 3]);
+        use(first, HalfEdge{second, corner, static_cast<int64_t>(f)});
+      }
     }
-  }
-  std::sort(halves.begin(), halves.end(), [](const HalfEdge& a, const HalfEdge& b) { return a.ends < b.ends; });
+  };
+  for_each_half([&](int32_t first, const HalfEdge&) { ++begin[first + 1]; });
+  std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  std::vector<HalfEdge> halves(3 * faces.size());
+  std::vector<int64_t> next(begin.begin(), begin.end() - 1);
+  for_each_half([&](int32_t first, const HalfEdge& half) { halves[next[first]++] = half; });
   Topology topology;
   topology.face_edges.resize(faces.size());
-  for (const HalfEdge& half : halves) {
-    const Edge edge{static_cast<int32_t>(half.ends >> 32), static_cast<int32_t>(half.ends)};
-    if (topology.edges.empty() || topology.edges.back() != edge) topology.edges.push_back(edge);
-    topology.face_edges[half.face][half.corner] = static_cast<int32_t>(topology.edges.size() - 1);
+  topology.edges.reserve(2 * faces.size());
+  for (int32_t first = 0; first <= last_vertex; ++first) {
+    const auto from = halves.begin() + begin[first], to = halves.begin() + begin[first + 1];
+    std::sort(from, to, [](const HalfEdge& a, const HalfEdge& b) { return a.second < b.second; });
+    for (auto half = from; half != to; ++half) {
+      if (half == from || (half - 1)->second != half->second) topology.edges.push_back({first, half->second});
+      topology.face_edges[half->face][half->corner] = static_cast<int32_t>(topology.edges.size() - 1);
+    }
   }
   return topology;
 }

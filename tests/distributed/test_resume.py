@@ -229,4 +229,4 @@ def test_large_worlds_are_drawn_from_a_sample(ranks: World, tmp_path: Path) -> N
     of_ranks = ranks.run(2, draw, str(tmp_path / "two"))  # type: ignore[attr-defined]
     assert of_ranks[0] == (3, sorted({*range(0, 240, 3), *(id for pair in pairs for id in pair)}), pairs)
     assert of_ranks[1] == (3, [], [])
-    assert "one in 3 robots is drawn" in (tmp_path / "two" / "world.html").read_text()
+    assert "one in 3 robots is shown" in (tmp_path / "two" / "world.html").read_text()

@@ -1,0 +1,63 @@
+"""Time to prepare a mesh on one CPU thread: its edges, its hierarchy, and the whole `pgccd.Mesh`, per triangle.
+
+    python bench/bench_hierarchy.py [--rounds N]
+
+Meshes: the robot of the simulation, and terrains of more and more triangles.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from support import results, timing
+
+import pgccd
+from pgccd import _host
+from pgccd.geometry.mesh import LEAF_SIZE
+from pgccd.sim.robot import robot_mesh
+
+_TERRAINS = (50, 200, 1000)  # cells along each side, of two triangles
+
+
+def main() -> None:
+    """Runs the benchmark."""
+    parser = results.parser(__doc__)
+    parser.add_argument("--rounds", type=int, default=20, help="calls timed of each mesh; the largest fewer")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    meshes = {"robot": robot_mesh()} | {f"terrain {side} x {side}": terrain(side) for side in _TERRAINS}
+    rows = [measure(name, mesh, arguments.rounds) for name, mesh in meshes.items()]
+    results.table(rows)
+    results.write("hierarchy", "cpu", {"rows": rows}, arguments.out)
+
+
+def terrain(side: int) -> pgccd.Mesh:
+    """Hills over a square grid."""
+    x, y = np.meshgrid(np.arange(side + 1.0), np.arange(side + 1.0))
+    vertices = np.stack([x, y, 3.0 * np.sin(0.1 * x) + 3.0 * np.cos(0.13 * y)], axis=-1).reshape(-1, 3)
+    number = np.arange(len(vertices)).reshape(side + 1, side + 1)
+    corners = [number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]]
+    faces = [[corners[0], corners[1], corners[2]], [corners[0], corners[2], corners[3]]]
+    return pgccd.Mesh(vertices, np.stack([np.stack(f, axis=-1) for f in faces]).reshape(-1, 3))
+
+
+def measure(name: str, mesh: pgccd.Mesh, rounds: int) -> dict[str, Any]:
+    """One row: microseconds per triangle, the median."""
+    triangles, count = mesh.faces.numpy(), len(mesh.faces)
+    vertices = (mesh.vertices - mesh.centre_offset).numpy()
+    works = {
+        "edges and hierarchy": lambda: _host.prepare_mesh(vertices, triangles, LEAF_SIZE),
+        "pgccd.Mesh": lambda: pgccd.Mesh(vertices, triangles),
+    }
+    row: dict[str, Any] = {"mesh": name, "triangles": count}
+    for work, call in works.items():
+        call()
+        spent = [timing.seconds(call)[0] for _ in range(max(3, min(rounds, 2_000_000 // count)))]
+        row[f"{work}, us a triangle"] = timing.summary(spent, 1e6 / count)["median"]
+    return row
+
+
+if __name__ == "__main__":
+    main()
