@@ -183,6 +183,8 @@ def run(mutants: list[Mutant], folder: Path, jobs: int, rest: bool) -> dict[str,
             raise SystemExit(f"without any mutant: {by} fails")
         with ThreadPoolExecutor(jobs) as pool:
             list(pool.map(judge, numbered))
+    if not any(mutant.switched for mutant in mutants):
+        copy.build()
     for mutant in mutants:
         if mutant.switched:
             continue
