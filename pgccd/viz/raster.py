@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Triangles are drawn as grids of points at most a pixel apart, grouped by grid size.
+# Small triangles are drawn as grids of points at most a pixel apart, grouped by grid size; others pixel by pixel.
+_FINEST_GRID = 32
 _POINTS_AT_ONCE = 1 << 21
 _DEPTH_LEVELS = float((1 << 24) - 1)  # exact in float32
 _EMPTY = np.uint64(2**64 - 1)
@@ -85,9 +86,12 @@ class Canvas:
         veil = np.broadcast_to(haze, len(faces))[inside] * np.clip(distance, 0.0, 1.0)
         lit = ((1.0 - veil) * shade)[:, None] * colours[inside] + veil[:, None] * self._background
         paint = _pack_colours(lit)
-        grids = 2 ** np.ceil(np.log2(np.maximum(size, 1.0))).astype(np.int64)
-        for grid in np.unique(grids):
+        is_small = size <= _FINEST_GRID
+        grids = np.where(is_small, 2 ** np.ceil(np.log2(np.maximum(size, 1.0))), 0.0).astype(np.int64)
+        for grid in np.unique(grids[is_small]):
             self._splat(corners[grids == grid], paint[grids == grid], grid)
+        for triangle in np.flatnonzero(~is_small):
+            self._fill(corners[triangle], paint[triangle])
 
     def _splat(self, corners: np.ndarray, paint: np.ndarray, grid: int) -> None:
         u, v = (axis.ravel() / grid for axis in np.meshgrid(np.arange(grid + 1), np.arange(grid + 1)))
@@ -100,6 +104,21 @@ class Canvas:
             column, row, depth = np.moveaxis(weights @ corners[begin : begin + step], -1, 0)
             colour = np.broadcast_to(paint[begin : begin + step, None], column.shape)
             self._put(column.ravel(), row.ravel(), depth.ravel(), colour.ravel())
+
+    def _fill(self, corners: np.ndarray, paint: np.uint64) -> None:
+        """Draws the pixels of the picture whose centres are inside the triangle."""
+        low = np.maximum(np.floor(corners[:, :2].min(axis=0)), 0.0)
+        high = np.minimum(np.ceil(corners[:, :2].max(axis=0)), np.array(self.camera.pixels))
+        column, row = (
+            axis.ravel() + 0.5 for axis in np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)))
+        )
+        (x0, y0), (x1, y1), (x2, y2) = corners[:, :2]
+        double_area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)  # not 0, since the triangle faces the camera
+        u = ((column - x0) * (y2 - y0) - (x2 - x0) * (row - y0)) / double_area
+        v = ((x1 - x0) * (row - y0) - (column - x0) * (y1 - y0)) / double_area
+        inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
+        depth = corners[0, 2] + u * (corners[1, 2] - corners[0, 2]) + v * (corners[2, 2] - corners[0, 2])
+        self._put(column[inside], row[inside], depth[inside], np.broadcast_to(paint, inside.sum()))
 
     def _put(self, column: np.ndarray, row: np.ndarray, depth: np.ndarray, paint: np.ndarray) -> None:
         width, height = self.camera.pixels
