@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +121,14 @@ def test_detect_as_json_and_by_scene_and_velocity(
     (tmp_path / "scene.json").write_text(json.dumps(scene | {"world": [0, 1]}))
     assert main(["detect", "--scene", str(tmp_path / "scene.json"), "--report", "any"]) == 0
     assert "contacts=0" in capsys.readouterr().out
+
+
+def test_output_whose_reader_has_ended() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run([sys.executable, "-m", "pgccd", "info"], stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (-signal.SIGPIPE, "")
 
 
 def test_info_names_version_and_kernels(meshes: list[str], capsys: pytest.CaptureFixture[str]) -> None:
