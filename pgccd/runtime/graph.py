@@ -1,6 +1,8 @@
 """Capture of CUDA graphs."""
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 import torch
@@ -26,7 +28,21 @@ def capture(work: Callable[[], T], device: torch.device) -> tuple[torch.cuda.CUD
         current.wait_stream(side)
         graph = torch.cuda.CUDAGraph()
         # Other threads (of a checkpoint or guard) may continue to use the device.
-        with torch.cuda.graph(graph, stream=side, capture_error_mode="thread_local"):
+        with _no_garbage_collection(), torch.cuda.graph(graph, stream=side, capture_error_mode="thread_local"):
             found = work()
         current.wait_stream(side)
     return graph, found
+
+
+@contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """Pinned memory freed during capture records an event on each stream that used it. If that stream is captured, the
+    event is invalid, and a later allocation of pinned memory, which reads it, fails.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()

@@ -44,7 +44,9 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
 
     @abstractmethod
     def _capture(self, index: int) -> G:
-        """A graph of the next step, with capacities somewhat larger than the last step needed."""
+        """A graph of the next step, loaded with the state, with capacities somewhat larger than the last step needed.
+        Sends no messages after those of the step, since other ranks may fail to capture it.
+        """
 
     @abstractmethod
     def _load(self, graph: G, index: int) -> bool:

@@ -20,6 +20,7 @@ from pgccd.distributed.detection import padded_share
 from pgccd.distributed.halo import capacity as halo_capacity
 from pgccd.distributed.partition.cut import make_partition
 from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.runtime import transaction
 from pgccd.sim.distributed import DistributedSimulation, RankStep, starting_share
 from pgccd.sim.distributed import simulation as simulation_module
 from pgccd.sim.distributed.gathering import gather_sample
@@ -155,6 +156,23 @@ def follow_replayed(
         return follow(comm, name, policy, steps, random_owners, True, graph=True)
 
 
+def follow_not_captured(comm: Comm, device: str = "cpu") -> dict[str, int]:
+    """The same where the last rank cannot capture a graph: all ranks go on without."""
+    with graphs_on(device) as stack:
+        capture = transaction.capture
+
+        def fail(*given: Any) -> Any:
+            made = capture(*given)
+            if comm.rank == comm.size - 1:
+                raise RuntimeError("no memory")
+            return made
+
+        stack.enter_context(mock.patch.object(transaction, "capture", fail))
+        why = "no memory" if comm.rank == comm.size - 1 else "another rank"
+        with pytest.warns(UserWarning, match=f"without a CUDA graph: {why}"):
+            return follow(comm, "random", "none", 16, False, True, device, graph=True)
+
+
 def follow_neighbours(comm: Comm, name: str, policy: str, steps: int, graph: bool) -> int:
     """With messages between neighbours only, as for many ranks. If no policy assigns the cells, no ranks are neighbours
     at first. Returns the number of times that the neighbours of ranks were extended.
@@ -221,6 +239,11 @@ def test_same_bits_as_replays(world: World, name: str, policy: str, padding: str
     if len(seen) > 1 and padding == "usual":
         assert seen[0]["arrived"] > 20
         assert sum(rank["away"] for rank in seen) > 0
+
+
+def test_a_rank_that_cannot_capture_a_graph(ranks: World) -> None:
+    seen = ranks.run(3, follow_not_captured)
+    assert seen[0]["replayed"] == 0 and seen[0]["contacts"] > 20
 
 
 @pytest.mark.cuda

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 from typing import Any
 from unittest import mock
@@ -94,3 +96,32 @@ def test_same_steps(ranks: World, capacity: str) -> None:
             assert (renewed > 1) == (capacity in ("none", "pairs"))
             if capacity == "plenty":
                 assert searched == STEPS
+
+
+def leave_no_garbage(comm: Comm) -> None:
+    model = sim.Model(CONFIG)
+    half = model.half_extent
+    partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
+    simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
+    made: list[weakref.ref[Part]] = []
+
+    class Watched(Part):
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            made.append(weakref.ref(self))
+
+    patches = {"_looks_ahead": lambda _: True, "expected_capacity": lambda *_, slack: PLENTY, "Part": Watched}
+    gc.collect()
+    gc.disable()
+    try:
+        with mock.patch.multiple(parts_module, **patches):
+            step = simulation.step(0)
+            assert len(made) == 2 and all(part() is not None for part in made)
+            del step
+        assert all(part() is None for part in made)
+    finally:
+        gc.enable()
+
+
+def test_the_memory_of_a_step_is_freed_without_garbage_collection(ranks: World) -> None:
+    ranks.run(2, leave_no_garbage)

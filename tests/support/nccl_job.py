@@ -24,6 +24,7 @@ with connect("cuda", "nccl") as comm:
         test_motions.follow(comm, report, False, device)
     for partition in ("cells", "bisection"):
         assert test_captured_world.follow(comm, "cost", partition, True, str(device), False)["replayed"] > 6
+    assert test_distributed_simulation.follow_not_captured(comm, str(device))["replayed"] == 0
     # With cells assigned at random, and a rank whose capacity overflows now and then.
     seen = test_distributed_simulation.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
     assert seen["contacts"] > 100 and seen["arrived"] > 20

@@ -159,8 +159,11 @@ class OwnSearch:
             _ = self._held  # waits for ghosts now
 
     def _find_own_pairs(self) -> None:
+        # Not `self`, which has the part: the memory of a reference cycle is not freed until it is collected.
+        id, centres, where = self._own["id"], centres_of(self._bodies), self._where
+
         def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
-            return ops.owned_pairs(pairs, None, self._own["id"], centres_of(self._bodies), *self._where)
+            return ops.owned_pairs(pairs, None, id, centres, *where)
 
         with self._clock.stage("broad"):
             select = owned if self._comm.size > 1 else None
@@ -216,7 +219,7 @@ class OwnSearch:
         options = self._options
         if self._comm.size == 1:
             return Share(self._held, [self._part], None, self._kept)
-        held, ghosts, (near, near_count) = self._held, self._ghosts, self._near
+        held, ghosts, where, (near, near_count) = self._held, self._ghosts, self._where, self._near
         with self._side:
             with self._clock.stage("halo"):
                 rows = _with_ghosts(near[: int(near_count.numpy()[0])], held)
@@ -224,7 +227,7 @@ class OwnSearch:
                 at_boundary = bodies_of(self._bodies, columns, self._vertices_of(rows))
 
                 def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
-                    return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *self._where)
+                    return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *where)
 
                 find = options.query, options.broad_phase, owned
                 with_ghosts = find_part(at_boundary, *find, rows=rows, estimate=self._estimates.with_ghosts)

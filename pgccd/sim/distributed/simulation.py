@@ -258,7 +258,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         made = self.model, state, index, searches.search, self._plan, max(self._rounds), searches.conclude
         graph = StepGraph(*made).capture()
         self.comm.close_before(graph)
-        self._load(graph, index)
+        self._write(graph, index)
         return graph
 
     def _is_captured(self, captured: bool) -> bool:
@@ -268,9 +268,13 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         fits = len(self._state) <= len(graph.state) and self._graph_decomposition.become(self._decomposition)
         if self.comm.any(not fits):
             return False
+        self._write(graph, index)
+        return True
+
+    def _write(self, graph: StepGraph, index: int) -> None:
+        """Writes the state to the graph. Sends no messages: another rank may have failed to capture its graph."""
         self._notes[0], self._notes[1] = self._arrived, int(self._stop)
         graph.load(self._state, index)
-        return True
 
     def _take(self, graph: StepGraph) -> None:
         columns = {name: column[: len(self._state)].clone() for name, column in graph.state.columns.items()}
