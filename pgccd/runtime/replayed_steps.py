@@ -7,7 +7,7 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
-from pgccd.runtime.memory import is_out_of_memory
+from pgccd.runtime.memory import is_out_of_memory, release_cache
 from pgccd.runtime.transaction import C, Replay, TransactionGraph
 
 # A graph is captured only if at least this many steps follow.
@@ -125,7 +125,7 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
 
     def _try_to_capture(self, index: int) -> G | None:
         if torch.cuda.is_initialized():
-            torch.cuda.empty_cache()  # a graph allocates from its own pool
+            release_cache()
         graph, why = None, "another rank could not capture it"
         try:
             graph = self._capture(index)

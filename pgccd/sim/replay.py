@@ -15,8 +15,9 @@ from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.resolution import OneRank, Resolution
 from pgccd.sim.step import Step, StepPlan, make_step
 
-# A graph has as many rounds as the largest number in this many recent steps.
-_RECENT_STEPS = 64
+# A graph has more rounds of collision resolution than any recent step took: the step that needs one more is repeated,
+# and another graph captured, which takes as long as several hundred superfluous rounds.
+_RECENT_STEPS, _SPARE_ROUNDS = 512, 1
 
 
 class MadeStep(Protocol):
@@ -30,7 +31,7 @@ M = TypeVar("M", bound=MadeStep)
 
 
 class SimulationSteps(ReplayedSteps[M, CommittedStep, StepGraph]):
-    """Steps of a simulation: a graph has as many rounds of collision resolution as any recent step took.
+    """Steps of a simulation: a graph has more rounds of collision resolution than any recent step took.
 
     Args:
         wants_graph: whether steps are replayed.
@@ -43,8 +44,12 @@ class SimulationSteps(ReplayedSteps[M, CommittedStep, StepGraph]):
     def _note(self, step: M | CommittedStep) -> None:
         self._rounds.append(step.rounds if isinstance(step, CommittedStep) else step.resolution.rounds)
 
+    @property
+    def _rounds_to_capture(self) -> int:
+        return max(self._rounds) + _SPARE_ROUNDS
+
     def _is_oversized(self, graph: StepGraph) -> bool:
-        return len(self._rounds) == _RECENT_STEPS and max(self._rounds) < graph.rounds
+        return len(self._rounds) == _RECENT_STEPS and self._rounds_to_capture < graph.rounds
 
 
 class StepMaker(SimulationSteps[Step]):
@@ -95,7 +100,8 @@ class StepMaker(SimulationSteps[Step]):
         return made
 
     def _capture(self, index: int) -> StepGraph:
-        return capture_step(self._model, self._state, index, self._broad_phase, self._plan, max(self._rounds))
+        rounds = self._rounds_to_capture
+        return capture_step(self._model, self._state, index, self._broad_phase, self._plan, rounds)
 
     def _load(self, graph: StepGraph, index: int) -> bool:
         graph.load(self._state, index)

@@ -72,7 +72,7 @@ def test_same_steps(device: torch.device, graphs: list[StepGraph], pattern: str)
     assert kinds[0] is kinds[19] is kinds[-1] is Step and kinds.count(CommittedStep) > STEPS // 2
     # Steps that need more rounds run launch by launch, and a graph with more rounds is captured.
     rounds = [graph.rounds for graph in graphs]
-    assert rounds == sorted(rounds) and rounds[-1] <= max(record["resolution_rounds"] for record in expected)
+    assert rounds == sorted(rounds) and rounds[-1] <= 1 + max(record["resolution_rounds"] for record in expected)
     assert len(graphs) > 1
 
 
@@ -169,7 +169,7 @@ def test_rounds_that_no_recent_step_needed(
     for index in range(STEPS):
         assert without_times(maker.step(index, STEPS - 1 - index).record) == expected[index]
     most = max(record["resolution_rounds"] for record in expected)
-    assert most < 3 and [graph.rounds for graph in graphs][0] == 3 and graphs[-1].rounds <= most
+    assert most < 3 and [graph.rounds for graph in graphs][0] == 4 and graphs[-1].rounds <= most + 1
     assert same(maker.state, last)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 
 import torch
 from distributed import test_captured_world, test_detection, test_distributed_simulation, test_exchange, test_motions
@@ -11,6 +12,7 @@ from pgccd.distributed import choose_device, connect
 from support.crowds import crowds
 
 torch.set_num_threads(1)
+warnings.filterwarnings("error", message="steps run without a CUDA graph")
 with connect("cuda", "nccl") as comm:
     device = choose_device("cuda")
     for neighbours_above in (32, 0):

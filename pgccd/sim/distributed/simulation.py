@@ -255,7 +255,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         where = self._graph_decomposition, self._share_capacity, self._notes
         searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
         state = padded_state(self._state, rows_with_slack(len(self._state)))
-        made = self.model, state, index, searches.search, self._plan, max(self._rounds), searches.conclude
+        made = self.model, state, index, searches.search, self._plan, self._rounds_to_capture, searches.conclude
         graph = StepGraph(*made).capture()
         self.comm.close_before(graph)
         self._write(graph, index)
