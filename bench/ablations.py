@@ -163,7 +163,7 @@ def precisions(world: MixedWorld, motions: list[pgccd.RigidMotion], device: str)
 
 def _queries(world: MixedWorld, motion: pgccd.RigidMotion, device: str) -> list[Tensor]:
     """Points (n, 4, 3) at both ends, relative to the first body's position, where float32 has spare digits."""
-    moving = pgccd.MovingBodies(world.scene, with_path(motion, "linear"))
+    moving = pgccd.MovingBodies.of(world.scene, with_path(motion, "linear"))
     pairs = pgccd.broad.find_pairs(moving)
     candidates, _ = pgccd.traverse.bvtt(moving, pairs)
     candidates = candidates[candidates[:, 1] == int(pgccd.VF_AB)].long()

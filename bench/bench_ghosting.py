@@ -39,7 +39,7 @@ def main() -> None:
     for index in range(arguments.steps):
         state = sim.make_step(model, scene, state, index).after
     last = sim.make_step(model, scene, state, arguments.steps)
-    bodies = MovingBodies(scene, model.motion(last.before))
+    bodies = MovingBodies.of(scene, model.motion(last.before))
     rows = [count(model, bodies, last.contacts.pairs, ranks, arguments) for ranks in arguments.ranks]
     results.table(rows)
     results.write(

@@ -137,7 +137,7 @@ def start(
     balance = distributed.BalanceOptions(arguments.balance)
     graph = False if arguments.no_graph else None
     overlap = not arguments.no_overlap
-    return sim.distributed.DistributedSimulation(comm, model, partition, share, balance, overlap, graph=graph)
+    return sim.distributed.DistributedSimulation.create(comm, model, partition, share, balance, overlap, graph=graph)
 
 
 def follow(

@@ -65,7 +65,7 @@ def measure(
     x, y, z = model.half_extent
     box = (-x, -y, -z), (x, y, z)
     given: dict[str, Any] = {"id": planned.id, "payload": payload, "comm": comm, "nonzero_toi": True}
-    world = distributed.World(model.meshes.meshes, *box, planned.position, **given)
+    world = distributed.World.create(model.meshes.meshes, *box, planned.position, **given)
     loop = distributed.CapturedWorld(world, motion, response, graph)
     loop.run(20)
     comm.barrier()

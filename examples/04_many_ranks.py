@@ -23,7 +23,7 @@ with distributed.connect(sys.argv[1] if len(sys.argv) > 1 else "cpu") as comm:
 
     # Each rank starts with every size-th body; World migrates them to their owners.
     mine = torch.arange(comm.rank, 1000, comm.size)
-    world = distributed.World(
+    world = distributed.World.create(
         [box],
         (0.0, 0.0, 0.0),
         (13.5, 13.5, 13.5),

@@ -181,7 +181,7 @@ def test_scene_filters_and_separation(device: torch.device) -> None:
     turn = unit_quaternions(rng, count)
     mesh = tetrahedron(0.7)
     scene = pgccd.Scene([mesh], [0] * count, device, group=group, mask=mask, world=world.tolist(), static=static)
-    bodies = pgccd.MovingBodies(scene, pgccd.RigidMotion(*tensors(start, turn, end, turn, device=device)))
+    bodies = pgccd.MovingBodies.of(scene, pgccd.RigidMotion(*tensors(start, turn, end, turn, device=device)))
     radius = np.full(count, mesh.radius)
     filters: dict[str, Any] = {"group": group, "mask": mask, "world": world, "static": static}
     for separation in (0.0, 0.4):

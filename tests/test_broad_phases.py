@@ -162,7 +162,7 @@ def test_auto_chooses_by_number_and_sizes(device: torch.device) -> None:
         start, turn = rng.uniform(-3, 3, (count, 3)), unit_quaternions(rng, 1).repeat(count, axis=0)
         index = torch.arange(count) % len(sizes)
         scene = pgccd.Scene([tetrahedron(size) for size in sizes], index, device)
-        return pgccd.MovingBodies(scene, pgccd.RigidMotion(*tensors(start, turn, start, turn, device=device)))
+        return pgccd.MovingBodies.of(scene, pgccd.RigidMotion(*tensors(start, turn, start, turn, device=device)))
 
     mixed = tuple(2.0**k for k in range(10))
     assert pgccd.broad.choose(bodies(100, 1.0)) == pgccd.broad.choose(bodies(100, *mixed)) == "sweep"

@@ -135,7 +135,7 @@ def test_a_body_with_many_partners(device: torch.device) -> None:
     columns = columns_of(motion)
     motion = pgccd.RigidMotion.from_rotation(*(column[many.to(device)] for column in columns))
     scene = pgccd.Scene(bodies.meshes, bodies.mesh_index[many], device)
-    assert int(torch.bincount(pgccd.broad.find_pairs(pgccd.MovingBodies(scene, motion))[:, 0]).max()) > 32
+    assert int(torch.bincount(pgccd.broad.find_pairs(pgccd.MovingBodies.of(scene, motion))[:, 0]).max()) > 32
     expected, capacity = capacity_for(scene, motion)
     assert_same(pgccd.detect(scene, motion, capacity=capacity).trim(), expected)
     if device.type == "cuda":
@@ -243,12 +243,12 @@ def test_capacity_grows_until_a_step_fits(device: torch.device, report: Any) -> 
         little = replace(expected.stats.needed, **dict.fromkeys(names, 0))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(CapacityEstimate, "capacity", lambda *_, little=little: little)
-            found = detect_at_once(pgccd.MovingBodies(scene, motion, wait=False), query, "grid", None, None)
+            found = detect_at_once(pgccd.MovingBodies.of(scene, motion, wait=False), query, "grid", None, None)
         assert found is not None and found.stats.waits > 1
         assert (found.stats.scratch_bytes > 0) == (device.type == "cuda")
         assert_same(found, expected)
     # The need is remembered; with a budget too small for it the step is streamed.
-    bodies = pgccd.MovingBodies(scene, motion, wait=False)
+    bodies = pgccd.MovingBodies.of(scene, motion, wait=False)
     again = detect_at_once(bodies, query, "grid", None, None)
     assert again is not None and again.stats.waits == 1
     assert detect_at_once(bodies, query, "grid", None, 1000) is None
@@ -257,7 +257,7 @@ def test_capacity_grows_until_a_step_fits(device: torch.device, report: Any) -> 
 
 def test_first_toi_alone(device: torch.device) -> None:
     scene, motion = crowd(device)
-    bodies, query = pgccd.MovingBodies(scene, motion), Query("first", 0.01, None, True)
+    bodies, query = pgccd.MovingBodies.of(scene, motion), Query("first", 0.01, None, True)
     pairs = pgccd.broad.sweep(bodies, 0.01)
     hits, capacity = capacity_for(scene, motion, "first", 0.01, nonzero_toi=True, pairs=pairs)
     assert 0 < len(hits) < len(pairs)

@@ -101,7 +101,7 @@ def test_new_values_count(device: torch.device) -> None:
 @pytest.mark.parametrize("column", [*RIGID, *VERTICES])
 def test_stages_called_alone_check_too(column: str) -> None:
     scene, motion = make(column)
-    moving = pgccd.MovingBodies(scene, motion)
+    moving = pgccd.MovingBodies.of(scene, motion)
     pairs = pgccd.broad.sweep(moving)
     candidates, _ = pgccd.traverse.bvtt(moving, pairs)
     stages: list[Callable[[], Any]] = [
@@ -129,9 +129,9 @@ def test_trusted_columns_are_never_looked_at(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(faults.ops, "first_faults", fail)
     trusted = pgccd.RigidMotion.of_checked(*columns)
     assert len(pgccd.detect(scene, trusted)) == len(pgccd.detect(scene, trusted[:], capacity=Capacity.guess(9)).trim())
-    pgccd.broad.sweep(pgccd.MovingBodies(scene, trusted))
+    pgccd.broad.sweep(pgccd.MovingBodies.of(scene, trusted))
     with pytest.raises(AssertionError, match="looked at"):
-        pgccd.broad.sweep(pgccd.MovingBodies(scene, motion))
+        pgccd.broad.sweep(pgccd.MovingBodies.of(scene, motion))
     motion.orientation_t0.mul_(1.1)
     pgccd.detect(scene, trusted)
     with pytest.raises(ValueError, match="^orientation_t0: body 0: expected a unit quaternion"):
@@ -155,7 +155,7 @@ def test_verdict_on_what_is_not_kept_stays(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(ValueError, match="^orientation_t1: body 1"):
         _ = motion[1:]
     motion.position_t0[0, 0] = NAN
-    assert pgccd.MovingBodies(scene, motion, wait=False).first_faults().tolist() == [1, 0, 2, 2, 2, 1]
+    assert pgccd.MovingBodies.of(scene, motion, wait=False).first_faults().tolist() == [1, 0, 2, 2, 2, 1]
 
 
 def sizes() -> tuple[pgccd.Scene, pgccd.RigidMotion, list[pgccd.Mesh]]:

@@ -158,6 +158,6 @@ def test_bounds_have_the_bits_of_the_cpu() -> None:
     bounds = []
     for device in (torch.device("cpu"), torch.device("cuda")):
         scene = pgccd.Scene(meshes, torch.from_numpy(index).to(device), device)
-        bounds.append(pgccd.MovingBodies(scene, vertex_motion(ends, device)).tensors)
+        bounds.append(pgccd.MovingBodies.of(scene, vertex_motion(ends, device)).tensors)
     for on_cpu, on_gpu in zip(*bounds, strict=True):  # compared as bytes: empty slots hold NaN
         assert torch.equal(on_cpu.view(torch.uint8), on_gpu.cpu().view(torch.uint8))

@@ -74,7 +74,7 @@ def test_threads_chunks_and_repetition(device: torch.device, kind: str, report: 
 
 def test_stages_do_not_depend_on_threads(device: torch.device) -> None:
     bodies = crowd()
-    moved = pgccd.MovingBodies(bodies.scene(device), bodies.motion(device=device))
+    moved = pgccd.MovingBodies.of(bodies.scene(device), bodies.motion(device=device))
     found = []
     for threads in (1, 2, 3):
         torch.set_num_threads(threads)

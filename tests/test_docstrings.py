@@ -68,7 +68,7 @@ def two_bodies() -> dict[str, Any]:
     v = torch.tensor([[0.0, 0, 0], [-2.5, 0, 0]], dtype=torch.float64)
     q = torch.tensor([[1.0, 0, 0, 0]] * 2, dtype=torch.float64)
     scene, motion = pgccd.Scene([mesh], [0, 0]), pgccd.RigidMotion(x, q, x + v, q)
-    bodies = pgccd.MovingBodies(scene, motion)
+    bodies = pgccd.MovingBodies.of(scene, motion)
     pairs = pgccd.broad.sweep(bodies)
     candidates, _ = pgccd.traverse.bvtt(bodies, pairs)
     names = {"robot": mesh, "rock": mesh, "mesh": mesh, "scene": scene, "motion": motion, "m": motion, "bodies": bodies}
@@ -108,7 +108,7 @@ def namespace(module: str) -> dict[str, Any]:
         payload = {"velocity": names["v"]}
         if module == "pgccd.distributed.world.captured":
             payload |= {"q": names["q0"], "v": names["v"], "w": names["w"]}
-        names["world"] = distributed.World([names["rock"]], (0, 0, 0), (9, 9, 9), names["x"], payload=payload)
+        names["world"] = distributed.World.create([names["rock"]], (0, 0, 0), (9, 9, 9), names["x"], payload=payload)
     if module == "pgccd.detection.narrow":
         names |= dict.fromkeys(("x0", "x1"), torch.rand(5, 4, 3))
     if module == "pgccd.runtime.stages":

@@ -33,7 +33,7 @@ def scene(**options: Any) -> pgccd.Scene:
 
 def moved() -> pgccd.MovingBodies:
     b = bodies()
-    return pgccd.MovingBodies(b.scene(), b.motion())
+    return pgccd.MovingBodies.of(b.scene(), b.motion())
 
 
 def poses(**changed: Any) -> dict[str, Any]:
@@ -226,7 +226,7 @@ import os
 import torch, pgccd
 mesh = pgccd.Mesh([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
 still = torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]] * 2)
-bodies = pgccd.MovingBodies(pgccd.Scene([mesh, mesh]), pgccd.RigidMotion(*still, *still))
+bodies = pgccd.MovingBodies.of(pgccd.Scene([mesh, mesh]), pgccd.RigidMotion(*still, *still))
 torch.set_num_threads(1)
 big = 100_000_000
 for row in ([1, 0, 0, 0], [-1, 0, 0, 0], [0, 3, 0, 0], [0, 0, big, 0], [0, 2, 0, big], [0, 1, -7, 0], [0, 1, 1, 0]):

@@ -31,7 +31,7 @@ def test_points_that_cross(device: torch.device, exponent: int) -> None:
     at = {t: np.repeat([[x * size, 0.0, 0.0], [0.0, 0.0, 0.0]], 12, axis=0) for t, x in ((0, -1.0), (1, 1.0))}
     scene = pgccd.Scene([mesh, mesh], device=device)
     motion = pgccd.VertexMotion(*tensors(at[0], at[1], device=device))
-    bodies = pgccd.MovingBodies(scene, motion)
+    bodies = pgccd.MovingBodies.of(scene, motion)
     assert bodies.radius.tolist() == [0.0, 0.0]
     for broad_phase in ("sweep", "grid", "lbvh"):
         assert found(pgccd.detect(scene, motion, "any", broad_phase=broad_phase)) == [[0, 1]]
@@ -47,7 +47,7 @@ def test_a_body_from_far_away(device: torch.device, far: float) -> None:
     start, end = np.zeros((2, 3)), np.zeros((2, 3))
     start[0, 0], end[0, 0] = -far, far
     motion = pgccd.RigidMotion(*tensors(start, turn, end, turn, device=device))
-    bodies = pgccd.MovingBodies(scene, motion)
+    bodies = pgccd.MovingBodies.of(scene, motion)
     pairs = torch.tensor([[0, 1]], device=device)
     assert torch.equal(pgccd.broad.find_pairs(bodies), pairs)
     candidates, _ = pgccd.traverse.bvtt(bodies, pairs)

@@ -20,7 +20,7 @@ def refitted(
     """A deforming body, its node blocks at both ends, its vertices at both ends relative to its centre, triangles and
     links.
     """
-    bodies = pgccd.MovingBodies(pgccd.Scene([mesh]), pgccd.VertexMotion(*tensors(*ends)))
+    bodies = pgccd.MovingBodies.of(pgccd.Scene([mesh]), pgccd.VertexMotion(*tensors(*ends)))
     centres = (bodies.position_t0.numpy(), bodies.position_t1.numpy())
     triangles, _, links = prepared(mesh)
     blocks = [t.numpy() for t in bodies.tensors[6:8]]

@@ -54,7 +54,7 @@ def test_tiny_features_far_from_their_origins(turns: int, reach: float) -> None:
     """Their precision is that of their distance from the origin and of the angle."""
     size = (1e-5 if turns else 1e-9) * max(1.0, reach)
     meetings = specks(np.random.default_rng([9, turns]), 30, turns, size, reach)
-    moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion("linear"))
+    moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion("linear"))
     for k in range(len(meetings)):
         (key,) = meetings.touching(k)
         least = contacts.least_separation(contacts.distance_at(meetings, k))
@@ -65,7 +65,7 @@ def test_tiny_features_far_from_their_origins(turns: int, reach: float) -> None:
 def test_tips_graze_on_arcs(turn: tuple[float, float]) -> None:
     """They touch when they are nearest, at exactly the separation."""
     meetings = contacts.tips(np.random.default_rng(10), 12, turn, gap=2.0**-6)
-    moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion())
+    moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion())
     for k in range(len(meetings)):
         least = contacts.least_separation(contacts.distance_at(meetings, k))
         for key in meetings.touching(k):
@@ -109,7 +109,7 @@ def bulging(rng: np.random.Generator, n: int, which: int, size: float = 1e-3) ->
 def test_arcs_are_not_late(which: int) -> None:
     """At the time when the arc deviates from its chord by the window's maximum."""
     meetings = bulging(np.random.default_rng(11), 12, which)
-    moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion())
+    moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion())
     for k in range(len(meetings)):
         (key,) = meetings.touching(k)
         assert key[0] == pgccd.EE
@@ -123,7 +123,7 @@ def test_contacts_come_within_the_tolerance() -> None:
     rng = np.random.default_rng(12)
     for apart, tolerance, expected in ((0.5, 0.4, False), (0.5, 16.0, True), (2e-5, None, False), (2e-9, None, True)):
         meetings = contacts.tips(rng, 4, gap=apart, sizes=(1.0, 1024.0))
-        moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion())
+        moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion())
         for k in range(4):
             key = min(meetings.touching(k))
             assert (found_contact(meetings, moving, k, key, 0.0, tolerance) is not None) == expected, (apart, tolerance)
@@ -153,7 +153,7 @@ def test_normals_of_bodies_in_touch(kind: str, is_swapped: bool) -> None:
         (key,) = meetings.touching(0)
         assert key[0] == (pgccd.EE if kind == "edges" else (pgccd.VF_BA if is_swapped else pgccd.VF_AB))
         for path in ("rigid", "linear"):
-            moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion(path))  # type: ignore[arg-type]
+            moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion(path))  # type: ignore[arg-type]
             rows = found_contact(meetings, moving, 0, key, 0.0)
             assert rows is not None
             between = meetings.bodies.position_t0[1] - meetings.bodies.position_t0[0]
@@ -181,7 +181,7 @@ def test_normals_where_rounding_makes_the_gap(is_swapped: bool) -> None:
     )
     if is_swapped:
         meetings, along = swapped(meetings), -along
-    moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion())
+    moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion())
     for k in range(n):
         (key,) = meetings.touching(k)
         rows = found_contact(meetings, moving, k, key, 1e-14)

@@ -47,7 +47,7 @@ def test_quaternions_that_are_not_quite_unit(path: Literal["rigid", "linear"], f
     meetings = off_unit(meetings, factor)
     assert_touching(meetings, BARELY)
     assert missed(meetings, "cpu", BARELY, path=path) == []  # type: ignore[arg-type]
-    moving = pgccd.MovingBodies(meetings.bodies.scene(), meetings.bodies.motion(path))
+    moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion(path))
     for k in range(n):
         for key in meetings.touching(k):
             rows = found_contact(meetings, moving, k, key, BARELY, 1e-9)

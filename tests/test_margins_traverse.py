@@ -101,7 +101,7 @@ def deforming(meetings: Meetings, growth: float = 0.0, device: torch.device | st
         for t in (0, 1):
             ends[t].append(x * (1.0 + growth * t * (1 - k % 2)) + meetings.bodies.position_t0[k])
     motion = pgccd.VertexMotion(*tensors(*(np.concatenate(e) for e in ends), device=device))
-    return pgccd.MovingBodies(meetings.bodies.scene(device), motion)
+    return pgccd.MovingBodies.of(meetings.bodies.scene(device), motion)
 
 
 SEPARATIONS = (0.0, 2.0**-10, 0.25, 1.0, 16.0)
@@ -179,7 +179,7 @@ def test_rounding_in_the_local_frame(device: torch.device) -> None:
         if k % 2:
             world[k][0] = world[k - 1][0]
     x = np.concatenate(world)
-    moved = pgccd.MovingBodies(bodies.scene(device), pgccd.VertexMotion(*tensors(x, x, device=device)))
+    moved = pgccd.MovingBodies.of(bodies.scene(device), pgccd.VertexMotion(*tensors(x, x, device=device)))
     assert missed_among(still, moved, 0.0) == []
 
 
@@ -205,7 +205,7 @@ def test_travelling_bodies_touch_at_the_horizon(device: torch.device, horizon: f
         ]
         end = [start[0] + 4.0 * way, start[1]]
         motion = pgccd.VertexMotion(*tensors(np.concatenate(start), np.concatenate(end), device=device))
-        moved = pgccd.MovingBodies(meetings.bodies.scene(device), motion)
+        moved = pgccd.MovingBodies.of(meetings.bodies.scene(device), motion)
         assert missed_among(meetings, moved, 0.0, horizon=np.array([horizon])) == []
 
 

@@ -145,7 +145,7 @@ def test_refit_encloses_the_whole_step(shape: strategies.TriMesh, seed: int, sca
     far = rng.choice([0.0, 1e3]) * scale
     ends = [scale * (shape.vertices + rng.normal(size=shape.vertices.shape)) + far for _ in range(2)]
     scene = pgccd.Scene([mesh])
-    bodies = pgccd.MovingBodies(scene, pgccd.VertexMotion(*(torch.from_numpy(x) for x in ends)))
+    bodies = pgccd.MovingBodies.of(scene, pgccd.VertexMotion(*(torch.from_numpy(x) for x in ends)))
     triangles, _, links = prepared(mesh)
     centre_t0, centre_t1, radius = (t.numpy() for t in (bodies.position_t0, bodies.position_t1, bodies.radius))
     blocks = [t.numpy() for t in bodies.tensors[6:8]]

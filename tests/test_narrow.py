@@ -39,10 +39,10 @@ def crowd(seed: int, count: int = 5, turn: float = 1.5) -> Bodies:
 
 def moving(bodies: Bodies, device: torch.device, kind: str) -> pgccd.MovingBodies:
     if kind != "deforming":
-        return pgccd.MovingBodies(bodies.scene(device), bodies.motion(kind, device))  # type: ignore[arg-type]
+        return pgccd.MovingBodies.of(bodies.scene(device), bodies.motion(kind, device))  # type: ignore[arg-type]
     ends = [end_positions(bodies, b) for b in range(len(bodies.meshes))]
     x = tensors(*(np.concatenate([e[t] for e in ends]) for t in (0, 1)), device=device)
-    return pgccd.MovingBodies(bodies.scene(device), pgccd.VertexMotion(*x))
+    return pgccd.MovingBodies.of(bodies.scene(device), pgccd.VertexMotion(*x))
 
 
 @pytest.mark.parametrize("kind", ["rigid", "linear", "deforming"])

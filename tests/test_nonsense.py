@@ -67,7 +67,7 @@ def bodies() -> Bodies:
 def calls(folder: Path) -> dict[str, Call]:
     b = bodies()
     scene, motion = b.scene(), b.motion()
-    moving = pgccd.MovingBodies(scene, motion)
+    moving = pgccd.MovingBodies.of(scene, motion)
     pairs = torch.tensor([[0, 1]])
     candidates, _ = pgccd.traverse.bvtt(moving, pairs)
     poses: dict[str, Any] = {"position_t0": motion.position_t0, "orientation_t0": motion.orientation_t0}
@@ -81,7 +81,7 @@ def calls(folder: Path) -> dict[str, Call]:
     (folder / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     np.savez(folder / "poses.npz", **{n: c.numpy() for n, c in poses.items()}, orientation_t1=poses["orientation_t0"])
     filters: dict[str, Any] = dict.fromkeys(("group", "mask", "world"), [0, 1]) | {"static": [False, True]}
-    world = distributed.World([mesh], (0, 0, 0), (9, 9, 9), motion.position_t0, payload={"v": torch.ones(2, 3)})
+    world = distributed.World.create([mesh], (0, 0, 0), (9, 9, 9), motion.position_t0, payload={"v": torch.ones(2, 3)})
     world.save(folder / "saved")
     hits = pgccd.detect(scene, motion)
 
@@ -141,7 +141,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "VertexMotion": Call(
             pgccd.VertexMotion, {"x_t0": torch.ones(5, 3), "x_t1": torch.ones(5, 3)}, {"x_t0": ("x_t1",)}
         ),
-        "MovingBodies": Call(pgccd.MovingBodies, {"scene": scene, "motion": motion}),
+        "MovingBodies.of": Call(pgccd.MovingBodies.of, {"scene": scene, "motion": motion}),
         "Capacity": Call(pgccd.Capacity, {"pairs": 9, "contacts": 9, "overlaps": 9, "launches": 4, "long_rows": True}),
         "Capacity.guess": Call(pgccd.Capacity.guess, {"body_count": 9, "pair_count": 9, "self_vertex_count": 0}),
         "Capacity.times": Call(pgccd.Capacity(9, 9).times, {"factor": 1.5}),
@@ -176,8 +176,8 @@ def calls(folder: Path) -> dict[str, Call]:
             pgccd.integrate_orientation, {"orientation": motion.orientation_t0, "rotation": motion.rotation}
         ),
         "sim.ModelConfig": Call(sim.ModelConfig, config),
-        "distributed.World": Call(
-            distributed.World, all_worlds, {"position": ("mesh_index", "group", "id"), "mesh_index": ("group",)}
+        "distributed.World.create": Call(
+            distributed.World.create, all_worlds, {"position": ("mesh_index", "group", "id"), "mesh_index": ("group",)}
         ),
         "distributed.World.step": Call(world.step, {"motion": motion}),
         "distributed.World.move": Call(world.move, {"position": motion.position_t0, "v": torch.ones(2, 3)}),
@@ -234,7 +234,7 @@ def test_arguments_swapped() -> None:
     cases: list[tuple[Callable[[], Any], str]] = [
         (lambda: pgccd.detect(motion, scene), "^scene: expected a pgccd.Scene, got RigidMotion"),  # type: ignore
         (lambda: pgccd.detect(scene, scene), "^motion: expected .*, got Scene"),  # type: ignore
-        (lambda: pgccd.MovingBodies(motion, scene), "^scene: expected"),  # type: ignore
+        (lambda: pgccd.MovingBodies.of(motion, scene), "^scene: expected"),  # type: ignore
         (
             lambda: pgccd.RigidMotion(motion.orientation_t0, motion.position_t0, *[motion.position_t1] * 2),
             r"^position_t0: expected shape \(N, 3\), got \(2, 4\)",

@@ -110,9 +110,9 @@ def recorded(device: torch.device) -> list[Call]:
             moved = pgccd.VertexMotion(x.to(device), (x + 0.3).to(device))
             pgccd.detect(scene, moved)
             pgccd.detect(scene, moved, capacity=capacity)
-            stages_alone(pgccd.MovingBodies(scene, bodies.motion(device=device)))
-            stages_alone(pgccd.MovingBodies(scene, moved))
-            moving = pgccd.MovingBodies(scene, bodies.motion(device=device))
+            stages_alone(pgccd.MovingBodies.of(scene, bodies.motion(device=device)))
+            stages_alone(pgccd.MovingBodies.of(scene, moved))
+            moving = pgccd.MovingBodies.of(scene, bodies.motion(device=device))
             ops.swept_boxes(moving.position_t0, moving.position_t1, moving.radius, 0.01, -1e-6)
             share_out(moving)
             if device.type == "cpu" and closeness == 0.7:

@@ -34,7 +34,7 @@ def _grazing_spheres(
         np.zeros((2, 3)),
         np.array([[0.0, 0.0, angle], [0.0, 0.0, 0.0]]),
     )
-    moving = pgccd.MovingBodies(bodies.scene(device), bodies.motion(path, device))  # type: ignore[arg-type]
+    moving = pgccd.MovingBodies.of(bodies.scene(device), bodies.motion(path, device))  # type: ignore[arg-type]
     found = [find(moving, tolerance=0.0) for find in (pgccd.broad.sweep, pgccd.broad.grid, pgccd.broad.lbvh)]
     assert torch.equal(found[0], found[1]) and torch.equal(found[0], found[2])
     return found[0]
@@ -79,7 +79,7 @@ def test_swept_spheres_cover_the_rounding_of_positions(device: torch.device) -> 
         orientation += [STILL, STILL]
     scene = pgccd.Scene(meshes, device=device, world=torch.arange(count).repeat_interleave(2))
     x, q = tensors(np.array(position), np.array(orientation), device=device)
-    moving = pgccd.MovingBodies(scene, pgccd.RigidMotion(x, q, x, q))
+    moving = pgccd.MovingBodies.of(scene, pgccd.RigidMotion(x, q, x, q))
     rounded = moving.centre_t0[1::2, 0] - moving.centre_t0[::2, 0]
     assert float(rounded.max() - rounded.min()) > 1e-4
     for find in (pgccd.broad.sweep, pgccd.broad.grid, pgccd.broad.lbvh):
@@ -110,7 +110,9 @@ def test_swept_spheres_cover_the_rounding_of_centres(device: torch.device) -> No
     touching = link.radius + ball.radius
     tried, zero = unit_quaternions(rng, 400), np.zeros(3)
     x, q = tensors(np.zeros((400, 3)), tried)
-    computed = pgccd.MovingBodies(pgccd.Scene([link], torch.zeros(400).long()), pgccd.RigidMotion(x, q, x, q)).centre_t0
+    computed = pgccd.MovingBodies.of(
+        pgccd.Scene([link], torch.zeros(400).long()), pgccd.RigidMotion(x, q, x, q)
+    ).centre_t0
     position, orientation = [], []
     for at, centre in zip(tried, computed.numpy(), strict=True):
         exact = _exact_point(zero, at, link.centre_offset.numpy())
@@ -127,7 +129,7 @@ def test_swept_spheres_cover_the_rounding_of_centres(device: torch.device) -> No
     kinds = torch.arange(len(position)) % 2
     scene = pgccd.Scene([link, ball], kinds, device=device, world=torch.arange(len(position)) // 2)
     x, q = tensors(np.array(position), np.array(orientation), device=device)
-    moving = pgccd.MovingBodies(scene, pgccd.RigidMotion(x, q, x, q))
+    moving = pgccd.MovingBodies.of(scene, pgccd.RigidMotion(x, q, x, q))
     for find in (pgccd.broad.sweep, pgccd.broad.grid, pgccd.broad.lbvh):
         assert len(find(moving, tolerance=0.0)) == len(position) // 2, "missed"
 

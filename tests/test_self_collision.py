@@ -180,7 +180,9 @@ def test_any_mesh(shape: TriMesh, seed: int, shake: float) -> None:
     chosen = rng.permutation(len(shape.faces))[:60]  # exact arithmetic is slow
     mesh = pgccd.Mesh(shape.vertices + 1e-9 * rng.normal(size=shape.vertices.shape), shape.faces[chosen])
     ends = [noisy(rng, shape.vertices, shake) for _ in range(2)]
-    bodies = pgccd.MovingBodies(pgccd.Scene([mesh], self_collision=True), motion_of(ends, device=torch.device("cpu")))
+    bodies = pgccd.MovingBodies.of(
+        pgccd.Scene([mesh], self_collision=True), motion_of(ends, device=torch.device("cpu"))
+    )
     found, _ = pgccd.traverse.bvtt(bodies, torch.tensor([[0, 0]]))
     assert_canonical(mesh, found[:, 1], found[:, 2:])
     truth = self_truth(ends, shape.faces[chosen])
@@ -268,7 +270,7 @@ def test_pairs_of_the_broad_phase(device: torch.device, broad_phase: Any, count:
     static, chosen = rng.random(count) < 0.3, rng.random(count) < 0.6
 
     def found(**filters: Any) -> list[list[int]]:
-        moved = pgccd.MovingBodies(pgccd.Scene([mesh], [0] * count, device, **filters), motion)
+        moved = pgccd.MovingBodies.of(pgccd.Scene([mesh], [0] * count, device, **filters), motion)
         pairs = pgccd.broad.find_pairs(moved, 0.0, broad_phase)
         assert pairs.is_contiguous() and pairs.dtype == torch.int64
         return pairs.tolist()
@@ -290,7 +292,7 @@ def test_rigid_bodies_are_not_tested_against_themselves(device: torch.device) ->
     scene = pgccd.Scene(bodies.meshes, device=device, self_collision=True)
     for path in ("rigid", "linear"):
         motion = bodies.motion(path, device)
-        assert pgccd.broad.sweep(pgccd.MovingBodies(scene, motion)).tolist() == [[0, 1]]
+        assert pgccd.broad.sweep(pgccd.MovingBodies.of(scene, motion)).tolist() == [[0, 1]]
         assert_same(pgccd.detect(scene, motion, "all"), pgccd.detect(bodies.scene(device), motion, "all"))
 
 

@@ -72,7 +72,7 @@ def test_first_is_the_least_of_all(
 @pytest.mark.parametrize("path", PATHS)
 def test_order_of_candidates(device: torch.device, path: str) -> None:
     crowd = meetings(np.random.default_rng(5), 100, 0, turning=path != "vertices")
-    bodies = pgccd.MovingBodies(crowd.scene(device), crowd.motion(path, device))
+    bodies = pgccd.MovingBodies.of(crowd.scene(device), crowd.motion(path, device))
     pairs = pgccd.broad.sweep(bodies)
     candidates, _ = pgccd.traverse.bvtt(bodies, pairs)
     canonical = torch.from_numpy(np.lexsort(candidates.cpu().numpy().T[::-1]).copy()).to(device)

@@ -37,7 +37,7 @@ def assert_all_there(found: list[Key], truth: Detection, until: float = 1.0) -> 
 
 
 def moving(bodies: Bodies, device: torch.device, path: str = "rigid") -> pgccd.MovingBodies:
-    return pgccd.MovingBodies(bodies.scene(device), bodies.motion(path, device))
+    return pgccd.MovingBodies.of(bodies.scene(device), bodies.motion(path, device))
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.1, 1.0, 3.1, 9.0, 25.0])
@@ -121,7 +121,7 @@ def test_deforming(device: torch.device, shake: float) -> None:
         ends = [end_positions(bodies, b) for b in (0, 1)]
         ends = [[x + shake * rng.normal(size=x.shape) for x in of_body] for of_body in ends]
         motion = pgccd.VertexMotion(*tensors(*(np.concatenate([e[t] for e in ends]) for t in (0, 1)), device=device))
-        moved = pgccd.MovingBodies(bodies.scene(device), motion)
+        moved = pgccd.MovingBodies.of(bodies.scene(device), motion)
         truth = linear_truth(ends, [m.faces.numpy() for m in bodies.meshes])
         assert len(truth.contacts) > 0
         assert_all_there(candidates(moved)[0], truth)

@@ -33,7 +33,7 @@ def crowd(rng: np.random.Generator, count: int, scale: float = 1.0) -> pgccd.Mov
     x1 = x0 + rng.normal(size=(count, 3))
     q0, q1 = unit_quaternions(rng, count), unit_quaternions(rng, count)
     scene = pgccd.Scene(meshes, rng.integers(2, size=count).tolist())
-    return pgccd.MovingBodies(scene, pgccd.RigidMotion(*tensors(x0, q0, x1, q1)))
+    return pgccd.MovingBodies.of(scene, pgccd.RigidMotion(*tensors(x0, q0, x1, q1)))
 
 
 @pytest.mark.parametrize("size", [0.2, 0.5, 1.0, 3.0, 1000.0])
@@ -96,7 +96,7 @@ def test_boxes_hold_triangles_all_along(turn: float, scale: float) -> None:
     axis = rng.normal(size=(count, 3))
     rotation = turn * axis / np.linalg.norm(axis, axis=1, keepdims=True)
     motion = pgccd.RigidMotion.from_rotation(*tensors(x0, q0, x1, rotation))
-    moving = pgccd.MovingBodies(pgccd.Scene([mesh], [0] * count), motion)
+    moving = pgccd.MovingBodies.of(pgccd.Scene([mesh], [0] * count), motion)
     packed = boxes_of(moving, 100.0 * scale, separation, tolerance)[2].numpy().view(BOX)[:, 0]
     triangles = moving.mesh_set[3].numpy()[:, :3]
     vertices = mesh.vertices.numpy()
@@ -124,7 +124,7 @@ def test_boxes_of_bodies_that_do_not_turn_fit_to_float32() -> None:
     turn = unit_quaternions(rng, 1)
     for separation in (0.0, 0.25):
         motion = pgccd.RigidMotion(*tensors(np.zeros((1, 3)), turn, np.ones((1, 3)), turn), path="linear")
-        moving = pgccd.MovingBodies(pgccd.Scene([mesh]), motion)
+        moving = pgccd.MovingBodies.of(pgccd.Scene([mesh]), motion)
         packed = boxes_of(moving, 1e3, separation, 0.0)[2].numpy().view(BOX)[:, 0]
         placed = turned(np.repeat(turn, len(mesh.vertices), axis=0), mesh.vertices.numpy())
         for box in packed:

@@ -93,7 +93,7 @@ def _pgccd(broad_phase: str, device: str) -> Prepare:
         upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64, device=device).expand(count, 4)
         ends = [torch.from_numpy(position).to(device) for position in (scene.position_t0, scene.position_t1)]
         motion = pgccd.RigidMotion(ends[0], upright, ends[1], upright)
-        bodies = pgccd.MovingBodies(pgccd.Scene(meshes, torch.from_numpy(index).to(device)), motion)
+        bodies = pgccd.MovingBodies.of(pgccd.Scene(meshes, torch.from_numpy(index).to(device)), motion)
 
         def find() -> ReadPairs:
             pairs = find_pairs(bodies)

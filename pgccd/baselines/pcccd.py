@@ -114,7 +114,7 @@ class PCCCD:
             raise ValueError(f"motion: expected one on the CPU, got one on {motion.device}")
         count = motion.body_count
         index = torch.zeros(count, dtype=torch.int32) if mesh_index is None else mesh_index
-        bodies = MovingBodies(Scene(self._meshes, index), motion)
+        bodies = MovingBodies.of(Scene(self._meshes, index), motion)
         bodies_before = self._bodies_before(count)
         if id is None:
             id = torch.arange(count) + bodies_before[self.comm.rank]
@@ -140,7 +140,7 @@ class PCCCD:
         with clock.stage("narrow"):
             pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
             scene = Scene.of_checked(self._meshes, columns["mesh_index"])
-            found = MovingBodies(scene, RigidMotion.from_rotation(*pose, path=motion.path))
+            found = MovingBodies.of(scene, RigidMotion.from_rotation(*pose, path=motion.path))
             pairs, candidates = feature_candidates(found, triangle_pairs)
             rest = (pairs, candidates, *self._query.settings, narrow.REPORTS[self._query.report])
             row, *rows = ops.narrow(found.operands, *rest)

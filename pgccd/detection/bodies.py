@@ -1,5 +1,7 @@
 """A scene and its motion, as input of the stages."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 
 import torch
@@ -12,63 +14,73 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 
 
 class MovingBodies:
-    """The bodies of `scene` during one step of `motion`, as the operators read them.
-
-    For deforming bodies the constructor refits each body's hierarchy once for all stages; if vertices change later,
-    construct a new object.
-
-    Args:
-        wait: whether to raise for an invalid pose now. Otherwise the constructor does not synchronise: `first_faults`
-            stays on the device, and stages must be passed it as `invalid`.
-
-    Raises:
-        TypeError, ValueError: if scene and motion disagree in number or device, or a pose is invalid.
+    """The bodies of a scene during one step of motion, as the operators read them; made by `of`.
 
     Example:
-        >>> bodies = pgccd.MovingBodies(scene, motion)
+        >>> bodies = pgccd.MovingBodies.of(scene, motion)
         >>> pairs = pgccd.broad.sweep(bodies)
     """
 
-    def __init__(self, scene: Scene, motion: RigidMotion | VertexMotion, *, wait: bool = True) -> None:
+    def __init__(
+        self, scene: Scene, motion: RigidMotion | VertexMotion, columns: Mapping[str, Tensor], tensors: list[Tensor]
+    ) -> None:
+        self.scene, self.motion, self._columns = scene, motion, columns
+        #: True if vertices move on straight lines instead of arcs.
+        self.linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
+        #: True for explicit vertex streams.
+        self.deforming = isinstance(motion, VertexMotion)
+        #: The operators' `bodies` argument. Entries 1 to 3: positions at t0 and t1 (N, 3), of the origins or, for
+        #: deforming bodies, of the SBV centres; and SBV radius (N,).
+        self.tensors = tensors
+        #: (N, 3), (N, 3), (N,): the swept spheres that broad phases test. At every t the body and its margin are within
+        #: `reach` of the point at fraction t of the way from `centre_t0` to `centre_t1`, its SBV centres at t0 and t1.
+        self.centre_t0, self.centre_t1, self.reach = self.position_t0, self.position_t1, self.radius
+        #: Whether the poses have been validated.
+        self.checked = False
+        self._faults: Tensor | None = None
+
+    @classmethod
+    def of(cls, scene: Scene, motion: RigidMotion | VertexMotion, *, wait: bool = True) -> MovingBodies:
+        """The bodies of `scene` during one step of `motion`. For deforming bodies this refits each body's hierarchy,
+        once for all stages; if vertices change later, make new moving bodies.
+
+        Args:
+            wait: whether to raise for an invalid pose now. Otherwise this does not synchronise: `first_faults` stays on
+                the device, and stages must be passed it as `invalid`.
+
+        Raises:
+            TypeError, ValueError: if scene and motion disagree in number or device, or a pose is invalid.
+        """
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
         if not isinstance(motion, (RigidMotion, VertexMotion)):
             kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
-        self._columns = motion.columns()
+        columns = motion.columns()
         scene.check_columns()
         if scene.device != motion.device:
             raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
-        self.scene = scene
-        self.motion = motion
-        #: True if vertices move on straight lines instead of arcs.
-        self.linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
-        #: True for explicit vertex streams.
-        self.deforming = isinstance(motion, VertexMotion)
-        #: Whether the poses have been validated.
-        self.checked = wait
-        self._faults: Tensor | None = None
-        of_motion = motion.first_faults(self._columns) if wait and not motion.is_trusted else None
+        of_motion = motion.first_faults(columns) if wait and not motion.is_trusted else None
         if of_motion is not None:
             motion.raise_faults(of_motion.tolist())
-        #: The operators' `bodies` argument. Entries 1 to 3: positions at t0 and t1 (N, 3), of the origins or, for
-        #: deforming bodies, of the SBV centres; and SBV radius (N,).
-        self.tensors = (_deforming if self.deforming else _rigid)(scene, self._columns)
+        tensors = (_deforming if isinstance(motion, VertexMotion) else _rigid)(scene, columns)
         if scene.margin is not None:
-            self.tensors.append(scene.margin)
-        if self.deforming or scene.meshes.is_centred:
-            spheres = self.position_t0, self.position_t1, self.radius
-        else:
-            spheres = ops.moving_spheres(self.mesh_set, self.tensors, self.linear_path)
-        #: (N, 3), (N, 3), (N,): the swept spheres that broad phases test. At every t the body and its margin are within
-        #: `reach` of the point at fraction t of the way from `centre_t0` to `centre_t1`, its SBV centres at t0 and t1.
-        self.centre_t0, self.centre_t1, self.reach = spheres
-        if scene.margin is not None:
-            self.reach = (self.reach + scene.margin) * (1.0 + 2.0**-50)
+            tensors.append(scene.margin)
+        bodies = cls(scene, motion, columns, tensors)
+        bodies.checked = wait
+        bodies._sweep()
         if of_motion is not None:
-            self._faults = self._look(of_motion)
-            if self.deforming:
-                self.raise_faults(self._faults.tolist())
+            bodies._faults = bodies._look(of_motion)
+            if bodies.deforming:
+                bodies.raise_faults(bodies._faults.tolist())
+        return bodies
+
+    def _sweep(self) -> None:
+        if not (self.deforming or self.scene.meshes.is_centred):
+            spheres = ops.moving_spheres(self.mesh_set, self.tensors, self.linear_path)
+            self.centre_t0, self.centre_t1, self.reach = spheres
+        if self.scene.margin is not None:
+            self.reach = (self.reach + self.scene.margin) * (1.0 + 2.0**-50)
 
     def first_faults(self) -> Tensor:
         """(F,) int64: for each check the first faulty row, or a number past the last row; then 1 if any row is faulty,

@@ -5,10 +5,11 @@ from typing import Unpack
 import torch
 
 from pgccd import arguments
-from pgccd.detection import narrow
+from pgccd.detection import broad, narrow
 from pgccd.detection.capacity import Capacity, CapacityError, check_capacity
 from pgccd.detection.contacts import Contacts, PaddedContacts
 from pgccd.detection.pipeline import Options, detect
+from pgccd.detection.query import Query
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.runtime.graph import capture
@@ -21,13 +22,14 @@ class CapturedDetection:
     """`pgccd.detect` for the steps of a loop: poses are loaded into fixed memory, one CUDA graph is replayed, and
     contacts are read from fixed memory. The result is bitwise equal to that of `detect`.
 
-    On a CPU there is no graph: each replay calls `detect` with the same capacity (`is_graph` is False).
+    The graph is captured by the first replay, which takes longer and synchronises. On a CPU there is none: each replay
+    calls `detect` with the same capacity (`is_graph` is False).
 
     Args:
         scene: the bodies. Its columns are read at each replay and may be changed in place.
         motion: a step of the same kind as later ones, with the same number of bodies or vertices.
         report, min_separation: as for `detect`.
-        capacity: of the result and of all intermediate lists. Default: 1.5 times what `motion` needs.
+        capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
         options: tolerance, nonzero_toi, broad_phase: as for `detect`.
 
     Raises:
@@ -50,20 +52,23 @@ class CapturedDetection:
         capacity: Capacity | None = None,
         **options: Unpack[Options],
     ) -> None:
+        if not isinstance(scene, Scene):
+            raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
         if not isinstance(motion, (RigidMotion, VertexMotion)):
             kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+        Query(report, min_separation, options.get("tolerance"), options.get("nonzero_toi", False))  # checks them
+        arguments.choice(options.get("broad_phase", "auto"), "broad_phase", broad.BROAD_PHASES)
+        if capacity is not None:
+            check_capacity(capacity)
         self.scene = scene
         self._report, self._min_separation, self._options = report, min_separation, options
-        if capacity is None:
-            needed = detect(scene, motion, report, min_separation, **options).stats.needed
-            if needed is None:
-                raise ValueError("motion: this step does not fit in memory in one pass; use pgccd.detect")
-            capacity = needed.times(_SLACK)
-        check_capacity(capacity)
+        #: Capacity of the result and of all intermediate lists; None before the first replay, unless it was given.
+        self.capacity = capacity
         #: The motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
         self.motion = _copy_of(motion)
-        self._capture(capacity)
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._found: PaddedContacts | None = None
 
     def load(self, motion: RigidMotion | VertexMotion) -> None:
         """Copies a motion into `self.motion`. Does not synchronise.
@@ -85,11 +90,20 @@ class CapturedDetection:
             column.copy_(given[name])
 
     def replay(self) -> PaddedContacts:
-        """Detects the collisions of the loaded motion. Does not synchronise; the next replay overwrites the result."""
+        """Detects the collisions of the loaded motion. Does not synchronise, except the first time; the next replay
+        overwrites the result.
+
+        Raises:
+            ValueError: the first time: the motion is invalid, or the step does not fit in memory in one pass.
+        """
+        if self._found is None:
+            self.capacity = self.capacity or self._estimate()
+            self._capture()
         if self._graph is None:
             self._found = self._detect()
         else:
             self._graph.replay()
+        assert self._found is not None
         return self._found
 
     def __call__(self, motion: RigidMotion | VertexMotion) -> PaddedContacts:
@@ -98,39 +112,44 @@ class CapturedDetection:
         return self.replay()
 
     def contacts(self) -> Contacts:
-        """A copy of the contacts of the last replay. Synchronises. If a capacity was exceeded, the step is captured
-        again with a larger one, and replayed.
+        """A copy of the contacts of the last replay; replays first if there was none. Synchronises. If a capacity was
+        exceeded, the step is captured again with a larger one, and replayed.
 
         Raises:
             ValueError: the motion is invalid.
         """
+        padded = self._found or self.replay()
         while True:
             try:
-                found = self._found.trim()
+                found = padded.trim()
             except CapacityError as error:
-                self._capture(error.capacity.grown(error.needed))
-                self.replay()
+                self.capacity = error.capacity.grown(error.needed)
+                self._capture()
+                padded = self.replay()
             else:
                 return found.clone() if self.is_graph else found
 
     @property
     def is_graph(self) -> bool:
         """Whether replays use a CUDA graph."""
-        return self._graph is not None
+        return self.scene.device.type == "cuda"
+
+    def _estimate(self) -> Capacity:
+        given = self.scene, self.motion, self._report, self._min_separation
+        needed = detect(*given, **self._options).stats.needed
+        if needed is None:
+            raise ValueError("motion: this step does not fit in memory in one pass; use pgccd.detect")
+        return needed.times(_SLACK)
 
     def _detect(self) -> PaddedContacts:
+        assert self.capacity is not None
         given = self.scene, self.motion, self._report, self._min_separation
         return detect(*given, capacity=self.capacity, **self._options)
 
-    def _capture(self, capacity: Capacity) -> None:
-        #: Capacity of the result and of all intermediate lists.
-        self.capacity = capacity
-        self._graph: torch.cuda.CUDAGraph | None = None
-        if self.scene.device.type == "cuda":
+    def _capture(self) -> None:
+        if self.is_graph:
+            self._graph = None
             self._graph, self._found = capture(self._detect, self.scene.device)
-            self._graph.replay()
-        else:
-            self._found = self._detect()
 
     def __repr__(self) -> str:
         return f"CapturedDetection(bodies={self.scene.body_count}, graph={self.is_graph}, device={self.scene.device})"

@@ -136,7 +136,7 @@ def detect(
     start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
     # An operator for the whole step also checks the poses.
     at_once = pairs is None and isinstance(motion, RigidMotion)
-    bodies = MovingBodies(scene, motion, wait=on_cpu and capacity is None and not at_once)
+    bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not at_once)
     seconds = time.perf_counter() - start if capacity is None else 0.0
     broad.choose(bodies, broad_phase)  # raises for an unknown name
     if pairs is not None:

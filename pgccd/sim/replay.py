@@ -118,7 +118,7 @@ def capture_step(
     scene = model.scene(state.id)
 
     def search(planned: RobotState, discard: Tensor) -> Searches:
-        bodies = MovingBodies(scene, model.motion(planned), wait=False)
+        bodies = MovingBodies.of(scene, model.motion(planned), wait=False)
         part = find_part(bodies, FIRST_CONTACTS, broad_phase, discard=discard, estimate=plan.pairs, slack=GRAPH_SLACK)
         partners = Partners(model, planned.moving_columns, None, part.pairs)
         return Searches([part], partners, planned.id, OneRank(), bodies.first_faults()[-1:])

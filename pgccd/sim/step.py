@@ -89,7 +89,7 @@ def make_step(
         before = model.plan(state, index)
         motion = model.motion(before)
     with clock.stage("broad"):
-        bodies = MovingBodies(scene, motion, wait=scene.device.type == "cpu")
+        bodies = MovingBodies.of(scene, motion, wait=scene.device.type == "cpu")
         faults = HostCopy.start(bodies.first_faults())
         part = find_part(bodies, FIRST_CONTACTS, broad_phase, estimate=plan.pairs)
     after = before

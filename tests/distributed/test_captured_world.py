@@ -81,7 +81,7 @@ def spread(comm: Comm, device: torch.device, policy: str, partition: str) -> Wor
     balance = BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0, every=3)
     options: dict[str, Any] = {"id": 3 * mine.to(device) + 1, "payload": payload, "partition": partition}
     options |= {"comm": comm, "cells": 4, "balance": balance, "nonzero_toi": True, "min_separation": 1e-3}
-    return World(meshes().meshes, (0.0,) * 3, (BOX,) * 3, columns.pop("position"), **columns, **options)
+    return World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, columns.pop("position"), **columns, **options)
 
 
 @functools.cache
@@ -174,7 +174,7 @@ def start_empty(comm: Comm) -> int:
         payload = {name: columns.pop(name) for name in ("q", "v", "w", "hits")}
         position = torch.tensor([BOX, BOX, BOX]) - 0.1 * columns.pop("position")
         options: dict[str, Any] = {"id": torch.arange(count), "balance": BalanceOptions("none"), "comm": comm}
-        world = World(meshes().meshes, (0.0,) * 3, (BOX,) * 3, position, **columns, payload=payload, **options)
+        world = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, position, **columns, payload=payload, **options)
 
         def rest(bodies: Bodies, _: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
             return {"position": bodies.position}
@@ -225,7 +225,7 @@ def test_columns_of_the_state_under_other_names(device: torch.device) -> None:
             start_columns = {name: start()[name].to(device) for name in ("q", "v", "w", "hits", "position")}
             position = start_columns.pop("position")
             payload = start_columns | {"last": position}
-            world = World(meshes().meshes, (0.0,) * 3, (BOX,) * 3, position, payload=payload, nonzero_toi=True)
+            world = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, position, payload=payload, nonzero_toi=True)
             steps = CapturedWorld(world, motion, exchange_columns, graph).run(12)
             assert any(step.replayed for step in steps) == graph
             found.append({"position": world.position, **world.payload})
@@ -263,6 +263,6 @@ def test_what_functions_return_is_checked() -> None:
         with pytest.raises((TypeError, ValueError), match=problem):
             CapturedWorld(world, **functions).run(1)
     for report in ("any", "all", "earliest"):
-        other = World(meshes().meshes, (0.0,) * 3, (BOX,) * 3, world.position, report=report)
+        other = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, world.position, report=report)
         with pytest.raises(ValueError, match="world: expected one with report"):
             CapturedWorld(other, motion, response)

@@ -25,7 +25,7 @@ COUNT = 12
 def small_world() -> World:
     """A world on one rank."""
     position = torch.rand((COUNT, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    return World([tetrahedron(0.1)], (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), position)
+    return World.create([tetrahedron(0.1)], (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), position)
 
 
 def losing(rows: Tensor) -> Callable[..., migrate.Moved]:
@@ -82,7 +82,7 @@ def test_a_simulation_notices() -> None:
     for rows in (torch.arange(39), torch.cat([torch.arange(40), torch.tensor([39])])):
         comm = Alone()
         partition = Cells.uniform(tuple(-x for x in upper), upper, 1, cells=2)
-        simulation = DistributedSimulation(comm, world, partition, starting_share(comm, world))
+        simulation = DistributedSimulation.create(comm, world, partition, starting_share(comm, world))
         simulation.step(0)
         simulation.state = sim.RobotState(**take_rows(simulation.state.columns, rows))
         with pytest.raises(RuntimeError, match="expected 40 bodies"):

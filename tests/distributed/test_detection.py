@@ -35,7 +35,7 @@ def share(
     ids = 10 * torch.arange(count) + 3  # global ids are not row numbers
     mine = torch.nonzero(torch.randint(comm.size, (count,), generator=generator) == comm.rank)[:, 0]
     columns = {"orientation": crowd.orientation, "velocity": crowd.velocity, "rotation": crowd.rotation}
-    world = SharedWorld(
+    world = SharedWorld.create(
         crowd.meshes,
         (0.0,) * 3,
         (8.0,) * 3,
@@ -122,7 +122,7 @@ def tumble(comm: Comm, policy: str) -> list[str]:
     crowd = crowds()["kept apart, filtered"]
     mine = torch.arange(comm.rank, len(crowd.position), comm.size).flip(0)  # not sorted
     columns = {"orientation": crowd.orientation, "velocity": crowd.velocity, "rotation": crowd.rotation}
-    world = SharedWorld(
+    world = SharedWorld.create(
         crowd.meshes,
         (0.0,) * 3,
         (8.0,) * 3,
@@ -174,7 +174,7 @@ def leave_alone(comm: Comm) -> None:
     mesh = crowds()["one body"].meshes[0]
     count = 5 if comm.rank == 0 else 0
     position = 2.0 * torch.arange(3.0 * count, dtype=torch.float64).view(count, 3)
-    world = SharedWorld([mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
+    world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
     assert int(comm.sum(torch.tensor([len(world.id)]))) == 5
     with pytest.raises(TypeError, match="^motion: expected a pgccd.RigidMotion, VertexMotion or Trajectory, got "):
         world.step(mesh.vertices)  # type: ignore[arg-type]
@@ -210,11 +210,11 @@ def disagree(comm: Comm) -> list[str]:
         {"mesh_index": torch.tensor([1 if odd else 0])},
     ):
         with pytest.raises(ValueError) as caught:
-            SharedWorld([mesh], (0.0,) * 3, (8.0,) * 3, **({"position": position, "comm": comm} | arguments))
+            SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, **({"position": position, "comm": comm} | arguments))
         messages.append(str(caught.value))
     with pytest.raises(ValueError, match="^meshes: rank 0 has .*, rank 1 has"):
         other = pgccd.Mesh(mesh.vertices * 2.0, mesh.faces)
-        SharedWorld([other if odd else mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
+        SharedWorld.create([other if odd else mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
     return messages
 
 

@@ -101,7 +101,7 @@ def spoil(comm: Comm) -> None:
     model = sim.Model(sim.ModelConfig(robots=60))
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
-    simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
+    simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
     if comm.rank == comm.size - 1:
         simulation.state.position[3, 1] = torch.nan
         with pytest.raises(ValueError, match="^position: body 3|^position_t0: body 3"):

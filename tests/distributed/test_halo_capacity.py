@@ -59,7 +59,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
     with ExitStack() as stack:
         for patch in patches:
             stack.enter_context(patch)
-        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
+        simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
         records = [without_times(simulation.step(index).record) for index in range(STEPS)]
     return records, enough
 

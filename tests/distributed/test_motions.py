@@ -93,7 +93,7 @@ def spread(
     mine = torch.nonzero(torch.randint(comm.size, (COUNT,), generator=generator) == comm.rank)[:, 0].flip(0)
     all_vertices = Vertices({"x": frames()[0]}, vertex_counts(meshes(), bodies()["mesh_index"]))
     given = {name: column.to(device) for name, column in take_rows(bodies(), mine).items()}
-    world = SharedWorld(
+    world = SharedWorld.create(
         meshes().meshes,
         (0.0,) * 3,
         (8.0,) * 3,

@@ -110,7 +110,7 @@ def meet_neighbours(comm: Comm) -> set[int]:
     mine = torch.arange(comm.rank, len(crowd.position), comm.size)
     position, balance = 0.5 * crowd.position[mine] + 2.0, BalanceOptions("none")
     mesh = pgccd.Mesh(0.02 * torch.eye(4, 3, dtype=torch.float64), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
-    world = SharedWorld([mesh], (0.0,) * 3, (8.0,) * 3, position, id=mine, axes=1, comm=comm, balance=balance)
+    world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, position, id=mine, axes=1, comm=comm, balance=balance)
     sent: set[int] = set()
     to_peers = comm._to_peers
 

@@ -53,7 +53,7 @@ def go_on(comm: Comm, folder: str, kind: str = "cells") -> list[dict[str, Any]]:
 
     def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> DistributedSimulation:
         began.append(partition)
-        return DistributedSimulation(comm, model, partition, *rest)
+        return DistributedSimulation.create(comm, model, partition, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "DistributedSimulation", begin)
@@ -78,7 +78,7 @@ def kinds_when_resumed(comm: Comm, folder: str, kind: str) -> list[str]:
 
     def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> DistributedSimulation:
         began.append(type(partition).__name__)
-        return DistributedSimulation(comm, model, partition, *rest)
+        return DistributedSimulation.create(comm, model, partition, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "DistributedSimulation", begin)

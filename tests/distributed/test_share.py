@@ -77,7 +77,7 @@ def by_ranks(comm: Comm, capacity: str) -> tuple[list[dict[str, Any]], int, int]
         "Part": Watched,
     }
     with mock.patch.multiple(parts_module, **patches):
-        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
+        simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
         made = [simulation.step(index) for index in range(STEPS)]
     records = [without_times(step.record) for step in made]
     for step in made:
@@ -102,7 +102,7 @@ def leave_no_garbage(comm: Comm) -> None:
     model = sim.Model(CONFIG)
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
-    simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
+    simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
     made: list[weakref.ref[Part]] = []
 
     class Watched(Part):

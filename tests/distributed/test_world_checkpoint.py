@@ -31,7 +31,7 @@ def begin(comm: Comm, partition: str = "cells") -> World:
     columns = {"orientation": crowd.orientation, "velocity": crowd.velocity, "rotation": crowd.rotation}
     columns |= {"tag": 7 * torch.arange(count), "half": torch.arange(count).to(torch.bfloat16)}
     columns |= {"odd": (torch.arange(count) % 2 == 1)[:, None], "none": torch.zeros((count, 0))}
-    return World(
+    return World.create(
         crowd.meshes,
         (0.0,) * 3,
         (8.0,) * 3,
@@ -130,7 +130,7 @@ def test_the_kind_of_partition_is_kept(tmp_path: Path) -> None:
         return type(World.load(tmp_path, crowd.meshes, balance=balance).partition).__name__
 
     for chosen, kept in (("one-cell", "Cells"), ("cost", "Bisection")):
-        world = World(crowd.meshes, (0.0,) * 3, (8.0,) * 3, crowd.position, balance=BalanceOptions(chosen))
+        world = World.create(crowd.meshes, (0.0,) * 3, (8.0,) * 3, crowd.position, balance=BalanceOptions(chosen))
         assert type(world.partition).__name__ == kept
         world.save(tmp_path)
         assert kind(EAGER) == kept and kind(BalanceOptions("one-cell")) == "Cells"
@@ -194,7 +194,7 @@ def few(comm: Comm, folder: str, count: int) -> list[int]:
     """A world with bodies on some of the ranks, or on none."""
     mesh, far = crowds()["one body"].meshes[0], 2.0 * torch.arange(3.0 * count, dtype=torch.float64).view(count, 3)
     mine = far if comm.rank == 0 else far[:0]
-    world = World([mesh], (0.0,) * 3, (8.0,) * 3, mine, payload={"v": mine}, comm=comm)
+    world = World.create([mesh], (0.0,) * 3, (8.0,) * 3, mine, payload={"v": mine}, comm=comm)
     world.save(folder)
     loaded = World.load(folder, [mesh], comm=comm)
     assert torch.equal(loaded.payload["v"], world.payload["v"]) and torch.equal(loaded.id, world.id)

@@ -38,7 +38,7 @@ def test_a_type_that_files_cannot_hold(tmp_path: Path) -> None:
     position = torch.zeros((1, 3), dtype=torch.float64)
     mesh = crowds()[CROWD].meshes[0]
     for payload in ({"z": position.to(torch.complex128)}, {"\ud800": position}):
-        world = World([mesh], (0.0,) * 3, (8.0,) * 3, position, payload=payload)
+        world = World.create([mesh], (0.0,) * 3, (8.0,) * 3, position, payload=payload)
         with pytest.raises(CheckpointError, match=r"^/.*/rank-00000.safetensors cannot be written: "):
             world.save(tmp_path)
     assert state_of(load(Alone(), tmp_path)) == state_of(begin(Alone()))  # the previous one

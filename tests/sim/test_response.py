@@ -166,7 +166,7 @@ def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> N
     state = model.plan(model.start(), 0)
     generator = torch.Generator().manual_seed(seed)
     fraction = torch.rand(len(state), dtype=torch.float64, generator=generator)
-    pairs = pgccd.broad.find_pairs(pgccd.MovingBodies(model.scene(state.id), model.motion(state)))
+    pairs = pgccd.broad.find_pairs(pgccd.MovingBodies.of(model.scene(state.id), model.motion(state)))
     slowed = model.motion(state, fraction)
     own_count = len(state) - ghost_count
     own = [column[:own_count] for column in state.moving_columns.values()]

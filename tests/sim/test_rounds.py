@@ -87,7 +87,7 @@ class PlannedStep:
 
     def __init__(self, model: Model, state: RobotState) -> None:
         self.model, self.state = model, state
-        self.bodies = pgccd.MovingBodies(model.scene(state.id), model.motion(state))
+        self.bodies = pgccd.MovingBodies.of(model.scene(state.id), model.motion(state))
         self.pairs = pgccd.broad.find_pairs(self.bodies)
         self.expected: PlainStep = plain_step(model, state)
 

@@ -64,7 +64,7 @@ def solve_candidates(
     motion = pgccd.RigidMotion.from_velocity(position, orientation, 0.0 * position, rotation, dt=1.0)
     motion.position_t1 = end  # exactly these bits
     scene = pgccd.Scene(meshes, torch.arange(2, dtype=torch.int32).repeat(n), device=device)
-    moving = pgccd.MovingBodies(scene, motion)
+    moving = pgccd.MovingBodies.of(scene, motion)
     pairs = torch.arange(2 * n, device=device).view(n, 2)
     rows = np.column_stack([np.arange(n), np.full(n, int(kind)), features]).astype(np.int32)
     found = pgccd.narrow.contacts(moving, pairs, torch.from_numpy(rows).to(device), "all", separation, tolerance)

@@ -21,7 +21,7 @@ def missed(
     horizon: np.ndarray | None = None,
 ) -> list[int]:
     """Pairs with touching features that are missing from the candidates."""
-    bodies = pgccd.MovingBodies(meetings.bodies.scene(device), meetings.bodies.motion(path, device))
+    bodies = pgccd.MovingBodies.of(meetings.bodies.scene(device), meetings.bodies.motion(path, device))
     return missed_among(meetings, bodies, separation, tolerance, horizon)
 
 

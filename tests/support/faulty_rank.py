@@ -28,7 +28,7 @@ def main(fault: str, kind: str, timeout: float) -> None:
         model = sim.Model(sim.ModelConfig(robots=64), device=device)
         upper = model.half_extent
         partition = Cells.uniform(tuple(-x for x in upper), upper, comm.size, cells=2, device=device)
-        simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
+        simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
         for index in range(10):
             if comm.rank == RANK and index == STEP:
                 if fault == "dies":

@@ -91,7 +91,7 @@ def search_padded_share(
     """
     kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
     subdomain, device = decomposition.subdomain, own["id"].device
-    bodies = MovingBodies(*_build_padded(build, own), wait=False)
+    bodies = MovingBodies.of(*_build_padded(build, own), wait=False)
     centres, asked = centres_of(bodies), (options.query, options.broad_phase)
     if decomposition.comm.size == 1:
         part = find_part(bodies, *asked, None, discard, estimate=estimates.own, slack=slack)
@@ -105,7 +105,7 @@ def search_padded_share(
 
     side = SideStream(device, options.overlap)
     with side:
-        halo = PaddedHalo(decomposition, capacity.halo, own, centres, kept, boundary, count)
+        halo = PaddedHalo(decomposition, capacity.halo, own, centres, kept, boundary, count).start()
         halo.send()
     own_part = find_part(bodies, *asked, owned_by_own, discard, estimate=estimates.own, slack=slack)
     own_part.begin()

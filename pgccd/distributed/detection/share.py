@@ -138,7 +138,7 @@ class OwnSearch:
         """Computes the motion, sends ghosts, and starts the search of pairs of own bodies."""
         with self._clock.stage("plan"):
             own = self._own if self._vertices is None else {**self._own, **self._vertices.columns}
-            self._bodies = MovingBodies(*self._build(own), wait=False)
+            self._bodies = MovingBodies.of(*self._build(own), wait=False)
         with self._clock.stage("halo"):
             self._halo = Halo(self._decomposition, self._own, self._bodies, self._kept)
             self._halo.find_boundary()

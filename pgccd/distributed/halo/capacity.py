@@ -86,10 +86,16 @@ class PaddedHalo:
     ) -> None:
         self._comm, self._neighbours = decomposition.comm, decomposition.neighbours
         self._capacity, self._own = capacity, own
-        self._boundary = boundary[: capacity.boundary]
-        self._replicas = find_replicas(decomposition, centres, kept, self._boundary)
+        self._boundary, self._count = boundary[: capacity.boundary], count
+        self._where = decomposition, centres, kept
+
+    def start(self) -> PaddedHalo:
+        """Finds the bodies to send to each neighbour."""
+        capacity = self._capacity
+        self._replicas = find_replicas(*self._where, self._boundary)
         self._rows = self._replicas.rows_by_rank(self._boundary, capacity.sent)
-        self._numbers = ops.counts_to_send(self._replicas.counts, capacity.sent, count, capacity.boundary)
+        self._numbers = ops.counts_to_send(self._replicas.counts, capacity.sent, self._count, capacity.boundary)
+        return self
 
     @property
     def overflow(self) -> Tensor:

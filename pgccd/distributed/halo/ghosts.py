@@ -81,7 +81,7 @@ class Halo:
     def send_padded(self, capacity: HaloCapacity) -> None:
         """Sends ghosts without synchronising. If the capacity of a rank is exceeded, `wait` sends them again."""
         bodies = self._own, *self._where, self._boundary, self._count
-        self._padded = PaddedHalo(self._decomposition, capacity, *bodies)
+        self._padded = PaddedHalo(self._decomposition, capacity, *bodies).start()
         self._padded.announce()
         self._padded.send()
 

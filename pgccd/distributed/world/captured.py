@@ -24,6 +24,7 @@ from pgccd.distributed.detection.padded_share import (
 )
 from pgccd.distributed.halo.migrate import leaving_bodies
 from pgccd.distributed.partition.balance import RankLoads
+from pgccd.distributed.world.columns import scene_columns
 from pgccd.distributed.world.world import World
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.replayed_steps import GRAPH_SLACK, ReplayedSteps
@@ -229,7 +230,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
         bodies = _bodies(columns, self._index)
         motion = self._motion(bodies)
         _require_rigid(motion)
-        own = world.columns_of_scene(columns) | motion.columns()
+        own = scene_columns(columns) | motion.columns()
         asked = world.build, world.options, world.estimates, self._capacity, self._failed, GRAPH_SLACK
         share = search_padded_share(self.decomposition, own, *asked)
         for part in share.parts:

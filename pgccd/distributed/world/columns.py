@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,13 +15,13 @@ from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import together
 from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
-from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 
 # Optional columns of scenes.
 _OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision")
 #: All columns that detection reads.
-OF_SCENES = ("id", "mesh_index", *_OPTIONAL)
+_OF_SCENES = ("id", "mesh_index", *_OPTIONAL)
 
 
 def scene_of(meshes: MeshSet, columns: Columns) -> Scene:
@@ -30,7 +30,12 @@ def scene_of(meshes: MeshSet, columns: Columns) -> Scene:
     return Scene.of_checked(meshes, columns["mesh_index"], **optional)
 
 
-def motion_of(columns: Columns, path: Literal["rigid", "linear"]) -> RigidMotion | VertexMotion:
+def scene_columns(columns: Columns) -> Columns:
+    """The columns that detection reads."""
+    return {name: columns[name] for name in _OF_SCENES if name in columns}
+
+
+def motion_of(columns: Columns, path: PathKind) -> RigidMotion | VertexMotion:
     """The inverse of `moving_columns`; the columns include those of vertices."""
     if "x_t0" in columns:
         return VertexMotion(columns["x_t0"], columns["x_t1"])

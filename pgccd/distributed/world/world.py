@@ -30,53 +30,44 @@ from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition, Point, Triple
 from pgccd.distributed.partition.rebalancing import Balancer
 from pgccd.distributed.world.checkpoint import load_state, save_state
-from pgccd.distributed.world.columns import OF_SCENES, motion_of, moving_columns, new_values, require_rows, scene_of
+from pgccd.distributed.world.columns import motion_of, moving_columns, new_values, require_rows, scene_columns, scene_of
 from pgccd.distributed.world.state import WorldState, require_alike, state_given
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
-from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.runtime.stages import StageClock
 
 
 class World:
-    """Bodies distributed over ranks by position.
+    """Bodies distributed over ranks by position. Made by `create` or `load`, on all ranks together.
 
-    Each rank passes any share of the bodies; they migrate to the rank that owns the cell of their position, now and
-    after each `move`. Rows of `id`, `position`, `mesh_index` and `payload` are those of this rank's own bodies, by
-    ascending id.
-
-    Args:
-        meshes: equal on all ranks.
-        lower, upper: corners of the world's box, length units. Bodies may leave it.
-        position: (N, 3) float64 positions of the origins of this rank's share of bodies, length units, world frame, on
-            the device to use.
-        id: (N,) int64 global ids >= 0, unique over all ranks. Default: consecutive, rank by rank.
-        mesh_index: (N,) integers: mesh of each body. Default: the first.
-        group, mask, world, static, margin: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
-        self_collision: (N,) bool or bool: which deforming bodies are tested against themselves.
-        payload: named tensors (N, ...) that migrate with the bodies: orientations, velocities, and so on.
-        vertex_payload: named tensors (X, ...) with one row per vertex (of the first body, in the order of its mesh,
-            then of the second, ...) that migrate with the bodies: the vertices of deforming bodies.
-        comm: between the ranks. Default: one rank.
-        report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
-        path: of all motions, as for `pgccd.RigidMotion`.
-        partition: of space: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`). "auto": bisection, or cells
-            if `axes` or `cells` is not the default or the policy of `balance` is "one-cell".
-        axes, cells: as for `Cells.uniform`.
-        balance: options of load balancing.
-        overlap: test pairs of own bodies while ghosts are sent. The result does not depend on it.
-
-    Raises:
-        TypeError, ValueError: naming the argument; on all ranks.
+    Bodies migrate to the rank that owns the cell of their position, at the beginning and after each `move`. Rows of
+    `id`, `position`, `mesh_index` and `payload` are those of this rank's own bodies, by ascending id.
 
     Example:
-        >>> world = pgccd.distributed.World([rock], (0, 0, 0), (9, 9, 9), x, payload={"velocity": v}, comm=comm)
+        >>> world = pgccd.distributed.World.create([rock], (0, 0, 0), (9, 9, 9), x, payload={"velocity": v}, comm=comm)
         >>> hits = world.step(pgccd.RigidMotion.from_velocity(world.position, q, world.payload["velocity"], w, dt=0.1))
     """
 
     def __init__(
-        self,
+        self, comm: Comm, options: Options, balance: BalanceOptions, path: PathKind, state: WorldState, census: Census
+    ) -> None:
+        self.comm, self.options, self.path = comm, options, path
+        self.balancer = Balancer(balance)
+        self._meshes, self._cut = state.meshes, state.cut
+        self.decomposition = Decomposition(comm, state.partition)  #: of space
+        self.census = census
+        self.found: Detection | None = None  #: contacts of the last step
+        self._capacity: HaloCapacity | None = None
+        self.estimates = PartEstimates()
+        self.steps_made = state.steps_made
+        self._seconds = 0.0
+        self.columns, self._vertices = state.columns, state.vertices
+
+    @classmethod
+    def create(
+        cls,
         meshes: Sequence[Mesh],
         lower: Point,
         upper: Point,
@@ -98,13 +89,39 @@ class World:
         tolerance: float | None = None,
         nonzero_toi: bool = False,
         broad_phase: BroadPhase = "auto",
-        path: Literal["rigid", "linear"] = "rigid",
+        path: PathKind = "rigid",
         partition: Literal["auto", "cells", "bisection"] = "auto",
         axes: int = DEFAULT_AXES,
         cells: int | Triple = DEFAULT_CELLS,
         balance: BalanceOptions | None = None,
         overlap: bool = True,
-    ) -> None:
+    ) -> World:
+        """Makes a world of any share of the bodies from each rank.
+
+        Args:
+            meshes: equal on all ranks.
+            lower, upper: corners of the world's box, length units. Bodies may leave it.
+            position: (N, 3) float64 positions of the origins of this rank's share of bodies, length units, world frame,
+                on the device to use.
+            id: (N,) int64 global ids >= 0, unique over all ranks. Default: consecutive, rank by rank.
+            mesh_index: (N,) integers: mesh of each body. Default: the first.
+            group, mask, world, static, margin: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
+            self_collision: (N,) bool or bool: which deforming bodies are tested against themselves.
+            payload: named tensors (N, ...) that migrate with the bodies: orientations, velocities, and so on.
+            vertex_payload: named tensors (X, ...) with one row per vertex (of the first body, in the order of its mesh,
+                then of the second, ...) that migrate with the bodies: the vertices of deforming bodies.
+            comm: between the ranks. Default: one rank.
+            report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
+            path: of all motions, as for `pgccd.RigidMotion`.
+            partition: of space: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`). "auto": bisection, or
+                cells if `axes` or `cells` is not the default or the policy of `balance` is "one-cell".
+            axes, cells: as for `Cells.uniform`.
+            balance: options of load balancing.
+            overlap: test pairs of own bodies while ghosts are sent. The result does not depend on it.
+
+        Raises:
+            TypeError, ValueError: naming the argument; on all ranks.
+        """
         comm, balance = comm or Alone(), balance or BalanceOptions()
         options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)
         optional = {"group": group, "mask": mask, "world": world, "static": static, "margin": margin}
@@ -113,27 +130,16 @@ class World:
         cut = Cut(partition, lower, upper, axes, cells)
         state = together(comm, lambda: state_given(comm.size, meshes, cut, balance, position, **columns))
         require_alike(comm, state, options, balance, path, id is not None)
-        self._begin(comm, options, balance, path, state.with_ids(comm, id is not None))
+        return cls._begin(comm, options, balance, path, state.with_ids(comm, id is not None))
 
-    def _begin(
-        self, comm: Comm, options: Options, balance: BalanceOptions, path: Literal["rigid", "linear"], state: WorldState
-    ) -> None:
-        self.comm, self.options, self.path = comm, options, path
-        self.balancer = Balancer(balance)
-        self._meshes, self._cut = state.meshes, state.cut
-        #: Of space.
-        self.decomposition = Decomposition(comm, state.partition)
-        self.census = Census.of_ranks(comm, state.columns["id"])
-        #: Contacts of the last step.
-        self.found: Detection | None = None
-        self._capacity: HaloCapacity | None = None
-        self.estimates = PartEstimates()
-        self.steps_made = state.steps_made
-        self._seconds = 0.0
+    @classmethod
+    def _begin(cls, comm: Comm, options: Options, balance: BalanceOptions, path: PathKind, state: WorldState) -> World:
         ascending = torch.argsort(state.columns["id"])
-        self.columns = take_rows(state.columns, ascending)
-        self._vertices = None if state.vertices is None else state.vertices.take(ascending)
-        self._change_hands()
+        vertices = None if state.vertices is None else state.vertices.take(ascending)
+        state = replace(state, columns=take_rows(state.columns, ascending), vertices=vertices)
+        world = cls(comm, options, balance, path, state, Census.of_ranks(comm, state.columns["id"]))
+        world._change_hands()
+        return world
 
     @classmethod
     def load(
@@ -148,7 +154,7 @@ class World:
         tolerance: float | None = None,
         nonzero_toi: bool = False,
         broad_phase: BroadPhase = "auto",
-        path: Literal["rigid", "linear"] = "rigid",
+        path: PathKind = "rigid",
         balance: BalanceOptions | None = None,
         overlap: bool = True,
     ) -> World:
@@ -162,7 +168,7 @@ class World:
             folder: as for `save`.
             meshes: equal to those of the saved world.
             device: of the bodies.
-            comm, report, min_separation, tolerance, nonzero_toi, broad_phase, path, balance, overlap: as for `World`.
+            comm, report, min_separation, tolerance, nonzero_toi, broad_phase, path, balance, overlap: as for `create`.
 
         Raises:
             FileNotFoundError: there is no checkpoint; on all ranks.
@@ -173,12 +179,11 @@ class World:
             >>> world.save("out/world")
             >>> world = pgccd.distributed.World.load("out/world", [rock], comm=comm)
         """
-        comm, balance, world = comm or Alone(), balance or BalanceOptions(), cls.__new__(cls)
+        comm, balance = comm or Alone(), balance or BalanceOptions()
         options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)
         state = load_state(comm, folder, meshes, device, balance)
         require_alike(comm, state, options, balance, path, ids_given=True)
-        world._begin(comm, options, balance, path, state)
-        return world
+        return cls._begin(comm, options, balance, path, state)
 
     def save(self, folder: str | PathLike[str]) -> Path:
         """Writes a checkpoint between two steps, which `load` reads on any number of ranks. The previous checkpoint is
@@ -256,7 +261,7 @@ class World:
             >>> hits = world.step(motion)
             >>> toi = world.first_toi(hits)
         """
-        own = self.columns_of_scene(self.columns)
+        own = scene_columns(self.columns)
         if isinstance(motion, Trajectory):
             require_rows(motion, len(self.id), vertex_counts(self._meshes, self.mesh_index))
             segments = Segments.agreed(self.comm, motion.segment_count, own)
@@ -317,10 +322,6 @@ class World:
             raise RuntimeError("no step has been made yet")
         cost = len(self.found.held.own_id) + PAIR_COST * len(self.found.pairs)
         return self.comm.all_gather(torch.tensor([cost]))[:, 0]
-
-    def columns_of_scene(self, columns: Columns) -> Columns:
-        """The columns that detection reads."""
-        return {name: columns[name] for name in OF_SCENES if name in columns}
 
     def build(self, columns: Columns) -> tuple[Scene, RigidMotion | VertexMotion]:
         """The scene and motion of bodies with these columns."""

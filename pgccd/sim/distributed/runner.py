@@ -97,7 +97,9 @@ def run(
         on_first(comm, lambda: begin(folder, model.describe() | dict(notes or {}), overwrite))
         partition = _partition(comm, model, options)
         start = starting_share(comm, model)
-        simulation = DistributedSimulation(comm, model, partition, start, options.balance, options.overlap, broad_phase)
+        simulation = DistributedSimulation.create(
+            comm, model, partition, start, options.balance, options.overlap, broad_phase
+        )
         return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_last_step)
 
 
@@ -137,7 +139,9 @@ def resume(
         _compare(comm, model, steps, folder, checkpoint_every, options)
         state = load_robots(comm, stored).to(model.device)
         partition = load_partition(comm, stored, _partition(comm, model, options, stored_kind(stored)))
-        simulation = DistributedSimulation(comm, model, partition, state, options.balance, options.overlap, broad_phase)
+        simulation = DistributedSimulation.create(
+            comm, model, partition, state, options.balance, options.overlap, broad_phase
+        )
         made = header.steps_made
         return _continue(simulation, made, steps, folder, checkpoint_every, progress, keep_last_step)
 

@@ -85,28 +85,40 @@ class RankStep:
 
 
 class DistributedSimulation(SimulationSteps[RankStep]):
-    """The robots of a simulation, distributed over ranks.
+    """The robots of a simulation, distributed over ranks; made by `create`, on all ranks together.
 
     With NCCL, consecutive steps are replays of one CUDA graph per rank, messages included: see `pgccd.sim.replay`.
     Cells and robots change owners only in steps run launch by launch, so robots that leave their rank's cells migrate
     later.
 
-    Args:
-        comm: between the ranks.
-        model: the rules, the same on all ranks, on this rank's device.
-        partition: the same on all ranks.
-        state: of any share of the robots; each robot is on exactly one rank.
-        balance: options of load balancing.
-        broad_phase, overlap: see `Options`.
-        graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream.
-
     Example:
-        >>> simulation = DistributedSimulation(comm, model, partition, starting_share(comm, model))
+        >>> simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
         >>> simulation.step(0).record["contacts"]
     """
 
     def __init__(
         self,
+        decomposition: Decomposition,
+        model: Model,
+        state: RobotState,
+        expected: Census,
+        balance: BalanceOptions,
+        options: Options,
+        graph: bool,
+    ) -> None:
+        super().__init__(graph)
+        self.comm, self.model, self.options = decomposition.comm, model, options
+        self._balancer = Balancer(balance)
+        self._plan, self._estimates = RoundPlan(), PartEstimates()
+        self._expected = expected
+        self._capacity: HaloCapacity | None = None
+        self._share_capacity: ShareCapacity | None = None
+        self._decomposition, self._stop = decomposition, False
+        self._state, self._arrived = state, 0
+
+    @classmethod
+    def create(
+        cls,
         comm: Comm,
         model: Model,
         partition: Partition,
@@ -115,19 +127,31 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         overlap: bool = True,
         broad_phase: BroadPhase = "auto",
         graph: bool | None = None,
-    ) -> None:
-        super().__init__(can_replay(comm, model.device) if graph is None else graph)
-        self.comm, self.model = comm, model
-        self._balancer = Balancer(balance or BalanceOptions())
+    ) -> DistributedSimulation:
+        """Distributes robots over the ranks.
+
+        Args:
+            comm: between the ranks.
+            model: the rules, the same on all ranks, on this rank's device.
+            partition: the same on all ranks.
+            state: of any share of the robots; each robot is on exactly one rank.
+            balance: options of load balancing.
+            broad_phase, overlap: see `Options`.
+            graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream.
+
+        Raises:
+            RuntimeError: robots are missing or duplicated.
+        """
         # nonzero_toi: robots that separate after a contact may move.
-        self.options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
-        self._plan, self._estimates = RoundPlan(), PartEstimates()
-        self._expected = Census.of_range(comm, model.config.robots)
-        self._capacity: HaloCapacity | None = None
-        self._share_capacity: ShareCapacity | None = None
-        self._decomposition, self._stop = Decomposition(comm, partition), False
-        self._migrate(RobotState(**take_rows(state.columns, torch.argsort(state.id))))
-        self.verify()
+        options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
+        graph = can_replay(comm, model.device) if graph is None else graph
+        state = RobotState(**take_rows(state.columns, torch.argsort(state.id)))
+        expected = Census.of_range(comm, model.config.robots)
+        how = balance or BalanceOptions(), options, graph
+        simulation = cls(Decomposition(comm, partition), model, state, expected, *how)
+        simulation._migrate(state)
+        simulation.verify()
+        return simulation
 
     @property
     def state(self) -> RobotState:
