@@ -49,14 +49,14 @@ def go_on(comm: Comm, folder: str, kind: str = "cells") -> list[dict[str, Any]]:
     for other in others:
         assert load_partition(comm, stored, other) is other
 
-    began = []
+    began, create = [], DistributedSimulation.create
 
     def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> DistributedSimulation:
         began.append(partition)
-        return DistributedSimulation.create(comm, model, partition, *rest)
+        return create(comm, model, partition, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "DistributedSimulation", begin)
+        patch.setattr(DistributedSimulation, "create", begin)
         finished = resume(comm, folder, 8, options=options)
     assert torch.equal(getattr(began[0], name), kept)
     return finished.records
@@ -74,14 +74,14 @@ def kinds_when_resumed(comm: Comm, folder: str, kind: str) -> list[str]:
     run(comm, CONFIG, 3, folder, options=DistributedOptions(kind))
     options = [DistributedOptions(), DistributedOptions("cells"), DistributedOptions("bisection")]
     options += [DistributedOptions(cells=5), DistributedOptions(balance=BalanceOptions("one-cell"))]
-    began = []
+    began, create = [], DistributedSimulation.create
 
     def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> DistributedSimulation:
         began.append(type(partition).__name__)
-        return DistributedSimulation.create(comm, model, partition, *rest)
+        return create(comm, model, partition, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "DistributedSimulation", begin)
+        patch.setattr(DistributedSimulation, "create", begin)
         for step, option in enumerate(options):
             resume(comm, folder, 4 + step, options=option)
     return began

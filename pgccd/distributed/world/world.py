@@ -61,8 +61,7 @@ class World:
         self.found: Detection | None = None  #: contacts of the last step
         self._capacity: HaloCapacity | None = None
         self.estimates = PartEstimates()
-        self.steps_made = state.steps_made
-        self._seconds = 0.0
+        self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices = state.columns, state.vertices
 
     @classmethod
