@@ -79,7 +79,7 @@ def measure_baseline(comm: distributed.Comm, case: Case, steps: Steps, given: di
     config = sim.ModelConfig(**given["config"])
     model = sim.Model(config)
     begin, end = (rank * case.robots // comm.size for rank in (comm.rank, comm.rank + 1))
-    baseline = PCCCD(model.meshes.meshes, comm=comm, nonzero_toi=True)
+    baseline = PCCCD.create(model.meshes.meshes, comm=comm, nonzero_toi=True)
     durations, stages, boxes = [], [], 0
     for number, columns in enumerate(given["states"]):
         mine = sim.RobotState(**{name: column[begin:end] for name, column in columns.items()})

@@ -96,6 +96,27 @@ def test_stages_do_not_know_one_another() -> None:
     assert wrong == []
 
 
+def test_constructors_send_no_messages_and_run_no_search() -> None:
+    sending = {"exchange", "exchange_counts", "all_gather", "barrier", "gather_objects", "broadcast_object", "send"}
+    sending |= {"together", "on_first", "require_agreement", "require_alike", "first_row", "migrate", "of_ranks"}
+    searching = {"detect", "find_contacts", "find_part", "start_search", "search_padded", "capture", "replay", "step"}
+    found, constructors = [], 0
+    for path in python_files(PACKAGE):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.FunctionDef) or node.name not in ("__init__", "__post_init__"):
+                continue
+            constructors += 1
+            for used in ast.walk(node):
+                name = ast.unparse(used) if isinstance(used, (ast.Attribute, ast.Name)) else ""
+                last = name.rpartition(".")[2]
+                on_comm = re.search(r"\bcomm\.(any|min|sum|background)$", name)
+                # A rotation is a value computed from two orientations.
+                operator = name.startswith("ops.") and name[4:].islower() and name != "ops.rotations_between"
+                if last in sending | searching or on_comm or operator:
+                    found.append(f"{path.relative_to(ROOT)}: {name}")
+    assert found == [] and constructors > 50
+
+
 def test_only_ops_names_the_operators() -> None:
     naming = [p for p in python_files(PACKAGE) if re.search(r"torch\.ops\.pgccd|torch\.ops\b", p.read_text())]
     assert naming == [PACKAGE / "ops" / "library.py"]

@@ -116,7 +116,7 @@ def recorded(device: torch.device) -> list[Call]:
             ops.swept_boxes(moving.position_t0, moving.position_t1, moving.radius, 0.01, -1e-6)
             share_out(moving)
             if device.type == "cpu" and closeness == 0.7:
-                PCCCD(bodies.meshes).detect(bodies.motion(), mesh_index=scene.mesh_index)
+                PCCCD.create(bodies.meshes).detect(bodies.motion(), mesh_index=scene.mesh_index)
             pairs = pgccd.broad.sweep(moving)
             first = torch.full((scene.body_count,), torch.inf, dtype=torch.float64, device=device)
             asked = moving.mesh_set, moving.tensors, False, pairs, counts_of_given(pairs)

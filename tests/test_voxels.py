@@ -63,7 +63,7 @@ def test_boxes_whose_faces_lie_in_planes_of_the_grid() -> None:
     motion = pgccd.RigidMotion(place, still, place, still)
     for report in ("first", "all"):
         expected = pgccd.detect(pgccd.Scene([cube], [0] * 20), motion, report, tolerance=0.0)
-        found = PCCCD([cube], 1.0, report=report, tolerance=0.0).detect(motion)
+        found = PCCCD.create([cube], 1.0, report=report, tolerance=0.0).detect(motion)
         assert len(expected) > 30 and torch.equal(found.pairs, expected.pairs)
         assert torch.equal(found.toi, expected.toi) and torch.equal(found.features, expected.features)
 
@@ -77,7 +77,7 @@ def test_bodies_about_joints_outside_of_them() -> None:
     index = torch.tensor([0, 1] * 4)
     for report in ("first", "all"):
         expected = pgccd.detect(pgccd.Scene(meshes, index), motion, report, 0.05)
-        found = PCCCD(meshes, 1.0, report=report, min_separation=0.05).detect(motion, mesh_index=index)
+        found = PCCCD.create(meshes, 1.0, report=report, min_separation=0.05).detect(motion, mesh_index=index)
         assert len(expected) > 5
         for column in ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status"):
             assert torch.equal(getattr(found, column), getattr(expected, column)), column

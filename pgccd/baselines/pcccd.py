@@ -6,6 +6,8 @@ the work. Differences from the original: boxes enclose triangles swept over a st
 pairs found, and all boxes for one rank are sent in one message.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -50,24 +52,21 @@ class VoxelStats:
 
 
 class PCCCD:
-    """Finds the collisions of rigid bodies on any number of CPU ranks.
-
-    Args:
-        meshes: equal on all ranks.
-        voxel_size: length of a voxel's edge. Default: 8 mean edges of the meshes' triangles.
-        comm: between the ranks. Default: one rank.
-        report: "first": the earliest contact of each pair of bodies; "all": every touching feature pair.
-        min_separation, tolerance, nonzero_toi: as for `pgccd.detect`.
-
-    Raises:
-        TypeError, ValueError: naming the argument; on all ranks.
+    """Finds the collisions of rigid bodies on any number of CPU ranks; made by `create`, on all ranks together.
 
     Example:
-        >>> hits = pgccd.baselines.PCCCD([rock]).detect(pgccd.RigidMotion(x0, q0, x1, q1))
+        >>> hits = pgccd.baselines.PCCCD.create([rock]).detect(pgccd.RigidMotion(x0, q0, x1, q1))
     """
 
-    def __init__(
-        self,
+    def __init__(self, comm: Comm, meshes: MeshSet, query: Query, voxel_size: float) -> None:
+        self.comm, self._meshes, self._query, self.voxel_size = comm, meshes, query, voxel_size
+        self._directory = VoxelDirectory(comm)
+        self._contents: VoxelContents | None = None
+        self.stats: VoxelStats | None = None  #: of the last call of `detect`
+
+    @classmethod
+    def create(
+        cls,
         meshes: Sequence[Mesh],
         voxel_size: float | None = None,
         *,
@@ -76,8 +75,20 @@ class PCCCD:
         min_separation: float = 0.0,
         tolerance: float | None = None,
         nonzero_toi: bool = False,
-    ) -> None:
-        self.comm = comm or Alone()
+    ) -> PCCCD:
+        """Prepares the meshes, and compares the arguments of all ranks.
+
+        Args:
+            meshes: equal on all ranks.
+            voxel_size: length of a voxel's edge. Default: 8 mean edges of the meshes' triangles.
+            comm: between the ranks. Default: one rank.
+            report: "first": the earliest contact of each pair of bodies; "all": every touching feature pair.
+            min_separation, tolerance, nonzero_toi: as for `pgccd.detect`.
+
+        Raises:
+            TypeError, ValueError: naming the argument; on all ranks.
+        """
+        comm = comm or Alone()
 
         def prepare() -> tuple[MeshSet, Query, float]:
             arguments.choice(report, "report", ("first", "all"))
@@ -87,12 +98,9 @@ class PCCCD:
                 raise ValueError(f"voxel_size: expected a length > 0, got {size}")
             return mesh_set, Query(report, min_separation, tolerance, nonzero_toi), size
 
-        self._meshes, self._query, self.voxel_size = together(self.comm, prepare)
-        facts = {"meshes": meshes_digest(self._meshes.meshes), "voxel_size": self.voxel_size, "query": self._query}
-        require_agreement(self.comm, facts)
-        self._directory = VoxelDirectory(self.comm)
-        self._contents: VoxelContents | None = None
-        self.stats: VoxelStats | None = None  #: of the last call of `detect`
+        mesh_set, query, size = together(comm, prepare)
+        require_agreement(comm, {"meshes": meshes_digest(mesh_set.meshes), "voxel_size": size, "query": query})
+        return cls(comm, mesh_set, query, size)
 
     def detect(self, motion: RigidMotion, id: Tensor | None = None, mesh_index: Tensor | None = None) -> Contacts:
         """Finds the collisions of one step.

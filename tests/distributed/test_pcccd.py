@@ -41,7 +41,7 @@ def compare(comm: Comm, name: str) -> int:
     ids = 10 * torch.arange(len(crowd.position)) + 3
     for index, (size, report) in enumerate(SETTINGS):
         mine = dealt_out(comm, crowd, index).flip(0)  # not sorted
-        baseline = PCCCD(crowd.meshes, size, comm=comm, report=report, min_separation=crowd.min_separation)
+        baseline = PCCCD.create(crowd.meshes, size, comm=comm, report=report, min_separation=crowd.min_separation)
         whole = expected(name, report)
         mine_too = torch.isin(whole.pairs, mine).any(dim=1)
         for moved in (False, True) if index == 0 else (False,):
@@ -66,7 +66,7 @@ def compare_robots(comm: Comm, pattern: str) -> int:
     scene = model.scene(state.id)
     begin, end = (rank * len(state) // comm.size for rank in (comm.rank, comm.rank + 1))
     mine = torch.arange(begin, end)
-    baseline = PCCCD(model.meshes.meshes, comm=comm)
+    baseline = PCCCD.create(model.meshes.meshes, comm=comm)
     for index in range(8):
         step = sim.make_step(model, scene, state, index)
         state, whole = step.after, step.contacts
@@ -89,7 +89,7 @@ def voxels_after_balance(comm: Comm) -> tuple[list[int], list[int]]:
     """All bodies are on rank 0; boxes of voxels per rank, before and after balancing."""
     crowd = crowds()["kept apart, filtered"]
     mine = torch.arange(len(crowd.position) if comm.rank == 0 else 0)
-    baseline = PCCCD(crowd.meshes, 1.0, comm=comm)
+    baseline = PCCCD.create(crowd.meshes, 1.0, comm=comm)
     seen = []
     for _ in range(2):
         baseline.detect(crowd.motion(mine), mine, crowd.mesh_index[mine])
@@ -112,7 +112,7 @@ def two_that_meet() -> tuple[Crowd, pgccd.RigidMotion]:
 
 def test_what_it_did_is_counted() -> None:
     crowd, motion = two_that_meet()
-    baseline = PCCCD(crowd.meshes, 1.0)
+    baseline = PCCCD.create(crowd.meshes, 1.0)
     hits = baseline.detect(motion, mesh_index=crowd.mesh_index)
     stats = baseline.stats
     assert stats.boxes >= sum(len(crowd.meshes[k].faces) for k in crowd.mesh_index.tolist())
@@ -125,12 +125,12 @@ def test_nonsense_is_refused_by_name() -> None:
     crowd, motion = two_that_meet()
     for size in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="voxel_size"):
-            PCCCD(crowd.meshes, size)
+            PCCCD.create(crowd.meshes, size)
     with pytest.raises(TypeError, match="voxel_size"):
-        PCCCD(crowd.meshes, "a")  # type: ignore[arg-type]
+        PCCCD.create(crowd.meshes, "a")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="report"):
-        PCCCD(crowd.meshes, report="any")  # type: ignore[arg-type]
-    baseline = PCCCD(crowd.meshes)
+        PCCCD.create(crowd.meshes, report="any")  # type: ignore[arg-type]
+    baseline = PCCCD.create(crowd.meshes)
     with pytest.raises(RuntimeError, match="nothing has been detected"):
         baseline.balance()
     with pytest.raises(TypeError, match="motion"):
@@ -140,12 +140,12 @@ def test_nonsense_is_refused_by_name() -> None:
     with pytest.raises(ValueError, match="mesh_index"):
         baseline.detect(motion, mesh_index=crowd.mesh_index + 100)
     with pytest.raises(ValueError, match="voxel_size"):
-        PCCCD(crowd.meshes, 1e-9).detect(motion, mesh_index=crowd.mesh_index)
+        PCCCD.create(crowd.meshes, 1e-9).detect(motion, mesh_index=crowd.mesh_index)
 
 
 def test_nothing_to_find() -> None:
     crowd, motion = two_that_meet()
     none = torch.zeros(0, dtype=torch.int64)
-    baseline = PCCCD(crowd.meshes)
+    baseline = PCCCD.create(crowd.meshes)
     assert len(baseline.detect(crowd.motion(none), none, none.int())) == 0
     assert len(baseline.detect(crowd.motion(none[:0].new_tensor([0])), mesh_index=crowd.mesh_index[:1])) == 0

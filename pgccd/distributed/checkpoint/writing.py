@@ -24,7 +24,7 @@ from pgccd.checkpoint.files import (
 )
 from pgccd.distributed.checkpoint.partition import partition_header
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.comm.interface import Comm, Objects
 from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.launch.agreement import on_first
 from pgccd.distributed.partition.interface import Partition
@@ -55,7 +55,7 @@ class CheckpointWriter:
     def __init__(self, comm: Comm, folder: Path, kind: str) -> None:
         self._comm, self._kind = comm, kind
         self._root = folder / FOLDER
-        self._background = comm.background
+        self._background: Objects | None = None
         self._writing: Future[Path] | None = None
 
     def begin(
@@ -73,6 +73,7 @@ class CheckpointWriter:
             CheckpointError: the previous one, or the folder of this one, could not be written.
         """
         self.finish()
+        self._background = self._comm.background  # made here, not in the thread
         name = on_first(self._comm, lambda: make_folder(self._root, self._kind, steps_made))
         cut, shared = partition_header(partition)
         copies: dict[str, Columns] = {}
@@ -116,6 +117,7 @@ class CheckpointWriter:
                 own = write_tables(self._root / name, self._comm.rank, tables)
             except Exception as failed:  # of any kind: the other ranks wait for the outcome
                 error = self._problem(name, failed)
+        assert self._background is not None
         of_ranks = self._background.gather((own, error))
         if self._comm.rank == 0:
             error = next((text for _, text in of_ranks if text is not None), None)

@@ -107,7 +107,11 @@ class Greeting:
     def __init__(self, channel: Channel, token: bytes) -> None:
         self.channel, self._token = channel, token
         self._nonce = secrets.token_hex(16)
-        channel.send(nonce=self._nonce)
+
+    def start(self) -> Greeting:
+        """Sends the challenge."""
+        self.channel.send(nonce=self._nonce)
+        return self
 
     def check(self, message: Message) -> Message | None:
         """The identity of the rank; None if it does not have the token."""

@@ -100,7 +100,7 @@ class Hub:
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             channel = Channel(self._listener.accept()[0])
-            self._greetings[channel] = Greeting(channel, self._token), time.monotonic() + _GREETING_SECONDS
+            self._greetings[channel] = Greeting(channel, self._token).start(), time.monotonic() + _GREETING_SECONDS
             self._selector.register(channel, selectors.EVENT_READ)
 
     def _drop_strangers(self) -> None:

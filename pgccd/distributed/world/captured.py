@@ -158,7 +158,8 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
     def _capture(self, index: int) -> _WorldGraph:
         world = self._world
         capacity = ShareCapacity.after(self._share, world.decomposition.neighbours)
-        graph = _WorldGraph(world, self._motion, self._response, capacity, index).capture()
+        like = _any_body(world.comm, world.columns)
+        graph = _WorldGraph(world, self._motion, self._response, capacity, like, index).capture()
         world.comm.close_before(graph)
         graph.load(world.columns, index)
         return graph
@@ -196,18 +197,19 @@ class _WorldGraph(TransactionGraph[_Committed]):
         world: the graph is captured for its state.
         motion, response: of the user.
         capacity: of the halo and of bodies near ghosts.
+        like: columns of a body. Padding is a copy of it, so that the user's functions get valid values.
         index: of the next step.
     """
 
-    def __init__(self, world: World, motion: Motion, response: Response, capacity: ShareCapacity, index: int) -> None:
+    def __init__(
+        self, world: World, motion: Motion, response: Response, capacity: ShareCapacity, like: Columns, index: int
+    ) -> None:
         device = world.id.device
         super().__init__(device)
         self._world, self._motion, self._response, self._capacity = world, motion, response, capacity
         #: A copy owned by the graph.
         self.decomposition = world.decomposition.copy()
         rows = rows_with_slack(len(world.id))
-        # Padding is a copy of a body, so that the user's functions get valid values.
-        like = _any_body(world.comm, world.columns)
         #: Columns of the own bodies, then padding.
         self.columns = {name: column.expand(rows, *column.shape[1:]).clone() for name, column in like.items()}
         self.columns["id"].fill_(-1)
