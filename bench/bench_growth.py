@@ -1,11 +1,11 @@
 """Growth of the time and memory of one step's detection (first contact of every pair) with the scene.
 
 Scenes:
-  standard the standard nanorobot world after it has left the lattice, from a thousand robots to ten million density
-  robots at random places, free to overlap, with 0.25 to 16 potentially colliding pairs per body terrain   pebbles of 80
-  triangles that fall on one static mesh of a million triangles sizes     robots of sizes from 1 to 1/1000, uniform in
-  their logarithm, at random places, about one pair per body fast      the standard world's robots, but each moves 2
-  radii and turns by 1.5 rad in the step
+  standard  the standard nanorobot world after it has left the lattice, from a thousand robots to ten million
+  density   robots at random places, free to overlap, with 0.25 to 16 potentially colliding pairs per body
+  terrain   pebbles of 80 triangles that fall on one static mesh of a million triangles
+  sizes     robots of sizes from 1 to 1/1000, uniform in their logarithm, at random places, about one pair per body
+  fast      the standard world's robots, but each moves 2 radii and turns by 1.5 rad in the step
 
 Every timed step has its own poses. Times are from poses in device memory to contacts in device memory, by device events
 on a GPU. Stage times are host times; the host waits for the device only where it needs a number. "peak_bytes" is the

@@ -1,7 +1,7 @@
 """Figure 4 of Du, Liu & Suzumura (2017): speedup of a step over PCCCD, with and without load balancing.
 
-    python bench/figure4.py                  # on this machine's GPUs, or a small version on its CPU python
-    bench/figure4.py --device cpu --robots 10000 20000
+    python bench/figure4.py                  # on this machine's GPUs, or a small version on its CPU
+    python bench/figure4.py --device cpu --robots 10000 20000
 
 The script starts the ranks: four, or one per GPU if there are fewer GPUs. The simulation is timed by whole steps
 (detection, resolution of collisions, migration, balance); PCCCD only by its detection of the same motions, on all cores

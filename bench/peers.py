@@ -1,7 +1,8 @@
 """pgccd compared with other programs, on the same scenes in the same process.
 
-    python bench/peers.py                        # on a CPU python bench/peers.py --device cuda          # programs that
-    run on a GPU python bench/peers.py --questions pairs broad-phase
+    python bench/peers.py                   # on a CPU
+    python bench/peers.py --device cuda     # programs that run on a GPU
+    python bench/peers.py --questions pairs broad-phase
 
 Five questions: the first toi of two near bodies; which of many bodies collide in a step; which swept spheres meet (the
 broad phase); how far a deforming scene may move (line search); and the step from one frame of public simulations to the

@@ -1,7 +1,7 @@
 """A thousand tumbling boxes on several ranks, in a user's own loop. Results are bitwise equal for any number of ranks:
 
-python examples/04_many_ranks.py torchrun --nproc-per-node 2 examples/04_many_ranks.py         (add "cuda" for one GPU
-per rank)
+python examples/04_many_ranks.py
+torchrun --nproc-per-node 2 examples/04_many_ranks.py        (add "cuda" for one GPU per rank)
 """
 
 import sys
@@ -21,7 +21,7 @@ with distributed.connect(sys.argv[1] if len(sys.argv) > 1 else "cpu") as comm:
     orientation = torch.nn.functional.normalize(torch.randn(1000, 4, dtype=torch.float64))
     velocity, spin = torch.randn(2, 1000, 3, dtype=torch.float64)
 
-    # Each rank starts with every size-th body; World migrates them to their owners.
+    # Each rank starts with every size-th body; World.create migrates them to their owners.
     mine = torch.arange(comm.rank, 1000, comm.size)
     world = distributed.World.create(
         [box],
