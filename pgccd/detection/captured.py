@@ -118,7 +118,7 @@ class CapturedDetection:
         Raises:
             ValueError: the motion is invalid.
         """
-        padded = self._found or self.replay()
+        padded = self.replay() if self._found is None else self._found
         while True:
             try:
                 found = padded.trim()
