@@ -43,10 +43,12 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
         """Runs a step launch by launch, from the current state."""
 
     @abstractmethod
-    def _capture(self, index: int) -> G:
-        """A graph of the next step, loaded with the state, with capacities somewhat larger than the last step needed.
-        Sends no messages after those of the step, since other ranks may fail to capture it.
-        """
+    def _make_graph(self, index: int) -> G:
+        """The graph of the next step, to be captured, with capacities somewhat larger than the last step needed."""
+
+    @abstractmethod
+    def _begin(self, graph: G, index: int) -> None:
+        """Loads the state into a graph just captured. Sends no messages: other ranks may have failed to capture it."""
 
     @abstractmethod
     def _load(self, graph: G, index: int) -> bool:
@@ -77,6 +79,10 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
     def _is_captured(self, captured: bool) -> bool:
         """Whether all ranks captured a graph, given whether this one did."""
         return captured
+
+    def _are_others_waiting(self, graph: G | None) -> bool:
+        """Whether other ranks wait for messages that this one did not send, after it failed to capture this graph."""
+        return False
 
     @property
     def is_ahead(self) -> bool:
@@ -126,12 +132,17 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
     def _try_to_capture(self, index: int) -> G | None:
         if torch.cuda.is_initialized():
             release_cache()
-        graph, why = None, "another rank could not capture it"
+        graph, captured, why = None, False, "another rank could not capture it"
         try:
-            graph = self._capture(index)
+            graph = self._make_graph(index)
+            graph.capture()
+            self._begin(graph, index)
+            captured = True
         except RuntimeError as error:
+            if self._are_others_waiting(graph):
+                raise
             why = "too little memory" if is_out_of_memory(error) else str(error)
-        if self._is_captured(graph is not None):
+        if self._is_captured(captured):
             return graph
         warnings.warn(f"steps run without a CUDA graph: {why}", stacklevel=2)
         self._wants_graph = False

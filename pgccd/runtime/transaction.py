@@ -34,6 +34,8 @@ class TransactionGraph(ABC, Generic[C]):
         # 1 after a step was not committed: later ones are not committed either. Initially 1, so that the capture
         # commits nothing.
         self._failed = torch.ones(1, dtype=torch.int64, device=device)
+        #: Whether the step has been enqueued at least once, with the messages that it sends.
+        self.has_run = False
 
     @abstractmethod
     def _step(self) -> Tensor:
@@ -47,12 +49,17 @@ class TransactionGraph(ABC, Generic[C]):
 
     def capture(self) -> Self:
         """Captures the step."""
-        self._graph, self._record = capture(self._step, self._device)
+        self._graph, self._record = capture(self._run, self._device)
         self._failed.zero_()
         pinned = self._device.type == "cuda"
         self._hosts = [torch.empty(self._record.shape, dtype=torch.int64, pin_memory=pinned) for _ in range(2)]
         self._replays = 0
         return self
+
+    def _run(self) -> Tensor:
+        record = self._step()
+        self.has_run = True
+        return record
 
     def replay(self) -> Replay[C]:
         """Enqueues a step, which runs if all previous ones were committed. Does not synchronise."""

@@ -99,9 +99,12 @@ class StepMaker(SimulationSteps[Step]):
         self._state = made.after
         return made
 
-    def _capture(self, index: int) -> StepGraph:
+    def _make_graph(self, index: int) -> StepGraph:
         rounds = self._rounds_to_capture
-        return capture_step(self._model, self._state, index, self._broad_phase, self._plan, rounds)
+        return make_step_graph(self._model, self._state, index, self._broad_phase, self._plan, rounds)
+
+    def _begin(self, graph: StepGraph, index: int) -> None:
+        return  # it was made with the state
 
     def _load(self, graph: StepGraph, index: int) -> bool:
         graph.load(self._state, index)
@@ -111,10 +114,10 @@ class StepMaker(SimulationSteps[Step]):
         self._state = graph.state.map(Tensor.clone)
 
 
-def capture_step(
+def make_step_graph(
     model: Model, state: RobotState, index: int, broad_phase: broad.BroadPhase, plan: StepPlan, rounds: int
 ) -> StepGraph:
-    """The graph of a step of all robots on one rank; arguments as for `StepGraph`."""
+    """The graph of a step of all robots on one rank, to be captured; arguments as for `StepGraph`."""
     scene = model.scene(state.id)
 
     def search(planned: RobotState, discard: Tensor) -> Searches:
@@ -123,4 +126,4 @@ def capture_step(
         partners = Partners(model, planned.moving_columns, None, part.pairs)
         return Searches([part], partners, planned.id, OneRank(), bodies.first_faults()[-1:])
 
-    return StepGraph(model, state, index, search, plan.rounds, rounds).capture()
+    return StepGraph(model, state, index, search, plan.rounds, rounds)

@@ -173,6 +173,26 @@ def follow_not_captured(comm: Comm, device: str = "cpu") -> dict[str, int]:
             return follow(comm, "random", "none", 16, False, True, device, graph=True)
 
 
+def fail_before_messages(comm: Comm) -> str:
+    """The last rank fails to capture a graph before it has sent the step's messages. Returns the error of this rank."""
+    with graphs_on("cpu") as stack:
+        capture = transaction.capture
+
+        def fail(*given: Any) -> Any:
+            if comm.rank == comm.size - 1:
+                raise RuntimeError("no memory")
+            return capture(*given)
+
+        stack.enter_context(mock.patch.object(transaction, "capture", fail))
+        simulation = make_simulation(comm, "random", "none", True, graph=True)
+        try:
+            for index in range(8):
+                simulation.step(index, more=7 - index)
+        except Exception as error:
+            return str(error)
+    return ""
+
+
 def follow_neighbours(comm: Comm, name: str, policy: str, steps: int, graph: bool) -> int:
     """With messages between neighbours only, as for many ranks. If no policy assigns the cells, no ranks are neighbours
     at first. Returns the number of times that the neighbours of ranks were extended.
@@ -244,6 +264,12 @@ def test_same_bits_as_replays(world: World, name: str, policy: str, padding: str
 def test_a_rank_that_cannot_capture_a_graph(ranks: World) -> None:
     seen = ranks.run(3, follow_not_captured)
     assert seen[0]["replayed"] == 0 and seen[0]["contacts"] > 20
+
+
+def test_a_rank_that_fails_before_its_messages_ends_the_step(ranks: World) -> None:
+    """The others wait for them; nothing else could tell these why."""
+    errors = ranks.run(3, fail_before_messages)
+    assert errors[-1] == "no memory" and all(errors)
 
 
 @pytest.mark.cuda

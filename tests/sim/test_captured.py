@@ -94,11 +94,11 @@ def test_a_step_that_fails_changes_nothing(device: torch.device, graphs: list[St
         if made.resolution.rounds > 1:
             break
         index += 1
-    graph = replay.capture_step(model, before, index, "auto", plan, made.resolution.rounds - 1)
+    graph = replay.make_step_graph(model, before, index, "auto", plan, made.resolution.rounds - 1).capture()
     for _ in range(2):
         assert graph.replay().read(index) is None
         assert same(graph.state, before)
-    enough = replay.capture_step(model, before, index, "auto", plan, made.resolution.rounds)
+    enough = replay.make_step_graph(model, before, index, "auto", plan, made.resolution.rounds).capture()
     committed = enough.replay().read(index)
     assert committed is not None and committed.rounds == made.resolution.rounds and same(enough.state, state)
     assert without_times(committed.record) == without_times(made.record)
@@ -120,7 +120,7 @@ def test_too_little_capacity(
     model = Model(ModelConfig(**FAST | {"robots": 20_000}), device=device)
     expected, last = launch_by_launch(model, 12)
     maker = StepMaker(model, model.start())
-    make_graph = replay.capture_step
+    make_graph = replay.make_step_graph
 
     def make_tight(model: Any, state: Any, index: Any, broad_phase: Any, plan: StepPlan, rounds: int) -> StepGraph:
         if not graphs:
@@ -135,7 +135,7 @@ def test_too_little_capacity(
             plan = tight
         return make_graph(model, state, index, broad_phase, plan, rounds)
 
-    monkeypatch.setattr(replay, "capture_step", make_tight)
+    monkeypatch.setattr(replay, "make_step_graph", make_tight)
     kinds = []
     for index in range(12):
         made = maker.step(index, 11 - index)

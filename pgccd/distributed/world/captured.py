@@ -155,17 +155,21 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         world.move(**_with_position(self._response(bodies, motion, world.first_toi(hits))))
         return WorldStep(pcs, contacts, replayed=False)
 
-    def _capture(self, index: int) -> _WorldGraph:
+    def _make_graph(self, index: int) -> _WorldGraph:
         world = self._world
         capacity = ShareCapacity.after(self._share, world.decomposition.neighbours)
         like = _any_body(world.comm, world.columns)
-        graph = _WorldGraph(world, self._motion, self._response, capacity, like, index).capture()
-        world.comm.close_before(graph)
-        graph.load(world.columns, index)
-        return graph
+        return _WorldGraph(world, self._motion, self._response, capacity, like, index)
+
+    def _begin(self, graph: _WorldGraph, index: int) -> None:
+        self._world.comm.close_before(graph)
+        graph.load(self._world.columns, index)
 
     def _is_captured(self, captured: bool) -> bool:
         return not self._world.comm.any(not captured)
+
+    def _are_others_waiting(self, graph: _WorldGraph | None) -> bool:
+        return self._world.comm.size > 1 and (graph is None or not graph.has_run)
 
     def _load(self, graph: _WorldGraph, index: int) -> bool:
         fits = len(self._world.id) <= len(graph.columns["id"]) and graph.decomposition.become(self._world.decomposition)

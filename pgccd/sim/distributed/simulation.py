@@ -272,7 +272,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
 
     # Methods for replays.
 
-    def _capture(self, index: int) -> StepGraph:
+    def _make_graph(self, index: int) -> StepGraph:
         assert self._share_capacity is not None
         self._notes = torch.zeros(2, dtype=torch.int64, device=self.model.device)
         self._graph_decomposition = self._decomposition.copy()
@@ -280,13 +280,17 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
         state = padded_state(self._state, rows_with_slack(len(self._state)))
         made = self.model, state, index, searches.search, self._plan, self._rounds_to_capture, searches.conclude
-        graph = StepGraph(*made).capture()
+        return StepGraph(*made)
+
+    def _begin(self, graph: StepGraph, index: int) -> None:
         self.comm.close_before(graph)
         self._write(graph, index)
-        return graph
 
     def _is_captured(self, captured: bool) -> bool:
         return not self.comm.any(not captured)
+
+    def _are_others_waiting(self, graph: StepGraph | None) -> bool:
+        return self.comm.size > 1 and (graph is None or not graph.has_run)
 
     def _load(self, graph: StepGraph, index: int) -> bool:
         fits = len(self._state) <= len(graph.state) and self._graph_decomposition.become(self._decomposition)
@@ -296,7 +300,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         return True
 
     def _write(self, graph: StepGraph, index: int) -> None:
-        """Writes the state to the graph. Sends no messages: another rank may have failed to capture its graph."""
+        """Writes the state to the graph."""
         self._notes[0], self._notes[1] = self._arrived, int(self._stop)
         graph.load(self._state, index)
 
