@@ -22,7 +22,12 @@ class MovingBodies:
     """
 
     def __init__(
-        self, scene: Scene, motion: RigidMotion | VertexMotion, columns: Mapping[str, Tensor], tensors: list[Tensor]
+        self,
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        columns: Mapping[str, Tensor],
+        tensors: list[Tensor],
+        swept_spheres: tuple[Tensor, Tensor, Tensor],
     ) -> None:
         self.scene, self.motion, self._columns = scene, motion, columns
         #: True if vertices move on straight lines instead of arcs.
@@ -34,7 +39,7 @@ class MovingBodies:
         self.tensors = tensors
         #: (N, 3), (N, 3), (N,): the swept spheres that broad phases test. At every t the body and its margin are within
         #: `reach` of the point at fraction t of the way from `centre_t0` to `centre_t1`, its SBV centres at t0 and t1.
-        self.centre_t0, self.centre_t1, self.reach = self.position_t0, self.position_t1, self.radius
+        self.centre_t0, self.centre_t1, self.reach = swept_spheres
         #: Whether the poses have been validated.
         self.checked = False
         self._faults: Tensor | None = None
@@ -66,21 +71,13 @@ class MovingBodies:
         tensors = (_deforming if isinstance(motion, VertexMotion) else _rigid)(scene, columns)
         if scene.margin is not None:
             tensors.append(scene.margin)
-        bodies = cls(scene, motion, columns, tensors)
+        bodies = cls(scene, motion, columns, tensors, _swept_spheres(scene, motion, tensors))
         bodies.checked = wait
-        bodies._sweep()
         if of_motion is not None:
             bodies._faults = bodies._look(of_motion)
             if bodies.deforming:
                 bodies.raise_faults(bodies._faults.tolist())
         return bodies
-
-    def _sweep(self) -> None:
-        if not (self.deforming or self.scene.meshes.is_centred):
-            spheres = ops.moving_spheres(self.mesh_set, self.tensors, self.linear_path)
-            self.centre_t0, self.centre_t1, self.reach = spheres
-        if self.scene.margin is not None:
-            self.reach = (self.reach + self.scene.margin) * (1.0 + 2.0**-50)
 
     def first_faults(self) -> Tensor:
         """(F,) int64: for each check the first faulty row, or a number past the last row; then 1 if any row is faulty,
@@ -155,6 +152,17 @@ class MovingBodies:
         """
         rows = self.scene.self_colliding
         return rows if self.deforming else rows[:0]
+
+
+def _swept_spheres(
+    scene: Scene, motion: RigidMotion | VertexMotion, tensors: list[Tensor]
+) -> tuple[Tensor, Tensor, Tensor]:
+    centre_t0, centre_t1, reach = tensors[1:4]
+    if isinstance(motion, RigidMotion) and not scene.meshes.is_centred:
+        centre_t0, centre_t1, reach = ops.moving_spheres(scene.meshes.tensors, tensors, motion.path == "linear")
+    if scene.margin is not None:
+        reach = (reach + scene.margin) * (1.0 + 2.0**-50)
+    return centre_t0, centre_t1, reach
 
 
 def _rigid(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:

@@ -36,8 +36,9 @@ def capture(work: Callable[[], T], device: torch.device) -> tuple[torch.cuda.CUD
 
 @contextmanager
 def _no_garbage_collection() -> Iterator[None]:
-    """Pinned memory freed during capture records an event on each stream that used it. If that stream is captured, the
-    event is invalid, and a later allocation of pinned memory, which reads it, fails.
+    """A context without garbage collection. Pinned memory freed during capture records an event on each stream that
+    used it; if that stream is captured, the event is invalid, and a later allocation of pinned memory, which reads it,
+    fails.
     """
     was_enabled = gc.isenabled()
     gc.disable()
