@@ -158,3 +158,8 @@ def meshes() -> st.SearchStrategy[TriMesh]:
         non_manifold(),
         several_components(),
     )
+
+
+def extended_meshes() -> st.SearchStrategy[TriMesh]:
+    """Those with vertices in more than one point; a mesh with all in one point raises its own error."""
+    return meshes().filter(lambda shape: bool(np.ptp(shape.vertices[shape.faces].reshape(-1, 3), axis=0).any()))
