@@ -11,7 +11,6 @@ contacts.
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 from typing import Any
@@ -22,34 +21,24 @@ from support.evaluation import Case, Steps
 from pgccd import sim
 
 _ROBOTS = {"cpu": [1_000, 3_000, 8_000], "cuda": [10_000, 20_000, 30_000, 40_000]}
-# As in the paper.
-_RANKS, _THRESHOLD = 4, 0.15
+_THRESHOLD = 0.15  # as in the paper
 
 
 def main() -> None:
     """Runs the benchmark."""
-    arguments = parse_arguments()
-    device = arguments.device
-    ranks = arguments.ranks or (min(_RANKS, evaluation.gpus()) if device == "cuda" else _RANKS)
+    arguments = evaluation.parse_arguments(__doc__, _ROBOTS)
+    device, ranks = arguments.device, arguments.ranks
     steps = Steps(arguments.steps_before, arguments.steps_settling, arguments.rounds, arguments.baseline_rounds)
     cases = []
-    for robots in arguments.robots or _ROBOTS[device]:
+    for robots in arguments.robots:
         for split in baseline_ranks(ranks):
             cases += [Case("PCCCD", "cpu", split, robots, pattern) for pattern in sim.PATTERNS]
         for system in ("PGCCD", "PGCCD+LB"):
             spaces = map(vars, evaluation.WORLDS.values())
             cases += [Case(system, device, ranks, robots, threshold=_THRESHOLD, **space) for space in spaces]
     rows = with_speedups(evaluation.measure(cases, steps, arguments.seed))
-    results.table([flat(row) for row in rows])
+    results.table([evaluation.columns(row, "speedup", "imbalance", "contacts") for row in rows])
     results.write("figure4", device, {"ranks": ranks, "steps": vars(steps), "rows": rows}, arguments.out)
-
-
-def parse_arguments() -> argparse.Namespace:
-    """The command line."""
-    parser = evaluation.parser(__doc__)
-    parser.add_argument("--robots", type=int, nargs="+", help=f"default: {_ROBOTS}")
-    parser.add_argument("--ranks", type=int, help="default: 4, or the number of GPUs if there are fewer")
-    return parser.parse_args()
 
 
 def baseline_ranks(ranks: int) -> list[int]:
@@ -68,20 +57,6 @@ def with_speedups(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     rows = [row | {"speedup": base[row["robots"], row["pattern"]] / row["ms"]["median"]} for row in rows]
     order = ("pattern", "axes", "stretch", "robots", "system", "ranks")
     return sorted(rows, key=lambda row: [row[key] for key in order])
-
-
-def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """The row as table columns."""
-    return {
-        "system": row["system"],
-        "world": evaluation.world_of(row),
-        "robots": row["robots"],
-        "ranks": row["ranks"],
-        "ms": row["ms"]["median"],
-        "speedup": row["speedup"],
-        "imbalance": row.get("imbalance"),
-        "contacts": row.get("contacts"),
-    }
 
 
 if __name__ == "__main__":

@@ -55,6 +55,15 @@ def shapes(rng: np.random.Generator, n: int, is_face: bool, scale: float = 1.0) 
     return scale * np.where(half, points, inside)
 
 
+def coming_to_rest(rng: np.random.Generator, n: int, is_face: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Features (n, 4, 3) at both ends of straight paths on which they come closer."""
+    end = shapes(rng, n, is_face)
+    start = end.copy()
+    moved = slice(0, 1) if is_face else slice(0, 2)
+    start[:, moved] = start[:, moved] + 3.0 * (start[:, moved] - start[:, 2:3]) * rng.uniform(0.1, 1.0, (n, 1, 1))
+    return start, end
+
+
 def assert_found_at_its_own_distance(start: np.ndarray, end: np.ndarray, t: float, is_face: bool) -> None:
     """Asserts that every query of (n, 4, 3) is found with its distance at t as separation."""
     for k in range(len(start)):
@@ -88,11 +97,7 @@ def test_features_at_rest_along_an_axis(is_face: bool, separation: float) -> Non
 @KINDS
 def test_features_that_come_to_rest(is_face: bool) -> None:
     """Features approach each other along straight lines and meet at the end of the step, not before."""
-    rng = np.random.default_rng(2)
-    end = shapes(rng, 160, is_face)
-    start = end.copy()
-    moved = slice(0, 1) if is_face else slice(0, 2)
-    start[:, moved] = start[:, moved] + 3.0 * (start[:, moved] - start[:, 2:3]) * rng.uniform(0.1, 1.0, (160, 1, 1))
+    start, end = coming_to_rest(np.random.default_rng(2), 160, is_face)
     assert_found_at_its_own_distance(start, end, 1.0, is_face)
 
 
@@ -201,11 +206,7 @@ def test_proofs_of_touching_are_right(is_face: bool, boundary: bool, tolerance: 
 @KINDS
 def test_proofs_of_coming_within_the_separation_are_right(is_face: bool) -> None:
     """Features that stay one rounding further apart than the separation are free."""
-    rng = np.random.default_rng(6)
-    end = shapes(rng, 120, is_face)
-    start = end.copy()
-    moved = slice(0, 1) if is_face else slice(0, 2)
-    start[:, moved] = start[:, moved] + 3.0 * (start[:, moved] - start[:, 2:3]) * rng.uniform(0.1, 1.0, (120, 1, 1))
+    start, end = coming_to_rest(np.random.default_rng(6), 120, is_face)
     for k in range(120):
         too_small = float(np.nextafter(contacts.separation_at(start[k], end[k], 1.0, is_face), 0.0))
         if separation.within_many(start[k][None], end[k][None], too_small, is_face)[0] is None:

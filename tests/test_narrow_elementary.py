@@ -24,7 +24,7 @@ ALL = pytest.mark.parametrize("generator", GENERATORS, ids=lambda g: g.__name__)
 HARD = {"graze": 0.4, "coplanar": 0.4, "near_miss": 0.6}
 
 
-def run(generator: Generator, is_face: bool, count: int, seed: int, device: torch.device) -> None:
+def run_at_once(generator: Generator, is_face: bool, count: int, seed: int, device: torch.device) -> None:
     queries = generator(np.random.default_rng(seed), count, is_face)
     points = queries.points_t0, queries.points_t1
     unresolved = HARD.get(generator.__name__, 0.03)
@@ -36,20 +36,6 @@ def run(generator: Generator, is_face: bool, count: int, seed: int, device: torc
     size = np.abs(np.concatenate(points, axis=1)).max(axis=(1, 2))
     clear = (queries.truth == FREE) & (generator.__name__ == "short_of_end") & (size < 2.0**40)
     assert (status[clear] == pgccd.FREE).all()
-
-
-@KINDS
-@ALL
-def test_adversarial(generator: Generator, is_face: bool, device: torch.device) -> None:
-    run(generator, is_face, 60, 1, device)
-
-
-@pytest.mark.slow
-@KINDS
-@ALL
-def test_adversarial_at_length(generator: Generator, is_face: bool, device: torch.device) -> None:
-    for seed in range(10):
-        run(generator, is_face, 600, 1000 + seed, device)
 
 
 def run_separated(generator: Generator, is_face: bool, count: int, seed: int, device: torch.device) -> None:
@@ -108,16 +94,13 @@ def test_near_misses_are_free(is_face: bool, device: torch.device) -> None:
 
 @KINDS
 @ALL
-def test_separation(generator: Generator, is_face: bool, device: torch.device) -> None:
-    run_separated(generator, is_face, 12, 2, device)
-
-
-@pytest.mark.slow
-@KINDS
-@ALL
-def test_separation_at_length(generator: Generator, is_face: bool, device: torch.device) -> None:
-    for seed in range(10):
-        run_separated(generator, is_face, 120, 2000 + seed, device)
+@pytest.mark.parametrize("times", [1, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("run", "count"), [(run_at_once, 60), (run_separated, 12)])
+def test_adversarial(
+    run: Callable[..., None], count: int, times: int, generator: Generator, is_face: bool, device: torch.device
+) -> None:
+    for seed in range(times):
+        run(generator, is_face, count * times, 1000 * times + seed, device)
 
 
 @KINDS

@@ -75,16 +75,30 @@ class Case:
     stretch: float = 1.0
 
 
-def parser(description: str | None) -> argparse.ArgumentParser:
-    """A parser with the arguments common to the figures."""
+MOST_RANKS = 4
+
+
+def parse_arguments(description: str | None, robots: dict[str, list[int]]) -> argparse.Namespace:
+    """The command line of a figure, given the default numbers of robots by device. `ranks` and `robots` are set."""
     shared = results.parser(description)
+    shared.add_argument("--robots", type=int, nargs="+", help=f"default: {robots}")
+    shared.add_argument("--ranks", type=int, help="default: 4, or the number of GPUs if there are fewer; their maximum")
     shared.add_argument("--device", choices=("cpu", "cuda"), default="cuda" if gpus() else "cpu")
     shared.add_argument("--steps-before", type=int, default=120, help="made by one process first")
     shared.add_argument("--steps-settling", type=int, default=40, help="made by ranks before the first is timed")
     shared.add_argument("--rounds", type=int, default=20, help="steps timed")
     shared.add_argument("--baseline-rounds", type=int, default=3, help="of these, by PCCCD")
     shared.add_argument("--seed", type=int, default=0)
-    return shared
+    given = shared.parse_args()
+    given.robots = given.robots or robots[given.device]
+    given.ranks = given.ranks or (min(MOST_RANKS, gpus()) if given.device == "cuda" else MOST_RANKS)
+    return given
+
+
+def columns(row: dict[str, Any], *more: str) -> dict[str, Any]:
+    """Columns of a row in a figure's table: the case, its time, and others."""
+    shown = {"system": row["system"], "world": world_of(row), "robots": row["robots"], "ranks": row["ranks"]}
+    return shown | {"ms": row["ms"]["median"]} | {name: row.get(name) for name in more}
 
 
 def measure(cases: Iterable[Case], steps: Steps, seed: int = 0) -> list[dict[str, Any]]:

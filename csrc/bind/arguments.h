@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <initializer_list>
 #include <optional>
+#include <type_traits>
 #include <vector>
 
 #include "bind/one_device.h"
@@ -24,30 +25,21 @@ using torch::stable::Tensor;
 constexpr int64_t kAnySize = -1;
 
 template <class T>
-constexpr ScalarType scalar_type_of();
-template <>
-constexpr ScalarType scalar_type_of<double>() {
-  return ScalarType::Double;
-}
-template <>
-constexpr ScalarType scalar_type_of<float>() {
-  return ScalarType::Float;
-}
-template <>
-constexpr ScalarType scalar_type_of<int64_t>() {
-  return ScalarType::Long;
-}
-template <>
-constexpr ScalarType scalar_type_of<int32_t>() {
-  return ScalarType::Int;
-}
-template <>
-constexpr ScalarType scalar_type_of<int8_t>() {
-  return ScalarType::Char;
-}
-template <>
-constexpr ScalarType scalar_type_of<uint8_t>() {
-  return ScalarType::Byte;
+constexpr ScalarType scalar_type_of() {
+  if constexpr (std::is_same_v<T, double>) {
+    return ScalarType::Double;
+  } else if constexpr (std::is_same_v<T, float>) {
+    return ScalarType::Float;
+  } else if constexpr (std::is_same_v<T, int64_t>) {
+    return ScalarType::Long;
+  } else if constexpr (std::is_same_v<T, int32_t>) {
+    return ScalarType::Int;
+  } else if constexpr (std::is_same_v<T, int8_t>) {
+    return ScalarType::Char;
+  } else {
+    static_assert(std::is_same_v<T, uint8_t>);
+    return ScalarType::Byte;
+  }
 }
 
 // Data of a contiguous tensor with this element type and shape, as rows of `Row`.
@@ -117,31 +109,34 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   return view;
 }
 
-inline RigidBodies rigid_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t, bool linear_path) {
-  STD_TORCH_CHECK(t.size() == 6 || t.size() == 7, "bodies: expected 6 tensors, or 7 with margins, got ", t.size());
-  RigidBodies view;
+// Meshes and swept spheres of bodies, from `size` tensors, followed by margins if there are any.
+template <class Bodies>
+Bodies bodies_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t, size_t size) {
+  STD_TORCH_CHECK(t.size() == size || t.size() == size + 1, "bodies: expected ", size, " tensors, or ", size + 1,
+                  " with margins, got ", t.size());
+  Bodies view;
   view.meshes = mesh_set_view(mesh_set);
   view.mesh_index = rows<int32_t>(t[0], "bodies.mesh_index", {kAnySize});
   const int64_t count = t[0].size(0);
   view.centres = {rows<double>(t[1], "bodies.position_t0", {count, 3}),
                   rows<double>(t[2], "bodies.position_t1", {count, 3}), rows<double>(t[3], "bodies.radius", {count}),
                   count};
+  if (t.size() > size) view.centres.margin = rows<double>(t[size], "bodies.margin", {count});
+  return view;
+}
+
+inline RigidBodies rigid_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t, bool linear_path) {
+  RigidBodies view = bodies_view<RigidBodies>(mesh_set, t, 6);
+  const int64_t count = view.centres.count;
   view.orientation = rows<double>(t[4], "bodies.orientation", {count, 4});
   view.rotation = rows<double>(t[5], "bodies.rotation", {count, 3});
   view.linear_path = linear_path;
-  if (t.size() == 7) view.centres.margin = rows<double>(t[6], "bodies.margin", {count});
   return view;
 }
 
 inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t) {
-  STD_TORCH_CHECK(t.size() == 10 || t.size() == 11, "bodies: expected 10 tensors, or 11 with margins, got ", t.size());
-  DeformingBodies view;
-  view.meshes = mesh_set_view(mesh_set);
-  view.mesh_index = rows<int32_t>(t[0], "bodies.mesh_index", {kAnySize});
-  const int64_t count = t[0].size(0);
-  view.centres = {rows<double>(t[1], "bodies.position_t0", {count, 3}),
-                  rows<double>(t[2], "bodies.position_t1", {count, 3}), rows<double>(t[3], "bodies.radius", {count}),
-                  count};
+  DeformingBodies view = bodies_view<DeformingBodies>(mesh_set, t, 10);
+  const int64_t count = view.centres.count;
   view.vertex_count = t[4].size(0);
   view.vertices_t0 = rows<double>(t[4], "bodies.vertices_t0", {kAnySize, 3});
   view.vertices_t1 = rows<double>(t[5], "bodies.vertices_t1", {t[4].size(0), 3});
@@ -150,7 +145,6 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
   view.vertex_begin = rows<int64_t>(t[8], "bodies.vertex_begin", {count});
   view.block_begin = rows<int64_t>(t[9], "bodies.block_begin", {count});
   view.block_count = t[6].size(0);
-  if (t.size() == 11) view.centres.margin = rows<double>(t[10], "bodies.margin", {count});
   return view;
 }
 

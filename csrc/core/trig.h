@@ -17,6 +17,14 @@ struct SineCosine {
   double versine;  // 1 - cos, without cancellation for small angles
 };
 
+// The polynomial in x with these coefficients, that of the highest power first.
+template <class... Coefficients>
+PGCCD_HD double polynomial(double x, double highest, Coefficients... others) {
+  double value = highest;
+  ((value = others + x * value), ...);
+  return value;
+}
+
 PGCCD_HD SineCosine sine_cosine(double angle) {
   constexpr double two_over_pi = 0x1.45f306dc9c883p-1;
   constexpr double half_pi_high = 0x1.921fb54442d18p+0;
@@ -28,22 +36,12 @@ PGCCD_HD SineCosine sine_cosine(double angle) {
   r = std::fma(-quadrant, half_pi_low, r);
   const double q = r * r;
 
-  double s = -1.0 / 1307674368000.0 + q * (1.0 / 355687428096000.0);
-  s = 1.0 / 6227020800.0 + q * s;
-  s = -1.0 / 39916800.0 + q * s;
-  s = 1.0 / 362880.0 + q * s;
-  s = -1.0 / 5040.0 + q * s;
-  s = 1.0 / 120.0 + q * s;
-  s = -1.0 / 6.0 + q * s;
+  const double s = polynomial(q, 1.0 / 355687428096000.0, -1.0 / 1307674368000.0, 1.0 / 6227020800.0, -1.0 / 39916800.0,
+                              1.0 / 362880.0, -1.0 / 5040.0, 1.0 / 120.0, -1.0 / 6.0);
   const double sine = r + r * (q * s);
 
-  double v = -1.0 / 20922789888000.0 + q * (1.0 / 6402373705728000.0);
-  v = 1.0 / 87178291200.0 + q * v;
-  v = -1.0 / 479001600.0 + q * v;
-  v = 1.0 / 3628800.0 + q * v;
-  v = -1.0 / 40320.0 + q * v;
-  v = 1.0 / 720.0 + q * v;
-  v = -1.0 / 24.0 + q * v;
+  const double v = polynomial(q, 1.0 / 6402373705728000.0, -1.0 / 20922789888000.0, 1.0 / 87178291200.0,
+                              -1.0 / 479001600.0, 1.0 / 3628800.0, -1.0 / 40320.0, 1.0 / 720.0, -1.0 / 24.0);
   const double versine = q * 0.5 + q * (q * v);
   const double cosine = 1.0 - versine;
 

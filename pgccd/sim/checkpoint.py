@@ -7,18 +7,8 @@ from typing import Any
 
 import torch
 
-from pgccd.checkpoint.files import (
-    FOLDER,
-    INDEX,
-    POINTER,
-    CheckpointError,
-    Content,
-    discard,
-    layout_of,
-    make_folder,
-    publish,
-    write_tables,
-)
+from pgccd.checkpoint import files
+from pgccd.checkpoint.files import CheckpointError, Content
 from pgccd.checkpoint.stored import Stored, has_checkpoint
 from pgccd.sim.model import ModelConfig, RobotState
 
@@ -67,7 +57,7 @@ class StoredCheckpoint(Stored):
 
     def __init__(self, run_folder: Path) -> None:
         super().__init__(run_folder, KIND)
-        path, content = self.folder / INDEX, self.header
+        path, content = self.folder / files.INDEX, self.header
         try:
             config = content["config"] | {"stay_steps": tuple(content["config"]["stay_steps"])}
             #: The run.
@@ -76,7 +66,7 @@ class StoredCheckpoint(Stored):
                 raise ValueError("steps_wanted: expected a number >= 0")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CheckpointError(f"{path} is not the index of a run: {error}") from error
-        if layout_of(self.layout) != _LAYOUT:
+        if files.layout_of(self.layout) != _LAYOUT:
             raise CheckpointError(f"{path}: expected the columns of robots, and no others")
         if self.row_count(ROBOTS) != self.run.config.robots:
             raise CheckpointError(f"{path}: of {self.run.config.robots} robots it has {self.row_count(ROBOTS)}")
@@ -122,15 +112,15 @@ def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint) -> Path:
     Example:
         >>> pgccd.sim.save_checkpoint("out/copy", pgccd.sim.load_checkpoint("out/try"))
     """
-    root = Path(run_folder) / FOLDER
-    name = make_folder(root, KIND, checkpoint.steps_made)
+    root = Path(run_folder) / files.FOLDER
+    name = files.make_folder(root, KIND, checkpoint.steps_made)
     tables = {ROBOTS: checkpoint.state.to("cpu").columns}
     content = Content(KIND, checkpoint.steps_made, checkpoint.plain)
     try:
-        entry = write_tables(root / name, 0, tables)
-        return publish(root, name, content, layout_of(tables), [entry])
+        entry = files.write_tables(root / name, 0, tables)
+        return files.publish(root, name, content, files.layout_of(tables), [entry])
     except CheckpointError:
-        discard(root, name)
+        files.discard(root, name)
         raise
 
 
@@ -155,7 +145,7 @@ def load_checkpoint(run_folder: str | Path) -> Checkpoint:
 def forget_checkpoints(run_folder: Path) -> None:
     """Removes all checkpoints of an earlier run."""
     (run_folder / _FORMER).unlink(missing_ok=True)
-    root = run_folder / FOLDER
+    root = run_folder / files.FOLDER
     if root.is_dir():
-        (root / POINTER).unlink(missing_ok=True)  # first: the checkpoint it names is complete as long as it exists
+        (root / files.POINTER).unlink(missing_ok=True)  # first: what it names is complete as long as it exists
         shutil.rmtree(root)

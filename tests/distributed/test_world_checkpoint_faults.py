@@ -28,7 +28,7 @@ from pgccd.checkpoint import files
 from pgccd.checkpoint.files import FOLDER, POINTER
 from pgccd.checkpoint.lock import hold
 from pgccd.distributed import Alone, BalanceOptions, CheckpointError, Comm, World
-from pgccd.distributed.checkpoint import shared_folder, writing
+from pgccd.distributed.checkpoint import shared_folder
 
 CPU = torch.device("cpu")
 
@@ -60,7 +60,7 @@ def told_of(comm: Comm, folder: str, where: str, rank: int, error: Exception) ->
     """The error of `World.save` if a function of checkpoints raises another error on one rank."""
     world = begin(comm)
     world.save(folder)
-    failing = mock.patch.object(writing, where, side_effect=error) if comm.rank == rank else nullcontext()
+    failing = mock.patch(f"pgccd.{where}", side_effect=error) if comm.rank == rank else nullcontext()
     with failing, pytest.raises(CheckpointError) as refused:
         world.save(folder)
     comm.barrier()
@@ -71,9 +71,9 @@ def told_of(comm: Comm, folder: str, where: str, rank: int, error: Exception) ->
 @pytest.mark.parametrize(
     ("where", "rank", "error"),
     [
-        ("copies_of", 1, torch.OutOfMemoryError("no room\nat all")),
-        ("write_tables", 1, MemoryError("no room\nat all")),
-        ("publish", 0, RuntimeError()),
+        ("distributed.checkpoint.writing.copies_of", 1, torch.OutOfMemoryError("no room\nat all")),
+        ("checkpoint.files.write_tables", 1, MemoryError("no room\nat all")),
+        ("checkpoint.files.publish", 0, RuntimeError()),
     ],
 )
 def test_errors_of_any_kind_reach_all_ranks(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
+from unittest import mock
 
 import pytest
 import torch
@@ -146,6 +148,20 @@ def plan_after(rounds: int, plan: RoundPlan | None = None) -> RoundPlan:
     return plan
 
 
+@contextmanager
+def counted_calls(method: str) -> Iterator[list[None]]:
+    """A context with a list that has one entry per call of this method of `Partners`."""
+    calls: list[None] = []
+    unchanged = getattr(Partners, method)
+
+    def counted(*given: Any) -> Any:
+        calls.append(None)
+        return unchanged(*given)
+
+    with mock.patch.object(Partners, method, counted):
+        yield calls
+
+
 def test_wherever_a_batch_ends() -> None:
     step = many_rounds()
     for rounds in range(step.rounds + 3):
@@ -162,17 +178,11 @@ def test_a_step_of_which_nothing_is_known() -> None:
     assert plan.at_once == step.rounds
 
 
-def test_one_rank_on_the_cpu_makes_the_rounds_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
-    step, made = many_rounds(), 0
-
-    class Counted(Partners):
-        def start_round(self, *given: Any) -> Tensor:
-            nonlocal made
-            made += 1
-            return super().start_round(*given)
-
-    step.resolve(plan_after(9), make_partners=Counted)
-    assert made == step.rounds
+def test_one_rank_on_the_cpu_makes_the_rounds_it_needs() -> None:
+    step = many_rounds()
+    with counted_calls("start_round") as calls:
+        step.resolve(plan_after(9))
+    assert len(calls) == step.rounds
 
 
 def test_too_little_capacity_in_a_round() -> None:
@@ -217,20 +227,13 @@ def test_too_little_capacity_for_the_whole_step(exchange: OneRank | None, monkey
 
 
 def test_rounds_that_do_not_fit_into_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    step, pieces = many_rounds(), 0
-
-    class Counted(Partners):
-        def _search(self, *given: Any) -> Tensor:
-            nonlocal pieces
-            pieces += 1
-            return super()._search(*given)
-
+    step = many_rounds()
     for limit in (10_000, 1000, 1):
         monkeypatch.setattr(partners_module, "memory_limit", lambda *_, limit=limit: limit)
-        pieces = 0
-        step.resolve(make_partners=Counted)
+        with counted_calls("_search") as pieces:
+            step.resolve()
         most = -(-Capacity(pairs=len(step.pairs), contacts=0).bytes // limit)
-        assert pieces == step.rounds * min(len(step.pairs), most) > step.rounds
+        assert len(pieces) == step.rounds * min(len(step.pairs), most) > step.rounds
 
 
 def test_no_robot_collides() -> None:

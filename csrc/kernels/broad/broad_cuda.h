@@ -17,6 +17,7 @@ using PairSink = std::variant<PairOutput, PaddedPairs>;
 void find_pairs_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadPhaseChoice& choice,
                      const PairSink& out);
 
+// At least two bodies; called by `find_pairs_cuda`.
 void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axis, const PairSink& out);
 void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out);
 void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out);

@@ -12,31 +12,6 @@ namespace {
 
 constexpr int64_t kGrain = 4096;
 
-GridFrame choose_frame(const BroadBodies& bodies) {
-  const int64_t stride = sample_stride(bodies.count);
-  const double weight = sample_weight(bodies.count);
-  double mean_middle[3] = {}, mean_extent[3] = {};
-  for (int64_t b = 0; b < bodies.count; b += stride) {
-    if (bodies.is_absent(b)) continue;
-    const SweptBox box = swept_box(bodies, b);
-    for (int k = 0; k < 3; ++k) {
-      mean_middle[k] += weight * component(middle_of(box), k);
-      mean_extent[k] += weight * component(box.upper - box.lower, k);
-    }
-  }
-  const GridFrame unit = unit_frame(mean_middle, mean_extent);
-  double counts[kSizeClasses] = {};
-  for (int64_t b = 0; b < bodies.count; b += stride) {
-    if (!bodies.is_absent(b)) counts[size_class(unit_size(unit, swept_box(bodies, b)))] += 1.0;
-  }
-  const double end = best_end(counts);
-  double cell_size = 0.5 * end;
-  for (int64_t b = 0; b < bodies.count; b += stride) {
-    if (!bodies.is_absent(b)) cell_size = larger(folded_size(unit_size(unit, swept_box(bodies, b)), end), cell_size);
-  }
-  return scaled_frame(unit, cell_size);
-}
-
 // Bodies in the order of their buckets.
 struct SortedCells {
   GridTables tables;
@@ -152,7 +127,7 @@ void grid_cpu(const Executor& executor, const BroadBodies& bodies, const PairOut
     make_output(0);
     return;
   }
-  const GridFrame frame = choose_frame(bodies);
+  const GridFrame frame = choose_grid_frame(ThreadSample(), bodies);
   const SortedCells sorted = sort_cells(executor, bodies, frame);
   std::vector<PairCollector> collectors(executor.worker_count(), PairCollector(bodies, sorted.boxes.get()));
   constexpr int64_t kSearchGrain = 512;

@@ -14,29 +14,8 @@ namespace {
 __global__ void __launch_bounds__(kSampleThreads) choose_frame(BroadBodies bodies, GridFrame* frame) {
   wait_for_previous_kernels();
   __shared__ BlockSample sample;
-  const double weight = sample_weight(bodies.count);
-  double mean[6] = {};  // middle, extent
-  sample.for_each(bodies, [&](const SweptBox& box) {
-    for (int k = 0; k < 3; ++k) {
-      mean[k] += weight * component(middle_of(box), k);
-      mean[3 + k] += weight * component(box.upper - box.lower, k);
-    }
-  });
-  sample.sum(mean);
-  const GridFrame unit = unit_frame({mean[0], mean[1], mean[2]}, {mean[3], mean[4], mean[5]});
-  double counts[kSizeClasses] = {};
-  sample.for_each(bodies, [&](const SweptBox& box) {
-    const int found = size_class(unit_size(unit, box));
-    for (int c = 0; c < kSizeClasses; ++c) counts[c] += c == found ? 1.0 : 0.0;
-  });
-  sample.sum(counts);
-  const double end = best_end(counts);
-  double cell_size[] = {0.5 * end};
-  sample.for_each(bodies, [&](const SweptBox& box) {
-    cell_size[0] = larger(folded_size(unit_size(unit, box), end), cell_size[0]);
-  });
-  sample.maximum(cell_size);
-  if (threadIdx.x == 0) *frame = scaled_frame(unit, cell_size[0]);
+  const GridFrame chosen = choose_grid_frame(sample, bodies);
+  if (threadIdx.x == 0) *frame = chosen;
 }
 
 __device__ uint32_t world_of(const BroadBodies& bodies, int64_t body) {
@@ -141,12 +120,7 @@ __global__ void __launch_bounds__(kBlockThreads)
 }  // namespace
 
 void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out) {
-  note_beginning(context, out);
   const int64_t count = bodies.count;
-  if (count < 2) {
-    write_no_pairs(context, out);
-    return;
-  }
   GridFrame* frame = context.allocate<GridFrame>(1);
   LevelCounts* level_counts = context.allocate<LevelCounts>(1);
   GridTables* tables = context.allocate<GridTables>(1);

@@ -73,4 +73,32 @@ PGCCD_HD GridFrame scaled_frame(GridFrame unit, double cell_size) {
   return unit;
 }
 
+// Called by all threads that share the sample.
+template <class Sample>
+PGCCD_TARGET GridFrame choose_grid_frame(Sample&& sample, const BroadBodies& bodies) {
+  const double weight = sample_weight(bodies.count);
+  double mean[6] = {};  // middle, extent
+  sample.for_each(bodies, [&](const SweptBox& box) {
+    for (int k = 0; k < 3; ++k) {
+      mean[k] += weight * component(middle_of(box), k);
+      mean[3 + k] += weight * component(box.upper - box.lower, k);
+    }
+  });
+  sample.sum(mean);
+  const GridFrame unit = unit_frame({mean[0], mean[1], mean[2]}, {mean[3], mean[4], mean[5]});
+  double counts[kSizeClasses] = {};
+  sample.for_each(bodies, [&](const SweptBox& box) {
+    const int found = size_class(unit_size(unit, box));
+    for (int c = 0; c < kSizeClasses; ++c) counts[c] += c == found ? 1.0 : 0.0;
+  });
+  sample.sum(counts);
+  const double end = best_end(counts);
+  double cell_size[] = {0.5 * end};
+  sample.for_each(bodies, [&](const SweptBox& box) {
+    cell_size[0] = larger(folded_size(unit_size(unit, box), end), cell_size[0]);
+  });
+  sample.maximum(cell_size);
+  return scaled_frame(unit, cell_size[0]);
+}
+
 }  // namespace pgccd

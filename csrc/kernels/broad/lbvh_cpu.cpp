@@ -11,23 +11,6 @@ namespace {
 
 constexpr int64_t kGrain = 4096;
 
-LbvhFrame choose_frame(const BroadBodies& bodies) {
-  const int64_t stride = sample_stride(bodies.count);
-  const double weight = sample_weight(bodies.count);
-  double mean[3] = {}, deviation[3] = {};
-  for (int64_t b = 0; b < bodies.count; b += stride) {
-    if (bodies.is_absent(b)) continue;
-    const Vec3<double> middle = middle_of(swept_box(bodies, b));
-    for (int k = 0; k < 3; ++k) mean[k] += weight * component(middle, k);
-  }
-  for (int64_t b = 0; b < bodies.count; b += stride) {
-    if (bodies.is_absent(b)) continue;
-    const Vec3<double> middle = middle_of(swept_box(bodies, b));
-    for (int k = 0; k < 3; ++k) deviation[k] += weight * std::fabs(component(middle, k) - mean[k]);
-  }
-  return lbvh_frame(mean, deviation);
-}
-
 // The arrays of an LbvhTree.
 struct TreeArrays {
   std::unique_ptr<uint64_t[]> keys;
@@ -37,7 +20,7 @@ struct TreeArrays {
 
 TreeArrays sort_leaves(const Executor& executor, const BroadBodies& bodies) {
   const int64_t count = bodies.count;
-  const LbvhFrame frame = choose_frame(bodies);
+  const LbvhFrame frame = choose_lbvh_frame(ThreadSample(), bodies);
   std::vector<KeyedBody> keyed(count);
   parallel_chunks(executor, count, kGrain, [&](int, int64_t begin, int64_t end) {
     for (int64_t b = begin; b < end; ++b) keyed[b] = {lbvh_key(bodies, frame, b), static_cast<int32_t>(b)};

@@ -12,17 +12,8 @@ namespace {
 __global__ void __launch_bounds__(kSampleThreads) choose_frame(BroadBodies bodies, LbvhFrame* frame) {
   wait_for_previous_kernels();
   __shared__ BlockSample sample;
-  const double weight = sample_weight(bodies.count);
-  double mean[3] = {}, deviation[3] = {};
-  sample.for_each(bodies, [&](const SweptBox& box) {
-    for (int k = 0; k < 3; ++k) mean[k] += weight * component(middle_of(box), k);
-  });
-  sample.sum(mean);
-  sample.for_each(bodies, [&](const SweptBox& box) {
-    for (int k = 0; k < 3; ++k) deviation[k] += weight * std::fabs(component(middle_of(box), k) - mean[k]);
-  });
-  sample.sum(deviation);
-  if (threadIdx.x == 0) *frame = lbvh_frame(mean, deviation);
+  const LbvhFrame chosen = choose_lbvh_frame(sample, bodies);
+  if (threadIdx.x == 0) *frame = chosen;
 }
 
 __global__ void __launch_bounds__(kBlockThreads) build_nodes(LbvhTree tree, unsigned* arrivals, int32_t* root) {
@@ -60,12 +51,7 @@ unsigned blocks_for(int64_t count) { return static_cast<unsigned>((count + kBloc
 }  // namespace
 
 void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out) {
-  note_beginning(context, out);
   const int64_t count = bodies.count;
-  if (count < 2) {
-    write_no_pairs(context, out);
-    return;
-  }
   LbvhFrame* frame = context.allocate<LbvhFrame>(1);
   launch_kernel(context, choose_frame, 1, kSampleThreads, bodies, frame);
   uint64_t* keys = context.allocate<uint64_t>(count);

@@ -27,6 +27,22 @@ PGCCD_HD LbvhFrame lbvh_frame(const double (&mean)[3], const double (&mean_devia
   return frame;
 }
 
+// Called by all threads that share the sample.
+template <class Sample>
+PGCCD_TARGET LbvhFrame choose_lbvh_frame(Sample&& sample, const BroadBodies& bodies) {
+  const double weight = sample_weight(bodies.count);
+  double mean[3] = {}, deviation[3] = {};
+  sample.for_each(bodies, [&](const SweptBox& box) {
+    for (int k = 0; k < 3; ++k) mean[k] += weight * component(middle_of(box), k);
+  });
+  sample.sum(mean);
+  sample.for_each(bodies, [&](const SweptBox& box) {
+    for (int k = 0; k < 3; ++k) deviation[k] += weight * std::fabs(component(middle_of(box), k) - mean[k]);
+  });
+  sample.sum(deviation);
+  return lbvh_frame(mean, deviation);
+}
+
 PGCCD_HD uint64_t spread_bits(uint64_t x) {  // two zero bits after each of 21
   x = (x | (x << 32)) & 0x001f00000000ffffull;
   x = (x | (x << 16)) & 0x001f0000ff0000ffull;

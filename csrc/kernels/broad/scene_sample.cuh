@@ -14,10 +14,7 @@ class BlockSample {
   // Calls look(box) for this thread's share.
   template <class Look>
   __device__ static void for_each(const BroadBodies& bodies, Look&& look) {
-    const int64_t stride = sample_stride(bodies.count);
-    for (int64_t b = threadIdx.x * stride; b < bodies.count; b += kSampleThreads * stride) {
-      if (!bodies.is_absent(b)) look(swept_box(bodies, b));
-    }
+    for_each_sampled(bodies, look, threadIdx.x, kSampleThreads);
   }
 
   // Reduce each value over all threads, always in the same order; all threads get the results.

@@ -12,6 +12,21 @@ struct ContactPlace {
   Vec3<double> normal;  // unit, from body i towards body j
 };
 
+// Writes a row of contacts, except for its pair. columns: ContactRows or ContactColumns; found: status, toi, u and v.
+template <class Columns, class Found>
+PGCCD_HD void store_contact(Columns& columns, int64_t row, const Candidate& candidate, const Found& found,
+                            const ContactPlace& place) {
+  columns.kind[row] = static_cast<int8_t>(candidate.kind);
+  columns.features[2 * row] = candidate.feature_i;
+  columns.features[2 * row + 1] = candidate.feature_j;
+  columns.status[row] = static_cast<int8_t>(found.status);
+  columns.toi[row] = found.toi;
+  columns.coordinates[2 * row] = found.u;
+  columns.coordinates[2 * row + 1] = found.v;
+  store_vec3(&columns.point[3 * row], place.point);
+  store_vec3(&columns.normal[3 * row], place.normal);
+}
+
 namespace contact_detail {
 
 template <bool kEdgeEdge, class Bodies, class Pair>

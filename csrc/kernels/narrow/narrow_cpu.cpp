@@ -45,8 +45,7 @@ std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& 
     int64_t c = begin;
     while (c < end) {
       const int32_t row = input.candidates.items[c].pair;
-      const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * int64_t{row}],
-                                               input.pairs[2 * int64_t{row} + 1]);
+      const PairOf<Bodies> pair(bodies, input.pairs[2 * int64_t{row}], input.pairs[2 * int64_t{row} + 1]);
       for (; c < end && input.candidates.items[c].pair == row; ++c) {
         double* pair_best = bounded ? &best[row] : nullptr;
         const double latest = bounded ? latest_useful(input.report, *pair_best) : kNever;
@@ -98,24 +97,10 @@ ContactRows to_rows(const Executor& executor, const Bodies& bodies, const Narrow
     for (int64_t row = begin; row < end; ++row) {
       const Candidate& c = input.candidates.items[found[row].candidate];
       const Outcome<double>& outcome = found[row].outcome;
-      const typename PairOf<Bodies>::type pair(bodies, input.pairs[2 * int64_t{c.pair}],
-                                               input.pairs[2 * int64_t{c.pair} + 1]);
+      const PairOf<Bodies> pair(bodies, input.pairs[2 * int64_t{c.pair}], input.pairs[2 * int64_t{c.pair} + 1]);
       const ContactPlace at = contact_place(bodies, pair, c, outcome.toi, outcome.u, outcome.v);
       out.pair[row] = c.pair;
-      out.kind[row] = static_cast<int8_t>(c.kind);
-      out.features[2 * row] = c.feature_i;
-      out.features[2 * row + 1] = c.feature_j;
-      out.status[row] = static_cast<int8_t>(outcome.status);
-      out.toi[row] = outcome.toi;
-      out.coordinates[2 * row] = outcome.u;
-      out.coordinates[2 * row + 1] = outcome.v;
-      const Vec3<double> vectors[2] = {at.point, at.normal};
-      double* targets[2] = {&out.point[3 * row], &out.normal[3 * row]};
-      for (int k = 0; k < 2; ++k) {
-        targets[k][0] = vectors[k].x;
-        targets[k][1] = vectors[k].y;
-        targets[k][2] = vectors[k].z;
-      }
+      store_contact(out, row, c, outcome, at);
     }
   });
   return out;

@@ -126,15 +126,7 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Select
     if (out.bodies != nullptr) {
       for (int side = 0; side < 2; ++side) out.bodies[2 * row + side] = search.input.pairs[2 * int64_t{c.pair} + side];
     }
-    out.kind[row] = static_cast<int8_t>(c.kind);
-    out.features[2 * row] = c.feature_i;
-    out.features[2 * row + 1] = c.feature_j;
-    out.status[row] = static_cast<int8_t>(contact.status);
-    out.toi[row] = contact.toi;
-    out.coordinates[2 * row] = contact.u;
-    out.coordinates[2 * row + 1] = contact.v;
-    store_vec3(out.point + 3 * row, at.point);
-    store_vec3(out.normal + 3 * row, at.normal);
+    store_contact(out, row, c, contact, at);
     if (contact.status == static_cast<int32_t>(Status::kUnresolved)) atomicAdd(&search.counters->unresolved, 1u);
   });
 }

@@ -1,6 +1,8 @@
 // The points of a candidate's features, from body poses or vertex streams.
 #pragma once
 
+#include <type_traits>
+
 #include "core/candidate.h"
 #include "core/centre_arc.h"
 #include "kernels/narrow/paths.h"
@@ -125,14 +127,6 @@ struct DeformingPair {
 };
 
 template <class Bodies>
-struct PairOf;
-template <>
-struct PairOf<RigidBodies> {
-  using type = RigidPair;
-};
-template <>
-struct PairOf<DeformingBodies> {
-  using type = DeformingPair;
-};
+using PairOf = std::conditional_t<std::is_same_v<Bodies, RigidBodies>, RigidPair, DeformingPair>;
 
 }  // namespace pgccd

@@ -16,7 +16,7 @@ constexpr int kSolveThreads = 64;
 constexpr int64_t kFewCandidates = 1 << 15;
 
 template <class Bodies>
-__device__ typename PairOf<Bodies>::type pair_of(const Bodies& bodies, const NarrowInput& input, const Candidate& c) {
+__device__ PairOf<Bodies> pair_of(const Bodies& bodies, const NarrowInput& input, const Candidate& c) {
   return {bodies, input.pairs[2 * int64_t(c.pair)], input.pairs[2 * int64_t(c.pair) + 1]};
 }
 

@@ -85,7 +85,7 @@ struct Group {
 template <class Bodies, class TaskAt>
 __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue& queue, TaskAt&& task_at,
                         int shared_rounds, LeafPairList leaves, TaskList rest, Counter* node_tests) {
-  using Sweep = typename SweepOf<Bodies>::type;
+  using Sweep = SweepOf<Bodies>;
   __shared__ alignas(16) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
   __shared__ WarpBuffer<LeafPair> buffers[kWarpsPerBlock];
   __shared__ uint32_t taken_by_block;

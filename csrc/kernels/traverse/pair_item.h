@@ -48,7 +48,7 @@ PGCCD_HD bool may_meet(float clearance) { return !(clearance > 0.0f); }
 template <class Bodies>
 class PairTree {
  public:
-  using Sweep = typename SweepOf<Bodies>::type;
+  using Sweep = SweepOf<Bodies>;
 
   PGCCD_HD PairTree(const Bodies& bodies, const Sweep& sweep, const LocalPose* poses)
       : bodies_(bodies), sweep_(sweep), poses_(poses) {}

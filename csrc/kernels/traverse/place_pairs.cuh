@@ -10,7 +10,7 @@ namespace pgccd {
 // What a launch writes, one row per pair; poses as in `Pairs`.
 template <class Bodies>
 struct PlacedPairs {
-  typename SweepOf<Bodies>::type* sweeps;
+  SweepOf<Bodies>* sweeps;
   LocalPose* poses;
   uint32_t* pose_begin;
   SplitPair* roots;  // none where no node has children: such pairs of leaves are listed at once
@@ -41,7 +41,7 @@ template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     place_pairs(Pairs<Bodies> pairs, TraverseInput input, PlacedPairs<Bodies> out, TraverseCounters* counters) {
   wait_for_previous_kernels();
-  using Sweep = typename SweepOf<Bodies>::type;
+  using Sweep = SweepOf<Bodies>;
   __shared__ StagedRows<Sweep> all_staged[kWarpsPerBlock];
   StagedRows<Sweep>& staged = all_staged[threadIdx.x / kWarp];
   const Bodies& bodies = pairs.bodies;

@@ -20,9 +20,8 @@ struct SelfPairs {
   int64_t most;       // capacity in rows
 
   template <class Bodies>
-  __device__ void add_if_one_body(const Bodies& bodies, const typename SweepOf<Bodies>::type& sweep,
-                                  int32_t row) const {
-    if constexpr (SweepOf<Bodies>::type::may_be_one_body) {
+  __device__ void add_if_one_body(const Bodies& bodies, const SweepOf<Bodies>& sweep, int32_t row) const {
+    if constexpr (SweepOf<Bodies>::may_be_one_body) {
       if (!sweep.is_one_body()) return;
       const int32_t count = PairTree<Bodies>(bodies, sweep, nullptr).block_count();
       atomicAdd(this->blocks, static_cast<Counter>(count));

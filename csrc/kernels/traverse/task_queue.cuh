@@ -65,7 +65,7 @@ constexpr int kPosesAtHand = 2;
 // All body pairs in their local frames.
 template <class Bodies>
 struct Pairs {
-  using Sweep = typename SweepOf<Bodies>::type;
+  using Sweep = SweepOf<Bodies>;
   Bodies bodies;
   const Sweep* sweeps;
   const LocalPose* poses;      // the first poses of all pairs; then all poses of those with more

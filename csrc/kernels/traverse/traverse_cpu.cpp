@@ -19,7 +19,7 @@ struct Task {
 template <class Bodies>
 class PairCache {
  public:
-  using Sweep = typename SweepOf<Bodies>::type;
+  using Sweep = SweepOf<Bodies>;
 
   PairCache(const Bodies& bodies, const TraverseInput& input) : bodies_(bodies), input_(input) {}
 
@@ -148,7 +148,7 @@ std::vector<Task> make_tasks(const Bodies& bodies, const TraverseInput& input, i
   PairCache<Bodies> cache(bodies, input);
   for (int64_t pair = 0; pair < input.pair_count; ++pair) {
     const int32_t row = static_cast<int32_t>(pair);
-    if (!SweepOf<Bodies>::type::may_be_one_body || input.pairs[2 * pair] != input.pairs[2 * pair + 1]) {
+    if (!SweepOf<Bodies>::may_be_one_body || input.pairs[2 * pair] != input.pairs[2 * pair + 1]) {
       tasks.push_back({row, {0, 0}});
     } else {
       node_tests += start_self_pairs(cache.tree(row), row, tasks);

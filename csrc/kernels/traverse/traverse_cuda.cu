@@ -56,7 +56,7 @@ __global__ void __launch_bounds__(kBlockThreads) for_selected_pairs(Pairs<Bodies
 // All public, since device lambdas are not allowed in private members.
 template <class Bodies>
 struct Traversal {
-  using Sweep = typename SweepOf<Bodies>::type;
+  using Sweep = SweepOf<Bodies>;
 
   // `count`: of the pairs, on the device; null if that is all of the input's.
   Traversal(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input, const int64_t* count)

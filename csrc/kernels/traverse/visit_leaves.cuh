@@ -9,7 +9,7 @@ namespace pgccd {
 
 template <class Bodies>
 class LeafVisitor {
-  using Sweep = typename SweepOf<Bodies>::type;
+  using Sweep = SweepOf<Bodies>;
 
  public:
   __device__ LeafVisitor(const Pairs<Bodies>& pairs, LeafShared& shared, CandidateWriter& writer)

@@ -12,16 +12,8 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from pgccd.checkpoint.files import (
-    FOLDER,
-    CheckpointError,
-    Content,
-    discard,
-    layout_of,
-    make_folder,
-    publish,
-    write_tables,
-)
+from pgccd.checkpoint import files
+from pgccd.checkpoint.files import CheckpointError, Content
 from pgccd.distributed.checkpoint.partition import partition_header
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm, Objects
@@ -54,7 +46,7 @@ class CheckpointWriter:
 
     def __init__(self, comm: Comm, folder: Path, kind: str) -> None:
         self._comm, self._kind = comm, kind
-        self._root = folder / FOLDER
+        self._root = folder / files.FOLDER
         self._background: Objects | None = None
         self._writing: Future[Path] | None = None
 
@@ -74,7 +66,7 @@ class CheckpointWriter:
         """
         self.finish()
         self._background = self._comm.background  # made here, not in the thread
-        name = on_first(self._comm, lambda: make_folder(self._root, self._kind, steps_made))
+        name = on_first(self._comm, lambda: files.make_folder(self._root, self._kind, steps_made))
         cut, shared = partition_header(partition)
         copies: dict[str, Columns] = {}
         not_copied = None
@@ -114,7 +106,7 @@ class CheckpointWriter:
         own = None
         if error is None:
             try:
-                own = write_tables(self._root / name, self._comm.rank, tables)
+                own = files.write_tables(self._root / name, self._comm.rank, tables)
             except Exception as failed:  # of any kind: the other ranks wait for the outcome
                 error = self._problem(name, failed)
         assert self._background is not None
@@ -123,12 +115,12 @@ class CheckpointWriter:
             error = next((text for _, text in of_ranks if text is not None), None)
             if error is None:
                 try:
-                    files = [entry for entry, _ in of_ranks if entry is not None]
-                    publish(self._root, name, content, layout_of(tables), files)
+                    rows = [entry for entry, _ in of_ranks if entry is not None]
+                    files.publish(self._root, name, content, files.layout_of(tables), rows)
                 except Exception as failed:
                     error = self._problem(name, failed)
             if error is not None:
-                discard(self._root, name)
+                files.discard(self._root, name)
         error = self._background.broadcast(error)
         if error is not None:
             raise of_all_ranks(CheckpointError(error))
