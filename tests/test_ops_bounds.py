@@ -44,7 +44,7 @@ INDICES = [
     ("reached_ranks", (7,), "begin"),
     ("owned_pairs", (0,), "pairs"),
     ("owned_pairs", (1,), "rows"),
-    ("leaving_bodies", (3,), "owner"),
+    ("leaving_bodies", (2,), "owner"),
     ("simulate_first_toi", (2,), "pairs"),
     ("simulate_affected_motion", (4,), "pairs"),
     ("simulate_tally", (3,), "pairs"),

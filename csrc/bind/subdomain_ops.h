@@ -45,6 +45,11 @@ inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* 
   return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, kept);
 }
 
+inline BodyPositions positions_view(const Tensor& position, const std::optional<Tensor>& id) {
+  const int64_t count = position.size(0);
+  return {rows<double>(position, "position", {kAnySize, 3}), optional_column<int64_t>(id, "id", count), count};
+}
+
 using FrameList = std::vector<double>;
 
 template <class Backend>
@@ -150,18 +155,24 @@ struct SubdomainOps {
     return {near, found};
   }
 
-  static std::tuple<Tensor, Tensor, Tensor> leaving_bodies(const Tensor& position, const std::optional<Tensor>& id,
-                                                           FrameList frame, const Tensor& owner, int64_t rank,
-                                                           int64_t ranks) {
-    const int64_t count = position.size(0);
-    const BodyPositions bodies{rows<double>(position, "position", {kAnySize, 3}),
-                               optional_column<int64_t>(id, "id", count), count};
+  static std::tuple<Tensor, Tensor, Tensor> leaving_bodies(const Tensor& position, FrameList frame, const Tensor& owner,
+                                                           int64_t rank, int64_t ranks) {
+    const BodyPositions bodies = positions_view(position, std::nullopt);
+    const int64_t count = bodies.count;
     STD_TORCH_CHECK(ranks >= 1 && ranks <= kMostCells, "ranks: expected a number in [1, 2^31], got ", ranks);
     Tensor leaving = new_tensor<int64_t>(owner, {count}), by_destination = new_tensor<int64_t>(owner, {count});
     Tensor counts = new_tensor<int64_t>(owner, {ranks});
     Backend(owner).leaving_bodies(bodies, subdomain_view(frame, owner, rank), ranks,
                                   {data<int64_t>(leaving), data<int64_t>(by_destination), data<int64_t>(counts)});
     return {leaving, by_destination, counts};
+  }
+
+  static Tensor count_leaving(const Tensor& position, const std::optional<Tensor>& id, FrameList frame,
+                              const Tensor& owner, int64_t rank) {
+    Tensor count = new_tensor<int64_t>(owner, {1});
+    Backend(owner).count_leaving(positions_view(position, id), subdomain_view(frame, owner, rank),
+                                 data<int64_t>(count));
+    return count;
   }
 };
 
@@ -174,6 +185,7 @@ struct SubdomainOps {
   library.impl("counts_to_send", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::counts_to_send>::call));   \
   library.impl("owned_pairs", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::owned_pairs>::call));         \
   library.impl("near_ghosts", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::near_ghosts>::call));         \
-  library.impl("leaving_bodies", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::leaving_bodies>::call))
+  library.impl("leaving_bodies", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::leaving_bodies>::call));   \
+  library.impl("count_leaving", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::count_leaving>::call))
 
 }  // namespace pgccd::bind

@@ -34,6 +34,9 @@ class SubdomainOnCpu {
                       const LeavingRows& leaving) const {
     leaving_bodies_cpu(executor_, bodies, subdomain, ranks, leaving);
   }
+  void count_leaving(const BodyPositions& bodies, const Subdomain& subdomain, int64_t* count) const {
+    count_leaving_cpu(bodies, subdomain, count);
+  }
 
  private:
   TorchExecutor executor_;

@@ -39,6 +39,9 @@ class SubdomainOnCuda {
                       const LeavingRows& leaving) const {
     leaving_bodies_cuda(session_.context(), bodies, subdomain, ranks, leaving);
   }
+  void count_leaving(const BodyPositions& bodies, const Subdomain& subdomain, int64_t* count) const {
+    count_leaving_cuda(session_.context(), bodies, subdomain, count);
+  }
 
  private:
   CudaSession session_;

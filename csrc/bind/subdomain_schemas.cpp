@@ -28,7 +28,7 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
       "owner, int rank) -> "
       "(Tensor near, Tensor found)");
   library.def(
-      "leaving_bodies(Tensor position, Tensor? id, float[] frame, Tensor owner, int rank, int ranks) -> (Tensor "
-      "leaving, "
-      "Tensor by_destination, Tensor counts)");
+      "leaving_bodies(Tensor position, float[] frame, Tensor owner, int rank, int ranks) -> (Tensor leaving, Tensor "
+      "by_destination, Tensor counts)");
+  library.def("count_leaving(Tensor position, Tensor? id, float[] frame, Tensor owner, int rank) -> Tensor");
 }

@@ -22,6 +22,7 @@ from pgccd.ops.detection import (
     vertex_face,
 )
 from pgccd.ops.library import Bodies, take_scratch_peak
+from pgccd.ops.peers import peer_gather, peer_minimum
 from pgccd.ops.rows import merge_rows, pack_rows, take_rows, unpack_rows
 from pgccd.ops.simulate import (
     random_uniforms,
@@ -39,6 +40,7 @@ from pgccd.ops.subdomain import (
     Centres,
     Subdomain,
     boundary_bodies,
+    count_leaving,
     counts_to_send,
     leaving_bodies,
     near_ghosts,

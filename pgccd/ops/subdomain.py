@@ -129,13 +129,19 @@ def near_ghosts(
 
 @operator
 def leaving_bodies(
-    position: Tensor, id: Tensor | None, frame: Frame, owner: Tensor, rank: int, ranks: int
+    position: Tensor, frame: Frame, owner: Tensor, rank: int, ranks: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Rows of bodies whose position (N, 3) is in a cell of another rank, padded to (N,): ascending; and by rank, then
-    ascending; and their number per rank, (ranks,). id (N,): negative for padding; None: there is no padding.
+    ascending; and their number per rank, (ranks,).
     """
     count = position.shape[0]
     return int64(position, count), int64(position, count), int64(position, ranks)
+
+
+@operator
+def count_leaving(position: Tensor, id: Tensor | None, frame: Frame, owner: Tensor, rank: int) -> Tensor:
+    """(1,) int64: the number of these bodies. id (N,): negative for padding; None: there is no padding."""
+    return int64(position, 1)
 
 
 def _rows(like: Tensor, count: int) -> tuple[Tensor, Tensor]:

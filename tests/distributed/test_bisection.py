@@ -73,7 +73,7 @@ def test_operators_reach_the_ranks_whose_boxes_a_body_touches(seed: int, device:
         reach, rows, found = ops.boundary_bodies(*where)
         assert torch.equal(reach.cpu().bool(), others.any(dim=1))
         assert torch.equal(rows[: int(found)].cpu(), torch.nonzero(others.any(dim=1))[:, 0])
-        leaving, _, to = ops.leaving_bodies(on_device[0], None, *there.subdomain(rank), ranks)
+        leaving, _, to = ops.leaving_bodies(on_device[0], *there.subdomain(rank), ranks)
         away = partition.owner_of(start) != rank
         assert torch.equal(leaving[: int(away.sum())].cpu(), torch.nonzero(away)[:, 0])
         assert torch.equal(to.cpu(), torch.bincount(partition.owner_of(start)[away], minlength=ranks))

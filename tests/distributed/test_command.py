@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import torch
 from support.launch import (
+    MAY_SHARE_GPU,
     ROOT,
     SUPPORT,
     children,
@@ -99,9 +100,21 @@ def test_a_scene_of_one_s_own_under_torchrun(where: str) -> None:
 
 
 @pytest.mark.cuda
-@pytest.mark.parametrize(("ranks", "steps"), [(2, 24), (4, 24), pytest.param(4, 200, marks=pytest.mark.slow)])
-def test_everything_over_nccl(ranks: int, steps: int) -> None:
-    done = finish(torchrun(ranks, *over_nccl(ranks, str(SUPPORT / "nccl_job.py"), str(steps))))
+@pytest.mark.parametrize("what", ["scenes", "robots"])
+@pytest.mark.parametrize(
+    ("ranks", "steps", "peers"),
+    [
+        (2, 24, False),
+        (4, 24, False),
+        # Kernels of ranks that share a GPU wait for each other by turns.
+        pytest.param(2, 24, True, marks=pytest.mark.slow),
+        pytest.param(4, 200, False, marks=pytest.mark.slow),
+    ],
+)
+def test_everything_over_nccl(what: str, ranks: int, steps: int, peers: bool) -> None:
+    job = [str(SUPPORT / "nccl_job.py"), what, str(steps), *["peers"] * peers]
+    switch = MAY_SHARE_GPU if peers else {"PGCCD_PEER_MEMORY": "0"}
+    done = finish(torchrun(ranks, *over_nccl(ranks, *job)), **switch)
     assert done.returncode == 0, done.stdout
 
 

@@ -135,14 +135,15 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
             assert kept(owned, found) == expected.tolist()
             assert bool((owned[int(found) :] == -1).all()) and len(owned) == len(candidates)
         padding = torch.arange(len(id)) % 4 == 2
+        gone = centre_owner != rank
         for numbers, is_there in ((None, ~padding | padding), (torch.where(padding, -1, id).to(device), ~padding)):
-            leaving, by_destination, counts = ops.leaving_bodies(here[0], numbers, *subdomain, ranks)
-            gone = (centre_owner != rank) & is_there
-            assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()
-            rows = torch.nonzero(gone)[:, 0]
-            assert leaving[: len(rows)].tolist() == rows.tolist()
-            ordered = rows[torch.argsort(centre_owner[rows], stable=True)]
-            assert by_destination[: len(rows)].tolist() == ordered.tolist()
+            assert ops.count_leaving(here[0], numbers, *subdomain).tolist() == [int((gone & is_there).sum())]
+        leaving, by_destination, counts = ops.leaving_bodies(here[0], *subdomain, ranks)
+        assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()
+        rows = torch.nonzero(gone)[:, 0]
+        assert leaving[: len(rows)].tolist() == rows.tolist()
+        ordered = rows[torch.argsort(centre_owner[rows], stable=True)]
+        assert by_destination[: len(rows)].tolist() == ordered.tolist()
 
 
 def test_many_leave_for_many(device: torch.device) -> None:
@@ -150,19 +151,19 @@ def test_many_leave_for_many(device: torch.device) -> None:
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 12, cells=3)
     position = torch.rand((30_000, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(4))
     owner, rank = partition.owner_of(position), 7
-    leaving, by_destination, counts = ops.leaving_bodies(
-        position.to(device), None, partition.frame, partition.owner.to(device), rank, partition.ranks
-    )
+    where = partition.frame, partition.owner.to(device), rank
+    leaving, by_destination, counts = ops.leaving_bodies(position.to(device), *where, partition.ranks)
     rows = torch.nonzero(owner != rank)[:, 0]
     assert counts.tolist() == torch.bincount(owner[rows], minlength=partition.ranks).tolist()
     assert torch.equal(leaving[: len(rows)].cpu(), rows)
+    assert ops.count_leaving(position.to(device), None, *where).tolist() == [len(rows)]
     assert torch.equal(by_destination[: len(rows)].cpu(), rows[torch.argsort(owner[rows], stable=True)])
 
 
 def test_positions_that_are_no_numbers_have_a_cell() -> None:
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     wrong = torch.tensor([[torch.nan] * 3, [torch.inf] * 3, [-torch.inf] * 3], dtype=torch.float64)
-    *_, counts = ops.leaving_bodies(wrong, None, *partition.subdomain(5), 2)
+    *_, counts = ops.leaving_bodies(wrong, *partition.subdomain(5), 2)
     assert int(counts.sum()) == 3
 
 
@@ -171,4 +172,4 @@ def test_arguments_are_checked(change: dict) -> None:
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 2, cells=2)
     arguments = {"frame": partition.frame, "owner": partition.owner} | change
     with pytest.raises(RuntimeError, match=next(iter(change))):
-        ops.leaving_bodies(torch.zeros((2, 3), dtype=torch.float64), None, *arguments.values(), 0, 2)
+        ops.leaving_bodies(torch.zeros((2, 3), dtype=torch.float64), *arguments.values(), 0, 2)

@@ -1,4 +1,6 @@
-"""The Gloo tests over NCCL: run by torchrun, with the number of steps for which a world of robots is simulated."""
+"""The Gloo tests over NCCL: run by torchrun, with what to test ("scenes" or "robots"), the number of steps for which
+worlds of robots are simulated, and "peers" if GPUs shall write small messages to each other's memory.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +10,12 @@ import warnings
 import torch
 from distributed import test_captured_world, test_detection, test_distributed_simulation, test_exchange, test_motions
 
-from pgccd.distributed import choose_device, connect
+from pgccd.distributed import Comm, choose_device, connect
 from support.crowds import crowds
 
-torch.set_num_threads(1)
-warnings.filterwarnings("error", message="steps run without a CUDA graph")
-with connect("cuda", "nccl") as comm:
-    device = choose_device("cuda")
+
+def test_scenes(comm: Comm, device: torch.device) -> None:
+    """Messages, detection, and worlds."""
     for neighbours_above in (32, 0):
         test_exchange.send_about(comm, neighbours_above, str(device))
     test_exchange.reduce_values(comm)
@@ -26,13 +27,28 @@ with connect("cuda", "nccl") as comm:
         test_motions.follow(comm, report, False, device)
     for partition in ("cells", "bisection"):
         assert test_captured_world.follow(comm, "cost", partition, True, str(device), False)["replayed"] > 6
+
+
+def test_robots(comm: Comm, device: torch.device, steps: int) -> None:
+    """Worlds of robots."""
     assert test_distributed_simulation.follow_not_captured(comm, str(device))["replayed"] == 0
     # With cells assigned at random, and a rank whose capacity overflows now and then.
-    seen = test_distributed_simulation.follow(comm, "random", "none", int(sys.argv[1]), True, True, str(device), True)
+    seen = test_distributed_simulation.follow(comm, "random", "none", steps, True, True, str(device), True)
     assert seen["contacts"] > 100 and seen["arrived"] > 20
-    seen = test_distributed_simulation.follow_bisected(comm, "skewed", "cost", int(sys.argv[1]), True, str(device))
-    assert seen["contacts"] > 100
-    # With messages between neighbours only, as for many ranks.
-    comm.neighbours_above = 0
-    seen = test_distributed_simulation.follow_bisected(comm, "skewed", "cost", int(sys.argv[1]), True, str(device))
-    assert seen["contacts"] > 100
+    # With messages to all ranks, and between neighbours only, as for many ranks.
+    for neighbours_above in (32, 0):
+        comm.neighbours_above = neighbours_above
+        seen = test_distributed_simulation.follow_bisected(comm, "skewed", "cost", steps, True, str(device))
+        assert seen["contacts"] > 100
+
+
+torch.set_num_threads(1)
+warnings.filterwarnings("error", message="steps run without a CUDA graph")
+what, steps, *peers = sys.argv[1:]
+with connect("cuda", "nccl") as comm:
+    device = choose_device("cuda")
+    if what == "scenes":
+        test_scenes(comm, device)
+    else:
+        test_robots(comm, device, int(steps))
+    assert (comm.peer_messages is not None) == (peers == ["peers"])

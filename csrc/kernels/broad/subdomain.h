@@ -112,4 +112,7 @@ struct LeavingRows {
 void leaving_bodies_cpu(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain,
                         int64_t ranks, const LeavingRows& leaving);
 
+// The number of leaving bodies.
+void count_leaving_cpu(const BodyPositions& bodies, const Subdomain& subdomain, int64_t* count);
+
 }  // namespace pgccd

@@ -133,4 +133,9 @@ void leaving_bodies_cpu(const Executor& executor, const BodyPositions& bodies, c
   }
 }
 
+void count_leaving_cpu(const BodyPositions& bodies, const Subdomain& subdomain, int64_t* count) {
+  *count = 0;
+  for (int64_t body = 0; body < bodies.count; ++body) *count += is_leaving(subdomain, bodies, body) ? 1 : 0;
+}
+
 }  // namespace pgccd

@@ -227,4 +227,12 @@ void leaving_bodies_cuda(const DeviceContext& context, const BodyPositions& bodi
   });
 }
 
+void count_leaving_cuda(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
+                        int64_t* count) {
+  fill_bytes(context, count, 0, 1);
+  for_each_item(context, bodies.count, [=] __device__(int64_t body) {
+    if (is_leaving(subdomain, bodies, body)) warp_append(reinterpret_cast<unsigned long long*>(count), 1);
+  });
+}
+
 }  // namespace pgccd

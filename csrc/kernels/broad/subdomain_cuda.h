@@ -26,4 +26,7 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
 void leaving_bodies_cuda(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
                          int64_t ranks, const LeavingRows& leaving);
 
+void count_leaving_cuda(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
+                        int64_t* count);
+
 }  // namespace pgccd

@@ -12,6 +12,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import torch
 from torch import Tensor
 
+from pgccd.distributed.comm.peer_memory import PeerMessages
 from pgccd.distributed.guard import Guard, RankFailureError, is_of_all_ranks
 
 # Above this number of ranks, counts and rows are exchanged point-to-point with neighbours; up to it, one collective
@@ -72,6 +73,8 @@ class Comm(ABC):
     size: int
     #: Finds the rank at fault when a message does not arrive.
     guard: Guard
+    #: For small messages in a CUDA graph, after `reserve_peer_messages`; None: not possible.
+    peer_messages: PeerMessages | None = None
     #: Above this number of ranks, messages are sent point-to-point, bodies and their counts to neighbours only.
     neighbours_above = _NEIGHBOURS_ABOVE
 
@@ -141,6 +144,12 @@ class Comm(ABC):
     def barrier(self) -> None:
         """Returns once every rank has called it."""
         self.any(False)
+
+    def reserve_peer_messages(self, bytes: int) -> None:
+        """Makes `peer_messages` available, if possible, for messages of up to `bytes` between two ranks (which may
+        differ between ranks). Called before the capture of each graph that uses them.
+        """
+        return  # only for GPUs
 
     def close_before(self, graph: Closeable) -> None:
         """Closes a graph with messages before the connection, if it still exists then: NCCL's shutdown blocks while

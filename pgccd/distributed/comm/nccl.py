@@ -4,18 +4,23 @@ fault.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from datetime import timedelta
 from typing import Any
 
 import torch
 import torch.distributed as dist
 
-_ERROR_HANDLING = "TORCH_NCCL_ASYNC_ERROR_HANDLING"
-# Torch's own monitor marks a lost message in the launcher's store. Restarted ranks would find the mark there and hang.
-_MONITOR = ("TORCH_NCCL_ENABLE_MONITORING", "TORCH_NCCL_DUMP_ON_TIMEOUT")
+from pgccd.runtime.environment import environment
+
+# Without torch's error handling, which ends the process as soon as a message between machines is lost (torchrun sets
+# it), before the guard has found the rank at fault; and without its monitor, which marks a lost message in the
+# launcher's store, where restarted ranks would find the mark and hang.
+_ERRORS_LEFT_TO_THE_GUARD = {
+    "TORCH_NCCL_ASYNC_ERROR_HANDLING": "0",
+    "TORCH_NCCL_ENABLE_MONITORING": "0",
+    "TORCH_NCCL_DUMP_ON_TIMEOUT": "0",
+}
 # Seconds that the guard has before torch's watchdog acts, which does not name the rank at fault.
 _MARGIN = 60.0
 
@@ -30,7 +35,7 @@ def make_default_group(store: dist.Store, rank: int, size: int, timeout: float) 
     # Messages have priority over concurrent kernels.
     options = dist.ProcessGroupNCCL.Options(is_high_priority_stream=True)
     options._timeout = patience
-    with _errors_left_to_the_guard():
+    with environment(_ERRORS_LEFT_TO_THE_GUARD):  # other groups of the process are not affected
         dist.init_process_group("nccl", store=store, rank=rank, world_size=size, timeout=patience, pg_options=options)
     return _watch(dist.group.WORLD)
 
@@ -38,21 +43,3 @@ def make_default_group(store: dist.Store, rank: int, size: int, timeout: float) 
 def _watch(group: Any) -> Callable[[], bool]:
     backend = group._get_backend(torch.device("cuda"))
     return lambda: bool(backend.get_error().name != "SUCCESS")
-
-
-@contextmanager
-def _errors_left_to_the_guard() -> Iterator[None]:
-    """Disables torch's error handling for groups made in this context; other groups of the process are not affected."""
-    # Otherwise torch ends the process as soon as a message between machines is lost (torchrun sets that), before the
-    # guard has found the rank at fault.
-    names = (_ERROR_HANDLING, *_MONITOR)
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "0"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

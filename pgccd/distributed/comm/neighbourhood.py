@@ -58,6 +58,13 @@ class Neighbourhood:
         number[self._ranks] = torch.arange(len(self._ranks))
         return number
 
+    def counts_of_ranks(self, counts: Sequence[int]) -> list[int]:
+        """One count per rank, given one per neighbour; 0 for all other ranks."""
+        of_ranks = [0] * self.comm.size
+        for rank, count in zip(self.ranks, counts, strict=False):
+            of_ranks[rank] = count
+        return of_ranks
+
     def renumber(self, former: Neighbourhood, values: Tensor) -> Tensor:
         """values (..., former.size), one per neighbour of a former neighbourhood, for the neighbours of this one: (...,
         size). 0 for new neighbours.

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import functools
+import warnings
 import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import torch
 import torch.distributed as dist
 from torch import Tensor
 
 from pgccd.distributed.comm.interface import Closeable, Comm, Objects, Pending, messages
-from pgccd.distributed.guard import Guard
+from pgccd.distributed.comm.peer_memory import PeerMemory, are_peers, map_peer_memory, place_of_gpu, size_of
+from pgccd.distributed.guard import Guard, RankFailureError
 
 
 class GroupObjects(Objects):
@@ -64,6 +67,8 @@ class TorchComm(Comm):
         self.guard = guard or Guard()
         self._on_close = on_close
         self._graphs: weakref.WeakSet[Closeable] = weakref.WeakSet()
+        # Earlier graphs use earlier ones.
+        self._peer_memories: list[PeerMemory] = []
 
     def _stage(self, tensor: Tensor) -> Tensor:
         """Moves a tensor to memory that the backend can read: GPU memory for NCCL, host memory for Gloo."""
@@ -136,6 +141,36 @@ class TorchComm(Comm):
     def min(self, values: Tensor) -> Tensor:
         return self._reduce(values, dist.ReduceOp.MIN, "agreement")
 
+    def reserve_peer_messages(self, bytes: int) -> None:
+        if not self._has_peers:
+            return
+        bytes = size_of(-int(self.min(torch.tensor([-bytes]))))
+        if self._peer_memories and bytes <= self._peer_memories[-1].bytes:
+            return
+        mapped, why = None, "another rank could not"
+        try:
+            with self.guard.waiting("connection of the GPUs"):
+                mapped = map_peer_memory(self._group, bytes)
+        except RankFailureError:
+            raise
+        except RuntimeError as error:
+            why = str(error)
+        if self.any(mapped is None):  # after this, the memory of all ranks is zero
+            warnings.warn(f"NCCL sends small messages: GPUs cannot access each other's memory: {why}", stacklevel=2)
+            self._has_peers, self.peer_messages = False, None
+            return
+        assert mapped is not None
+        self._peer_memories.append(mapped)
+        self.peer_messages = mapped
+
+    @functools.cached_property
+    def _has_peers(self) -> bool:
+        """Whether the GPUs of all ranks may be able to write each other's memory."""
+        if self.transport != "nccl":
+            return False
+        places = self.gather_objects(place_of_gpu())
+        return bool(self.broadcast_object(self.rank == 0 and are_peers(places)))
+
     @property
     def objects(self) -> Objects:
         return GroupObjects(self.control)
@@ -152,6 +187,8 @@ class TorchComm(Comm):
         self.guard.close()
         for graph in list(self._graphs):
             graph.close()
+        self.peer_messages = None
+        self._peer_memories.clear()
         # Groups must be released before Python exits: Gloo's threads release tensors of theirs.
         vars(self).pop("_group", None)
         vars(self).pop("control", None)

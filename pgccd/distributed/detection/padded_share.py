@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import torch
 from torch import Tensor
@@ -18,14 +19,16 @@ from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.detection.body_columns import bodies_of, of_checked, take_bodies
-from pgccd.distributed.detection.share import Build, Options, PartEstimates, Share
+from pgccd.distributed.detection.share import Build, OfHeld, Options, PartEstimates, Share
 from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo, padded_count, padded_counts
-from pgccd.distributed.halo.centres import Centres, centres_of
+from pgccd.distributed.halo.centres import centres_of
 from pgccd.distributed.halo.held import Held
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.side_stream import SideStream
+
+T = TypeVar("T")
 
 # Bodies that have left their rank's cells, and stay until migration, reach far into those of others.
 _NEAR_SLACK = 2
@@ -61,13 +64,12 @@ class ShareCapacity:
 
 
 @dataclass(frozen=True)
-class PaddedShare:
+class PaddedShare(Generic[T]):
     """The enqueued searches of one rank's step."""
 
     held: Held
+    of_held: T  #: the result of the function of this name
     parts: list[Part]
-    ghost_centres: Centres  #: centres of ghosts; of all bodies on a single rank
-    kept: tuple[float, float]  #: min_separation and tolerance, as the operators take them
     failed: Tensor  #: (1,) int64, nonzero if a capacity was exceeded or a pose is invalid
 
 
@@ -80,7 +82,8 @@ def search_padded_share(
     capacity: ShareCapacity,
     discard: Tensor,
     slack: float,
-) -> PaddedShare:
+    of_held: OfHeld[T],
+) -> PaddedShare[T]:
     """Sends ghosts and enqueues both searches. Does not synchronise if messages are sent on the stream.
 
     Args:
@@ -88,6 +91,7 @@ def search_padded_share(
         own: columns of this rank's own bodies, "id" ascending, then padding with id -1 and a valid pose.
         capacity: of the halo and of bodies near ghosts.
         discard, slack: see `find_part`.
+        of_held: enqueues work that other ranks wait for, concurrent with the search of own pairs.
     """
     kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
     subdomain, device = decomposition.subdomain, own["id"].device
@@ -95,7 +99,8 @@ def search_padded_share(
     centres, asked = centres_of(bodies), (options.query, options.broad_phase)
     if decomposition.comm.size == 1:
         part = find_part(bodies, *asked, None, discard, estimate=estimates.own, slack=slack)
-        return PaddedShare(Held.alone(decomposition.neighbours, own), [part], centres, kept, bodies.first_faults()[-1:])
+        held = Held.alone(decomposition.neighbours, own)
+        return PaddedShare(held, of_held(held, centres, kept, decomposition), [part], bodies.first_faults()[-1:])
     where = *kept, *subdomain
     reach, boundary, count = ops.boundary_bodies(centres, *where)
     of_pairs = *kept, reach, *subdomain
@@ -129,10 +134,11 @@ def search_padded_share(
 
         found = find_part(at_boundary, *asked, owned_at_boundary, discard, rows, estimates.with_ghosts, slack)
         found.begin()
+        made = of_held(held, centres_of(ghosts), kept, decomposition)
     side.join()
     is_short = (near_count > capacity.near).to(torch.int64)
     failed = halo.overflow + is_short + bodies.first_faults()[-1:]
-    return PaddedShare(held, [own_part, found], centres_of(ghosts), kept, failed)
+    return PaddedShare(held, made, [own_part, found], failed)
 
 
 def _build_padded(build: Build, columns: Columns) -> tuple[Scene, RigidMotion]:

@@ -43,6 +43,11 @@ T = TypeVar("T")
 Build = Callable[[Columns], tuple[Scene, RigidMotion | VertexMotion]]
 
 
+#: A function of the held bodies, the centres of ghosts (of all bodies on a single rank), min_separation and tolerance
+#: as the operators take them, and the decomposition.
+OfHeld = Callable[[Held, Centres, tuple[float, float], Decomposition], T]
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of `pgccd.detect`, and how to run it."""
@@ -204,10 +209,8 @@ class OwnSearch:
             near, found = ops.near_ghosts(own, ghosts, *where)
             return near, HostCopy.start(found)
 
-    def of_held(self, make: Callable[[Held, Centres, tuple[float, float], Decomposition], T]) -> T:
-        """The result of `make` for the held bodies, the centres of ghosts (of all bodies on a single rank),
-        min_separation and tolerance, and the decomposition; runs concurrently with the search. Waits for ghosts.
-        """
+    def of_held(self, make: OfHeld[T]) -> T:
+        """The result of a function that runs concurrently with the search. Waits for ghosts."""
         held, centres = self._held, centres_of(self._bodies if self._comm.size == 1 else self._ghosts)
         if self._comm.size > 1:
             _ = self._near  # started first, so that its count is available later

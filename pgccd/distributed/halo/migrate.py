@@ -18,18 +18,15 @@ from pgccd.runtime.hashing import row_hash
 _BLOCK = 1 << 22
 
 
-def leaving_bodies(
-    decomposition: Decomposition, position: Tensor, id: Tensor | None = None
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The bodies that leave this rank, found on the device: their rows, padded to (N,): ascending; and by neighbour,
-    then ascending; and the number that leave for each neighbour (neighbours.size,) int64.
+def count_leaving(decomposition: Decomposition, position: Tensor, id: Tensor) -> Tensor:
+    """(1,) int64 on the device: number of bodies that would leave this rank.
 
     Args:
         decomposition: of space.
         position: (N, 3) of the bodies' origins.
-        id: (N,) int64, negative for padding; None: there is no padding.
+        id: (N,) int64, negative for padding.
     """
-    return ops.leaving_bodies(position, id, *decomposition.subdomain, decomposition.neighbours.size)
+    return ops.count_leaving(position, id, *decomposition.subdomain)
 
 
 def migrate(
@@ -51,7 +48,8 @@ def migrate(
     """
     if decomposition.comm.size == 1:
         return Moved(columns, 0, vertices)
-    rows, by_destination, counts = leaving_bodies(decomposition, position)
+    where = *decomposition.subdomain, decomposition.neighbours.size
+    rows, by_destination, counts = ops.leaving_bodies(position, *where)
     if decomposition.is_beyond(counts):
         return migrate(decomposition.of_all_ranks(), columns, position, vertices)
     neighbours = decomposition.neighbours

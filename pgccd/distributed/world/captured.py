@@ -15,6 +15,7 @@ from pgccd.detection.capacity import COUNT_ROWS, OVERFLOWS, busy_nanoseconds
 from pgccd.detection.parts import first_contacts_of
 from pgccd.distributed.comm.exchange import Columns, first_row
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.comm.peer_memory import PeerMessages, RowsOfRanks
 from pgccd.distributed.detection.padded_share import (
     PaddedShare,
     ShareCapacity,
@@ -22,7 +23,7 @@ from pgccd.distributed.detection.padded_share import (
     rows_with_slack,
     search_padded_share,
 )
-from pgccd.distributed.halo.migrate import leaving_bodies
+from pgccd.distributed.halo.migrate import count_leaving
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.distributed.world.columns import scene_columns
 from pgccd.distributed.world.world import World
@@ -158,6 +159,8 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
     def _make_graph(self, index: int) -> _WorldGraph:
         world = self._world
         capacity = ShareCapacity.after(self._share, world.decomposition.neighbours)
+        values = [4 + 2 * len(COUNT_ROWS), *capacity.halo.sent, *capacity.halo.received]
+        world.comm.reserve_peer_messages(8 * max(values))
         like = _any_body(world.comm, world.columns)
         return _WorldGraph(world, self._motion, self._response, capacity, like, index)
 
@@ -230,7 +233,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
         self._failed.zero_()
 
     def _step(self) -> Tensor:
-        """(ranks, 4 + 21 * parts) int64: failure flag, numbers of bodies owned, held, and leaving, and counts."""
+        """(ranks, 4 + 21 * parts) int64: failure flag; numbers of own bodies, ghosts, and leaving bodies; counts."""
         world, columns = self._world, self.columns
         comm, id = world.comm, columns["id"]
         bodies = _bodies(columns, self._index)
@@ -238,18 +241,19 @@ class _WorldGraph(TransactionGraph[_Committed]):
         _require_rigid(motion)
         own = scene_columns(columns) | motion.columns()
         asked = world.build, world.options, world.estimates, self._capacity, self._failed, GRAPH_SLACK
-        share = search_padded_share(self.decomposition, own, *asked)
+        share = search_padded_share(self.decomposition, own, *asked, of_held=lambda *held: None)
         for part in share.parts:
             part.begin()
-        new = _with_position(self._response(bodies, motion, _first_toi(share)))
+        new = _with_position(self._response(bodies, motion, _first_toi(share, comm.peer_messages)))
         is_body = id >= 0
-        leaving = leaving_bodies(self.decomposition, new["position"], id)[2].sum()[None]
+        leaving = count_leaving(self.decomposition, new["position"], id)
         is_finite = (torch.isfinite(new["position"]).all(dim=1) | ~is_body).all()
         counts = torch.stack([part.counts() for part in share.parts])
         failed = self._failed + share.failed + motion.first_faults()[-1:] + (~is_finite).to(torch.int64)
         failed = failed + (counts * self._is_overflow).sum()
-        owned, held = is_body.sum()[None], (share.held.id >= 0).sum()[None]
-        record = comm.all_gather(torch.cat([failed, owned, held, leaving, counts.reshape(-1)]))
+        owned, ghosts = is_body.sum()[None], (share.held.ghosts["id"] >= 0).sum()[None]
+        mine = torch.cat([failed, owned, ghosts, leaving, counts.reshape(-1)])
+        record = comm.all_gather(mine) if comm.peer_messages is None else comm.peer_messages.gather(mine)
         self._failed.copy_(record[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
         self._index += 1 - self._failed
         commits = is_body & (self._failed == 0)
@@ -264,22 +268,28 @@ class _WorldGraph(TransactionGraph[_Committed]):
         return record
 
     def _committed(self, index: int, record: NDArray[np.int64], seconds: float) -> _Committed:
-        owned, held, leaving = record[:, 1:4].T
+        owned, ghosts, leaving = record[:, 1:4].T
         counts = record[:, 4:].reshape(len(record), -1, len(COUNT_ROWS))
         pcs, contacts = (counts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in ("pairs_written", "contacts"))
         spent = (1e-9 * busy_nanoseconds(counts)).tolist()
         loads = RankLoads(owned.tolist(), pcs.tolist(), contacts.tolist(), spent)
         found = WorldStep(int(pcs.sum()), int(contacts.sum()), replayed=True)
-        return _Committed(found, loads, int(leaving.sum()), int((held - owned).sum()))
+        return _Committed(found, loads, int(leaving.sum()), int(ghosts.sum()))
 
 
-def _first_toi(share: PaddedShare) -> Tensor:
+def _first_toi(share: PaddedShare[None], peers: PeerMessages | None) -> Tensor:
     """(N,) float64: the first toi of each own body, over all ranks that hold it."""
     held, own_count = share.held, share.held.own_count
     pairs, toi = first_contacts_of(share.parts)
     first = toi.new_full((len(held) + 1,), torch.inf)  # the last row is for padding
     _lower(first, pairs.reshape(-1), toi.repeat_interleave(2))
-    if held.route.neighbours.comm.size > 1:
+    neighbours = held.route.neighbours
+    if peers is not None:
+        ghosts = torch.arange(own_count, len(held), device=first.device)
+        sent = RowsOfRanks(ghosts, neighbours.counts_of_ranks(held.route.received))
+        received = RowsOfRanks(held.route.rows, neighbours.counts_of_ranks(held.route.sent))
+        peers.lower(first, sent, received)
+    elif neighbours.comm.size > 1:
         answer = held.route.back({"toi": first[own_count:-1]}).wait()["toi"]
         _lower(first, held.route.rows, answer)
     return first[:own_count]

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
+from pgccd.distributed.comm.peer_memory import PeerMessages, RowsOfRanks
 from pgccd.distributed.halo.centres import Centres
 from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.replicas import Replicas, agreed_replicas, find_replicas
@@ -24,6 +25,7 @@ class HeldExchange:
 
     Args:
         decomposition: of space.
+        peers: sends the messages; default: the connection.
     """
 
     # Bodies that other ranks hold too: the neighbours that hold them, their rows, and their number per neighbour (being
@@ -32,9 +34,10 @@ class HeldExchange:
     _rows: Tensor
     _known: HostCopy
 
-    def __init__(self, decomposition: Decomposition) -> None:
+    def __init__(self, decomposition: Decomposition, peers: PeerMessages | None = None) -> None:
         self._comm = decomposition.comm
         self._neighbours = decomposition.neighbours
+        self._peers = peers
 
     @classmethod
     def start(
@@ -44,6 +47,7 @@ class HeldExchange:
         kept: tuple[float, float],
         decomposition: Decomposition,
         capacities: list[int] | None = None,
+        peers: PeerMessages | None = None,
     ) -> HeldExchange:
         """Finds the bodies that other ranks hold too.
 
@@ -55,6 +59,7 @@ class HeldExchange:
                 not neighbours (which synchronises, unless all ranks are neighbours).
             capacities: padded number of bodies shared with each neighbour, equal on both ranks. Default: the exact
                 number.
+            peers: sends the messages; default: the connection.
         """
         if decomposition.comm.size == 1:
             exchange = cls(decomposition)
@@ -68,7 +73,7 @@ class HeldExchange:
         else:
             ghost = torch.where(held.ghosts["id"] < 0, -1, ghost)
             of_ghosts = find_replicas(decomposition, ghosts, kept, ghost, route.received)
-        exchange = cls(decomposition)
+        exchange = cls(decomposition, peers)
         of_own = held.replicas.renumber(route.neighbours, decomposition.neighbours)
         # By owner, then by id: ghosts are in this order, and own bodies come between them.
         table = torch.cat([of_ghosts.table[:before], of_own.table, of_ghosts.table[before:]])
@@ -112,9 +117,13 @@ class HeldExchange:
         if self._comm.size == 1:
             return
         rows, counts = self._shared
+        if self._peers is not None:
+            shared = RowsOfRanks(rows, self._neighbours.counts_of_ranks(counts))
+            self._peers.lower(first, shared, shared)
+            return
         answer = self._neighbours.exchange(ops.pack_rows([first], rows), counts, counts).wait()
         ops.simulate_first_toi(first, None, self._twice, answer.view(first.dtype)[:, 0])
 
     def gather(self, values: Tensor) -> Tensor:
         """values (k,) -> (ranks, k): those of every rank."""
-        return self._comm.all_gather(values)
+        return self._comm.all_gather(values) if self._peers is None else self._peers.gather(values)

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from pgccd.detection.capacity import COUNT_ROWS
 from pgccd.detection.parts import pairs_of_step
 from pgccd.distributed.detection.padded_share import ShareCapacity, search_padded_share
 from pgccd.distributed.detection.share import Build, Options, PartEstimates
-from pgccd.distributed.halo.migrate import leaving_bodies
+from pgccd.distributed.halo.centres import Centres
+from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.migrate import count_leaving
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.sim.captured import Searches, clear_rows
@@ -42,17 +45,26 @@ class RankSearches:
         """Enqueues the searches of a planned step."""
         own, capacity = planned.moving_columns, self.capacity
         asked = self.build, self.options, self.estimates, capacity, discard, GRAPH_SLACK
-        share = search_padded_share(self.decomposition, own, *asked)
-        agreed = share.held, share.ghost_centres, share.kept, self.decomposition
-        exchange = HeldExchange.start(*agreed, capacity.common)
+
+        def agree(
+            held: Held, ghosts: Centres, kept: tuple[float, float], decomposition: Decomposition
+        ) -> tuple[HeldExchange, Tensor]:
+            peers = decomposition.comm.peer_messages
+            exchange = HeldExchange.start(held, ghosts, kept, decomposition, capacity.common, peers)
+            return exchange, exchange.overflow()
+
+        share = search_padded_share(self.decomposition, own, *asked, agree)
+        exchange, overflow = share.of_held
         partners = Partners(self.model, own, share.held.ghosts, pairs_of_step(share.parts))
-        return Searches(share.parts, partners, share.held.id, exchange, share.failed + exchange.overflow())
+        return Searches(share.parts, partners, share.held.id, exchange, share.failed + overflow)
 
     def conclude(self, searches: Searches, after: RobotState) -> Tensor:
-        """(4,) int64 as in `Reports`: robots held, arrived, whether to stop, and number in cells of other ranks."""
-        held = (searches.id >= 0).sum()[None]
-        leaving = leaving_bodies(self.decomposition, after.position, after.id)[2].sum()[None]
-        concluded = torch.cat([held, self.notes, leaving])
+        """(4,) int64 as in `Reports`: numbers of ghosts and of robots that arrived, whether to stop, and number in
+        cells of other ranks.
+        """
+        ghosts = (searches.id[len(after) :] >= 0).sum()[None]
+        leaving = count_leaving(self.decomposition, after.position, after.id)
+        concluded = torch.cat([ghosts, self.notes, leaving])
         self.notes[:1].zero_()
         return concluded
 
@@ -65,3 +77,11 @@ def padded_state(state: RobotState, rows: int) -> RobotState:
     after = RobotState(**padded)
     clear_rows(after, len(state))
     return after
+
+
+def largest_message(capacity: ShareCapacity, rounds: int) -> int:
+    """Size in bytes of the largest message between two ranks that holds no bodies: the first toi of bodies that both
+    hold, or the counts and changes of all searches.
+    """
+    searches = 2 + rounds
+    return 8 * max([searches * (len(COUNT_ROWS) + 1), *capacity.common])

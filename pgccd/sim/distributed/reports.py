@@ -17,7 +17,7 @@ class Reports:
 
     work: Rows  #: (ranks, 6), see `WORK`
     counted: Rows  #: (ranks, 6) by `count_step`
-    held: Rows  #: (ranks,): robots held
+    ghosts: Rows  #: (ranks,): number of ghosts
     arrived: Rows  #: (ranks,): number of robots that arrived from other ranks before the step
     stop: Rows  #: (ranks,): 0 or 1
     leaving: Rows  #: (ranks,): number of robots in cells of other ranks after it, if it was a replay
@@ -32,11 +32,6 @@ class Reports:
     def robots(self) -> list[int]:
         """Number of robots of each rank."""
         return self.counted[:, 0].tolist()
-
-    @property
-    def ghosts(self) -> Rows:
-        """(ranks,): number of ghosts of each rank."""
-        return self.held - self.counted[:, 0]
 
     def worked(self, name: str) -> list[int]:
         """One of `WORK`, per rank."""

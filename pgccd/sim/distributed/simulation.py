@@ -29,7 +29,7 @@ from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import Replay
 from pgccd.sim.captured import CommittedStep, StepGraph
 from pgccd.sim.distributed.held_exchange import HeldExchange
-from pgccd.sim.distributed.rank_searches import RankSearches, padded_state
+from pgccd.sim.distributed.rank_searches import RankSearches, largest_message, padded_state
 from pgccd.sim.distributed.reports import Reports
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
@@ -249,7 +249,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         return tally
 
     def _host_numbers(self, share: Share) -> Tensor:
-        numbers = torch.tensor([len(share.held), self._arrived, int(self._stop), 0])
+        numbers = torch.tensor([share.held.ghost_count, self._arrived, int(self._stop), 0])
         return numbers.to(self.model.device, non_blocking=True)
 
     def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
@@ -276,6 +276,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         assert self._share_capacity is not None
         self._notes = torch.zeros(2, dtype=torch.int64, device=self.model.device)
         self._graph_decomposition = self._decomposition.copy()
+        self.comm.reserve_peer_messages(largest_message(self._share_capacity, self._rounds_to_capture))
         where = self._graph_decomposition, self._share_capacity, self._notes
         searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
         state = padded_state(self._state, rows_with_slack(len(self._state)))

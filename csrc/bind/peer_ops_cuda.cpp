@@ -1,0 +1,72 @@
+// Messages between GPUs of one host.
+#if defined(PGCCD_WITH_CUDA)
+
+#include "bind/cuda_backend.h"
+#include "kernels/peers/peers_cuda.h"
+
+namespace pgccd::bind {
+namespace {
+
+PeerMemory peer_memory(const Tensor& memory, const Tensor& addresses, int64_t rank) {
+  PeerMemory view;
+  rows<uint8_t, uint64_t>(memory, "memory", {kAnySize});  // flags are aligned
+  view.addresses = rows<int64_t>(addresses, "addresses", {kAnySize});
+  view.ranks = addresses.size(0);
+  view.rank = rank;
+  STD_TORCH_CHECK(view.ranks >= 1 && view.ranks <= kMostPeers, "addresses: expected those of at most ", kMostPeers,
+                  " ranks, got ", view.ranks);
+  STD_TORCH_CHECK(rank >= 0 && rank < view.ranks, "rank: expected a number below ", view.ranks, ", got ", rank);
+  view.region_bytes = memory.size(0) / view.ranks / 8 * 8;
+  STD_TORCH_CHECK(view.region_bytes >= kFlagBytes, "memory: too small for the flags");
+  return view;
+}
+
+void check_size(const PeerMemory& memory, int64_t count) {
+  STD_TORCH_CHECK(8 * count <= memory.slot_bytes(), "memory: too small for a message of ", 8 * count, " bytes");
+}
+
+PeerRows peer_rows(const PeerMemory& memory, const Tensor& given, const std::vector<int64_t>& counts,
+                   const char* name) {
+  STD_TORCH_CHECK(static_cast<int64_t>(counts.size()) == memory.ranks, name, ": expected ", memory.ranks,
+                  " numbers, got ", counts.size());
+  PeerRows view{rows<int64_t>(given, name, {kAnySize}), {}};
+  for (size_t rank = 0; rank < counts.size(); ++rank) {
+    STD_TORCH_CHECK(counts[rank] >= 0, name, ": expected numbers >= 0, got ", counts[rank]);
+    check_size(memory, counts[rank]);
+    view.begin[rank + 1] = view.begin[rank] + counts[rank];
+  }
+  STD_TORCH_CHECK(view.begin[counts.size()] == given.size(0), name, ": expected numbers that sum up to ", given.size(0),
+                  " rows");
+  return view;
+}
+
+Tensor peer_gather(const Tensor& values, const Tensor& memory, const Tensor& addresses, int64_t rank) {
+  const PeerMemory view = peer_memory(memory, addresses, rank);
+  const int64_t count = values.size(0);
+  check_size(view, count);
+  Tensor gathered = new_tensor<int64_t>(values, {view.ranks, count});
+  const CudaSession session(values);
+  peer_gather_cuda(session.context(), view, {rows<int64_t>(values, "values", {count}), count, data<int64_t>(gathered)});
+  return gathered;
+}
+
+void peer_minimum(Tensor values, const Tensor& sent_rows, std::vector<int64_t> sent, const Tensor& received_rows,
+                  std::vector<int64_t> received, const Tensor& memory, const Tensor& addresses, int64_t rank) {
+  const PeerMemory view = peer_memory(memory, addresses, rank);
+  rows<double>(values, "values", {kAnySize});
+  const PeerMinimum message{data<double>(values), values.size(0), peer_rows(view, sent_rows, sent, "sent"),
+                            peer_rows(view, received_rows, received, "received")};
+  const CudaSession session(values);
+  peer_minimum_cuda(session.context(), view, message);
+}
+
+}  // namespace
+
+STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
+  library.impl("peer_gather", TORCH_BOX(&OnOneDevice<&peer_gather>::call));
+  library.impl("peer_minimum", TORCH_BOX(&OnOneDevice<&peer_minimum>::call));
+}
+
+}  // namespace pgccd::bind
+
+#endif

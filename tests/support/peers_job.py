@@ -1,0 +1,17 @@
+"""Messages that GPUs write to each other's memory: run by torchrun."""
+
+from __future__ import annotations
+
+import warnings
+
+from distributed import test_peers
+
+from pgccd.distributed import connect
+from pgccd.distributed.comm.peer_memory import PeerMemory
+
+warnings.filterwarnings("error", message="NCCL sends small messages")
+with connect("cuda", "nccl") as comm:
+    comm.reserve_peer_messages(test_peers.BYTES)
+    assert isinstance(comm.peer_messages, PeerMemory)
+    test_peers.gather_many(comm, comm.peer_messages)
+    test_peers.lower_shared(comm, comm.peer_messages)
