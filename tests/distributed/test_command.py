@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import torch
 from support.launch import (
-    MAY_SHARE_GPU,
+    PEER_MEMORY,
     ROOT,
     SUPPORT,
     children,
@@ -113,8 +113,7 @@ def test_a_scene_of_one_s_own_under_torchrun(where: str) -> None:
 )
 def test_everything_over_nccl(what: str, ranks: int, steps: int, peers: bool) -> None:
     job = [str(SUPPORT / "nccl_job.py"), what, str(steps), *["peers"] * peers]
-    switch = MAY_SHARE_GPU if peers else {"PGCCD_PEER_MEMORY": "0"}
-    done = finish(torchrun(ranks, *over_nccl(ranks, *job)), **switch)
+    done = finish(torchrun(ranks, *over_nccl(ranks, *job)), **(PEER_MEMORY if peers else {}))
     assert done.returncode == 0, done.stdout
 
 

@@ -10,7 +10,7 @@ from unittest import mock
 
 import pytest
 import torch
-from support.launch import MAY_SHARE_GPU, SUPPORT, finish, over_nccl, torchrun
+from support.launch import PEER_MEMORY, SUPPORT, finish, over_nccl, torchrun
 from support.peer_messages import OverConnection
 from support.ranks import RankPool
 from torch import Tensor
@@ -100,7 +100,7 @@ def lower_shared(comm: Comm, peers: PeerMessages) -> None:
 @pytest.mark.cuda
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_messages_between_processes(ranks: int) -> None:
-    done = finish(torchrun(ranks, *over_nccl(ranks, str(SUPPORT / "peers_job.py"))), **MAY_SHARE_GPU)
+    done = finish(torchrun(ranks, *over_nccl(ranks, str(SUPPORT / "peers_job.py"))), **PEER_MEMORY)
     assert done.returncode == 0, done.stdout
 
 
@@ -176,8 +176,11 @@ def test_which_ranks_are_peers() -> None:
     assert not are_peers([("here", str(gpu)) for gpu in range(17)])
 
 
-def test_it_can_be_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PGCCD_PEER_MEMORY", "0")
+@pytest.mark.parametrize("setting", [None, "0"])
+def test_it_is_off_unless_switched_on(setting: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PGCCD_PEER_MEMORY", raising=False)
+    if setting is not None:
+        monkeypatch.setenv("PGCCD_PEER_MEMORY", setting)
     assert peer_memory.place_of_gpu() is None
 
 

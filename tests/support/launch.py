@@ -18,8 +18,8 @@ import torch
 ROOT = Path(__file__).resolve().parents[2]
 SUPPORT = Path(__file__).resolve().parent
 SECONDS = 240
-# Torch's setting with which ranks that share a GPU can map each other's memory.
-MAY_SHARE_GPU = {"TORCH_SYMM_MEM_ALLOW_OVERLAPPING_DEVICES": "1"}
+# Small messages are written to the memory of other GPUs; by torch's setting, ranks that share a GPU do so too.
+PEER_MEMORY = {"PGCCD_PEER_MEMORY": "1", "TORCH_SYMM_MEM_ALLOW_OVERLAPPING_DEVICES": "1"}
 # By default Open MPI refuses to run as root (e.g. in a container) and to start more ranks than there are cores.
 _OPEN_MPI = (
     "OMPI_ALLOW_RUN_AS_ROOT=1",

@@ -77,8 +77,8 @@ Place = tuple[str, str]
 
 
 def place_of_gpu() -> Place | None:
-    """The host and the GPU of this rank; None if its memory shall not be written by other GPUs."""
-    if os.environ.get(_SETTING) == "0" or not _BOOT_ID.exists():
+    """The host and the GPU of this rank; None if other GPUs shall not write its memory."""
+    if os.environ.get(_SETTING) != "1" or not _BOOT_ID.exists():
         return None
     device = torch.cuda.current_device()
     may_share = os.environ.get(_MAY_SHARE_GPU) == "1"
