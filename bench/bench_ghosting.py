@@ -1,8 +1,9 @@
 """Two ways to find all contacts of bodies distributed over ranks, counted on the standard model:
 
-  once   ghosts where CBVs reach; each pair is tested by one rank, the owner of its boxes' reference point; contacts are
-  sent to the owners of both bodies (as in `pgccd.distributed`) twice  ghosts where CBVs grown by the largest extent of
-  any body reach; every owner finds all contacts of its bodies, and pairs with two owners are tested by both
+* once: ghosts where CBVs reach. Each pair is tested by one rank, the owner of its boxes' reference point, and contacts
+  are sent to the owners of both bodies (as in `pgccd.distributed`).
+* twice: ghosts where CBVs grown by the largest extent of any body reach. Every owner finds all contacts of its bodies,
+  and pairs with two owners are tested by both.
 
 Per body: ghosts, body pairs tested, rows of contacts sent. "unseen": pairs that no rank would test with ghosts where
 CBVs reach and owners testing only pairs of their own bodies, since neither owner has the other body. Robots have moved

@@ -30,9 +30,9 @@ class GroupObjects(Objects):
         return gathered if is_first else []
 
     def broadcast(self, value: Any) -> Any:
-        told = [value]
-        dist.broadcast_object_list(told, group_src=0, group=self._group)
-        return told[0]
+        objects = [value]
+        dist.broadcast_object_list(objects, group_src=0, group=self._group)
+        return objects[0]
 
 
 class TorchComm(Comm):
