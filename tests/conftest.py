@@ -1,4 +1,4 @@
-"""Fixtures of all tests: devices, and deselection of slow tests."""
+"""Fixtures of all tests: devices; and which tests do not run: slow ones, those of a GPU without one."""
 
 from __future__ import annotations
 
@@ -31,9 +31,13 @@ def pytest_configure(config: pytest.Config) -> None:
     torch.set_num_threads(max(1, torch.get_num_threads() // workers))
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skips tests marked `cuda` without a GPU."""
+    if item.get_closest_marker("cuda") is not None and not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+
+
 @pytest.fixture(params=DEVICES)
 def device(request: pytest.FixtureRequest) -> torch.device:
-    """Each device in turn; CUDA only if available."""
-    if request.param == "cuda" and not torch.cuda.is_available():
-        pytest.skip("no CUDA device")
+    """Each device in turn."""
     return torch.device(request.param)

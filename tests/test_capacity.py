@@ -186,8 +186,6 @@ def test_compile_the_whole_step(device: torch.device) -> None:
 @pytest.mark.parametrize("report", REPORTS)
 @pytest.mark.parametrize("broad_phase", ["sweep", "grid", "lbvh"])
 def test_capture_in_a_graph(report: Any, broad_phase: Any) -> None:
-    if not torch.cuda.is_available():
-        pytest.skip("no CUDA device")
     scene, motion = crowd(torch.device("cuda"))
     _, capacity = capacity_for(scene, motion, report, broad_phase=broad_phase)
     columns = [column.clone() for column in columns_of(motion)]
@@ -217,8 +215,6 @@ def test_capture_in_a_graph(report: Any, broad_phase: Any) -> None:
 
 @pytest.mark.cuda
 def test_one_wait_a_step() -> None:
-    if not torch.cuda.is_available():
-        pytest.skip("no CUDA device")
     scene, motion = crowd(torch.device("cuda"))
     for report in REPORTS:
         pgccd.detect(scene, motion, report)

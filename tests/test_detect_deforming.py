@@ -149,8 +149,6 @@ def test_many(device: torch.device) -> None:
 @pytest.mark.cuda
 def test_bounds_have_the_bits_of_the_cpu() -> None:
     """Bodies of one block of nodes and of thousands, in one scene."""
-    if not torch.cuda.is_available():
-        pytest.skip("no CUDA device")
     rng = np.random.default_rng(8)
     meshes = [pgccd.Mesh(np.eye(3), [[0, 1, 2]]), *(bumpy(rng, k) for k in (0, 3, 5))]
     index = rng.integers(0, 4, 50)

@@ -298,8 +298,6 @@ def test_rigid_bodies_are_not_tested_against_themselves(device: torch.device) ->
 
 @pytest.mark.cuda
 def test_cuda_gives_the_bits_of_the_cpu() -> None:
-    if not torch.cuda.is_available():
-        pytest.skip("no CUDA device")
     shapes, ends = crumpled(5)
     large = bumpy(np.random.default_rng(15), 5)
     large_ends = [noisy(np.random.default_rng(seed), large.vertices.numpy(), 0.01) for seed in (16, 17)]

@@ -77,8 +77,6 @@ def test_compile_the_whole_step(device: torch.device) -> None:
 
 @pytest.mark.cuda
 def test_capture_in_a_graph() -> None:
-    if not torch.cuda.is_available():
-        pytest.skip("no CUDA device")
     scene, ends, capacity = crumpled_capacity(torch.device("cuda"))
     motion = motion_of(*ends, device=torch.device("cuda"))
     start, end = motion.x_t0.clone(), motion.x_t1.clone()

@@ -86,7 +86,6 @@ def test_order_of_candidates(device: torch.device, path: str) -> None:
 
 
 @pytest.mark.cuda
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("report", ["first", "all", "earliest"])
 def test_devices_agree(path: str, report: str) -> None:

@@ -75,14 +75,14 @@ class Case:
     stretch: float = 1.0
 
 
-MOST_RANKS = 4
+_MOST_RANKS = 4  # as in the paper
 
 
 def parse_arguments(description: str | None, robots: dict[str, list[int]]) -> argparse.Namespace:
     """The command line of a figure, given the default numbers of robots by device. `ranks` and `robots` are set."""
     shared = results.parser(description)
     shared.add_argument("--robots", type=int, nargs="+", help=f"default: {robots}")
-    shared.add_argument("--ranks", type=int, help="default: 4, or the number of GPUs if there are fewer; their maximum")
+    shared.add_argument("--ranks", type=int, help="figure 5: up to; default: 4, or the number of GPUs if fewer")
     shared.add_argument("--device", choices=("cpu", "cuda"), default="cuda" if gpus() else "cpu")
     shared.add_argument("--steps-before", type=int, default=120, help="made by one process first")
     shared.add_argument("--steps-settling", type=int, default=40, help="made by ranks before the first is timed")
@@ -91,7 +91,7 @@ def parse_arguments(description: str | None, robots: dict[str, list[int]]) -> ar
     shared.add_argument("--seed", type=int, default=0)
     given = shared.parse_args()
     given.robots = given.robots or robots[given.device]
-    given.ranks = given.ranks or (min(MOST_RANKS, gpus()) if given.device == "cuda" else MOST_RANKS)
+    given.ranks = given.ranks or (min(_MOST_RANKS, gpus()) if given.device == "cuda" else _MOST_RANKS)
     return given
 
 

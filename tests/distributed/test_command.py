@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from support.launch import (
     PEER_MEMORY,
     ROOT,
@@ -92,8 +91,6 @@ def test_nccl_does_the_same(tmp_path: Path, expected: list[dict[str, Any]]) -> N
 
 @pytest.mark.parametrize("where", WHERE)
 def test_a_scene_of_one_s_own_under_torchrun(where: str) -> None:
-    if where == "cuda" and not torch.cuda.is_available():
-        pytest.skip("no CUDA device")
     names = ["on corners of many cells", "faster than cells", "a terrain under all"]
     done = finish(torchrun(2, str(SUPPORT / "world_job.py"), where, *names))
     assert done.returncode == 0, done.stdout

@@ -273,7 +273,6 @@ def test_a_rank_that_fails_before_its_messages_ends_the_step(ranks: World) -> No
 
 
 @pytest.mark.cuda
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 @pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("random", "cost"), ("skewed", "one-cell")])
 def test_same_bits_on_a_gpu_that_ranks_share(world: World, name: str, policy: str) -> None:
     world(follow, name, policy, 24, policy == "none", True, "cuda")

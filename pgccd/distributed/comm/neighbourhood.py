@@ -61,6 +61,7 @@ class Neighbourhood:
     def counts_of_ranks(self, counts: Sequence[int]) -> list[int]:
         """One count per rank, given one per neighbour; 0 for all other ranks."""
         of_ranks = [0] * self.comm.size
+        # The last count, of all other ranks, has no rank.
         for rank, count in zip(self.ranks, counts, strict=False):
             of_ranks[rank] = count
         return of_ranks
