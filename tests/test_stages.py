@@ -15,7 +15,7 @@ class Event:
 
     made: list[Event] = []
 
-    def __init__(self, enable_timing: bool) -> None:
+    def __init__(self, enable_timing: bool, blocking: bool) -> None:
         assert enable_timing
         self.at, self.waited_for = -1.0, False
 

@@ -68,7 +68,9 @@ class TransactionGraph(ABC, Generic[C]):
         began = record_event(timed=True)
         self._graph.replay()
         host.copy_(self._record, non_blocking=True)
-        return Replay(self, host, began, record_event(timed=True))
+        # The next step is enqueued already, so a late reaction costs nothing; a thread that spins on a busy host is
+        # interrupted for milliseconds.
+        return Replay(self, host, began, record_event(timed=True, sleep=True))
 
     def close(self) -> None:
         """Frees the graph, which cannot be replayed afterwards."""

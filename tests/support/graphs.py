@@ -48,5 +48,5 @@ def graphs_on(device: torch.device | str) -> ExitStack:
     stack = ExitStack()
     if device != "none" and torch.device(device).type == "cpu":
         stack.enter_context(mock.patch.object(transaction, "capture", record))
-        stack.enter_context(mock.patch.object(transaction, "record_event", lambda timed: Now()))
+        stack.enter_context(mock.patch.object(transaction, "record_event", lambda timed, sleep=False: Now()))
     return stack
