@@ -114,7 +114,7 @@ def measure_partition(
     row["reached ranks"] = sum(count > 0 for count in counts)
     row["bodies beyond neighbours"] = int(find_replicas(near, centres, _KEPT, rows).counts[-1])
     row["count messages"], row["count messages of all ranks"] = 2 * row["neighbours"], 2 * (ranks - 1)
-    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, ghosts, *_KEPT, *near.subdomain))
+    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, reach, ghosts, *_KEPT, *near.subdomain))
     row["leaving ms"] = median_ms(lambda: ops.leaving_bodies(centres[1], *near.subdomain, near.neighbours.size))
     frame, owner, _ = near.subdomain
     cells = int(frame[6] * frame[7] * frame[8])

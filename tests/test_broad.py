@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def found_by(way: Any, start: Any, end: Any, radius: Any, separation: float = 0.
         torch.as_tensor(filters[k], dtype=t, device=device) if filters.get(k) is not None else None
         for k, t in types.items()
     ]
-    return operator(*columns, *bits, separation, tolerance, *settings).cpu()
+    return operator(*columns, *bits, None, separation, tolerance, *settings).cpu()
 
 
 def check(start: Any, end: Any, radius: Any, separation: float = 0.0, **filters: Any) -> np.ndarray:
@@ -192,6 +192,31 @@ def test_scene_filters_and_separation(device: torch.device) -> None:
         for broad_phase in pgccd.broad.BROAD_PHASES:
             found = pgccd.broad.find_pairs(bodies, separation, broad_phase, tolerance=0.0)
             assert np.array_equal(found.cpu().numpy(), truth)
+
+
+@pytest.mark.parametrize("has_static", [False, True])
+def test_pairs_found_elsewhere(device: torch.device, has_static: bool) -> None:
+    """Pairs of two static bodies are left out, and those of two found elsewhere, but not those of one of each."""
+    rng = np.random.default_rng(9)
+    start, end, radius = scattered(rng, 80, 3.0)
+    static = rng.random(80) < 0.5 if has_static else None
+    elsewhere = rng.random(80) < 0.5
+    turn = np.tile([1.0, 0.0, 0.0, 0.0], (80, 1))
+    meshes = [tetrahedron(r) for r in radius.tolist()]
+    scene = pgccd.Scene(meshes, range(80), device, static=static)
+    bodies = pgccd.MovingBodies.of(scene, pgccd.RigidMotion(*tensors(start, turn, end, turn, device=device)))
+    truth = pgccd.broad.find_pairs(bodies).cpu()
+    kept = truth[~torch.as_tensor(elsewhere)[truth].all(dim=1)]
+    assert 10 < len(kept) < len(truth) - 10
+    marks = torch.as_tensor(elsewhere, device=device).to(torch.uint8)
+    capacity = pgccd.Capacity.guess(80).times(20.0)
+    for broad_phase in get_args(pgccd.broad.BroadPhase):
+        chosen = pgccd.broad.choose(bodies, broad_phase)
+        found = pgccd.broad.find_pairs_of_checked(bodies, 0.0, chosen, elsewhere=marks)
+        assert torch.equal(found.cpu(), kept), broad_phase
+        given = bodies, 0.0, broad_phase, capacity, torch.zeros(1, dtype=torch.int64, device=device)
+        padded, _ = pgccd.broad.find_pairs_padded(*given, elsewhere=marks)
+        assert torch.equal(padded[: len(kept)].cpu(), kept) and bool((padded[len(kept) :] == -1).all()), broad_phase
 
 
 def test_group_alone_means_all_mask_bits() -> None:

@@ -41,15 +41,17 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     centres = [moving.position_t0, moving.position_t1, moving.radius]
     subdomain = partition.subdomain(1)
     reach, boundary, _ = ops.boundary_bodies(centres, 0.01, -1e-6, *subdomain)
+    pgccd.broad.find_pairs_of_checked(moving, 0.01, "sweep", elsewhere=reach)
+    capacity, invalid = pgccd.Capacity.guess(moving.scene.body_count), torch.zeros_like(boundary[:1])
+    pgccd.broad.find_pairs_padded(moving, 0.01, "grid", capacity, invalid, elsewhere=reach)
     rows = torch.arange(len(boundary), device=moving.device)
     replica_ranks, counts = ops.replica_ranks(centres, 0.01, -1e-6, *subdomain, rows, [2, len(boundary) - 2], 2)
     ops.reached_ranks(centres, 0.01, -1e-6, subdomain, rows, 2)
     ops.rows_by_rank(replica_ranks, rows, counts, [3, 0])
     ops.counts_to_send(counts, [3, 0], counts[:1], 4)
     pairs = torch.combinations(rows)
-    for held in (None, rows):
-        ops.owned_pairs(pairs, held, rows, centres, 0.01, -1e-6, reach, *subdomain)
-    ops.near_ghosts(centres, [column[:1] for column in centres], 0.01, -1e-6, *subdomain)
+    ops.owned_pairs(pairs, rows, rows, centres, 0.01, -1e-6, reach, *subdomain)
+    ops.near_ghosts(centres, reach, [column[:1] for column in centres], 0.01, -1e-6, *subdomain)
     ops.leaving_bodies(moving.position_t0, *subdomain, 2)
     ops.count_leaving(moving.position_t0, None, *subdomain)
 
@@ -178,7 +180,7 @@ def test_fake_kernels_have_the_right_shapes(device: torch.device) -> None:
 def test_compile_the_sweep(device: torch.device) -> None:
     @torch.compile(fullgraph=True, dynamic=True, backend="aot_eager")
     def pairs_of(start: torch.Tensor, end: torch.Tensor, radius: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        pairs = ops.broad_pairs(start, end, 1.5 * radius, None, None, None, None, 0.0, 0.0, 0, -1)
+        pairs = ops.broad_pairs(start, end, 1.5 * radius, None, None, None, None, None, 0.0, 0.0, 0, -1)
         offset = start[pairs[:, 1]] - start[pairs[:, 0]]
         return pairs, offset.norm(dim=1)
 
@@ -187,7 +189,9 @@ def test_compile_the_sweep(device: torch.device) -> None:
         start = spread * rng.uniform(-1, 1, (count, 3))
         columns = tensors(start, start + 0.1, np.full(count, 0.5), device=device)
         pairs, distance = pairs_of(*columns)
-        expected = ops.broad_pairs(columns[0], columns[1], 1.5 * columns[2], None, None, None, None, 0.0, 0.0, 0, -1)
+        expected = ops.broad_pairs(
+            columns[0], columns[1], 1.5 * columns[2], None, None, None, None, None, 0.0, 0.0, 0, -1
+        )
         assert torch.equal(pairs, expected) and distance.shape == (len(pairs),)
         assert (len(pairs) == 0) == (spread == 1e6)
 
@@ -221,11 +225,11 @@ def test_compile_with_the_default_backend(device: torch.device) -> None:
 def test_operators_complain_themselves(device: torch.device) -> None:
     columns = tensors(*np.zeros((2, 5, 3)), np.ones(5), device=device)
     with pytest.raises(RuntimeError, match="position_t0: wrong dtype"):
-        ops.broad_pairs(columns[0].float(), *columns[1:], None, None, None, None, 0.0, 0.0, 0, -1)
+        ops.broad_pairs(columns[0].float(), *columns[1:], None, None, None, None, None, 0.0, 0.0, 0, -1)
     with pytest.raises(RuntimeError, match="expected size 5 in dimension 0, got 4"):
-        ops.broad_pairs(columns[0], columns[1][:4], columns[2], None, None, None, None, 0.0, 0.0, 2, -1)
+        ops.broad_pairs(columns[0], columns[1][:4], columns[2], None, None, None, None, None, 0.0, 0.0, 2, -1)
     with pytest.raises(RuntimeError, match="capacity: expected 3 numbers, got 1"):
-        ops.pairs_padded(*columns, None, None, None, None, None, 0.0, 0.0, 1, [8])
+        ops.pairs_padded(*columns, None, None, None, None, None, None, 0.0, 0.0, 1, [8])
 
 
 @pytest.mark.cuda
@@ -236,10 +240,12 @@ def test_out_of_memory_is_an_exception() -> None:
     torch.cuda.set_per_process_memory_fraction(0.005)
     try:
         with pytest.raises(RuntimeError, match=r"(?i)memory"):
-            ops.broad_pairs(*columns, None, None, None, None, 0.0, 0.0, 0, -1)  # 800 million pairs
+            ops.broad_pairs(*columns, None, None, None, None, None, 0.0, 0.0, 0, -1)  # 800 million pairs
     finally:
         torch.cuda.set_per_process_memory_fraction(1.0)
-    assert ops.broad_pairs(*(column[:50] for column in columns), None, None, None, None, 0.0, 0.0, 0, -1).shape == (
+    assert ops.broad_pairs(
+        *(column[:50] for column in columns), None, None, None, None, None, 0.0, 0.0, 0, -1
+    ).shape == (
         1225,
         2,
     )

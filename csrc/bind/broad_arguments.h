@@ -17,7 +17,7 @@ inline BroadPhaseChoice broad_phase_choice(int64_t broad_phase, int64_t axis) {
 inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                               const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                               const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                              const KeptDistance& kept) {
+                              const std::optional<Tensor>& elsewhere, const KeptDistance& kept) {
   const double* radii = rows<double>(radius, "radius", {kAnySize});
   const int64_t count = radius.size(0);
   STD_TORCH_CHECK(count < (int64_t{1} << 31), "radius: more than 2^31 - 1 bodies on one device");
@@ -29,6 +29,7 @@ inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_
   view.mask = optional_column<int64_t>(mask, "mask", count);
   view.world = optional_column<int32_t>(world, "world", count);
   view.is_static = optional_column<uint8_t>(is_static, "is_static", count);
+  view.elsewhere = optional_column<uint8_t>(elsewhere, "elsewhere", count);
   view.separation = kept.separation;
   view.tolerance = kept.tolerance;
   return view;

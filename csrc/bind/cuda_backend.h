@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <vector>
 
+#include "bind/device_share.h"
 #include "bind/outputs.h"
 #include "bind/scratch_peak.h"
 #include "kernels/device_context.h"
@@ -55,7 +56,7 @@ class TorchMemory final : public DeviceMemory {
 class CudaSession {
  public:
   explicit CudaSession(const torch::stable::Tensor& like)
-      : guard_(like.get_device_index()), memory_(like), context_{current_stream(like), memory_} {}
+      : guard_(like.get_device_index()), memory_(like), context_{current_stream(like), memory_, device_share()} {}
   CudaSession(const CudaSession&) = delete;
   CudaSession& operator=(const CudaSession&) = delete;
 

@@ -74,10 +74,11 @@ struct DetectOps {
   static Tensor broad_pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                             const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                             const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                            double min_separation, double tolerance, int64_t broad_phase, int64_t axis) {
+                            const std::optional<Tensor>& elsewhere, double min_separation, double tolerance,
+                            int64_t broad_phase, int64_t axis) {
     const BroadPhaseChoice choice = broad_phase_choice(broad_phase, axis);
-    const BroadBodies bodies =
-        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
+    const BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere,
+                                          {min_separation, tolerance});
     return collect_pairs(
         radius, [&](const PairOutput& make_output) { Backend(radius).find_pairs(bodies, choice, make_output); });
   }

@@ -19,10 +19,11 @@ struct PaddedOps {
   static std::tuple<Tensor, Tensor> pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                                           const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                                           const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
+                                          const std::optional<Tensor>& elsewhere,
                                           const std::optional<Tensor>& is_invalid, double min_separation,
                                           double tolerance, int64_t broad_phase, const std::vector<int64_t>& capacity) {
-    BroadBodies bodies =
-        broad_view(position_t0, position_t1, radius, group, mask, world, is_static, {min_separation, tolerance});
+    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere,
+                                    {min_separation, tolerance});
     bodies.is_invalid = optional_column<int64_t>(is_invalid, "is_invalid", 1);
     check_capacity(capacity, 3);
     Tensor rows = new_tensor<int64_t>(radius, {capacity[0], 2});
@@ -49,7 +50,7 @@ struct PaddedOps {
                     "spheres: expected 3 tensors where meshes are off centre or bodies have margins");
     const Tensor* const sphere = is_own ? &bodies[1] : spheres.data();
     BroadBodies swept =
-        broad_view(sphere[0], sphere[1], sphere[2], group, mask, world, is_static, {min_separation, tolerance});
+        broad_view(sphere[0], sphere[1], sphere[2], group, mask, world, is_static, {}, {min_separation, tolerance});
     STD_TORCH_CHECK(swept.count == count, "spheres: expected ", count, ", one a body, got ", swept.count);
     const Tensor faults =
         known_faults ? *known_faults

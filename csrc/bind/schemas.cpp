@@ -23,6 +23,7 @@
 
 #include <utility>
 
+#include "bind/device_share.h"
 #include "bind/scratch_peak.h"
 
 STABLE_TORCH_LIBRARY(pgccd, library) {
@@ -43,7 +44,8 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // broad_phase: see kernels/broad/broad_phase.h; axis: used by the sweep only
   library.def(
       "broad_pairs(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, float min_separation, float tolerance, int broad_phase, int axis) -> Tensor");
+      "Tensor? is_static, Tensor? elsewhere, float min_separation, float tolerance, int broad_phase, int axis) -> "
+      "Tensor");
   library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
       "float min_separation, float tolerance) "
@@ -63,7 +65,8 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // Does not synchronise. capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h.
   library.def(
       "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, Tensor? is_invalid, float min_separation, float tolerance, int broad_phase, int[] capacity) "
+      "Tensor? is_static, Tensor? elsewhere, Tensor? is_invalid, float min_separation, float tolerance, int "
+      "broad_phase, int[] capacity) "
       "-> (Tensor pairs, Tensor counts)");
   // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by the faults. capacity = [poses, tasks,
   // leaf_pairs, candidates, launches, open, contacts]; capacities and counts: see kernels/traverse/traverse.h and
@@ -107,6 +110,11 @@ int64_t& scratch_peak() {
   return bytes;
 }
 
+int& device_share() {
+  thread_local int share = 1;
+  return share;
+}
+
 }  // namespace pgccd::bind
 
 namespace {
@@ -115,7 +123,19 @@ PyObject* take_scratch_peak(PyObject*, PyObject*) {
   return PyLong_FromLongLong(std::exchange(pgccd::bind::scratch_peak(), 0));
 }
 
+PyObject* set_device_share(PyObject*, PyObject* given) {
+  const long share = PyLong_AsLong(given);
+  if (share == -1 && PyErr_Occurred() != nullptr) return nullptr;
+  if (share < 1 || share > 1024) {
+    PyErr_SetString(PyExc_ValueError, "share: expected a number from 1 to 1024");
+    return nullptr;
+  }
+  return PyLong_FromLong(std::exchange(pgccd::bind::device_share(), static_cast<int>(share)));
+}
+
 PyMethodDef methods[] = {
+    {"set_device_share", set_device_share, METH_O,
+     "Lets operators called by this thread take 1 / share of a GPU's blocks. Returns the former share."},
     {"take_scratch_peak", take_scratch_peak, METH_NOARGS,
      "Most bytes of scratch memory that an operator on a GPU, called by this thread, has held since the last call."},
     {nullptr, nullptr, 0, nullptr}};

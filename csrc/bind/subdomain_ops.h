@@ -42,7 +42,7 @@ inline Subdomain subdomain_view(const std::vector<double>& frame, const Tensor& 
 // centres = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
 inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, const KeptDistance& kept) {
   STD_TORCH_CHECK(centres.size() == 3, name, ": expected 3 tensors, got ", centres.size());
-  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, kept);
+  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, {}, kept);
 }
 
 inline BodyPositions positions_view(const Tensor& position, const std::optional<Tensor>& id) {
@@ -124,19 +124,18 @@ struct SubdomainOps {
     return messages;
   }
 
-  static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const std::optional<Tensor>& held,
-                                                const Tensor& id, const TensorList& centres, double min_separation,
-                                                double tolerance, const Tensor& reach, FrameList frame,
-                                                const Tensor& owner, int64_t rank) {
+  static std::tuple<Tensor, Tensor> owned_pairs(const Tensor& pairs, const Tensor& held, const Tensor& id,
+                                                const TensorList& centres, double min_separation, double tolerance,
+                                                const Tensor& reach, FrameList frame, const Tensor& owner,
+                                                int64_t rank) {
     OwnedPairs input;
     input.bodies = centres_view(centres, "centres", {min_separation, tolerance});
     input.subdomain = subdomain_view(frame, owner, rank);
     input.reach = rows<uint8_t>(reach, "reach", {kAnySize});
     input.own_count = reach.size(0);
-    input.rows = optional_column<int64_t>(held, "rows", input.bodies.count);
+    input.rows = rows<int64_t>(held, "rows", {input.bodies.count});
     input.id = rows<int64_t>(id, "id", {kAnySize});
     input.held_count = id.size(0);
-    STD_TORCH_CHECK(held || input.own_count == input.bodies.count, "reach: expected ", input.bodies.count, " rows");
     STD_TORCH_CHECK(id.size(0) >= input.own_count, "id: expected at least ", input.own_count, " rows");
     input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
     input.pair_count = pairs.size(0);
@@ -145,12 +144,13 @@ struct SubdomainOps {
     return {owned, found};
   }
 
-  static std::tuple<Tensor, Tensor> near_ghosts(const TensorList& centres, const TensorList& ghosts,
-                                                double min_separation, double tolerance, FrameList frame,
-                                                const Tensor& owner, int64_t rank) {
+  static std::tuple<Tensor, Tensor> near_ghosts(const TensorList& centres, const Tensor& reach,
+                                                const TensorList& ghosts, double min_separation, double tolerance,
+                                                FrameList frame, const Tensor& owner, int64_t rank) {
     const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
     Tensor near = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
-    Backend(owner).near_ghosts(bodies, centres_view(ghosts, "ghosts", {min_separation, tolerance}),
+    Backend(owner).near_ghosts(bodies, rows<uint8_t>(reach, "reach", {bodies.count}),
+                               centres_view(ghosts, "ghosts", {min_separation, tolerance}),
                                subdomain_view(frame, owner, rank), {data<int64_t>(near), data<int64_t>(found)});
     return {near, found};
   }

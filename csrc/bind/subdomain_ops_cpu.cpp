@@ -26,9 +26,9 @@ class SubdomainOnCpu {
   void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
     owned_pairs_cpu(executor_, input, owned, found);
   }
-  void near_ghosts(const BroadBodies& bodies, const BroadBodies& ghosts, const Subdomain& subdomain,
-                   const FoundRows& near) const {
-    near_ghosts_cpu(executor_, bodies, ghosts, subdomain, near);
+  void near_ghosts(const BroadBodies& bodies, const uint8_t* reach, const BroadBodies& ghosts,
+                   const Subdomain& subdomain, const FoundRows& near) const {
+    near_ghosts_cpu(executor_, bodies, reach, ghosts, subdomain, near);
   }
   void leaving_bodies(const BodyPositions& bodies, const Subdomain& subdomain, int64_t ranks,
                       const LeavingRows& leaving) const {

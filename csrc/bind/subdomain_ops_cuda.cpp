@@ -31,9 +31,9 @@ class SubdomainOnCuda {
   void owned_pairs(const OwnedPairs& input, int64_t* owned, int64_t* found) const {
     owned_pairs_cuda(session_.context(), input, owned, found);
   }
-  void near_ghosts(const BroadBodies& bodies, const BroadBodies& ghosts, const Subdomain& subdomain,
-                   const FoundRows& near) const {
-    near_ghosts_cuda(session_.context(), bodies, ghosts, subdomain, near);
+  void near_ghosts(const BroadBodies& bodies, const uint8_t* reach, const BroadBodies& ghosts,
+                   const Subdomain& subdomain, const FoundRows& near) const {
+    near_ghosts_cuda(session_.context(), bodies, reach, ghosts, subdomain, near);
   }
   void leaving_bodies(const BodyPositions& bodies, const Subdomain& subdomain, int64_t ranks,
                       const LeavingRows& leaving) const {

@@ -20,12 +20,12 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
   library.def("rows_by_rank(Tensor replica_ranks, Tensor rows, Tensor counts, int[] capacities) -> Tensor");
   library.def("counts_to_send(Tensor counts, int[] capacities, Tensor found, int capacity) -> Tensor");
   library.def(
-      "owned_pairs(Tensor pairs, Tensor? rows, Tensor id, Tensor[] centres, float min_separation, float tolerance, "
+      "owned_pairs(Tensor pairs, Tensor rows, Tensor id, Tensor[] centres, float min_separation, float tolerance, "
       "Tensor reach, "
       "float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
   library.def(
-      "near_ghosts(Tensor[] centres, Tensor[] ghosts, float min_separation, float tolerance, float[] frame, Tensor "
-      "owner, int rank) -> "
+      "near_ghosts(Tensor[] centres, Tensor reach, Tensor[] ghosts, float min_separation, float tolerance, "
+      "float[] frame, Tensor owner, int rank) -> "
       "(Tensor near, Tensor found)");
   library.def(
       "leaving_bodies(Tensor position, float[] frame, Tensor owner, int rank, int ranks) -> (Tensor leaving, Tensor "

@@ -23,6 +23,9 @@ class DeviceMemory {
 struct DeviceContext {
   CUstream_st* stream;
   DeviceMemory& memory;
+  // Above 1 where kernels of another stream run at the same time, and have more to do: kernels whose threads have items
+  // in turn take 1/share of the blocks that the device holds, and none is launched before the previous one has ended.
+  int share = 1;
 
   template <class T>
   T* allocate(int64_t count) const {

@@ -10,7 +10,8 @@
 namespace pgccd {
 
 // The first statement of every kernel: waits until all kernels launched before have ended, and meanwhile lets the next
-// one be launched, whose blocks wait here as well. Hides most of a launch's latency (programmatic dependent launch).
+// one be launched, whose blocks wait here as well. Hides most of a launch's latency (programmatic dependent launch),
+// unless the kernel takes only a share of the device.
 __device__ inline void wait_for_previous_kernels() {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
   cudaTriggerProgrammaticLaunchCompletion();
@@ -51,7 +52,9 @@ void launch_kernel(const DeviceContext& context, void (*kernel)(Parameters...), 
   config.blockDim = dim3(static_cast<unsigned>(block_threads));
   config.stream = context.stream;
   config.attrs = &overlap;
-  config.numAttrs = device_detail::do_kernels_wait(reinterpret_cast<const void*>(kernel)) ? 1 : 0;
+  // Waiting blocks would take the places of blocks of other streams.
+  const bool may_wait = context.share == 1 && device_detail::do_kernels_wait(reinterpret_cast<const void*>(kernel));
+  config.numAttrs = may_wait ? 1 : 0;
   check_cuda(cudaLaunchKernelEx(&config, kernel, arguments...), "cudaLaunchKernelEx");
 }
 
@@ -95,24 +98,34 @@ void fill_bytes(const DeviceContext& context, T* target, int value, int64_t coun
   check_cuda(cudaMemsetAsync(target, value, bytes, context.stream), "cudaMemsetAsync");
 }
 
-inline int resident_blocks(int blocks_a_multiprocessor) {
+inline int resident_blocks(const DeviceContext& context, int blocks_a_multiprocessor) {
   int multiprocessors = 0;
   check_cuda(cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, current_device()),
              "cudaDeviceGetAttribute");
-  return multiprocessors * blocks_a_multiprocessor;
+  return larger(multiprocessors * blocks_a_multiprocessor / context.share, 1);
 }
 
-// The number of blocks that the device holds at once; for kernels whose amount of work is only known on the device.
+// The number of blocks with a thread for each item.
+inline unsigned blocks_for(int64_t items) { return static_cast<unsigned>((items + kBlockThreads - 1) / kBlockThreads); }
+
+// The number of blocks whose threads have items in turn: as many as the device takes at a time, or fewer for few items.
+inline unsigned looping_blocks_for(const DeviceContext& context, int64_t items, int most_a_multiprocessor = 16) {
+  const int64_t blocks = larger<int64_t>(blocks_for(items), 1);
+  return static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks(context, most_a_multiprocessor)));
+}
+
+// The number of blocks that the device holds at once, or the context's share of it; for kernels whose amount of work is
+// only known on the device.
 template <class Kernel>
-int resident_blocks_of(Kernel kernel, int block_threads = kBlockThreads) {
+int resident_blocks_of(const DeviceContext& context, Kernel kernel, int block_threads = kBlockThreads) {
   // Cached: the query takes longer than a launch.
   thread_local std::map<std::pair<Kernel, int>, int> known;
-  int& found = known[{kernel, current_device()}];
-  if (found > 0) return found;
-  int blocks = 0;
-  check_cuda(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, kernel, block_threads, 0),
-             "cudaOccupancyMaxActiveBlocksPerMultiprocessor");
-  return found = resident_blocks(larger(blocks, 1));
+  int& a_multiprocessor = known[{kernel, current_device()}];
+  if (a_multiprocessor == 0) {
+    check_cuda(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&a_multiprocessor, kernel, block_threads, 0),
+               "cudaOccupancyMaxActiveBlocksPerMultiprocessor");
+  }
+  return resident_blocks(context, larger(a_multiprocessor, 1));
 }
 
 namespace device_detail {
@@ -131,8 +144,7 @@ __global__ void __launch_bounds__(kBlockThreads) for_each_counted_kernel(const C
 template <class Count, class Fn>
 void for_each_counted(const DeviceContext& context, const Count* count, int64_t most, Fn fn) {
   if (most <= 0) return;
-  const int64_t blocks = smaller<int64_t>(resident_blocks(8), (most + kBlockThreads - 1) / kBlockThreads);
-  launch_kernel(context, device_detail::for_each_counted_kernel<Count, Fn>, static_cast<unsigned>(blocks),
+  launch_kernel(context, device_detail::for_each_counted_kernel<Count, Fn>, looping_blocks_for(context, most, 8),
                 kBlockThreads, count, most, fn);
 }
 

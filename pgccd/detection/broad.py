@@ -116,6 +116,7 @@ def find_pairs_padded(
     capacity: Capacity,
     invalid: Tensor,
     tolerance: float | None = None,
+    elsewhere: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """The PCS in a given capacity, without synchronising.
 
@@ -123,6 +124,7 @@ def find_pairs_padded(
         bodies, min_separation, broad_phase, tolerance: as for `find_pairs`.
         capacity: of the pairs and of the broad phase's buffers.
         invalid: (1,) int64; if nonzero, no pairs are returned.
+        elsewhere: (N,) uint8, nonzero for bodies whose pairs with each other are found elsewhere, and left out here.
 
     Returns:
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
@@ -133,6 +135,7 @@ def find_pairs_padded(
     pair_capacity, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_padded(
         *_columns(bodies),
+        elsewhere,
         invalid,
         *_kept(min_separation, tolerance),
         number,
@@ -163,11 +166,17 @@ def find_pairs(
 
 
 def find_pairs_of_checked(
-    bodies: MovingBodies, min_separation: float, chosen: str, tolerance: float | None = None, axis: int = -1
+    bodies: MovingBodies,
+    min_separation: float,
+    chosen: str,
+    tolerance: float | None = None,
+    axis: int = -1,
+    elsewhere: Tensor | None = None,
 ) -> Tensor:
-    """As `find_pairs`, without checks; `chosen` comes from `choose`."""
+    """As `find_pairs`, without checks; `chosen` comes from `choose`. elsewhere: see `find_pairs_padded`."""
     number = BROAD_PHASE_NUMBERS[chosen]
-    return with_self_pairs(bodies, ops.broad_pairs(*_columns(bodies), *_kept(min_separation, tolerance), number, axis))
+    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *_kept(min_separation, tolerance), number, axis)
+    return with_self_pairs(bodies, pairs)
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:

@@ -109,11 +109,15 @@ class Part:
         progress, padded with -1 and inf. Does not synchronise; for report="first" only.
         """
         if self._contacts is None:
-            rows = self.start().rows
-            return self.in_step(rows[0]), rows[4]
+            return self._padded_first_contacts
         if self._contacts.toi is None:
             raise ValueError('report: "any" gives no toi')
         return self.in_step(self._contacts.pairs), self._contacts.toi
+
+    @functools.cached_property
+    def _padded_first_contacts(self) -> tuple[Tensor, Tensor]:
+        rows = self.start().rows
+        return self.in_step(rows[0]), rows[4]
 
     def counts(self) -> Tensor:
         """(21,) int64 on the device: `Counts` of the contacts that `first_contacts` returns."""
@@ -148,6 +152,7 @@ def find_part(
     rows: Tensor | None = None,
     estimate: CapacityEstimate | None = None,
     slack: float = _SLACK,
+    elsewhere: Tensor | None = None,
 ) -> Part:
     """The PCS of bodies, as a part. On a GPU it is found in an estimated capacity without synchronising, if the
     estimate fits in memory. Then the bodies need not be validated: if they are invalid there are no pairs.
@@ -158,6 +163,7 @@ def find_part(
         discard: (1,) int64 on the device; if nonzero, the result will be discarded and the search returns immediately.
         rows, estimate: as for `Part`.
         slack: capacity relative to what the last step needed.
+        elsewhere: (N,) uint8, nonzero for bodies whose pairs with each other are left out: another part has them.
 
     Raises:
         ValueError: the bodies are invalid, and the capacity could not be estimated.
@@ -165,7 +171,9 @@ def find_part(
     separation, tolerance = query.min_separation, query.tolerance
 
     def find_pairs() -> Tensor:
-        pairs = broad.find_pairs(bodies, separation, broad_phase, tolerance)
+        bodies.check()
+        chosen = broad.choose(bodies, broad_phase)
+        pairs = broad.find_pairs_of_checked(bodies, separation, chosen, tolerance, elsewhere=elsewhere)
         if select is None:
             return pairs
         pairs, count = select(pairs)
@@ -180,7 +188,7 @@ def find_part(
     invalid = bodies.first_faults()[-1:]
     if discard is not None:
         invalid = torch.maximum(invalid, discard)
-    pairs, counts = broad.find_pairs_padded(bodies, separation, broad_phase, capacity, invalid, tolerance)
+    pairs, counts = broad.find_pairs_padded(bodies, separation, broad_phase, capacity, invalid, tolerance, elsewhere)
     if select is not None:
         pairs, count = select(pairs)
         row = COUNT_ROWS["pairs_written"]

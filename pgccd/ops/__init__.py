@@ -21,7 +21,7 @@ from pgccd.ops.detection import (
     traverse,
     vertex_face,
 )
-from pgccd.ops.library import Bodies, take_scratch_peak
+from pgccd.ops.library import Bodies, set_device_share, take_scratch_peak
 from pgccd.ops.peers import peer_gather, peer_minimum
 from pgccd.ops.rows import merge_rows, pack_rows, take_rows, unpack_rows
 from pgccd.ops.simulate import (

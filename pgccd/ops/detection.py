@@ -78,14 +78,17 @@ def broad_pairs(
     mask: Tensor | None,
     world: Tensor | None,
     is_static: Tensor | None,
+    elsewhere: Tensor | None,
     min_separation: float,
     tolerance: float,
     broad_phase: int,
     axis: int,
 ) -> Tensor:
     """Sorted pairs (P, 2) int64 of swept spheres that come within min_separation + tolerance; a negative tolerance is
-    relative to the smaller radius of a pair. broad_phase: number in csrc/kernels/broad/broad_phase.h; axis: of a sweep,
-    -1 for automatic. Neither affects the result.
+    relative to the smaller radius of a pair. Pairs of two bodies that are both marked by is_static, or
+    both by elsewhere, (N,) uint8, are left out.
+    broad_phase: number in csrc/kernels/broad/broad_phase.h; axis: of a sweep, -1 for automatic. Neither affects the
+    result.
     """
     return int64(position_t0, unknown_count(), 2)
 
@@ -135,6 +138,7 @@ def pairs_padded(
     mask: Tensor | None,
     world: Tensor | None,
     is_static: Tensor | None,
+    elsewhere: Tensor | None,
     is_invalid: Tensor | None,
     min_separation: float,
     tolerance: float,

@@ -79,6 +79,14 @@ def unknown_count() -> torch.SymInt:
     return torch.library.get_ctx().new_dynamic_size(min=0)
 
 
+def set_device_share(share: int) -> int:
+    """Lets operators called by this thread take 1 / share of a GPU's blocks, 1 <= share <= 1024, where kernels of
+    another stream run at the same time and have more to do. Results do not depend on it. Returns the former share.
+    """
+    former: int = _C.set_device_share(share)
+    return former
+
+
 def take_scratch_peak() -> int:
     """Peak scratch memory in bytes of one GPU operator on this thread since the last call."""
     return _C.take_scratch_peak()

@@ -98,7 +98,7 @@ def counts_to_send(counts: Tensor, capacities: Sequence[int], found: Tensor, cap
 @operator
 def owned_pairs(
     pairs: Tensor,
-    rows: Tensor | None,
+    rows: Tensor,
     id: Tensor,
     centres: Centres,
     min_separation: float,
@@ -109,20 +109,27 @@ def owned_pairs(
     rank: int,
 ) -> tuple[Tensor, Tensor]:
     """Selects from the pairs (P, 2) of bodies B, which may contain rows of -1, those whose reference point is in a cell
-    of the rank, the body with the smaller id first: (P, 2), padded with -1 after the first `found` (1,) rows. Held
-    bodies are numbered with own ones first, then ghosts: reach (N,) of own bodies is as above, id (N + G,) is of all.
-    rows (B,): the held body of each of the bodies, where only pairs with a ghost are selected; None: the bodies are the
-    own ones.
+    of the rank, except pairs of two own bodies of which one reaches no other rank. The body with the smaller id is
+    first: (P, 2), padded with -1 after the first `found` (1,) rows. rows (B,): the held body of each of the bodies;
+    held bodies are numbered with own ones first, then ghosts. reach (N,) of own bodies is as above, id (N + G,) is of
+    all.
     """
     return int64(pairs, pairs.shape[0], 2), int64(pairs, 1)
 
 
 @operator
 def near_ghosts(
-    centres: Centres, ghosts: Centres, min_separation: float, tolerance: float, frame: Frame, owner: Tensor, rank: int
+    centres: Centres,
+    reach: Tensor,
+    ghosts: Centres,
+    min_separation: float,
+    tolerance: float,
+    frame: Frame,
+    owner: Tensor,
+    rank: int,
 ) -> tuple[Tensor, Tensor]:
-    """Rows of bodies that overlap the box around all ghosts in a cell of the rank that they reach, padded with -1; and
-    their number `found` (1,).
+    """Rows of bodies that overlap the box around all ghosts in a cell of the rank that they reach, or reach other ranks
+    themselves (reach (N,) as above), padded with -1; and their number `found` (1,).
     """
     return _rows(centres[2], centres[2].shape[0])
 

@@ -31,7 +31,7 @@ class Searches:
     partners: Partners
     id: Tensor  #: (H,) int64 ids of the held robots, those of the state first; negative for padding
     exchange: Exchange
-    failed: Tensor  #: (1,) int64, nonzero if poses are invalid or a capacity between ranks was exceeded
+    failed: Sequence[Tensor]  #: (1,) int64, nonzero if poses are invalid or a capacity between ranks was exceeded
 
 
 #: Enqueues the searches of a planned step, given (1,) int64 on the device, nonzero if their results will be discarded.
@@ -123,7 +123,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         changes = torch.cat([first_change, more_changes])  # if the last one is nonzero, more rounds are needed
         counts = torch.stack([*(part.counts() for part in searches.parts), *of_rounds])
         overflow = (counts * self._is_overflow).sum().reshape(1)
-        failed = self._failed + changes[-1:] + overflow + searches.failed
+        failed = torch.cat([self._failed, changes[-1:], overflow, *searches.failed]).sum().reshape(1)
         searched = exchange.gather(torch.cat([failed, changes, counts.reshape(-1)]))
         self._failed.copy_(searched[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
         fraction = attempt.fraction[: len(state)]

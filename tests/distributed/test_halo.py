@@ -42,7 +42,7 @@ def touching_spheres(seed: int, offset: float, separation: float) -> list[torch.
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1.0, 1e4, 1e9]), st.sampled_from([0.0, 0.3]))
 def test_boxes_of_potentially_colliding_pairs_overlap(seed: int, offset: float, separation: float) -> None:
     start, end, radius = touching_spheres(seed, offset, separation)
-    pairs = ops.broad_pairs(start, end, radius, None, None, None, None, separation, 0.0, 0, -1)
+    pairs = ops.broad_pairs(start, end, radius, None, None, None, None, None, separation, 0.0, 0, -1)
     assert len(pairs) > 50
     lower, upper = ops.swept_boxes(start, end, radius, separation, 0.0)
     i, j = pairs.unbind(dim=1)

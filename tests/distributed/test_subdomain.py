@@ -62,13 +62,15 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
             if inside and bool(((lower[body] <= high.amax(0)) & (upper[body] >= low.amin(0))).all()):
                 near.append(body)
                 break
+    near = sorted({*near, *(body for body, crosses in enumerate(crossing) if crosses)})
     # The first are own bodies, the rest ghosts; the pairs are those with overlapping boxes.
     own_count = data.draw(st.integers(0, len(cells)))
     pairs = torch.combinations(torch.arange(len(cells)))
     corner, other = torch.maximum(*lower[pairs].unbind(1)), torch.minimum(*upper[pairs].unbind(1))
     overlap = (corner <= other).all(1)
     pairs, is_here = pairs[overlap], partition.owner_of(corner)[overlap] == rank
-    is_own = (pairs < own_count).all(dim=1)
+    # The search among own bodies has the pairs of which one reaches no other rank.
+    is_elsewhere = (pairs < own_count).all(dim=1) & ~torch.tensor(crossing)[pairs].all(dim=1)
     id = torch.randperm(len(cells), generator=generator)
     boundary = torch.randperm(len(cells), generator=generator)
     at_boundary = torch.argsort(boundary)[pairs]
@@ -120,20 +122,17 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
         marks, at_edge, found = ops.boundary_bodies(some, SEPARATION, 0.0, *subdomain)
         assert kept(at_edge, found) == [body for body, crosses in enumerate(crossing) if crosses and not gone[body]]
         assert int(marks.sum()) == int(found)
-        assert kept(*ops.near_ghosts(some, there, SEPARATION, 0.0, *subdomain)) == [b for b in near if not gone[b]]
+        where = (SEPARATION, 0.0, *subdomain)
+        assert kept(*ops.near_ghosts(some, marks, there, *where)) == [body for body in near if not gone[body]]
         none = [*there[:2], torch.full_like(there[2], -torch.inf)]
-        assert kept(*ops.near_ghosts(here, none, SEPARATION, 0.0, *subdomain)) == []
-        assert kept(*ops.near_ghosts(here, there, SEPARATION, 0.0, *subdomain)) == near
-        mine = [column[:own_count] for column in here]
+        assert kept(*ops.near_ghosts(here, reach, none, *where)) == torch.nonzero(reach)[:, 0].tolist()
+        assert kept(*ops.near_ghosts(here, reach, there, *where)) == near
         at_edge = [column[boundary.to(device)] for column in here]
-        for candidates, rows, those, expected in (
-            (pairs[is_own], None, mine, turned[is_own & is_here]),
-            (at_boundary, boundary.to(device), at_edge, torch.argsort(boundary)[turned[~is_own & is_here]]),
-        ):
-            where = (those, SEPARATION, 0.0, reach[:own_count], *subdomain)
-            owned, found = ops.owned_pairs(candidates.to(device), rows, id.to(device), *where)
-            assert kept(owned, found) == expected.tolist()
-            assert bool((owned[int(found) :] == -1).all()) and len(owned) == len(candidates)
+        expected = torch.argsort(boundary)[turned[~is_elsewhere & is_here]]
+        given_bodies = (boundary.to(device), id.to(device), at_edge, SEPARATION, 0.0, reach[:own_count])
+        owned, found = ops.owned_pairs(at_boundary.to(device), *given_bodies, *subdomain)
+        assert kept(owned, found) == expected.tolist()
+        assert bool((owned[int(found) :] == -1).all()) and len(owned) == len(at_boundary)
         padding = torch.arange(len(id)) % 4 == 2
         gone = centre_owner != rank
         for numbers, is_there in ((None, ~padding | padding), (torch.where(padding, -1, id).to(device), ~padding)):

@@ -208,8 +208,6 @@ __global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
   }
 }
 
-unsigned blocks_for(int64_t threads) { return static_cast<unsigned>((threads + kBlockThreads - 1) / kBlockThreads); }
-
 }  // namespace
 
 void rotations_between_cuda(const DeviceContext& context, const double* orientation_t0, const double* orientation_t1,

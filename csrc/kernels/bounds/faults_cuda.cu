@@ -38,8 +38,7 @@ void first_faults_cuda(const DeviceContext& context, const std::vector<RowColumn
   for_each_item(context, all.count + 1,
                 [=] __device__(int64_t c) { first[c] = c < all.count ? all.column[c].rows : 0; });
   if (most == 0) return;
-  const int64_t blocks = smaller<int64_t>((most + kBlockThreads - 1) / kBlockThreads, resident_blocks(16));
-  launch_kernel(context, find_faults, static_cast<unsigned>(blocks), kBlockThreads, all, first);
+  launch_kernel(context, find_faults, looping_blocks_for(context, most), kBlockThreads, all, first);
 }
 
 }  // namespace pgccd

@@ -127,7 +127,8 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
   GridCell* unsorted_cells = context.allocate<GridCell>(count);
   fill_bytes(context, level_counts, 0, 1);
   launch_kernel(context, choose_frame, 1, kSampleThreads, bodies, frame);
-  launch_kernel(context, find_cells, resident_blocks(16), kBlockThreads, bodies, frame, unsorted_cells, level_counts);
+  launch_kernel(context, find_cells, looping_blocks_for(context, count), kBlockThreads, bodies, frame, unsorted_cells,
+                level_counts);
   launch_kernel(context, make_tables, 1, kBlockThreads, level_counts, count, tables);
 
   // Counting sort by bucket; the order within a bucket does not matter.
@@ -155,8 +156,7 @@ void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const Pa
   });
 
   collect_pairs(context, bodies, out, [&](const PairList& list) {
-    const auto blocks = static_cast<unsigned>((count + kBlockThreads - 1) / kBlockThreads);
-    launch_kernel(context, find_candidates, blocks, kBlockThreads, bodies, frame,
+    launch_kernel(context, find_candidates, blocks_for(count), kBlockThreads, bodies, frame,
                   SortedCells{tables, start, bucket_count, boxes, cells}, list);
   });
 }

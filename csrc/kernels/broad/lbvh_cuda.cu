@@ -46,8 +46,6 @@ __global__ void __launch_bounds__(kBlockThreads) find_candidates(LbvhTree tree, 
   buffer.flush(out);
 }
 
-unsigned blocks_for(int64_t count) { return static_cast<unsigned>((count + kBlockThreads - 1) / kBlockThreads); }
-
 }  // namespace
 
 void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out) {

@@ -121,7 +121,8 @@ Found find_pairs(const DeviceContext& context, const BroadBodies& bodies, const 
   fill_bytes(context, row_counts, 0, bodies.count + 1);
   launch(candidates);
   check_cuda(cudaGetLastError(), "broad phase");
-  launch_kernel(context, keep_colliding, resident_blocks(16), kBlockThreads, bodies, candidates, found.ranked);
+  launch_kernel(context, keep_colliding, looping_blocks_for(context, capacity.overlaps), kBlockThreads, bodies,
+                candidates, found.ranked);
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceScan::ExclusiveSum(scratch, bytes, row_counts, row_begin, bodies.count + 1, context.stream);
   });

@@ -93,8 +93,8 @@ void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t*
   for (int64_t k = 0; k < input.pair_count; ++k) store_owned_pair(input, kept.data(), *found, k, owned);
 }
 
-void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const BroadBodies& ghosts,
-                     const Subdomain& subdomain, const FoundRows& near) {
+void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const uint8_t* reach,
+                     const BroadBodies& ghosts, const Subdomain& subdomain, const FoundRows& near) {
   std::vector<int64_t> cell_boxes(static_cast<size_t>(6 * subdomain.frame.cell_count()));
   for (size_t at = 0; at < cell_boxes.size(); ++at) cell_boxes[at] = at % 6 < 3 ? kEmptyLower : kEmptyUpper;
   for (int64_t ghost = 0; ghost < ghosts.count; ++ghost) {
@@ -114,7 +114,7 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
     }
   }
   find_rows(executor, bodies.count, near.rows, near.found,
-            [&](int64_t body) { return is_near(bodies, subdomain.frame, cell_boxes.data(), body); });
+            [&](int64_t body) { return is_near(bodies, reach, subdomain.frame, cell_boxes.data(), body); });
 }
 
 void leaving_bodies_cpu(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain,

@@ -79,8 +79,7 @@ void boundary_bodies_cuda(const DeviceContext& context, const BroadBodies& bodie
   for_each_item(context, bodies.count,
                 [=] __device__(int64_t body) { reach[body] = reaches_others(bodies, subdomain, body) ? 1 : 0; });
   fill_bytes(context, boundary.rows, 0xff, bodies.count);
-  find_rows(context, bodies.count, boundary.rows, boundary.found,
-            [=] __device__(int64_t body) { return reach[body] != 0; });
+  find_flagged(context, bodies.count, reach, boundary.rows, boundary.found);
 }
 
 void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& input, const ReplicaRanks& out) {
@@ -163,8 +162,8 @@ void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int
                 [=] __device__(int64_t k) { store_owned_pair(input, kept, *found, k, owned); });
 }
 
-void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadBodies& ghosts,
-                      const Subdomain& subdomain, const FoundRows& near) {
+void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const uint8_t* reach,
+                      const BroadBodies& ghosts, const Subdomain& subdomain, const FoundRows& near) {
   const int64_t numbers = 6 * subdomain.frame.cell_count();
   int64_t* cell_boxes = context.allocate<int64_t>(numbers);
   for_each_item(context, numbers,
@@ -187,7 +186,7 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
   });
   const CellFrame frame = subdomain.frame;
   find_rows(context, bodies.count, near.rows, near.found,
-            [=] __device__(int64_t body) { return is_near(bodies, frame, cell_boxes, body); });
+            [=] __device__(int64_t body) { return is_near(bodies, reach, frame, cell_boxes, body); });
 }
 
 void leaving_bodies_cuda(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,

@@ -20,8 +20,8 @@ void counts_to_send_cuda(const DeviceContext& context, const CapacityInput& inpu
 
 void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found);
 
-void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const BroadBodies& ghosts,
-                      const Subdomain& subdomain, const FoundRows& near);
+void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const uint8_t* reach,
+                      const BroadBodies& ghosts, const Subdomain& subdomain, const FoundRows& near);
 
 void leaving_bodies_cuda(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
                          int64_t ranks, const LeavingRows& leaving);

@@ -29,7 +29,7 @@ PGCCD_HD int64_t store_reached(const BroadBodies& bodies, const Subdomain& subdo
 struct OwnedPairs {
   BroadBodies bodies;
   Subdomain subdomain;
-  const int64_t* rows;   // index among the held bodies of each body; null: the bodies are all own ones
+  const int64_t* rows;   // (bodies.count,) index of each among the held bodies
   const uint8_t* reach;  // (own_count,) bits
   int64_t own_count;     // of bodies held
   const int64_t* id;     // (held_count,) of bodies held
@@ -37,7 +37,7 @@ struct OwnedPairs {
   const int64_t* pairs;  // (pair_count, 2) of `bodies`, padding negative
   int64_t pair_count;
 
-  PGCCD_HD int64_t held(int64_t body) const { return rows != nullptr ? rows[body] : body; }
+  PGCCD_HD int64_t held(int64_t body) const { return rows[body]; }
 };
 
 // True for padding, or for a pair of valid bodies.
@@ -51,16 +51,15 @@ PGCCD_HD bool is_sound(const OwnedPairs& input, int64_t k) {
 }
 
 // The reference point of two overlapping boxes is the lower corner of their intersection. It lies in both, so it is
-// certainly in a cell of this rank if one of them reaches no other rank. With `rows`, pairs of two own bodies are
-// excluded, since the search among own bodies has them. The owner of a body tests it against itself.
+// certainly in a cell of this rank if one of them reaches no other rank. Such pairs of two own bodies are not selected,
+// since the search among own bodies has them; it also has the bodies tested against themselves.
 PGCCD_HD bool is_owned(const OwnedPairs& input, int64_t k) {
   const int64_t i = input.pairs[2 * k], j = input.pairs[2 * k + 1];
   if (i < 0) return false;
   const int64_t held_i = input.held(i), held_j = input.held(j);
   const bool own_i = held_i < input.own_count, own_j = held_j < input.own_count;
-  if (input.rows != nullptr && own_i && own_j) return false;
-  if (held_i == held_j) return own_i;  // a body tested against itself
-  if ((own_i && input.reach[held_i] == 0) || (own_j && input.reach[held_j] == 0)) return true;
+  const bool only_here_i = own_i && input.reach[held_i] == 0, only_here_j = own_j && input.reach[held_j] == 0;
+  if (only_here_i || only_here_j) return !(own_i && own_j);
   const Vec3<double> a = swept_box(input.bodies, i).lower, b = swept_box(input.bodies, j).lower;
   const Vec3<double> reference{larger(a.x, b.x), larger(a.y, b.y), larger(a.z, b.z)};
   return input.subdomain.owner_of(reference) == input.subdomain.rank;
@@ -98,8 +97,11 @@ PGCCD_HD void ordered_corners(const SweptBox& box, int64_t (&corners)[6]) {
   }
 }
 
-PGCCD_HD bool is_near(const BroadBodies& bodies, const CellFrame& frame, const int64_t* cell_boxes, int64_t body) {
+// Whether a body overlaps the box of ghosts in a cell that it reaches, or reaches other ranks.
+PGCCD_HD bool is_near(const BroadBodies& bodies, const uint8_t* reach, const CellFrame& frame,
+                      const int64_t* cell_boxes, int64_t body) {
   if (bodies.is_absent(body)) return false;
+  if (reach[body] != 0) return true;
   const SweptBox box = swept_box(bodies, body);
   const CellRange range(frame, box);
   int64_t corners[6];

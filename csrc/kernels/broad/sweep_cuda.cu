@@ -128,7 +128,7 @@ void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axi
   Frame* frame = context.allocate<Frame>(1);
   fill_bytes(context, frame, 0xff, 1);
   launch_kernel(context, choose_axis, 1, 256, bodies, axis, frame);
-  launch_kernel(context, lower_corner, resident_blocks(4), kBlockThreads, bodies, frame);
+  launch_kernel(context, lower_corner, resident_blocks(context, 4), kBlockThreads, bodies, frame);
 
   uint64_t* keys = context.allocate<uint64_t>(count);
   uint64_t* sorted_keys = context.allocate<uint64_t>(count);
@@ -183,7 +183,7 @@ void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axi
 
   const SweepArrays arrays{sorted_keys, sorted_order, boxes, ends, first_piece};
   collect_pairs(context, bodies, out, [&](const PairList& list) {
-    launch_kernel(context, sweep_pieces, resident_blocks(16), kBlockThreads, count, arrays, list);
+    launch_kernel(context, sweep_pieces, resident_blocks(context, 16), kBlockThreads, count, arrays, list);
   });
 }
 

@@ -114,13 +114,13 @@ __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies,
 
 template <class Bodies>
 void launch_quickly(const DeviceContext& context, const Bodies& bodies, const Search& search) {
-  launch_kernel(context, search_quickly<Bodies>, resident_blocks_of(search_quickly<Bodies>), kBlockThreads, bodies,
-                search);
+  launch_kernel(context, search_quickly<Bodies>, resident_blocks_of(context, search_quickly<Bodies>), kBlockThreads,
+                bodies, search);
 }
 
 template <class Bodies>
 void launch_plainly(const DeviceContext& context, const Bodies& bodies, const Search& search) {
-  const int blocks = resident_blocks_of(search_plainly<Bodies>, kSolveThreads);
+  const int blocks = resident_blocks_of(context, search_plainly<Bodies>, kSolveThreads);
   const bool all_at_once =
       search.least == nullptr || search.capacity <= static_cast<uint32_t>(blocks) * uint32_t{kSolveThreads};
   for (const bool is_first : {true, false}) {
@@ -139,7 +139,7 @@ inline void end_first_part(const DeviceContext& context, Search& search) {
 
 template <class Bodies>
 void launch_patiently(const DeviceContext& context, const Bodies& bodies, const Search& search) {
-  launch_kernel(context, search_patiently<Bodies>, resident_blocks_of(search_patiently<Bodies>, kSolveThreads),
+  launch_kernel(context, search_patiently<Bodies>, resident_blocks_of(context, search_patiently<Bodies>, kSolveThreads),
                 kSolveThreads, bodies, search);
 }
 

@@ -77,11 +77,6 @@ __global__ void __launch_bounds__(kBlockThreads) affected_motion(AffectedMotion 
   }
 }
 
-unsigned blocks_for(int64_t count) {
-  const int64_t blocks = (count + kBlockThreads - 1) / kBlockThreads;
-  return static_cast<unsigned>(smaller<int64_t>(larger<int64_t>(blocks, 1), resident_blocks(16)));
-}
-
 }  // namespace
 
 void start_cuda(const DeviceContext& context, const World& world, const int64_t* id, int64_t count,
@@ -147,21 +142,21 @@ void affected_motion_cuda(const DeviceContext& context, const AffectedMotion& gi
   FoundPairs* const found = context.allocate<FoundPairs>(1);
   fill_bytes(context, found, 0, 1);
   const int64_t tiles = (given.pair_count + kTilePairs - 1) / kTilePairs;
-  const int64_t blocks = larger<int64_t>(1, smaller<int64_t>(tiles, resident_blocks_of(affected_motion)));
+  const int64_t blocks = larger<int64_t>(1, smaller<int64_t>(tiles, resident_blocks_of(context, affected_motion)));
   launch_kernel(context, affected_motion, static_cast<unsigned>(blocks), kBlockThreads, given, found);
 }
 
 void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {
   fill_bytes(context, sum, 0, 1);
   if (columns.count == 0) return;
-  launch_kernel(context, hash_rows, blocks_for(columns.count), kBlockThreads, columns,
+  launch_kernel(context, hash_rows, looping_blocks_for(context, columns.count), kBlockThreads, columns,
                 reinterpret_cast<unsigned long long*>(sum));
 }
 
 void tally_step_cuda(const DeviceContext& context, const StepOutcome& outcome, StepTally* tally) {
   fill_bytes(context, tally, 0, 1);
   const int64_t count = larger(outcome.state.count, outcome.contact_count);
-  launch_kernel(context, tally_step, blocks_for(count), kBlockThreads, outcome, tally);
+  launch_kernel(context, tally_step, looping_blocks_for(context, count), kBlockThreads, outcome, tally);
 }
 
 }  // namespace pgccd

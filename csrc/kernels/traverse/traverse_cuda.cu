@@ -19,10 +19,12 @@ namespace {
 constexpr int kWaves = 4;
 
 // The number of blocks for at most as many threads: up to kWaves waves, and at least one, so that every multiprocessor
-// takes part.
-unsigned blocks_in_waves(int resident, int64_t most_threads) {
+// takes part. One, if the kernel takes only a share of the device.
+template <class Kernel>
+unsigned blocks_in_waves(const DeviceContext& context, Kernel kernel, int64_t most_threads) {
+  const int resident = resident_blocks_of(context, kernel);
   const int64_t waves = most_threads / (int64_t{resident} * kBlockThreads) + 1;
-  return static_cast<unsigned>(resident * smaller<int64_t>(waves, kWaves));
+  return static_cast<unsigned>(resident * smaller<int64_t>(waves, context.share == 1 ? kWaves : 1));
 }
 
 // Enough for the standard scene, see Traversal::enqueue.
@@ -177,7 +179,7 @@ struct Traversal {
     const PlacedPairs<Bodies> placed{sweeps_, poses, pose_begin_, roots_, leaves, self_pairs_};
     const int64_t blocks = (input_.pair_count + kBlockThreads - 1) / kBlockThreads;
     launch_kernel(context_, place_pairs<Bodies>,
-                  static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks_of(place_pairs<Bodies>))),
+                  static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks_of(context_, place_pairs<Bodies>))),
                   kBlockThreads, pairs_, input_, placed, counters_);
   }
 
@@ -200,7 +202,8 @@ struct Traversal {
       store_words(sweep, sweeps[pair]);
     };
     const auto kernel = for_selected_pairs<Bodies, decltype(has_contact), decltype(shorten_pair)>;
-    launch_kernel(context_, kernel, resident_blocks_of(kernel), kBlockThreads, pairs, has_contact, shorten_pair);
+    launch_kernel(context_, kernel, resident_blocks_of(context_, kernel), kBlockThreads, pairs, has_contact,
+                  shorten_pair);
   }
 
   // Tasks left over by the launch.
@@ -209,11 +212,11 @@ struct Traversal {
   void descend_roots(LeafPairList leaves) {
     const TaskList rest = rest_of(0);
     launch_kernel(context_, descend_from_roots<Bodies>,
-                  blocks_in_waves(resident_blocks_of(descend_from_roots<Bodies>), kBlockWidth * input_.pair_count),
-                  kBlockThreads, pairs_, roots_, &counters_->taken[0], leaves, rest, &counters_->node_tests);
+                  blocks_in_waves(context_, descend_from_roots<Bodies>, kBlockWidth * input_.pair_count), kBlockThreads,
+                  pairs_, roots_, &counters_->taken[0], leaves, rest, &counters_->node_tests);
     if constexpr (Sweep::may_be_one_body) {
-      launch_kernel(context_, start_self_pairs<Bodies>, resident_blocks_of(start_self_pairs<Bodies>), kBlockThreads,
-                    pairs_, self_pairs_, leaves, rest, &counters_->node_tests);
+      launch_kernel(context_, start_self_pairs<Bodies>, resident_blocks_of(context_, start_self_pairs<Bodies>),
+                    kBlockThreads, pairs_, self_pairs_, leaves, rest, &counters_->node_tests);
     }
   }
 
@@ -222,21 +225,20 @@ struct Traversal {
     const int next = (launch + 1) % 3;
     const TaskHandover rest{rest_of(launch - 1),    rest_of(launch),         &counters_->taken[launch % 3],
                             &counters_->rest[next], &counters_->taken[next], &counters_->most_rest};
-    launch_kernel(context_, descend_further<Bodies>, resident_blocks_of(descend_further<Bodies>), kBlockThreads, pairs_,
-                  kind, rest, leaves, &counters_->node_tests);
+    launch_kernel(context_, descend_further<Bodies>, resident_blocks_of(context_, descend_further<Bodies>),
+                  kBlockThreads, pairs_, kind, rest, leaves, &counters_->node_tests);
   }
 
   LeafPairList cull(LeafPairList leaves, LeafPairList meeting, PairTimes times) {
-    launch_kernel(context_, cull_leaves<Bodies>,
-                  blocks_in_waves(resident_blocks_of(cull_leaves<Bodies>), leaves.capacity), kBlockThreads, pairs_,
-                  leaves, meeting, times);
+    launch_kernel(context_, cull_leaves<Bodies>, blocks_in_waves(context_, cull_leaves<Bodies>, leaves.capacity),
+                  kBlockThreads, pairs_, leaves, meeting, times);
     return meeting;
   }
 
   void visit(LeafPairList leaves, CandidateSink out) {
     launch_kernel(context_, visit_leaves<Bodies>,
-                  blocks_in_waves(resident_blocks_of(visit_leaves<Bodies>), int64_t{kWarp / 2} * leaves.capacity),
-                  kBlockThreads, pairs_, leaves, out);
+                  blocks_in_waves(context_, visit_leaves<Bodies>, int64_t{kWarp / 2} * leaves.capacity), kBlockThreads,
+                  pairs_, leaves, out);
   }
 
   const DeviceContext& context_;

@@ -14,7 +14,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import check_separation, operator_tolerance
-from pgccd.detection.parts import Part, find_part
+from pgccd.detection.parts import Part, find_part, pairs_of_step
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
@@ -51,7 +51,7 @@ class ShareCapacity:
     """Padded counts of bodies; two ranks compute equal values from the last step for what they exchange."""
 
     halo: HaloCapacity
-    near: int  #: own bodies near ghosts
+    near: int  #: own bodies near ghosts or at the boundary
     common: list[int]  #: bodies held both by this rank and by each neighbour
 
     @classmethod
@@ -70,6 +70,7 @@ class PaddedShare(Generic[T]):
     held: Held
     of_held: T  #: the result of the function of this name
     parts: list[Part]
+    pairs: Tensor | None  #: (P, 2) int64: see `pairs_of_step`; if wanted
     failed: Tensor  #: (1,) int64, nonzero if a capacity was exceeded or a pose is invalid
 
 
@@ -83,15 +84,17 @@ def search_padded_share(
     discard: Tensor,
     slack: float,
     of_held: OfHeld[T],
+    wants_pairs: bool = False,
 ) -> PaddedShare[T]:
     """Sends ghosts and enqueues both searches. Does not synchronise if messages are sent on the stream.
 
     Args:
         decomposition, build, options, estimates: as for `OwnSearch`; the motion is rigid.
         own: columns of this rank's own bodies, "id" ascending, then padding with id -1 and a valid pose.
-        capacity: of the halo and of bodies near ghosts.
+        capacity: of the halo and of own bodies near ghosts or at the boundary.
         discard, slack: see `find_part`.
         of_held: enqueues work that other ranks wait for, concurrent with the search of own pairs.
+        wants_pairs: whether the pairs of the whole step are needed.
     """
     kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
     subdomain, device = decomposition.subdomain, own["id"].device
@@ -100,19 +103,17 @@ def search_padded_share(
     if decomposition.comm.size == 1:
         part = find_part(bodies, *asked, None, discard, estimate=estimates.own, slack=slack)
         held = Held.alone(decomposition.neighbours, own)
-        return PaddedShare(held, of_held(held, centres, kept, decomposition), [part], bodies.first_faults()[-1:])
+        made = of_held(held, centres, kept, decomposition)
+        return PaddedShare(held, made, [part], part.pairs, bodies.first_faults()[-1:])
     where = *kept, *subdomain
     reach, boundary, count = ops.boundary_bodies(centres, *where)
     of_pairs = *kept, reach, *subdomain
-
-    def owned_by_own(pairs: Tensor) -> tuple[Tensor, Tensor]:
-        return ops.owned_pairs(pairs, None, own["id"], centres, *of_pairs)
-
     side = SideStream(device, options.overlap)
     with side:
         halo = PaddedHalo(decomposition, capacity.halo, own, centres, kept, boundary, count).start()
         halo.send()
-    own_part = find_part(bodies, *asked, owned_by_own, discard, estimate=estimates.own, slack=slack)
+    own_part = find_part(bodies, *asked, None, discard, None, estimates.own, slack, elsewhere=reach)
+    own_pairs_found = side.mark()
     own_part.begin()
     with side:
         held = halo.padded()
@@ -122,7 +123,7 @@ def search_padded_share(
                     held.ghosts["id"] < 0, 1.0
                 )  # padding is zeros, which is not a unit quaternion
         ghosts = of_checked(*_build_padded(build, held.ghosts))
-        near, near_count = ops.near_ghosts(centres, centres_of(ghosts), *where)
+        near, near_count = ops.near_ghosts(centres, reach, centres_of(ghosts), *where)
         near = _first_rows(near[: capacity.near], near_count)
         rows = torch.cat([near, torch.arange(held.own_count, len(held), device=device)])
         columns = take_bodies(bodies, ghosts, rows)
@@ -133,12 +134,15 @@ def search_padded_share(
             return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *of_pairs)
 
         found = find_part(at_boundary, *asked, owned_at_boundary, discard, rows, estimates.with_ghosts, slack)
-        found.begin()
+        with side.sharing():
+            found.begin()
         made = of_held(held, centres_of(ghosts), kept, decomposition)
+        found.first_contacts()
+        side.wait(own_pairs_found)
+        pairs = pairs_of_step([own_part, found]) if wants_pairs else None
+        failed = halo.overflow + (near_count > capacity.near) + bodies.first_faults()[-1:]
     side.join()
-    is_short = (near_count > capacity.near).to(torch.int64)
-    failed = halo.overflow + is_short + bodies.first_faults()[-1:]
-    return PaddedShare(held, made, [own_part, found], failed)
+    return PaddedShare(held, made, [own_part, found], pairs, failed)
 
 
 def _build_padded(build: Build, columns: Columns) -> tuple[Scene, RigidMotion]:

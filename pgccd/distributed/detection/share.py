@@ -1,7 +1,8 @@
 """One rank's share of a step: pairs of own bodies, then pairs with ghosts.
 
-Which pairs of own bodies a rank must test does not depend on ghosts. These pairs are searched while ghosts are sent;
-then ghosts are paired with the own bodies near them, on a GPU concurrently with that search.
+A pair of own bodies of which one reaches no other rank is this rank's. These pairs are searched while ghosts are sent;
+then ghosts are paired with the own bodies near them, and own bodies that reach other ranks with each other, on a GPU
+concurrently with that search.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ class PartEstimates:
 
 @dataclass(frozen=True)
 class Share:
-    """One rank's share of a step: pairs of own bodies and, with several ranks, pairs with ghosts."""
+    """One rank's share of a step: pairs of own bodies and, with several ranks, pairs with ghosts or at the boundary."""
 
     held: Held
     parts: list[Part]
@@ -147,7 +148,6 @@ class OwnSearch:
         with self._clock.stage("halo"):
             self._halo = Halo(self._decomposition, self._own, self._bodies, self._kept)
             self._halo.find_boundary()
-        self._where = *self._kept, self._halo.reach, *self._decomposition.subdomain
         self._side = SideStream(self._bodies.device, self._options.overlap and self._comm.size > 1)
         if self._comm.size > 1:
             self._send_ghosts()
@@ -164,16 +164,10 @@ class OwnSearch:
             _ = self._held  # waits for ghosts now
 
     def _find_own_pairs(self) -> None:
-        # Not `self`, which has the part: the memory of a reference cycle is not freed until it is collected.
-        id, centres, where = self._own["id"], centres_of(self._bodies), self._where
-
-        def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
-            return ops.owned_pairs(pairs, None, id, centres, *where)
-
         with self._clock.stage("broad"):
-            select = owned if self._comm.size > 1 else None
-            asked = self._options.query, self._options.broad_phase, select
-            self._part = find_part(self._bodies, *asked, estimate=self._estimates.own)
+            asked = self._options.query, self._options.broad_phase
+            elsewhere = self._halo.reach if self._comm.size > 1 else None
+            self._part = find_part(self._bodies, *asked, estimate=self._estimates.own, elsewhere=elsewhere)
         self._part.begin()
 
     @cached_property
@@ -198,15 +192,15 @@ class OwnSearch:
 
     @cached_property
     def _near(self) -> tuple[Tensor, HostCopy]:
-        """Rows of own bodies near ghosts, and their number.
+        """Rows of own bodies near ghosts or at the boundary, and their number.
 
         If this rank tests a ghost against an own body, both reach a common cell, in which the body's box overlaps the
-        box around all ghosts.
+        box around all ghosts. Pairs of two bodies that reach other ranks are found together with those of ghosts.
         """
         where = *self._kept, *self._decomposition.subdomain
         own, ghosts = centres_of(self._bodies), centres_of(self._ghosts)
         with self._side, self._clock.stage("halo"):
-            near, found = ops.near_ghosts(own, ghosts, *where)
+            near, found = ops.near_ghosts(own, self._halo.reach, ghosts, *where)
             return near, HostCopy.start(found)
 
     def of_held(self, make: OfHeld[T]) -> T:
@@ -222,7 +216,8 @@ class OwnSearch:
         options = self._options
         if self._comm.size == 1:
             return Share(self._held, [self._part], None, self._kept)
-        held, ghosts, where, (near, near_count) = self._held, self._ghosts, self._where, self._near
+        held, ghosts, (near, near_count) = self._held, self._ghosts, self._near
+        where = *self._kept, self._halo.reach, *self._decomposition.subdomain
         with self._side:
             with self._clock.stage("halo"):
                 rows = _with_ghosts(near[: int(near_count.numpy()[0])], held)
@@ -234,7 +229,8 @@ class OwnSearch:
 
                 find = options.query, options.broad_phase, owned
                 with_ghosts = find_part(at_boundary, *find, rows=rows, estimate=self._estimates.with_ghosts)
-            with_ghosts.begin()
+            with self._side.sharing():
+                with_ghosts.begin()
         self._side.join()
         return Share(held, [self._part, with_ghosts], ghosts, self._kept)
 
@@ -251,5 +247,5 @@ def _sends_ahead(comm: Comm, side: SideStream) -> bool:
 
 
 def _with_ghosts(near: Tensor, held: Held) -> Tensor:
-    """(B,) int64: rows of own bodies near ghosts, then of all ghosts."""
+    """(B,) int64: rows of own bodies near ghosts or at the boundary, then of all ghosts."""
     return torch.cat([near, torch.arange(held.own_count, len(held), device=near.device)])

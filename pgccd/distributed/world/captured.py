@@ -203,7 +203,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
     Args:
         world: the graph is captured for its state.
         motion, response: of the user.
-        capacity: of the halo and of bodies near ghosts.
+        capacity: of the halo and of own bodies near ghosts or at the boundary.
         like: columns of a body. Padding is a copy of it, so that the user's functions get valid values.
         index: of the next step.
     """

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.capacity import COUNT_ROWS
-from pgccd.detection.parts import pairs_of_step
 from pgccd.distributed.detection.padded_share import ShareCapacity, search_padded_share
 from pgccd.distributed.detection.share import Build, Options, PartEstimates
 from pgccd.distributed.halo.centres import Centres
@@ -53,10 +52,11 @@ class RankSearches:
             exchange = HeldExchange.start(held, ghosts, kept, decomposition, capacity.common, peers)
             return exchange, exchange.overflow()
 
-        share = search_padded_share(self.decomposition, own, *asked, agree)
+        share = search_padded_share(self.decomposition, own, *asked, agree, wants_pairs=True)
         exchange, overflow = share.of_held
-        partners = Partners(self.model, own, share.held.ghosts, pairs_of_step(share.parts))
-        return Searches(share.parts, partners, share.held.id, exchange, share.failed + overflow)
+        assert share.pairs is not None
+        partners = Partners(self.model, own, share.held.ghosts, share.pairs)
+        return Searches(share.parts, partners, share.held.id, exchange, [share.failed, overflow])
 
     def conclude(self, searches: Searches, after: RobotState) -> Tensor:
         """(4,) int64 as in `Reports`: numbers of ghosts and of robots that arrived, whether to stop, and number in
