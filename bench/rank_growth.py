@@ -13,6 +13,7 @@ or to each rank in a collective call.
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -117,9 +118,9 @@ def measure_partition(
     row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, reach, ghosts, *_KEPT, *near.subdomain))
     row["leaving ms"] = median_ms(lambda: ops.leaving_bodies(centres[1], *near.subdomain, near.neighbours.size))
     frame, owner, _ = near.subdomain
-    cells = int(frame[6] * frame[7] * frame[8])
     row["partition kB"] = round(owner.nbytes / 1e3)
-    row["boxes of near ghosts kB"] = round(48 * cells / 1e3)
+    # Cells 64 apart share a box (csrc/kernels/broad/subdomain_item.h).
+    row["boxes of near ghosts kB"] = round(48 * math.prod(min(int(count), 64) for count in frame[6:]) / 1e3)
     if isinstance(partition, Bisection):
         weights = torch.ones(len(start), dtype=torch.int64)
         shares = [1.0] * ranks

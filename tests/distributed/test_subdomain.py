@@ -145,6 +145,53 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
         assert by_destination[: len(rows)].tolist() == ordered.tolist()
 
 
+def test_cells_far_apart_share_a_box_of_ghosts(device: torch.device) -> None:
+    """Of more than 64 cells along an axis. More bodies are near then, none fewer."""
+    partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 2, axes=1, cells=150)
+    generator = torch.Generator().manual_seed(8)
+    partition = partition.with_owner(torch.randint(2, (partition.cell_count,), generator=generator))
+    assert max(partition.grid) >= 300 and min(partition.grid[:2]) >= 150
+    sizes, columns = (400, 60), []
+    for count in sizes:
+        start = torch.rand((count, 3), dtype=torch.float64, generator=generator)
+        start[:, 2] *= 0.02
+        columns.append([start, start + 0.002, torch.full((count,), 0.005, dtype=torch.float64)])
+    centres, ghosts = columns
+    where = (0.0, 0.0, partition.frame, partition.owner.to(device), 0)
+    owner = partition.owner.tolist()
+
+    def cells(those: list[torch.Tensor]) -> list[list[tuple[int, int, int]]]:
+        corners = ops.swept_boxes(*those, 0.0, 0.0)
+        ranges = zip(*(partition.coordinates(corner).tolist() for corner in corners), strict=True)
+        axes = ([range(a, b + 1) for a, b in zip(first, last, strict=True)] for first, last in ranges)
+        return [list(itertools.product(*each)) for each in axes]
+
+    def near(most: int) -> list[int]:
+        """Bodies that overlap the box around the ghosts in cells of rank 0 with equal coordinates modulo `most`."""
+        ghost_lower, ghost_upper = ops.swept_boxes(*ghosts, 0.0, 0.0)
+        around: dict[tuple[int, ...], list[int]] = {}
+        for ghost, reached in enumerate(cells(ghosts)):
+            for x, y, z in reached:
+                if owner[(x * partition.grid[1] + y) * partition.grid[2] + z] == 0:
+                    around.setdefault((x % most, y % most, z % most), []).append(ghost)
+        lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
+        found = []
+        for body, reached in enumerate(cells(centres)):
+            for cell in {(x % most, y % most, z % most) for x, y, z in reached} & around.keys():
+                low, high = ghost_lower[around[cell]].amin(0), ghost_upper[around[cell]].amax(0)
+                if bool(((lower[body] <= high) & (upper[body] >= low)).all()):
+                    found.append(body)
+                    break
+        return found
+
+    here, there = ([column.to(device) for column in those] for those in (centres, ghosts))
+    nothing = torch.zeros(sizes[0], dtype=torch.uint8, device=device)
+    found = kept(*ops.near_ghosts(here, nothing, there, *where))
+    assert found == near(64)
+    exactly = near(10**6)
+    assert 5 < len(exactly) < len(found) and set(exactly) <= set(found)
+
+
 def test_many_leave_for_many(device: torch.device) -> None:
     """More than there are threads to sort them."""
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 12, cells=3)

@@ -95,7 +95,8 @@ void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t*
 
 void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const uint8_t* reach,
                      const BroadBodies& ghosts, const Subdomain& subdomain, const FoundRows& near) {
-  std::vector<int64_t> cell_boxes(static_cast<size_t>(6 * subdomain.frame.cell_count()));
+  const CellRows rows(subdomain.frame);
+  std::vector<int64_t> cell_boxes(static_cast<size_t>(6 * rows.size()));
   for (size_t at = 0; at < cell_boxes.size(); ++at) cell_boxes[at] = at % 6 < 3 ? kEmptyLower : kEmptyUpper;
   for (int64_t ghost = 0; ghost < ghosts.count; ++ghost) {
     if (ghosts.is_absent(ghost)) continue;
@@ -104,9 +105,8 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
     int64_t corners[6];
     ordered_corners(box, corners);
     for (int64_t k = 0; k < range.count(); ++k) {
-      const int64_t cell = subdomain.frame.index(range[k]);
-      if (!subdomain.has_cell(cell)) continue;
-      int64_t* around = cell_boxes.data() + 6 * cell;
+      if (!subdomain.has_cell(subdomain.frame.index(range[k]))) continue;
+      int64_t* around = cell_boxes.data() + 6 * rows.row(range[k]);
       for (int axis = 0; axis < 3; ++axis) {
         around[axis] = std::min(around[axis], corners[axis]);
         around[3 + axis] = std::max(around[3 + axis], corners[3 + axis]);

@@ -164,7 +164,8 @@ void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int
 
 void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const uint8_t* reach,
                       const BroadBodies& ghosts, const Subdomain& subdomain, const FoundRows& near) {
-  const int64_t numbers = 6 * subdomain.frame.cell_count();
+  const CellRows rows(subdomain.frame);
+  const int64_t numbers = 6 * rows.size();
   int64_t* cell_boxes = context.allocate<int64_t>(numbers);
   for_each_item(context, numbers,
                 [=] __device__(int64_t at) { cell_boxes[at] = at % 6 < 3 ? kEmptyLower : kEmptyUpper; });
@@ -176,11 +177,11 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
     ordered_corners(box, corners);
     const int64_t count = range.count();
     for (int64_t k = item % kBodyThreads; k < count; k += kBodyThreads) {
-      const int64_t cell = subdomain.frame.index(range[k]);
-      if (!subdomain.has_cell(cell)) continue;
+      if (!subdomain.has_cell(subdomain.frame.index(range[k]))) continue;
+      int64_t* const around = cell_boxes + 6 * rows.row(range[k]);
       for (int axis = 0; axis < 3; ++axis) {
-        lower_to(cell_boxes + 6 * cell + axis, corners[axis]);
-        raise_to(cell_boxes + 6 * cell + 3 + axis, corners[3 + axis]);
+        lower_to(around + axis, corners[axis]);
+        raise_to(around + 3 + axis, corners[3 + axis]);
       }
     }
   });

@@ -87,8 +87,23 @@ PGCCD_HD int64_t ordered(double x) {
   return value.bits >= 0 ? value.bits : value.bits ^ INT64_MAX;
 }
 
-// Boxes around all ghosts in each cell: (cells, 6) lower and upper corners by `ordered`.
+// Boxes around all ghosts in each cell: rows of 6, lower and upper corners by `ordered`. So that the table does not
+// grow with the world, cells kMostCellsAlong apart share a row: a box around the ghosts in all of them only selects
+// more bodies.
+constexpr int64_t kMostCellsAlong = 64;
 constexpr int64_t kEmptyLower = INT64_MAX, kEmptyUpper = INT64_MIN;
+
+struct CellRows {
+  int64_t count[3];
+
+  explicit PGCCD_HD CellRows(const CellFrame& frame) {
+    for (int axis = 0; axis < 3; ++axis) count[axis] = smaller(frame.count[axis], kMostCellsAlong);
+  }
+  PGCCD_HD int64_t size() const { return count[0] * count[1] * count[2]; }
+  PGCCD_HD int64_t row(const Cell& cell) const {
+    return (cell.x % count[0] * count[1] + cell.y % count[1]) * count[2] + cell.z % count[2];
+  }
+};
 
 PGCCD_HD void ordered_corners(const SweptBox& box, int64_t (&corners)[6]) {
   for (int axis = 0; axis < 3; ++axis) {
@@ -104,11 +119,12 @@ PGCCD_HD bool is_near(const BroadBodies& bodies, const uint8_t* reach, const Cel
   if (reach[body] != 0) return true;
   const SweptBox box = swept_box(bodies, body);
   const CellRange range(frame, box);
+  const CellRows rows(frame);
   int64_t corners[6];
   ordered_corners(box, corners);
   const int64_t count = range.count();
   for (int64_t k = 0; k < count; ++k) {
-    const int64_t* around = cell_boxes + 6 * frame.index(range[k]);
+    const int64_t* around = cell_boxes + 6 * rows.row(range[k]);
     bool meets = true;
     for (int axis = 0; axis < 3; ++axis) {
       meets = meets && corners[axis] <= around[3 + axis] && corners[3 + axis] >= around[axis];
