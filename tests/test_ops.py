@@ -243,12 +243,8 @@ def test_out_of_memory_is_an_exception() -> None:
             ops.broad_pairs(*columns, None, None, None, None, None, 0.0, 0.0, 0, -1)  # 800 million pairs
     finally:
         torch.cuda.set_per_process_memory_fraction(1.0)
-    assert ops.broad_pairs(
-        *(column[:50] for column in columns), None, None, None, None, None, 0.0, 0.0, 0, -1
-    ).shape == (
-        1225,
-        2,
-    )
+    few = [column[:50] for column in columns]
+    assert len(ops.broad_pairs(*few, None, None, None, None, None, 0.0, 0.0, 0, -1)) == 50 * 49 // 2
 
 
 def test_layout_does_not_matter(device: torch.device) -> None:

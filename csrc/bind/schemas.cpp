@@ -65,9 +65,8 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // Does not synchronise. capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h.
   library.def(
       "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, Tensor? elsewhere, Tensor? is_invalid, float min_separation, float tolerance, int "
-      "broad_phase, int[] capacity) "
-      "-> (Tensor pairs, Tensor counts)");
+      "Tensor? is_static, Tensor? elsewhere, Tensor? is_invalid, float min_separation, float tolerance, "
+      "int broad_phase, int[] capacity) -> (Tensor pairs, Tensor counts)");
   // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by the faults. capacity = [poses, tasks,
   // leaf_pairs, candidates, launches, open, contacts]; capacities and counts: see kernels/traverse/traverse.h and
   // kernels/narrow/narrow.h.

@@ -21,12 +21,10 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
   library.def("counts_to_send(Tensor counts, int[] capacities, Tensor found, int capacity) -> Tensor");
   library.def(
       "owned_pairs(Tensor pairs, Tensor rows, Tensor id, Tensor[] centres, float min_separation, float tolerance, "
-      "Tensor reach, "
-      "float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
+      "Tensor reach, float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
   library.def(
       "near_ghosts(Tensor[] centres, Tensor reach, Tensor[] ghosts, float min_separation, float tolerance, "
-      "float[] frame, Tensor owner, int rank) -> "
-      "(Tensor near, Tensor found)");
+      "float[] frame, Tensor owner, int rank) -> (Tensor near, Tensor found)");
   library.def(
       "leaving_bodies(Tensor position, float[] frame, Tensor owner, int rank, int ranks) -> (Tensor leaving, Tensor "
       "by_destination, Tensor counts)");

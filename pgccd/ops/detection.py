@@ -85,10 +85,9 @@ def broad_pairs(
     axis: int,
 ) -> Tensor:
     """Sorted pairs (P, 2) int64 of swept spheres that come within min_separation + tolerance; a negative tolerance is
-    relative to the smaller radius of a pair. Pairs of two bodies that are both marked by is_static, or
-    both by elsewhere, (N,) uint8, are left out.
-    broad_phase: number in csrc/kernels/broad/broad_phase.h; axis: of a sweep, -1 for automatic. Neither affects the
-    result.
+    relative to the smaller radius of a pair. Pairs of two static bodies are left out, and pairs of two bodies marked by
+    elsewhere, (N,) uint8. broad_phase: number in csrc/kernels/broad/broad_phase.h; axis: of a sweep, -1 for automatic.
+    Neither affects the result.
     """
     return int64(position_t0, unknown_count(), 2)
 

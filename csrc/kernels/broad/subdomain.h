@@ -94,8 +94,8 @@ struct CapacityInput {
 // messages (ranks, 2): the count for each rank, and 1 if any rows were dropped.
 void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* messages);
 
-// Selects pairs whose reference point is in a cell of the subdomain's rank, but not those of two own bodies of which
-// one reaches no other rank: owned (pair_count, 2), padded with -1; `found` is their number.
+// Selects pairs whose reference point is in a cell of the subdomain's rank, except pairs of two own bodies of which one
+// reaches no other rank: owned (pair_count, 2), padded with -1; `found` is their number.
 void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found);
 
 // Finds bodies that overlap the box around all ghosts in a cell of the subdomain's rank that they reach, or that reach
