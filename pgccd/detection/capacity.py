@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from pgccd import arguments
 
@@ -239,8 +240,12 @@ class Counts(NamedTuple):
 COUNT_ROWS: dict[str, int] = {name: row for row, name in enumerate(Counts._fields)}
 #: Number of counts of the broad phase.
 COUNTS_OF_PAIRS = COUNT_ROWS["poses"]
-#: Indices of the overflow flags.
-OVERFLOWS = [COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts")]
+
+
+def overflow_flags(counts: Tensor) -> list[Tensor]:
+    """Flags (1,) int64, nonzero where a search with these counts (21,), or a sum of counts, exceeded a capacity."""
+    rows = (COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts"))
+    return [counts[row : row + 1] for row in rows]
 
 
 def busy_nanoseconds(counts: NDArray[np.int64]) -> NDArray[np.int64]:

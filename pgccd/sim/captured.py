@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.capacity import COUNT_ROWS, OVERFLOWS, Counts
+from pgccd.detection.capacity import Counts
 from pgccd.detection.parts import Part, first_contacts_of
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import TransactionGraph
 from pgccd.sim.model import PLANNED, Model, RobotState
 from pgccd.sim.partners import Partners
 from pgccd.sim.resolution import Attempt, Exchange, RoundPlan
-from pgccd.sim.tally import COUNTED, Rows, Tally, count_step, work_of_counts
+from pgccd.sim.tally import COUNTED, GatheredCounts, Rows, SearchCounts, Tally, count_step
 
 
 @dataclass(frozen=True)
@@ -48,20 +48,18 @@ class CommittedStep:
     rounds: int  #: of collision resolution
     seconds: float  #: on the device
     rank: int  #: this rank
-    parts: int  #: number of parts of the whole step
-    counts: NDArray[np.int64]  #: (ranks, parts + rounds, 21): `Counts` of each part and each round
+    counts: GatheredCounts
     conclusions: Rows  #: (ranks, 6 + k): from `count_step`, then from `conclude`
 
     @property
     def work(self) -> Rows:
         """(ranks, 6), see `pgccd.sim.tally.WORK`."""
-        secondary = self.counts[:, self.parts :, COUNT_ROWS["contacts"]].sum(axis=1)
-        return work_of_counts(self.counts[:, : self.parts], secondary)
+        return self.counts.work
 
     @cached_property
     def record(self) -> dict[str, Any]:
         """Its line in steps.jsonl; the stage "respond" is everything except detection."""
-        parts = [Counts.of(numbers).seconds for numbers in self.counts[self.rank, : self.parts].tolist()]
+        parts = [Counts.of(numbers).seconds for numbers in self.counts.of_parts[self.rank].tolist()]
         stages = {stage: sum(spent[stage] for spent in parts) for stage in parts[0]}
         respond = max(0.0, self.seconds - sum(stages.values()))
         clock = StageClock.of(stages | {"respond": respond}, self.seconds)
@@ -97,8 +95,6 @@ class StepGraph(TransactionGraph[CommittedStep]):
         self._conclude = conclude
         self.state = state.map(Tensor.clone)
         self._index = torch.full((1,), index, dtype=torch.int64, device=model.device)
-        self._is_overflow = torch.zeros(len(COUNT_ROWS), dtype=torch.int64, device=model.device)
-        self._is_overflow[OVERFLOWS] = 1
         self._parts, self._rank = 1, 0
 
     def load(self, state: RobotState, index: int) -> None:
@@ -111,7 +107,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
 
     def _step(self) -> Tensor:
         """plan, detect, resolve, commit, count. Returns the record, one row per rank: failure flag, changes of rounds,
-        counts, conclusions.
+        `SearchCounts.values`, conclusions.
         """
         model, state = self._model, self.state
         planned = model.plan(state, self._index)
@@ -121,27 +117,26 @@ class StepGraph(TransactionGraph[CommittedStep]):
         first_change = attempt.begin()
         more_changes, of_rounds = attempt.make_rounds(self.rounds)
         changes = torch.cat([first_change, more_changes])  # if the last one is nonzero, more rounds are needed
-        counts = torch.stack([*(part.counts() for part in searches.parts), *of_rounds])
-        overflow = (counts * self._is_overflow).sum().reshape(1)
-        failed = torch.cat([self._failed, changes[-1:], overflow, *searches.failed]).sum().reshape(1)
-        searched = exchange.gather(torch.cat([failed, changes, counts.reshape(-1)]))
-        self._failed.copy_(searched[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
+        counts = SearchCounts([part.counts() for part in searches.parts], of_rounds)
+        failed = torch.cat([self._failed, changes[-1:], *counts.overflow(), *searches.failed]).sum().reshape(1)
+        outcome = exchange.gather(torch.cat([failed, changes]))
+        self._failed.copy_(outcome[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
         fraction = attempt.fraction[: len(state)]
         plan = [getattr(planned, name) for name in PLANNED]
         ops.simulate_commit(list(state.columns.values()), plan, fraction, self._failed)
-        concluded = count_step(state, fraction, searches.id, *first_contacts_of(searches.parts))
+        concluded = [count_step(state, fraction, searches.id, *first_contacts_of(searches.parts))]
         if self._conclude is not None:
-            concluded = torch.cat([concluded, self._conclude(searches, state)])
+            concluded.append(self._conclude(searches, state))
         self._index += 1 - self._failed
         self._parts, self._rank = len(searches.parts), exchange.rank
-        return torch.cat([searched, exchange.gather(concluded)], dim=1)
+        return torch.cat([outcome, exchange.gather(torch.cat([*counts.values(), *concluded]))], dim=1)
 
     def _committed(self, index: int, record: NDArray[np.int64], seconds: float) -> CommittedStep:
-        searches = self._parts + self.rounds
-        changes, rest = record[:, 1 : 2 + self.rounds].max(axis=0), record[:, 2 + self.rounds :]
-        counts = rest[:, : searches * len(COUNT_ROWS)].reshape(len(record), searches, len(COUNT_ROWS))
-        conclusions = rest[:, searches * len(COUNT_ROWS) :]
-        return CommittedStep(index, int(np.argmin(changes)), seconds, self._rank, self._parts, counts, conclusions)
+        begin = 2 + self.rounds
+        end = begin + GatheredCounts.width(self._parts)
+        rounds = int(np.argmin(record[:, 1:begin].max(axis=0)))
+        counts = GatheredCounts.of(record[:, begin:end])
+        return CommittedStep(index, rounds, seconds, self._rank, counts, record[:, end:])
 
 
 def clear_rows(state: RobotState, begin: int) -> None:

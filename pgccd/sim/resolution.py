@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.capacity import COUNT_ROWS, OVERFLOWS, Capacity, Counts
+from pgccd.detection.capacity import Capacity, Counts
 from pgccd.detection.parts import Part, pairs_of_step, search_seconds
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.partners import Partners
-from pgccd.sim.tally import Rows, work_of_counts
+from pgccd.sim.tally import GatheredCounts, Rows, SearchCounts
 
 # A robot moves by this fraction of its toi: at the toi itself it may be within the tolerance of contact, which the next
 # step would report again.
@@ -244,37 +244,40 @@ class Attempt:
                 while at_sight and int(changes[-1]):
                     one_change, one_count = self.make_rounds(1)
                     changes, counts = torch.cat([changes, one_change]), counts + one_count
-            counts = [part.counts() for part in self.parts] + counts
-            mine = [changes, *counts, conclude(self.fraction)]
+            searched = SearchCounts([part.counts() for part in self.parts], counts)
+            overflow = torch.cat(searched.overflow()).sum().reshape(1)
+            mine = torch.cat([changes, overflow, *searched.values(), conclude(self.fraction)])
             with clock.stage("gather"):
-                gathered = exchange.gather(torch.cat(mine))
-                numbers = HostCopy.start(gathered).numpy()
-            begin, end = len(changes), len(changes) + len(COUNT_ROWS) * len(counts)
-            searched = numbers[:, begin:end].reshape(exchange.ranks, len(counts), len(COUNT_ROWS))
-            # The counts of parts come first, then those of rounds.
-            of_parts, of_rounds = searched[:, : len(self.parts)], searched[:, len(self.parts) :]
-            if searched[:, :, OVERFLOWS].any():
-                self._grow(of_parts[exchange.rank], of_rounds[exchange.rank], len(made))
+                of_rounds = HostCopy.start(torch.cat([changes[:0], *counts]))
+                numbers = HostCopy.start(exchange.gather(mine)).numpy()
+            begin = len(changes) + 1
+            end = begin + GatheredCounts.width(len(self.parts))
+            gathered = GatheredCounts.of(numbers[:, begin:end])
+            of_parts = gathered.of_parts[exchange.rank]
+            of_new_rounds = list(of_rounds.numpy().reshape(len(counts), -1)) if counts else []
+            if numbers[:, begin - 1].any():
+                self._grow(of_parts, of_new_rounds, len(made))
                 return None
-            went_on += (numbers[:, :begin].max(axis=0) > 0).tolist()
-            secondary_contacts += of_rounds[:, :, COUNT_ROWS["contacts"]].sum(axis=1)
-            made += list(of_rounds[exchange.rank])
+            went_on += (numbers[:, : begin - 1].max(axis=0) > 0).tolist()
+            secondary_contacts += gathered.secondary_contacts
+            made += of_new_rounds
             if not all(went_on):
                 rounds = went_on.index(False)
                 self.plan.learn(rounds, partial(_needed, made[:rounds], self.capacities))
                 resolution = Resolution(self.fraction, rounds, int(secondary_contacts[exchange.rank]))
-                work = work_of_counts(of_parts, secondary_contacts)
-                return ResolvedStep(resolution, work, numbers[:, end:], self._learning(of_parts[exchange.rank]))
+                work = gathered._replace(secondary_contacts=secondary_contacts).work
+                return ResolvedStep(resolution, work, numbers[:, end:], self._learning(of_parts))
             more, changes = _MORE_ROUNDS, changes[:0]
 
-    def _grow(self, of_parts: NDArray[np.int64], of_rounds: NDArray[np.int64], first_round: int) -> None:
-        for part, numbers in zip(self.parts, of_parts, strict=True):
-            if numbers[OVERFLOWS].any():
+    def _grow(self, of_parts: NDArray[np.int64], of_rounds: list[NDArray[np.int64]], first_round: int) -> None:
+        for part, numbers in zip(self.parts, of_parts.tolist(), strict=True):
+            if Counts.of(numbers).overflow:
                 part.find()
         # Rounds after the first that overflowed saw only part of the contacts.
         for round, numbers in enumerate(of_rounds, first_round):
-            if numbers[OVERFLOWS].any():
-                self.plan.grow(round, Counts.of(numbers.tolist()))
+            counts = Counts.of(numbers.tolist())
+            if counts.overflow:
+                self.plan.grow(round, counts)
                 return
 
     def _learning(self, of_parts: NDArray[np.int64]) -> Callable[[], None]:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pgccd.detection.capacity import COUNT_ROWS
-from pgccd.sim.tally import WORK, work_of_counts
+from pgccd.sim.tally import WORK, GatheredCounts
 
 intervals = st.tuples(st.integers(0, 30), st.integers(0, 12)).map(lambda given: (given[0], given[0] + given[1]))
 
@@ -20,7 +20,7 @@ def test_parts_searched_side_by_side_count_once(ranks: list[list[tuple[int, int]
     counts[:, :, COUNT_ROWS["traverse_began"]] = [[begin for begin, _ in parts] for parts in ranks]
     counts[:, :, COUNT_ROWS["narrow_ended"]] = [[end for _, end in parts] for parts in ranks]
     counts[:, :, COUNT_ROWS["pairs_written"]] = 7
-    work = work_of_counts(counts, np.arange(len(ranks)))
+    work = GatheredCounts(np.arange(len(ranks)), counts).work
     busy = [len({moment for begin, end in parts for moment in range(begin, end)}) for parts in ranks]
     assert work[:, WORK.index("nanoseconds")].tolist() == busy
     assert work[:, WORK.index("pcs")].tolist() == [7 * len(ranks[0])] * len(ranks)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.detection.capacity import COUNT_ROWS, OVERFLOWS, busy_nanoseconds
+from pgccd.detection.capacity import COUNT_ROWS, busy_nanoseconds, overflow_flags
 from pgccd.detection.parts import first_contacts_of
 from pgccd.distributed.comm.exchange import Columns, first_row
 from pgccd.distributed.comm.interface import Comm
@@ -221,8 +221,6 @@ class _WorldGraph(TransactionGraph[_Committed]):
         self.columns = {name: column.expand(rows, *column.shape[1:]).clone() for name, column in like.items()}
         self.columns["id"].fill_(-1)
         self._index = torch.full((1,), index, dtype=torch.int64, device=device)
-        self._is_overflow = torch.zeros(len(COUNT_ROWS), dtype=torch.int64, device=device)
-        self._is_overflow[OVERFLOWS] = 1
 
     def load(self, columns: Columns, index: int) -> None:
         """Loads another state, of at most as many bodies as rows."""
@@ -248,11 +246,12 @@ class _WorldGraph(TransactionGraph[_Committed]):
         is_body = id >= 0
         leaving = count_leaving(self.decomposition, new["position"], id)
         is_finite = (torch.isfinite(new["position"]).all(dim=1) | ~is_body).all()
-        counts = torch.stack([part.counts() for part in share.parts])
-        failed = self._failed + share.failed + motion.first_faults()[-1:] + (~is_finite).to(torch.int64)
-        failed = failed + (counts * self._is_overflow).sum()
+        counts = [part.counts() for part in share.parts]
+        overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
+        faults = [motion.first_faults()[-1:], (~is_finite).to(torch.int64)[None], *overflow]
+        failed = torch.cat([self._failed, share.failed, *faults]).sum().reshape(1)
         owned, ghosts = is_body.sum()[None], (share.held.ghosts["id"] >= 0).sum()[None]
-        mine = torch.cat([failed, owned, ghosts, leaving, counts.reshape(-1)])
+        mine = torch.cat([failed, owned, ghosts, leaving, *counts])
         record = comm.all_gather(mine) if comm.peer_messages is None else comm.peer_messages.gather(mine)
         self._failed.copy_(record[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
         self._index += 1 - self._failed

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import COUNT_ROWS
 from pgccd.distributed.detection.padded_share import ShareCapacity, search_padded_share
 from pgccd.distributed.detection.share import Build, Options, PartEstimates
 from pgccd.distributed.halo.centres import Centres
@@ -19,6 +18,10 @@ from pgccd.sim.captured import Searches, clear_rows
 from pgccd.sim.distributed.held_exchange import HeldExchange
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
+from pgccd.sim.tally import COUNTED, GatheredCounts
+
+# Number of values of `RankSearches.conclude`.
+_CONCLUDED = 4
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ def padded_state(state: RobotState, rows: int) -> RobotState:
 
 def largest_message(capacity: ShareCapacity, rounds: int) -> int:
     """Size in bytes of the largest message between two ranks that holds no bodies: the first toi of bodies that both
-    hold, or the counts and changes of all searches.
+    hold, or what all ranks gather.
     """
-    searches = 2 + rounds
-    return 8 * max([searches * (len(COUNT_ROWS) + 1), *capacity.common])
+    gathered = GatheredCounts.width(parts=2) + COUNTED + _CONCLUDED
+    return 8 * max([2 + rounds, gathered, *capacity.common])
