@@ -201,7 +201,6 @@ def test_few_files_know_what_carries_messages() -> None:
     assert knowing["torch.distributed"] == {
         "torch_comm.py",
         "nccl.py",
-        "peer_memory.py",
         "mpi_comm.py",
         # These start from a store shared by all ranks.
         "connect.py",

@@ -7,10 +7,12 @@
 namespace pgccd::bind {
 namespace {
 
-PeerMemory peer_memory(const Tensor& memory, const Tensor& addresses, int64_t rank) {
+PeerMemory peer_memory(const Tensor& memory, const Tensor& addresses, int64_t stop, int64_t rank) {
   PeerMemory view;
   rows<uint8_t, uint64_t>(memory, "memory", {kAnySize});  // flags are aligned
   view.addresses = rows<int64_t>(addresses, "addresses", {kAnySize});
+  STD_TORCH_CHECK(stop != 0, "stop: expected the address of a word");
+  view.stop = reinterpret_cast<const int64_t*>(stop);
   view.ranks = addresses.size(0);
   view.rank = rank;
   STD_TORCH_CHECK(view.ranks >= 1 && view.ranks <= kMostPeers, "addresses: expected those of at most ", kMostPeers,
@@ -40,8 +42,8 @@ PeerRows peer_rows(const PeerMemory& memory, const Tensor& given, const std::vec
   return view;
 }
 
-Tensor peer_gather(const Tensor& values, const Tensor& memory, const Tensor& addresses, int64_t rank) {
-  const PeerMemory view = peer_memory(memory, addresses, rank);
+Tensor peer_gather(const Tensor& values, const Tensor& memory, const Tensor& addresses, int64_t stop, int64_t rank) {
+  const PeerMemory view = peer_memory(memory, addresses, stop, rank);
   const int64_t count = values.size(0);
   check_size(view, count);
   Tensor gathered = new_tensor<int64_t>(values, {view.ranks, count});
@@ -51,8 +53,9 @@ Tensor peer_gather(const Tensor& values, const Tensor& memory, const Tensor& add
 }
 
 void peer_minimum(Tensor values, const Tensor& sent_rows, std::vector<int64_t> sent, const Tensor& received_rows,
-                  std::vector<int64_t> received, const Tensor& memory, const Tensor& addresses, int64_t rank) {
-  const PeerMemory view = peer_memory(memory, addresses, rank);
+                  std::vector<int64_t> received, const Tensor& memory, const Tensor& addresses, int64_t stop,
+                  int64_t rank) {
+  const PeerMemory view = peer_memory(memory, addresses, stop, rank);
   rows<double>(values, "values", {kAnySize});
   const PeerMinimum message{data<double>(values), values.size(0), peer_rows(view, sent_rows, sent, "sent"),
                             peer_rows(view, received_rows, received, "received")};

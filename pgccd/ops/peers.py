@@ -1,7 +1,9 @@
 """Small messages between the GPUs of one host; on GPUs only.
 
 memory: (bytes,) uint8 of this rank, zero before the first message: per rank 256 bytes, then twice the bytes of the
-largest message. addresses: (ranks,) int64, of the memory of each rank in this process.
+largest message. addresses: (ranks,) int64, of the memory of each rank in this process. stop: address of an int64 in
+pinned memory; once it is nonzero, this rank waits for no message that has not arrived; and once one has not been waited
+for, it sends none.
 """
 
 from collections.abc import Sequence
@@ -12,8 +14,8 @@ from pgccd.ops.library import int64, operator
 
 
 @operator
-def peer_gather(values: Tensor, memory: Tensor, addresses: Tensor, rank: int) -> Tensor:
-    """values (k,) int64 -> (ranks, k): those of every rank."""
+def peer_gather(values: Tensor, memory: Tensor, addresses: Tensor, stop: int, rank: int) -> Tensor:
+    """values (k,) int64 -> (ranks, k): those of every rank; 1 instead of values that have not arrived at `stop`."""
     return int64(values, addresses.shape[0], values.shape[0])
 
 
@@ -26,6 +28,7 @@ def peer_minimum(
     received: Sequence[int],
     memory: Tensor,
     addresses: Tensor,
+    stop: int,
     rank: int,
 ) -> None:
     """Sends the rows `sent_rows` of values (N,) float64 >= 0, the first `sent[0]` of them to rank 0, and so on; then

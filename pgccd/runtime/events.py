@@ -1,4 +1,7 @@
-"""CUDA events."""
+"""CUDA events, and waiting for a GPU."""
+
+import contextlib
+import threading
 
 import torch
 
@@ -14,3 +17,17 @@ def record_event(timed: bool = False, sleep: bool = False) -> torch.cuda.Event:
     # Given the device's index, torch finds its stream in a quarter of the time. A step records some 40 events.
     event.record(torch.cuda.current_stream(torch.cuda.current_device()))
     return event
+
+
+def gpu_finishes_within(seconds: float) -> bool:
+    """Waits until the current device has finished all work of this process. False: it has not, after `seconds`."""
+
+    def wait(device: int = torch.cuda.current_device()) -> None:
+        with contextlib.suppress(Exception):  # the next call of CUDA reports the error too
+            torch.cuda.synchronize(device)
+
+    # In a thread, because CUDA's waiting has no time-out.
+    thread = threading.Thread(target=wait, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    return not thread.is_alive()

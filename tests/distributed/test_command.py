@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from support.launch import (
+    NO_PEER_MEMORY,
     PEER_MEMORY,
     ROOT,
     SUPPORT,
@@ -110,7 +111,7 @@ def test_a_scene_of_one_s_own_under_torchrun(where: str) -> None:
 )
 def test_everything_over_nccl(what: str, ranks: int, steps: int, peers: bool) -> None:
     job = [str(SUPPORT / "nccl_job.py"), what, str(steps), *["peers"] * peers]
-    done = finish(torchrun(ranks, *over_nccl(ranks, *job)), **(PEER_MEMORY if peers else {}))
+    done = finish(torchrun(ranks, *over_nccl(ranks, *job)), **(PEER_MEMORY if peers else NO_PEER_MEMORY))
     assert done.returncode == 0, done.stdout
 
 

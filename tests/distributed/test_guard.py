@@ -150,6 +150,30 @@ def test_lost_messages_without_a_lost_rank(ranks: Ranks, exits: list[int], monke
         assert str(one._verdict).endswith("lost messages of other ranks, although all are alive")
 
 
+def test_a_message_that_does_not_arrive_although_all_ranks_have_sent_it(ranks: Ranks, exits: list[int]) -> None:
+    for one in ranks.guards[1:]:
+        with one.waiting("halo"):
+            pass
+    with ranks.guards[0].waiting("halo"):
+        time.sleep(1.5)
+        assert ranks.guards[0]._verdict is None  # after one time-out, the rank has asked
+        wait_for(lambda: exits)
+    for one in ranks.guards:
+        wait_for(lambda one=one: one._verdict)
+        assert str(one._verdict).endswith("lost messages of other ranks, although all are alive")
+
+
+def test_a_guard_without_a_hub_ends_the_process_hard_too(exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    at_exit: list[Callable[[], None]] = []
+    monkeypatch.setattr(guard.atexit, "register", at_exit.append)
+    alone = Guard()
+    assert at_exit == []
+    alone.end_hard()
+    for function in at_exit:
+        function()
+    assert exits == [70]
+
+
 def test_a_rank_that_is_behind_hangs(ranks: Ranks, exits: list[int]) -> None:
     ranks.guards[2].activity = "its user's loop"
     with ranks.guards[1].waiting("halo"):

@@ -4,29 +4,36 @@ replaces them.
 
 from __future__ import annotations
 
+import itertools
+import os
+import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import pytest
 import torch
-from support.launch import PEER_MEMORY, SUPPORT, finish, over_nccl, torchrun
+from support.launch import PEER_MEMORY, SUPPORT, finish, over_nccl, start_ranks, torchrun
 from support.peer_messages import OverConnection
 from support.ranks import RankPool
 from torch import Tensor
 
 from distributed import test_captured_world, test_distributed_simulation
 from pgccd import ops
-from pgccd.distributed import Comm
-from pgccd.distributed.comm import peer_memory, torch_comm
-from pgccd.distributed.comm.peer_memory import PeerMemory, PeerMessages, RowsOfRanks, are_peers, size_of
+from pgccd.distributed import Alone, Comm, RankFailureError, TorchComm
+from pgccd.distributed.comm import peer_access, peer_memory, torch_comm
+from pgccd.distributed.comm.peer_access import Place, are_peers, map_peer_memory
+from pgccd.distributed.comm.peer_memory import PeerMemory, PeerMessages, RowsOfRanks, size_of, size_of_memory
+from pgccd.distributed.guard import guard
+from pgccd.runtime.events import gpu_finishes_within
 
 BYTES = 8 * 5000
 
 
 def alone(bytes: int = BYTES) -> PeerMemory:
     """Of a single rank."""
-    memory = torch.zeros(256 + 2 * bytes, dtype=torch.uint8, device="cuda")
+    memory = torch.zeros(size_of_memory(1, bytes), dtype=torch.uint8, device="cuda")
     return PeerMemory(memory, [memory.data_ptr()], 0)
 
 
@@ -104,16 +111,90 @@ def test_messages_between_processes(ranks: int) -> None:
 
 
 @pytest.mark.cuda
+def test_a_stopped_rank_neither_waits_nor_sends() -> None:
+    memory = [torch.zeros(size_of_memory(2, 64), dtype=torch.uint8, device="cuda") for _ in range(2)]
+    peer = PeerMemory(memory[0], [each.data_ptr() for each in memory], 0)
+    values, toi, row = torch.arange(8, device="cuda"), torch.full((2,), 0.5, device="cuda").double(), torch.tensor([1])
+    both, kept = RowsOfRanks(row.cuda(), [0, 1]), toi.clone()
+    first, second = peer.gather(values), peer.gather(values)
+    peer.lower(toi, both, both)
+    ended = torch.cuda.current_stream().record_event()
+    time.sleep(0.5)
+    assert not ended.query()  # the other rank sends nothing
+    peer.stop()
+    torch.cuda.synchronize()
+    assert first.tolist() == second.tolist() == [list(range(8)), [1] * 8] and torch.equal(toi, kept)
+    # At rank 1: the flags of even messages, then those of odd ones, of rank 0. Only the first message was sent.
+    flags = memory[1].view(torch.int64)[:16].tolist()
+    assert flags == [0] * 8 + [1] * 8
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize(("seconds", "is_sent"), [(2.0, True), (300.0, False)])
+def test_an_interrupted_rank_ends_although_its_gpu_waits(seconds: float, is_sent: bool) -> None:
+    program = over_nccl(2, str(SUPPORT / "interrupted_rank.py"))
+    started = start_ranks(2, [*program, str(seconds)], **PEER_MEMORY)
+    begin = time.monotonic()
+    interrupted, _ = started[1].communicate(timeout=180)
+    assert time.monotonic() - begin < 120 and started[1].returncode not in (0, None), interrupted
+    assert "KeyboardInterrupt" in interrupted
+    output, _ = started[0].communicate(timeout=180)
+    assert started[0].returncode not in (0, None) and "rank 1" in output and "KeyboardInterrupt" in output, output
+    assert ("the second message has arrived" in output) == is_sent and "the third" not in output, output
+
+
+@pytest.mark.cuda
+def test_a_trial_ends_if_messages_do_not_arrive(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(peer_access, "_TRIAL_SECONDS", 0.5)
+    memory = [torch.zeros(size_of_memory(2, 64), dtype=torch.uint8, device="cuda") for _ in range(2)]
+    with pytest.raises(RuntimeError, match="messages do not arrive"):
+        peer_access._try_messages(PeerMemory(memory[0], [each.data_ptr() for each in memory], 0), 0, 2)
+    torch.cuda.synchronize()
+
+
+@pytest.mark.cuda
+def test_a_trial_compares_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    peer, gather = alone(64), PeerMemory.gather
+    assert peer_access._try_messages(peer, 0, 1) is peer
+    for wrong in range(3):
+        answers = itertools.count()
+        monkeypatch.setattr(PeerMemory, "gather", lambda *given: gather(*given) + (next(answers) == wrong))  # noqa: B023
+        with pytest.raises(RuntimeError, match="other values arrive than were sent"):
+            peer_access._try_messages(peer, 0, 1)
+
+
+@pytest.mark.cuda
+def test_a_gpu_that_does_not_finish() -> None:
+    assert gpu_finishes_within(60.0)
+    memory = [torch.zeros(size_of_memory(2, 64), dtype=torch.uint8, device="cuda") for _ in range(2)]
+    peer = PeerMemory(memory[0], [each.data_ptr() for each in memory], 0)
+    peer.gather(torch.arange(8, device="cuda"))
+    assert not gpu_finishes_within(0.2)
+    peer.stop()
+    assert gpu_finishes_within(60.0)
+
+
+def test_a_forked_child_does_not_stop_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    for process, expected in ((os.getpid(), 1), (os.getpid() + 1, 0)):
+        peer = PeerMemory(torch.zeros(size_of_memory(1, 64), dtype=torch.uint8), [0], 0)
+        with monkeypatch.context() as context:
+            context.setattr(os, "getpid", lambda process=process: process)
+            peer.stop()
+        assert peer_memory._words.pop().tolist() == [expected]
+
+
+@pytest.mark.cuda
 def test_arguments_are_checked() -> None:
     peer = alone(64)
-    memory, addresses, rank = peer._where
+    memory, addresses, stop, rank = peer._where
     values = torch.zeros(9, dtype=torch.int64, device="cuda")
     for wrong, message in (
-        ((values, memory, addresses, rank), "memory: too small for a message of 72 bytes"),
-        ((values[:1], memory[:100], addresses, rank), "memory: too small for the flags"),
-        ((values[:1], memory, addresses, 1), "rank: expected a number below 1, got 1"),
-        ((values[:1], memory, addresses.repeat(17), 0), "addresses: expected those of at most 16 ranks"),
-        ((values[:1].int(), memory, addresses, 0), "values: wrong dtype"),
+        ((values, memory, addresses, stop, rank), "memory: too small for a message of 72 bytes"),
+        ((values[:1], memory[:100], addresses, stop, rank), "memory: too small for the flags"),
+        ((values[:1], memory, addresses, 0, rank), "stop: expected the address of a word"),
+        ((values[:1], memory, addresses, stop, 1), "rank: expected a number below 1, got 1"),
+        ((values[:1], memory, addresses.repeat(17), stop, 0), "addresses: expected those of at most 16 ranks"),
+        ((values[:1].int(), memory, addresses, stop, 0), "values: wrong dtype"),
     ):
         with pytest.raises(RuntimeError, match=message):
             ops.peer_gather(*wrong)
@@ -165,20 +246,48 @@ def test_steps_of_a_world_with_messages_of_peers(ranks: RankPool) -> None:
 
 
 def test_which_ranks_are_peers() -> None:
-    assert are_peers([("here", "a"), ("here", "b")])
-    assert not are_peers([("here", "a"), ("there", "b")])
-    assert not are_peers([("here", "a"), ("here", "a")])  # they share a GPU
-    assert not are_peers([("here", "a"), None])
-    assert are_peers([("here", str(gpu)) for gpu in range(16)])
-    assert not are_peers([("here", str(gpu)) for gpu in range(17)])
+    here = [Place("here", str(gpu), False) for gpu in range(17)]
+    assert are_peers(here[:2]) and are_peers(here[:16])
+    assert not are_peers(here)
+    assert not are_peers([here[0], here[1]._replace(host="there")])
+    assert not are_peers([here[0], None])
+    assert not are_peers([here[0], here[0]])  # they share a GPU
+    sharing = here[0]._replace(may_share=True)
+    assert are_peers([sharing, sharing]) and not are_peers([sharing, here[0]])
 
 
-@pytest.mark.parametrize("setting", [None, "0"])
-def test_it_is_off_unless_switched_on(setting: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("PGCCD_PEER_MEMORY", raising=False)
-    if setting is not None:
-        monkeypatch.setenv("PGCCD_PEER_MEMORY", setting)
-    assert peer_memory.place_of_gpu() is None
+@pytest.mark.cuda
+def test_the_setting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PGCCD_PEER_MEMORY", "0")
+    assert peer_access.place_of_gpu() is None
+    monkeypatch.setenv("PGCCD_PEER_MEMORY", "1")
+    sharing = peer_access.place_of_gpu()
+    monkeypatch.delenv("PGCCD_PEER_MEMORY")
+    place = peer_access.place_of_gpu()
+    assert place is not None and sharing == place._replace(may_share=True) and not place.may_share
+    for name, value, is_forbidden in (("DISABLE", "1", True), ("LEVEL", "LOC", True), ("LEVEL", "NVL", False)):
+        with monkeypatch.context() as context:
+            context.setenv(f"NCCL_P2P_{name}", value)
+            assert peer_access.place_of_gpu() == (None if is_forbidden else place)
+            context.setenv("PGCCD_PEER_MEMORY", "1")
+            assert peer_access.place_of_gpu() == sharing
+    monkeypatch.setattr(peer_access, "_BOOT_ID", Path("/no file"))
+    assert peer_access.place_of_gpu() is None
+
+
+def error_with(comm: Any, setting: str) -> str:
+    with mock.patch.dict("os.environ", {"PGCCD_PEER_MEMORY": setting}):
+        try:
+            TorchComm(comm._group)
+        except ValueError as error:
+            return str(error)
+    return ""
+
+
+def test_an_unknown_setting_is_an_error_at_the_start(ranks: RankPool) -> None:
+    for setting in ("", "0", "1"):
+        assert ranks.run(2, error_with, setting) == ["", ""]
+    assert ranks.run(2, error_with, "yes") == ["PGCCD_PEER_MEMORY: expected 0 or 1, got 'yes'"] * 2
 
 
 def test_sizes() -> None:
@@ -189,7 +298,10 @@ class Mapped:
     """Stands for memory of this size."""
 
     def __init__(self, bytes: int) -> None:
-        self.bytes = bytes
+        self.bytes, self.is_stopped = bytes, False
+
+    def stop(self) -> None:
+        self.is_stopped = True
 
 
 def reserve(comm: Any) -> list[int]:
@@ -207,29 +319,109 @@ def reserve(comm: Any) -> list[int]:
         for bytes in (1000, 70_000 + 1000 * comm.rank, 10, 300_000 * comm.rank + 1):
             comm.reserve_peer_messages(bytes)
             assert comm.peer_messages is made[-1]
+    comm.stop_messages()
+    assert all(each.is_stopped for each in made)
     return [each.bytes for each in made]
 
 
-def fail_to_reserve(comm: Any) -> None:
-    """The last rank cannot reach the memory of other GPUs."""
+class Reserved:
+    """Stands for memory of a rank's GPU; its handle is its rank."""
 
-    def map_memory(_group: Any, bytes: int) -> Mapped:
-        if comm.rank == comm.size - 1:
+    def __init__(self, rank: int, size: int) -> None:
+        self.address, self.memory = 100 + rank, torch.zeros(size, dtype=torch.uint8)
+        self.handle = torch.full((8,), rank)
+
+
+def map_or_fail(comm: Any, failing: str | None) -> list[int] | None:
+    """The addresses that a rank gets; None if NCCL sends the messages. The last rank may fail to reserve memory or to
+    receive messages, or every rank to open the memory of the last one.
+    """
+    last = comm.size - 1
+
+    def reserve(size: int) -> Reserved:
+        if failing == "reserve" and comm.rank == last:
+            raise RuntimeError("no memory")
+        return Reserved(comm.rank, size)
+
+    def open_other(handle: Tensor) -> int:
+        assert handle.tolist() == [int(handle[0])] * 8 and int(handle[0]) != comm.rank
+        if failing == "open" and int(handle[0]) == last:
             raise RuntimeError("no access")
-        return Mapped(bytes)
+        return 200 + int(handle[0])
 
-    comm._has_peers = True
-    with mock.patch.object(torch_comm, "map_peer_memory", map_memory):
-        why = "no access" if comm.rank == comm.size - 1 else "another rank could not"
-        with pytest.warns(UserWarning, match=f"NCCL sends small messages: .*: {why}"):
+    def try_messages(memory: PeerMemory, *_numbers: int) -> PeerMemory:
+        if failing == "trial" and comm.rank == last:
+            raise ValueError("messages do not arrive")
+        return memory
+
+    with mock.patch.multiple(peer_access, _Reserved=reserve, _open=open_other, _try_messages=try_messages):
+        if failing is None:
+            mapped = map_peer_memory(comm, 64)
+            assert mapped is not None and mapped.bytes == 64
+            return mapped._where[1].tolist()
+        own = (comm.rank == last) == (failing != "open")
+        whys = {"reserve": "no memory", "open": "no access", "trial": "messages do not arrive"}
+        why = whys[failing] if own else "another rank could not"
+        comm._has_peers = True
+        warned = pytest.warns(UserWarning, match=f"NCCL sends small messages: .*: {why}")
+        with mock.patch.dict("os.environ", PEER_MEMORY), warned:
             comm.reserve_peer_messages(1000)
         assert comm.peer_messages is None
         comm.reserve_peer_messages(1000)  # not tried again
+        return None
+
+
+@pytest.mark.parametrize("failing", [None, "reserve", "open", "trial"])
+def test_all_ranks_agree_whether_memory_can_be_reached(ranks: RankPool, failing: str | None) -> None:
+    known = [[200, 201, 202] for _ in range(3)]
+    for rank in range(3):
+        known[rank][rank] = 100 + rank
+    assert ranks.run(3, map_or_fail, failing) == (known if failing is None else [None] * 3)
 
 
 def test_all_ranks_reserve_the_same_size(ranks: RankPool) -> None:
     assert ranks.run(3, reserve) == [[1 << 16, 1 << 17, 1 << 20]] * 3
 
 
-def test_no_rank_uses_peers_that_one_cannot_reach(ranks: RankPool) -> None:
-    ranks.run(2, fail_to_reserve)
+def leave_with_an_error(comm: Any, finishes: list[bool]) -> tuple[list[float], list[str]]:
+    """How long a rank over NCCL has waited for its GPU, and how it has left, given whether the GPU had finished."""
+    waits, done = mock.Mock(side_effect=finishes), mock.Mock()
+    replaced = {"transport": "nccl", "_on_close": done.disconnect, "stop_messages": done.stop_messages}
+    kept = {name: getattr(comm, name) for name in replaced}
+    vars(comm).update(replaced)
+    with (
+        mock.patch.object(torch_comm, "gpu_finishes_within", waits),
+        mock.patch.object(comm.guard, "end_hard", done.end_hard),
+        pytest.raises(MemoryError),
+        comm,
+    ):
+        raise MemoryError
+    vars(comm).update(kept)
+    return [call.args[0] for call in waits.call_args_list], [name for name, _, _ in done.method_calls]
+
+
+def test_a_rank_with_an_error_lets_others_catch_up_before_it_stops(ranks: RankPool) -> None:
+    whole = torch_comm._LAST_MESSAGES_SECONDS
+    assert ranks.run(2, leave_with_an_error, [True]) == [([whole], ["stop_messages", "disconnect"])] * 2
+    stopped = [whole, torch_comm._STOP_SECONDS]
+    done = ["stop_messages", "stop_messages", "disconnect"]
+    assert ranks.run(2, leave_with_an_error, [False, True]) == [(stopped, done)] * 2
+    done = ["stop_messages", "end_hard"]
+    assert ranks.run(2, leave_with_an_error, [False, False]) == [(stopped, done)] * 2
+    assert sum(stopped) < guard._GRACE_SECONDS
+
+
+class Stopping(Alone):
+    """Tells whether messages have been stopped."""
+
+    is_stopped = False
+
+    def stop_messages(self) -> None:
+        self.is_stopped = True
+
+
+def test_after_the_failure_of_another_rank_messages_stop() -> None:
+    comm = Stopping()
+    with pytest.raises(RankFailureError), comm:
+        raise RankFailureError("rank 1 has died")
+    assert comm.is_stopped

@@ -18,8 +18,8 @@ import torch
 ROOT = Path(__file__).resolve().parents[2]
 SUPPORT = Path(__file__).resolve().parent
 SECONDS = 240
-# Small messages are written to the memory of other GPUs; by torch's setting, ranks that share a GPU do so too.
-PEER_MEMORY = {"PGCCD_PEER_MEMORY": "1", "TORCH_SYMM_MEM_ALLOW_OVERLAPPING_DEVICES": "1"}
+# Whether small messages are written to the memory of other GPUs, also if ranks share a GPU.
+PEER_MEMORY, NO_PEER_MEMORY = {"PGCCD_PEER_MEMORY": "1"}, {"PGCCD_PEER_MEMORY": "0"}
 # By default Open MPI refuses to run as root (e.g. in a container) and to start more ranks than there are cores.
 _OPEN_MPI = (
     "OMPI_ALLOW_RUN_AS_ROOT=1",
@@ -75,7 +75,7 @@ def children(process: int) -> list[int]:
     return [int(child) for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
 
 
-def start_ranks(ranks: int, program: list[str]) -> list[subprocess.Popen[str]]:
+def start_ranks(ranks: int, program: list[str], **more: str) -> list[subprocess.Popen[str]]:
     """Ranks with torchrun's variables but without torchrun, which would end them all when the first one fails."""
     port = str(free_port())
     started = []
@@ -84,7 +84,7 @@ def start_ranks(ranks: int, program: list[str]) -> list[subprocess.Popen[str]]:
         variables |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
         process = subprocess.Popen(
             [sys.executable, *program],
-            env=environment(**variables),
+            env=environment(**variables, **more),
             cwd=ROOT,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 
+import torch
 from distributed import test_peers
 
 from pgccd.distributed import connect
@@ -15,3 +17,8 @@ with connect("cuda", "nccl") as comm:
     assert isinstance(comm.peer_messages, PeerMemory)
     test_peers.gather_many(comm, comm.peer_messages)
     test_peers.lower_shared(comm, comm.peer_messages)
+    # A rank that leaves earlier waits for the last message.
+    time.sleep(2.0 * comm.rank)
+    last = comm.peer_messages.gather(torch.tensor([5 + comm.rank], device="cuda"))
+    ranks = comm.size
+assert last.flatten().tolist() == list(range(5, 5 + ranks))

@@ -1,5 +1,8 @@
 // Small messages between GPUs of one host: a kernel writes its message into the memory of the other GPUs, sets a flag
 // there, and waits for the others' flags. Takes 4 us, a call of NCCL in a CUDA graph 16 us.
+//
+// If another rank is lost, this waiting would last forever. A word in host memory ends it; once a message has not been
+// waited for, the rank sends nothing, since its values may depend on it.
 #pragma once
 
 #include <cstdint>
@@ -12,19 +15,22 @@ constexpr int kPeerBlocks = 8;
 constexpr int64_t kFlagBytes = 256;
 
 // The memory of all ranks for messages, zero before the first one. That of each rank has one region per source:
-// kFlagBytes of flags (see PeerRegion), then two slots for messages, used alternately.
+// kFlagBytes of flags (see PeerRegion), then two slots for messages, used alternately. In the region for itself, the
+// first word says whether the rank has stopped.
 //
 // Two slots suffice: message n + 2 is written after message n + 1 of its receiver has arrived, which that rank sent
 // after reading message n.
 struct PeerMemory {
   const int64_t* addresses;  // (ranks,) of each rank's memory, in this process
+  const int64_t* stop;       // in host memory; nonzero: waits for no message that has not arrived
   int64_t rank, ranks;
   int64_t region_bytes;
 
   int64_t slot_bytes() const { return (region_bytes - kFlagBytes) / 2 / 8 * 8; }
 };
 
-// Values (count,) of this rank -> gathered (ranks, count).
+// Values (count,) of this rank -> gathered (ranks, count). Values that do not arrive because of `stop` are 1, so that
+// flags of failure are set.
 struct PeerGather {
   const int64_t* values;
   int64_t count;

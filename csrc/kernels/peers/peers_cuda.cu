@@ -12,6 +12,9 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // A message of some thousand values is bound by the latency of loads, so a thread has few of them.
 constexpr int kPeerThreads = 1024;
 
+// A waiting thread reads `stop`, over PCIe, once in this many turns.
+constexpr int kTurnsPerLook = 256;
+
 using Flag = uint64_t;
 using SystemFlag = cuda::atomic_ref<Flag, cuda::thread_scope_system>;
 
@@ -41,6 +44,11 @@ struct Regions {
   __device__ PeerRegion operator()(int64_t rank, int64_t source) const {
     return {reinterpret_cast<uint8_t*>(memory.addresses[rank]) + source * memory.region_bytes, slot_bytes};
   }
+
+  // Nonzero once this rank has not waited for a message.
+  __device__ SystemFlag has_stopped() const {
+    return SystemFlag(*reinterpret_cast<Flag*>((*this)(memory.rank, memory.rank).begin));
+  }
 };
 
 // Items [begin, end) of the part of a block.
@@ -56,24 +64,42 @@ struct PartRange {
   }
 };
 
+// Waits until a flag has a value. Returns false, and marks the rank as stopped, if `stop` ends the waiting.
+__device__ bool wait_for(const Regions& regions, Flag& flag, Flag value) {
+  const SystemFlag arrived(flag);
+  for (uint32_t turn = 1; arrived.load(cuda::memory_order_acquire) != value; ++turn) {
+    if (turn % kTurnsPerLook != 0 || *const_cast<const volatile int64_t*>(regions.memory.stop) == 0) continue;
+    regions.has_stopped().store(1, cuda::memory_order_relaxed);
+    return false;
+  }
+  return true;
+}
+
 // Sends one part of a message to a rank, and waits for that part of the rank's message. send(slot) writes to the rank's
-// memory, receive(slot) reads from this rank's. Called by all threads of the block of this part, once per launch.
+// memory, receive(slot) reads from this rank's. Returns false, without receiving, once the rank has stopped. Called by
+// all threads of the block of this part, once per launch.
 template <class T, class Send, class Receive>
-__device__ void exchange_part(const Regions& regions, int64_t peer, int part, Send send, Receive receive) {
+__device__ bool exchange_part(const Regions& regions, int64_t peer, int part, Send send, Receive receive) {
   __shared__ Flag message;
+  __shared__ bool has_arrived;
   const PeerRegion there = regions(peer, regions.memory.rank), here = regions(regions.memory.rank, peer);
-  if (threadIdx.x == 0) message = ++here.exchanged(part);
+  if (threadIdx.x == 0) {
+    const Flag next = here.exchanged(part) + 1;
+    const bool has_stopped = regions.has_stopped().load(cuda::memory_order_relaxed) != 0;
+    message = has_stopped ? 0 : next;
+    if (!has_stopped) here.exchanged(part) = next;
+  }
   __syncthreads();
+  if (message == 0) return false;
   send(there.slot<T>(message));
   __syncthreads();
   if (threadIdx.x == 0) {
     SystemFlag(there.arrived(message, part)).store(message, cuda::memory_order_release);
-    const SystemFlag arrived(here.arrived(message, part));
-    while (arrived.load(cuda::memory_order_acquire) != message) {
-    }
+    has_arrived = wait_for(regions, here.arrived(message, part), message);
   }
   __syncthreads();
-  receive(here.slot<T>(message));
+  if (has_arrived) receive(here.slot<T>(message));
+  return has_arrived;
 }
 
 // gridDim = (kPeerBlocks, ranks), as below.
@@ -84,9 +110,10 @@ __global__ void __launch_bounds__(kPeerThreads) gather_from_peers(const Regions 
   const PartRange range(given.count, part);
   int64_t* const out = given.gathered + peer * given.count;
   if (peer == regions.memory.rank) return range.for_each([&](int64_t k) { out[k] = given.values[k]; });
-  exchange_part<int64_t>(
+  const bool has_arrived = exchange_part<int64_t>(
       regions, peer, part, [&](int64_t* slot) { range.for_each([&](int64_t k) { slot[k] = given.values[k]; }); },
       [&](const int64_t* slot) { range.for_each([&](int64_t k) { out[k] = slot[k]; }); });
+  if (!has_arrived) range.for_each([&](int64_t k) { out[k] = 1; });
 }
 
 __device__ void require_row(int64_t row, int64_t count) {

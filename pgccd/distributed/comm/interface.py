@@ -157,6 +157,16 @@ class Comm(ABC):
         """
         return  # other transports do not block on graphs
 
+    def stop_messages(self) -> None:
+        """Ends kernels of `peer_messages` that wait for other ranks. No message may follow."""
+        return  # only for GPUs
+
+    def abandon(self) -> None:
+        """Ends the connection of a rank that leaves the job with an error of its own, so that messages may be missing.
+        The guard has reported the error.
+        """
+        self.close()
+
     @abstractmethod
     def close(self) -> None:
         """Ends the connection; the last call on every rank."""
@@ -165,12 +175,14 @@ class Comm(ABC):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _traceback: object) -> None:
-        if isinstance(error, RankFailureError):
+        if error is None or is_of_all_ranks(error):
+            self.close()
+        elif isinstance(error, RankFailureError):
             self.guard.close()  # a regular shutdown would wait for the dead rank
-            return
-        if error is not None and not is_of_all_ranks(error):
+            self.stop_messages()
+        else:
             self.guard.report(error)
-        self.close()
+            self.abandon()
 
 
 class Alone(Comm):

@@ -7,27 +7,21 @@ NCCL 16 us (two H100 linked by NVLink).
 from __future__ import annotations
 
 import os
-import socket
+import weakref
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import torch
-import torch.distributed as dist
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.runtime.environment import environment
 
 # As in csrc/kernels/peers/peers.h.
-_FLAG_BYTES, _MOST_RANKS = 256, 16
+_FLAG_BYTES = 256
 # The smallest size of the largest message: graphs with slightly larger ones need no new memory.
 _FEWEST_BYTES = 1 << 16
-_SETTING = "PGCCD_PEER_MEMORY"
-# Torch's own setting, for tests.
-_MAY_SHARE_GPU = "TORCH_SYMM_MEM_ALLOW_OVERLAPPING_DEVICES"
-_WITHOUT_MULTICAST = {"TORCH_SYMM_MEM_DISABLE_MULTICAST": "1"}  # not needed
-_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+# The `stop` words, kept because kernels may still read them.
+_words: list[Tensor] = []
 
 
 class RowsOfRanks(NamedTuple):
@@ -53,15 +47,16 @@ class PeerMemory:
     """The `PeerMessages` of GPUs that write each other's memory. Must exist as long as a graph with its messages.
 
     Args:
-        memory: (ranks * (256 + 2 * bytes),) uint8, zero, for messages of up to `bytes`.
+        memory: (size_of_memory(ranks, bytes),) uint8, zero, for messages of up to `bytes`.
         addresses: of the memory of each rank in this process.
         rank: this one.
-        kept: what the addresses depend on.
     """
 
-    def __init__(self, memory: Tensor, addresses: Sequence[int], rank: int, kept: Any = None) -> None:
-        self._where = memory, torch.tensor(addresses, device=memory.device), rank
-        self._kept = kept
+    def __init__(self, memory: Tensor, addresses: Sequence[int], rank: int) -> None:
+        stop = torch.zeros(1, dtype=torch.int64, pin_memory=memory.is_cuda)
+        _words.append(stop)
+        self._where = memory, torch.tensor(addresses, device=memory.device), stop.data_ptr(), rank
+        self._stop = weakref.finalize(self, _set_in, os.getpid(), stop)
         #: Size of the largest message between two ranks.
         self.bytes = (len(memory) // len(addresses) - _FLAG_BYTES) // 2
 
@@ -71,27 +66,17 @@ class PeerMemory:
     def lower(self, values: Tensor, sent: RowsOfRanks, received: RowsOfRanks) -> None:
         ops.peer_minimum(values, sent.rows, sent.counts, received.rows, received.counts, *self._where)
 
-
-#: A host and a GPU.
-Place = tuple[str, str]
-
-
-def place_of_gpu() -> Place | None:
-    """The host and the GPU of this rank; None if other GPUs shall not write its memory."""
-    if os.environ.get(_SETTING) != "1" or not _BOOT_ID.exists():
-        return None
-    device = torch.cuda.current_device()
-    may_share = os.environ.get(_MAY_SHARE_GPU) == "1"
-    gpu = f"rank {dist.get_rank()}" if may_share else str(torch.cuda.get_device_properties(device).uuid)
-    return f"{socket.gethostname()} {_BOOT_ID.read_text().strip()}", gpu
+    def stop(self) -> None:
+        """Kernels no longer wait for messages that have not arrived; after one that would have to wait, none sends.
+        Also called at exit, where the process would wait for its GPU.
+        """
+        self._stop()
 
 
-def are_peers(places: Sequence[Place | None]) -> bool:
-    """Whether the ranks, given the `place_of_gpu` of each, are on one host and have a GPU each."""
-    if len(places) > _MOST_RANKS or None in places:
-        return False
-    hosts, gpus = zip(*(place for place in places if place is not None), strict=True)
-    return len(set(hosts)) == 1 and len(set(gpus)) == len(gpus)
+def _set_in(process: int, stop: Tensor) -> None:
+    # A forked child, which inherits objects to finalise, shares pinned memory with its parent.
+    if os.getpid() == process:
+        stop.fill_(1)
 
 
 def size_of(bytes: int) -> int:
@@ -99,18 +84,6 @@ def size_of(bytes: int) -> int:
     return max(_FEWEST_BYTES, 1 << (bytes - 1).bit_length())
 
 
-def map_peer_memory(group: dist.ProcessGroup, bytes: int) -> PeerMemory:
-    """Reserves memory for messages of up to `bytes` between two ranks of the group. All ranks call it, and must
-    exchange a message before they use it.
-
-    Raises:
-        RuntimeError: a GPU cannot access the memory of another one.
-    """
-    import torch.distributed._symmetric_memory as symmetric_memory
-
-    size = dist.get_world_size(group) * (_FLAG_BYTES + 2 * bytes)
-    with environment(_WITHOUT_MULTICAST):
-        memory = symmetric_memory.empty(size, dtype=torch.uint8, device=torch.device("cuda")).zero_()
-        handle = symmetric_memory.rendezvous(memory, group)
-    torch.cuda.synchronize()
-    return PeerMemory(memory, handle.buffer_ptrs, handle.rank, handle)
+def size_of_memory(ranks: int, bytes: int) -> int:
+    """Bytes of memory on each rank, given the size of the largest message."""
+    return ranks * (_FLAG_BYTES + 2 * bytes)

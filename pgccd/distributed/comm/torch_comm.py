@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import warnings
 import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,8 +12,14 @@ import torch.distributed as dist
 from torch import Tensor
 
 from pgccd.distributed.comm.interface import Closeable, Comm, Objects, Pending, messages
-from pgccd.distributed.comm.peer_memory import PeerMemory, are_peers, map_peer_memory, place_of_gpu, size_of
-from pgccd.distributed.guard import Guard, RankFailureError
+from pgccd.distributed.comm.peer_access import are_peers, map_peer_memory, place_of_gpu, read_setting
+from pgccd.distributed.comm.peer_memory import PeerMemory, size_of
+from pgccd.distributed.guard import Guard
+from pgccd.runtime.events import gpu_finishes_within
+
+# After an error of this rank: the time for messages that other ranks may still send, and the time in which kernels end
+# after `stop_messages`. Shorter together than the guard's before it ends the process.
+_LAST_MESSAGES_SECONDS, _STOP_SECONDS = 5.0, 2.0
 
 
 class GroupObjects(Objects):
@@ -66,6 +71,7 @@ class TorchComm(Comm):
         self.size = dist.get_world_size(self._group)
         self.guard = guard or Guard()
         self._on_close = on_close
+        read_setting()  # raises an error now, not at the first graph
         self._graphs: weakref.WeakSet[Closeable] = weakref.WeakSet()
         # Earlier graphs use earlier ones.
         self._peer_memories: list[PeerMemory] = []
@@ -147,21 +153,11 @@ class TorchComm(Comm):
         bytes = size_of(-int(self.min(torch.tensor([-bytes]))))
         if self._peer_memories and bytes <= self._peer_memories[-1].bytes:
             return
-        mapped, why = None, "another rank could not"
-        try:
-            with self.guard.waiting("connection of the GPUs"):
-                mapped = map_peer_memory(self._group, bytes)
-        except RankFailureError:
-            raise
-        except RuntimeError as error:
-            why = str(error)
-        if self.any(mapped is None):  # after this, the memory of all ranks is zero
-            warnings.warn(f"NCCL sends small messages: GPUs cannot access each other's memory: {why}", stacklevel=2)
-            self._has_peers, self.peer_messages = False, None
-            return
-        assert mapped is not None
-        self._peer_memories.append(mapped)
-        self.peer_messages = mapped
+        self.peer_messages = mapped = map_peer_memory(self, bytes)
+        if mapped is None:
+            self._has_peers = False
+        else:
+            self._peer_memories.append(mapped)
 
     @functools.cached_property
     def _has_peers(self) -> bool:
@@ -183,8 +179,27 @@ class TorchComm(Comm):
     def close_before(self, graph: Closeable) -> None:
         self._graphs.add(graph)
 
+    def stop_messages(self) -> None:
+        for memory in self._peer_memories:
+            memory.stop()
+
     def close(self) -> None:
+        if self.transport == "nccl":
+            with self.guard.waiting("the last messages"):
+                torch.cuda.synchronize()
+        self._disconnect()
+
+    def abandon(self) -> None:
+        if self.transport == "nccl" and not gpu_finishes_within(_LAST_MESSAGES_SECONDS):
+            self.stop_messages()
+            if not gpu_finishes_within(_STOP_SECONDS):
+                self.guard.end_hard()  # NCCL waits for other ranks, and its shutdown would too
+                return
+        self._disconnect()
+
+    def _disconnect(self) -> None:
         self.guard.close()
+        self.stop_messages()
         for graph in list(self._graphs):
             graph.close()
         self.peer_messages = None

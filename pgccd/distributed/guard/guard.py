@@ -80,7 +80,7 @@ class Guard:
         # Used only by the thread.
         self._ended_hub: str | None = None
         self._is_alone = False
-        self._late_at = -1
+        self._late_at = self._none_behind_at = -1  # numbers of exchanges
         self._broken_since: float | None = None
         # Process id of torchrun's agent, because its ranks are not ended when it dies. Other launchers end theirs, and
         # a shell that started ranks in the background may exit.
@@ -128,6 +128,13 @@ class Guard:
         if self._hub is not None:
             self._hub.close(2.0 * _GRACE_SECONDS)  # other ranks may not have read the verdict yet
 
+    def end_hard(self) -> None:
+        """Leaves the job; at exit, ends the process without waiting for its GPU, which waits for lost messages."""
+        self._ends_hard = True
+        self.close()
+        if self._channel is None:
+            atexit.register(self._leave)
+
     def _leave(self) -> None:
         """Runs at exit, after errors have been printed."""
         self.close()
@@ -171,14 +178,18 @@ class Guard:
         assert self._channel is not None
         with self._lock:
             exchanges, still = self._exchanges, time.monotonic() - self._progress
+            is_waiting = self._is_waiting
         is_late = still > self._timeout
         if self._agent is not None and os.getppid() != self._agent:
             self._fail("has lost the process that launched it")
-        elif is_late and self._is_waiting and self._ended_hub is not None:
+        elif is_late and is_waiting and self._ended_hub is not None:
             self._decide(self._ended_hub)
         elif is_late and self._late_at != exchanges:
             self._late_at = exchanges
             self._channel.send(about="error", is_late=True)
+        elif is_waiting and still > 2.0 * self._timeout and self._none_behind_at == exchanges:
+            # All ranks have sent what this one waits for.
+            self._fail("lost messages of other ranks, although all are alive")
         elif self.is_broken is not None and self.is_broken():
             if self._broken_since is None:
                 self._broken_since = time.monotonic()
@@ -205,6 +216,7 @@ class Guard:
                 case "verdict":
                     self._decide(str(message.get("text")))
                 case "no verdict":
+                    self._none_behind_at = self._late_at
                     self._answered.set()
                 case "closing":
                     self._ended_hub = "rank 0 has ended early"
