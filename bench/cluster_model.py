@@ -13,7 +13,7 @@ The model of a step, which is one CUDA graph per rank, is the sum for the most l
 * many: extra time of a step of several ranks on one host: NCCL calls, and rounds that start later
 * halo: between hosts: messages x latency + bytes / bandwidth
 * resolution: between hosts: `--rounds` + 1 exchanges of 8 bytes per ghost, each way
-* gather: between hosts: two all-gathers, of 900 bytes per rank in all
+* gather: between hosts: two all-gathers, of 500 bytes per rank in all
 * balance: between hosts, one decision in `--decide-every` steps: 4 log2 P sums of 64 bins per part of space. The work
   of a decision on the device is not included.
 
@@ -46,7 +46,7 @@ from pgccd.distributed.partition.balance import rank_loads
 _BLOCK = 1 << 20
 _STATE_BYTES = 112  # per robot in the halo
 _GHOST_BYTES = 8  # each way in a round
-_RECORD_BYTES = 900
+_RECORD_BYTES = 500
 _BIN_BYTES = 64 * 8  # per part of space in one of the sums for new planes
 
 
