@@ -2,8 +2,7 @@
 
 memory: (bytes,) uint8 of this rank, zero before the first message: per rank 256 bytes, then twice the bytes of the
 largest message. addresses: (ranks,) int64, of the memory of each rank in this process. stop: address of an int64 in
-pinned memory; once it is nonzero, this rank waits for no message that has not arrived; and once one has not been waited
-for, it sends none.
+pinned memory; once it is nonzero, this rank gives up messages that have not arrived, and then sends none.
 """
 
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from pgccd.ops.library import int64, operator
 
 @operator
 def peer_gather(values: Tensor, memory: Tensor, addresses: Tensor, stop: int, rank: int) -> Tensor:
-    """values (k,) int64 -> (ranks, k): those of every rank; 1 instead of values that have not arrived at `stop`."""
+    """values (k,) int64 -> (ranks, k): those of every rank; 1 instead of values given up because of `stop`."""
     return int64(values, addresses.shape[0], values.shape[0])
 
 

@@ -19,11 +19,17 @@ def record_event(timed: bool = False, sleep: bool = False) -> torch.cuda.Event:
     return event
 
 
-def gpu_finishes_within(seconds: float) -> bool:
-    """Waits until the current device has finished all work of this process. False: it has not, after `seconds`."""
+def gpu_finishes_within(seconds: float, device: torch.device | int | None = None) -> bool:
+    """Waits until a device has finished all work of this process, or reports an error. False: neither, after `seconds`.
 
-    def wait(device: int = torch.cuda.current_device()) -> None:
-        with contextlib.suppress(Exception):  # the next call of CUDA reports the error too
+    Args:
+        seconds: the longest time to wait.
+        device: default: the current one.
+    """
+    device = torch.cuda.current_device() if device is None else device
+
+    def wait() -> None:
+        with contextlib.suppress(Exception):  # the next call of CUDA reports it too
             torch.cuda.synchronize(device)
 
     # In a thread, because CUDA's waiting has no time-out.

@@ -105,3 +105,12 @@ def test_options_that_differ_between_started_ranks(launcher: str, option: str, t
     assert f"pgccd simulate: error: {OPTIONS[option]}" in done.stdout, done.stdout
     assert time.monotonic() - begin < 25.0, done.stdout  # before the time-out
     assert not list(tmp_path.rglob("steps.jsonl"))
+
+
+def test_a_variable_that_is_wrong_on_one_rank_ends_all(tmp_path: Path) -> None:
+    wrong = '[ "$RANK" = 1 ] && export PGCCD_PEER_MEMORY=yes'
+    shell = f'{wrong}; cd {tmp_path}; exec "$PYTHON" -m pgccd simulate --robots 100 --steps 3 --timeout 30'
+    begin = time.monotonic()
+    done = finish(torchrun(2, "--no-python", "bash", "-c", shell), PYTHON=sys.executable)
+    assert done.returncode != 0 and time.monotonic() - begin < 25.0
+    assert "pgccd simulate: error: rank 1: PGCCD_PEER_MEMORY: expected 0 or 1, got 'yes'" in done.stdout, done.stdout

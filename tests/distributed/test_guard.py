@@ -154,13 +154,30 @@ def test_a_message_that_does_not_arrive_although_all_ranks_have_sent_it(ranks: R
     for one in ranks.guards[1:]:
         with one.waiting("halo"):
             pass
-    with ranks.guards[0].waiting("halo"):
-        time.sleep(1.5)
-        assert ranks.guards[0]._verdict is None  # after one time-out, the rank has asked
+    begin = time.monotonic()
+    asking = ranks.guards[0]
+    with asking.waiting("step", for_gpu=True):
+        asking._channel.send(about="error", is_late=False, exchange=1)
+        wait_for(asking._answered.is_set)
+        assert asking._none_behind == (-1, 0)  # that question was not about the time
         wait_for(lambda: exits)
+    assert time.monotonic() - begin > 2.0  # twice the time-out
     for one in ranks.guards:
         wait_for(lambda one=one: one._verdict)
         assert str(one._verdict).endswith("lost messages of other ranks, although all are alive")
+
+
+def test_a_long_exchange_that_waits_for_no_message_is_not_ended(ranks: Ranks, exits: list[int]) -> None:
+    for one in ranks.guards:
+        one.activity = "the last checkpoint"
+        with one.waiting("checkpoint"):
+            pass
+    first, second, third = ranks.guards
+    with first.waiting("checkpoint"), second.waiting("checkpoint"), third.waiting("checkpoint"):
+        time.sleep(4.0)
+    assert exits == [] and all(one._verdict is None for one in ranks.guards)
+    # The hub has been asked, but only once.
+    assert ranks.guards[0]._none_behind == (2, 1)
 
 
 def test_a_guard_without_a_hub_ends_the_process_hard_too(exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:

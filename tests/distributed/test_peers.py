@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,11 @@ from torch import Tensor
 
 from distributed import test_captured_world, test_distributed_simulation
 from pgccd import ops
-from pgccd.distributed import Alone, Comm, RankFailureError, TorchComm
+from pgccd.distributed import Comm, RankFailureError, TorchComm
 from pgccd.distributed.comm import peer_access, peer_memory, torch_comm
 from pgccd.distributed.comm.peer_access import Place, are_peers, map_peer_memory
 from pgccd.distributed.comm.peer_memory import PeerMemory, PeerMessages, RowsOfRanks, size_of, size_of_memory
-from pgccd.distributed.guard import guard
+from pgccd.distributed.guard import guard, of_all_ranks
 from pgccd.runtime.events import gpu_finishes_within
 
 BYTES = 8 * 5000
@@ -150,6 +151,22 @@ def test_a_trial_ends_if_messages_do_not_arrive(monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(RuntimeError, match="messages do not arrive"):
         peer_access._try_messages(PeerMemory(memory[0], [each.data_ptr() for each in memory], 0), 0, 2)
     torch.cuda.synchronize()
+
+
+@pytest.mark.cuda
+def test_a_trial_that_fails_does_not_leave_a_kernel_waiting() -> None:
+    memory = [torch.zeros(size_of_memory(2, 64), dtype=torch.uint8, device="cuda") for _ in range(2)]
+    peer = PeerMemory(memory[0], [each.data_ptr() for each in memory], 0)
+    gather, calls = peer.gather, itertools.count()
+
+    def fail(values: Tensor) -> Tensor:
+        if next(calls) == 1:
+            raise torch.OutOfMemoryError
+        return gather(values)
+
+    with mock.patch.object(peer, "gather", fail), pytest.raises(torch.OutOfMemoryError):
+        peer_access._try_messages(peer, 0, 2)
+    assert gpu_finishes_within(60.0)
 
 
 @pytest.mark.cuda
@@ -383,45 +400,82 @@ def test_all_ranks_reserve_the_same_size(ranks: RankPool) -> None:
     assert ranks.run(3, reserve) == [[1 << 16, 1 << 17, 1 << 20]] * 3
 
 
-def leave_with_an_error(comm: Any, finishes: list[bool]) -> tuple[list[float], list[str]]:
-    """How long a rank over NCCL has waited for its GPU, and how it has left, given whether the GPU had finished."""
+def leave(comm: Any, error: BaseException, *finishes: bool | BaseException) -> tuple[list[float], list[str]]:
+    """How long a rank over NCCL has waited for its GPU, and how it has left, given what the waiting returned."""
     waits, done = mock.Mock(side_effect=finishes), mock.Mock()
     replaced = {"transport": "nccl", "_on_close": done.disconnect, "stop_messages": done.stop_messages}
     kept = {name: getattr(comm, name) for name in replaced}
     vars(comm).update(replaced)
     with (
         mock.patch.object(torch_comm, "gpu_finishes_within", waits),
+        mock.patch.object(torch_comm.TorchComm, "_gpu", 0),
         mock.patch.object(comm.guard, "end_hard", done.end_hard),
-        pytest.raises(MemoryError),
-        comm,
+        mock.patch.object(comm.guard, "report", done.report),
     ):
-        raise MemoryError
-    vars(comm).update(kept)
+        with pytest.raises((type(error), *[type(each) for each in finishes if isinstance(each, BaseException)])), comm:
+            raise error
+        comm.close()  # does nothing more
+    vars(comm).update(kept, _is_closed=False)
     return [call.args[0] for call in waits.call_args_list], [name for name, _, _ in done.method_calls]
 
 
 def test_a_rank_with_an_error_lets_others_catch_up_before_it_stops(ranks: RankPool) -> None:
-    whole = torch_comm._LAST_MESSAGES_SECONDS
-    assert ranks.run(2, leave_with_an_error, [True]) == [([whole], ["stop_messages", "disconnect"])] * 2
+    whole, error = torch_comm._LAST_MESSAGES_SECONDS, MemoryError()
+    assert ranks.run(2, leave, error, True) == [([whole], ["report", "stop_messages", "disconnect"])] * 2
     stopped = [whole, torch_comm._STOP_SECONDS]
-    done = ["stop_messages", "stop_messages", "disconnect"]
-    assert ranks.run(2, leave_with_an_error, [False, True]) == [(stopped, done)] * 2
-    done = ["stop_messages", "end_hard"]
-    assert ranks.run(2, leave_with_an_error, [False, False]) == [(stopped, done)] * 2
+    done = ["report", "stop_messages", "stop_messages", "disconnect"]
+    assert ranks.run(2, leave, error, False, True) == [(stopped, done)] * 2
+    done = ["report", "stop_messages", "end_hard"]
+    assert ranks.run(2, leave, error, False, False) == [(stopped, done)] * 2
     assert sum(stopped) < guard._GRACE_SECONDS
+    # Ctrl-C a second time.
+    assert ranks.run(2, leave, KeyboardInterrupt(), KeyboardInterrupt()) == [([whole], ["report", "end_hard"])] * 2
 
 
-class Stopping(Alone):
-    """Tells whether messages have been stopped."""
-
-    is_stopped = False
-
-    def stop_messages(self) -> None:
-        self.is_stopped = True
+def test_after_the_failure_of_another_rank_messages_stop(ranks: RankPool) -> None:
+    assert ranks.run(2, leave, RankFailureError("rank 1 has died")) == [([], ["report", "stop_messages"])] * 2
 
 
-def test_after_the_failure_of_another_rank_messages_stop() -> None:
-    comm = Stopping()
-    with pytest.raises(RankFailureError), comm:
-        raise RankFailureError("rank 1 has died")
-    assert comm.is_stopped
+def close_after_a_fault(comm: Any, in_work: BaseException | None) -> tuple[str, list[str]]:
+    """The error that a rank raises and what it has done, if its GPU reports an error while the connection is closed."""
+    fault, done = RuntimeError("device-side assert"), mock.Mock()
+    replaced = {"transport": "nccl", "_on_close": done.disconnect}
+    kept = {name: getattr(comm, name) for name in replaced}
+    vars(comm).update(replaced)
+    with (
+        mock.patch.object(torch.cuda, "synchronize", mock.Mock(side_effect=fault)),
+        mock.patch.object(torch_comm, "gpu_finishes_within", lambda *_: True),
+        mock.patch.object(torch_comm.TorchComm, "_gpu", 0),
+        mock.patch.object(comm.guard, "report", done.report),
+        pytest.raises((RuntimeError, ValueError)) as caught,
+        comm,
+    ):
+        if in_work is not None:
+            raise of_all_ranks(in_work)
+    assert all(call.args == (fault,) for call in done.report.call_args_list)
+    vars(comm).update(kept, _is_closed=False)
+    return str(caught.value), [name for name, _, _ in done.method_calls]
+
+
+def test_an_error_while_a_connection_is_closed_is_reported(ranks: RankPool) -> None:
+    done = ["report", "disconnect"]
+    assert ranks.run(2, close_after_a_fault, None) == [("device-side assert", done)] * 2
+    assert ranks.run(2, close_after_a_fault, ValueError("--seed")) == [("--seed", done)] * 2
+
+
+def wish_for_peers(comm: Any, is_peer: bool) -> bool:
+    place = Place("here", str(comm.rank), False) if is_peer or comm.rank == 0 else None
+    with mock.patch.object(torch_comm, "place_of_gpu", lambda: place), mock.patch.dict("os.environ", PEER_MEMORY):
+        comm.transport = "nccl"
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            has_peers = comm._has_peers
+        comm.transport = "gloo"
+    expected = [] if has_peers else ["NCCL sends small messages"]
+    assert [str(each.message)[:25] for each in warned] == expected
+    return has_peers
+
+
+def test_a_wish_for_peer_memory_that_is_not_met_warns(ranks: RankPool) -> None:
+    assert ranks.run(2, wish_for_peers, True) == [True, True]
+    assert ranks.run(2, wish_for_peers, False) == [False, False]

@@ -1,8 +1,8 @@
 // Small messages between GPUs of one host: a kernel writes its message into the memory of the other GPUs, sets a flag
 // there, and waits for the others' flags. Takes 4 us, a call of NCCL in a CUDA graph 16 us.
 //
-// If another rank is lost, this waiting would last forever. A word in host memory ends it; once a message has not been
-// waited for, the rank sends nothing, since its values may depend on it.
+// If another rank is lost, this waiting would last forever. A word in host memory ends it: the rank gives up the
+// message, and then sends nothing, since its values may depend on that message.
 #pragma once
 
 #include <cstdint>
@@ -16,13 +16,13 @@ constexpr int64_t kFlagBytes = 256;
 
 // The memory of all ranks for messages, zero before the first one. That of each rank has one region per source:
 // kFlagBytes of flags (see PeerRegion), then two slots for messages, used alternately. In the region for itself, the
-// first word says whether the rank has stopped.
+// first word says whether the rank has given up a message.
 //
 // Two slots suffice: message n + 2 is written after message n + 1 of its receiver has arrived, which that rank sent
 // after reading message n.
 struct PeerMemory {
   const int64_t* addresses;  // (ranks,) of each rank's memory, in this process
-  const int64_t* stop;       // in host memory; nonzero: waits for no message that has not arrived
+  const int64_t* stop;       // in host memory; nonzero: gives up messages that have not arrived
   int64_t rank, ranks;
   int64_t region_bytes;
 

@@ -45,8 +45,8 @@ struct Regions {
     return {reinterpret_cast<uint8_t*>(memory.addresses[rank]) + source * memory.region_bytes, slot_bytes};
   }
 
-  // Nonzero once this rank has not waited for a message.
-  __device__ SystemFlag has_stopped() const {
+  // Nonzero once this rank has given up a message.
+  __device__ SystemFlag has_given_up() const {
     return SystemFlag(*reinterpret_cast<Flag*>((*this)(memory.rank, memory.rank).begin));
   }
 };
@@ -64,19 +64,19 @@ struct PartRange {
   }
 };
 
-// Waits until a flag has a value. Returns false, and marks the rank as stopped, if `stop` ends the waiting.
+// Waits until a flag has a value. Returns false if the rank gives up because of `stop`.
 __device__ bool wait_for(const Regions& regions, Flag& flag, Flag value) {
   const SystemFlag arrived(flag);
   for (uint32_t turn = 1; arrived.load(cuda::memory_order_acquire) != value; ++turn) {
     if (turn % kTurnsPerLook != 0 || *const_cast<const volatile int64_t*>(regions.memory.stop) == 0) continue;
-    regions.has_stopped().store(1, cuda::memory_order_relaxed);
+    regions.has_given_up().store(1, cuda::memory_order_relaxed);
     return false;
   }
   return true;
 }
 
 // Sends one part of a message to a rank, and waits for that part of the rank's message. send(slot) writes to the rank's
-// memory, receive(slot) reads from this rank's. Returns false, without receiving, once the rank has stopped. Called by
+// memory, receive(slot) reads from this rank's. Returns false, without receiving, once the rank has given up. Called by
 // all threads of the block of this part, once per launch.
 template <class T, class Send, class Receive>
 __device__ bool exchange_part(const Regions& regions, int64_t peer, int part, Send send, Receive receive) {
@@ -85,9 +85,9 @@ __device__ bool exchange_part(const Regions& regions, int64_t peer, int part, Se
   const PeerRegion there = regions(peer, regions.memory.rank), here = regions(regions.memory.rank, peer);
   if (threadIdx.x == 0) {
     const Flag next = here.exchanged(part) + 1;
-    const bool has_stopped = regions.has_stopped().load(cuda::memory_order_relaxed) != 0;
-    message = has_stopped ? 0 : next;
-    if (!has_stopped) here.exchanged(part) = next;
+    const bool has_given_up = regions.has_given_up().load(cuda::memory_order_relaxed) != 0;
+    message = has_given_up ? 0 : next;
+    if (!has_given_up) here.exchanged(part) = next;
   }
   __syncthreads();
   if (message == 0) return false;

@@ -5,6 +5,7 @@ All transfers of bodies and contacts use `Comm`. Only `torch_comm` and `mpi_comm
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, Protocol, TypeVar
@@ -157,32 +158,32 @@ class Comm(ABC):
         """
         return  # other transports do not block on graphs
 
-    def stop_messages(self) -> None:
-        """Ends kernels of `peer_messages` that wait for other ranks. No message may follow."""
-        return  # only for GPUs
-
-    def abandon(self) -> None:
-        """Ends the connection of a rank that leaves the job with an error of its own, so that messages may be missing.
-        The guard has reported the error.
-        """
-        self.close()
-
     @abstractmethod
     def close(self) -> None:
         """Ends the connection; the last call on every rank."""
+
+    def abandon(self, error: BaseException) -> None:
+        """Ends the connection of a rank that leaves the job because of an error that not all ranks have, so that
+        messages may be missing.
+        """
+        self.guard.report(error)
+        if isinstance(error, RankFailureError):
+            self.guard.close()  # a regular shutdown would wait for the lost rank
+        else:
+            self.close()
 
     def __enter__(self) -> Comm:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _traceback: object) -> None:
-        if error is None or is_of_all_ranks(error):
+        if error is None:
             self.close()
-        elif isinstance(error, RankFailureError):
-            self.guard.close()  # a regular shutdown would wait for the dead rank
-            self.stop_messages()
-        else:
-            self.guard.report(error)
-            self.abandon()
+            return
+        with contextlib.suppress(Exception):  # `error` is raised, not one of the shutdown that follows from it
+            if is_of_all_ranks(error):
+                self.close()
+            else:
+                self.abandon(error)
 
 
 class Alone(Comm):

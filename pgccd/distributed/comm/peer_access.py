@@ -19,7 +19,7 @@ from pgccd.runtime.events import gpu_finishes_within
 if TYPE_CHECKING:
     from pgccd.distributed.comm.interface import Comm
 
-# "0": never; "1": also if ranks share a GPU or NCCL may not use peer access, and with a warning if it is not possible;
+# "0": never; "1": with a warning if it is not possible, and also if ranks share a GPU or NCCL may not use peer access;
 # default: if it is possible.
 _SETTING = "PGCCD_PEER_MEMORY"
 # Settings of NCCL for machines on which peer access does not work, with the values that forbid it.
@@ -107,9 +107,14 @@ def _on_all_ranks(comm: Comm, work: Callable[[], T]) -> T | None:
         why = str(error)
     if not comm.any(made is None):
         return made
-    if os.environ.get(_SETTING) == "1":
-        warnings.warn(f"NCCL sends small messages: GPUs cannot access each other's memory: {why}", stacklevel=2)
+    warn_if_wanted(f"GPUs cannot access each other's memory: {why}")
     return None
+
+
+def warn_if_wanted(why: str) -> None:
+    """Warns that NCCL sends the messages, if PGCCD_PEER_MEMORY=1."""
+    if read_setting() == "1":
+        warnings.warn(f"NCCL sends small messages: {why}", stacklevel=2)
 
 
 class _Reserved:
@@ -146,14 +151,17 @@ def _try_messages(memory: PeerMemory, rank: int, size: int) -> PeerMemory:
     Raises:
         RuntimeError: values other than those sent have arrived, or none in time.
     """
-    sent = [torch.arange(memory.bytes // 8, device="cuda") * size + 1000 * turn for turn in range(3)]
-    gathered = [memory.gather(values + rank) for values in sent]
-    if not gpu_finishes_within(_TRIAL_SECONDS):
-        memory.stop()
-        raise RuntimeError("messages do not arrive")
-    ranks = torch.arange(size, device="cuda")[:, None]
-    if not all(torch.equal(found, values + ranks) for found, values in zip(gathered, sent, strict=True)):
-        raise RuntimeError("other values arrive than were sent")
+    try:
+        sent = [torch.arange(memory.bytes // 8, device="cuda") * size + 1000 * turn for turn in range(3)]
+        gathered = [memory.gather(values + rank) for values in sent]
+        if not gpu_finishes_within(_TRIAL_SECONDS):
+            raise RuntimeError("messages do not arrive")
+        ranks = torch.arange(size, device="cuda")[:, None]
+        if not all(torch.equal(found, values + ranks) for found, values in zip(gathered, sent, strict=True)):
+            raise RuntimeError("other values arrive than were sent")
+    except BaseException:
+        memory.stop()  # the agreement of ranks that follows would wait for these messages
+        raise
     return memory
 
 

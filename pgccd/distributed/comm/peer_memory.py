@@ -57,6 +57,7 @@ class PeerMemory:
         _words.append(stop)
         self._where = memory, torch.tensor(addresses, device=memory.device), stop.data_ptr(), rank
         self._stop = weakref.finalize(self, _set_in, os.getpid(), stop)
+        self.device = memory.device
         #: Size of the largest message between two ranks.
         self.bytes = (len(memory) // len(addresses) - _FLAG_BYTES) // 2
 
@@ -67,8 +68,8 @@ class PeerMemory:
         ops.peer_minimum(values, sent.rows, sent.counts, received.rows, received.counts, *self._where)
 
     def stop(self) -> None:
-        """Kernels no longer wait for messages that have not arrived; after one that would have to wait, none sends.
-        Also called at exit, where the process would wait for its GPU.
+        """From now on kernels give up messages that have not arrived; then the rank sends none either. Also called at
+        exit, where the process would wait for its GPU.
         """
         self._stop()
 

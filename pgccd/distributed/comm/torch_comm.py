@@ -12,13 +12,13 @@ import torch.distributed as dist
 from torch import Tensor
 
 from pgccd.distributed.comm.interface import Closeable, Comm, Objects, Pending, messages
-from pgccd.distributed.comm.peer_access import are_peers, map_peer_memory, place_of_gpu, read_setting
+from pgccd.distributed.comm.peer_access import are_peers, map_peer_memory, place_of_gpu, read_setting, warn_if_wanted
 from pgccd.distributed.comm.peer_memory import PeerMemory, size_of
-from pgccd.distributed.guard import Guard
+from pgccd.distributed.guard import Guard, RankFailureError
 from pgccd.runtime.events import gpu_finishes_within
 
 # After an error of this rank: the time for messages that other ranks may still send, and the time in which kernels end
-# after `stop_messages`. Shorter together than the guard's before it ends the process.
+# after `stop_messages`. Together shorter than the guard's grace period, after which it ends the process.
 _LAST_MESSAGES_SECONDS, _STOP_SECONDS = 5.0, 2.0
 
 
@@ -72,6 +72,7 @@ class TorchComm(Comm):
         self.guard = guard or Guard()
         self._on_close = on_close
         read_setting()  # raises an error now, not at the first graph
+        self._is_closed = False
         self._graphs: weakref.WeakSet[Closeable] = weakref.WeakSet()
         # Earlier graphs use earlier ones.
         self._peer_memories: list[PeerMemory] = []
@@ -165,7 +166,10 @@ class TorchComm(Comm):
         if self.transport != "nccl":
             return False
         places = self.gather_objects(place_of_gpu())
-        return bool(self.broadcast_object(self.rank == 0 and are_peers(places)))
+        if self.broadcast_object(self.rank == 0 and are_peers(places)):
+            return True
+        warn_if_wanted("ranks are on several hosts, or more than 16, or one does not use the memory of other GPUs")
+        return False
 
     @property
     def objects(self) -> Objects:
@@ -180,33 +184,67 @@ class TorchComm(Comm):
         self._graphs.add(graph)
 
     def stop_messages(self) -> None:
+        """Lets kernels of `peer_messages` give up messages that have not arrived. No message may follow."""
         for memory in self._peer_memories:
             memory.stop()
 
     def close(self) -> None:
+        if self._is_closed:
+            return
         if self.transport == "nccl":
-            with self.guard.waiting("the last messages"):
-                torch.cuda.synchronize()
+            try:
+                with self.guard.waiting("the last messages", for_gpu=True):
+                    torch.cuda.synchronize(self._gpu)
+            except Exception as error:
+                self.abandon(error)
+                raise
         self._disconnect()
 
-    def abandon(self) -> None:
-        if self.transport == "nccl" and not gpu_finishes_within(_LAST_MESSAGES_SECONDS):
+    def abandon(self, error: BaseException) -> None:
+        self.guard.report(error)
+        if isinstance(error, RankFailureError):
+            # A regular shutdown would wait for the lost rank.
+            self._is_closed = self.transport == "nccl"
+            self.guard.close()
             self.stop_messages()
-            if not gpu_finishes_within(_STOP_SECONDS):
-                self.guard.end_hard()  # NCCL waits for other ranks, and its shutdown would too
-                return
-        self._disconnect()
+            return
+        is_idle = False
+        try:
+            is_idle = self._finish_messages()
+        finally:
+            if is_idle:
+                self._disconnect()
+            else:  # NCCL waits for other ranks, and its shutdown would too
+                self._is_closed = True
+                self.guard.end_hard()
+
+    def _finish_messages(self) -> bool:
+        """Waits until this rank's GPU has finished its work, and lets it give up messages that do not arrive in time.
+        False: it has not finished.
+        """
+        if self.transport != "nccl" or gpu_finishes_within(_LAST_MESSAGES_SECONDS, self._gpu):
+            return True
+        self.stop_messages()
+        return gpu_finishes_within(_STOP_SECONDS, self._gpu)
+
+    @property
+    def _gpu(self) -> torch.device | int:
+        """The GPU with messages of this rank."""
+        return self._peer_memories[-1].device if self._peer_memories else torch.cuda.current_device()
 
     def _disconnect(self) -> None:
+        self._is_closed = True
         self.guard.close()
         self.stop_messages()
-        for graph in list(self._graphs):
-            graph.close()
-        self.peer_messages = None
-        self._peer_memories.clear()
-        # Groups must be released before Python exits: Gloo's threads release tensors of theirs.
-        vars(self).pop("_group", None)
-        vars(self).pop("control", None)
-        vars(self).pop("background", None)
-        if self._on_close is not None:
-            self._on_close()
+        try:
+            for graph in list(self._graphs):
+                graph.close()
+        finally:
+            self.peer_messages = None
+            self._peer_memories.clear()
+            # Groups must be released before Python exits: Gloo's threads release tensors of theirs.
+            vars(self).pop("_group", None)
+            vars(self).pop("control", None)
+            vars(self).pop("background", None)
+            if self._on_close is not None:
+                self._on_close()

@@ -65,7 +65,7 @@ class Guard:
     ) -> None:
         self._channel, self._rank, self._timeout, self._hub = channel, rank, timeout, hub
         self._lock = threading.Lock()
-        self._exchanges, self._is_waiting = 0, False
+        self._exchanges, self._is_waiting, self._is_for_gpu = 0, False, False
         self._progress = time.monotonic()
         #: Current activity of the rank, for messages; cheap to set.
         self.activity = "the start"
@@ -80,7 +80,10 @@ class Guard:
         # Used only by the thread.
         self._ended_hub: str | None = None
         self._is_alone = False
-        self._late_at = self._none_behind_at = -1  # numbers of exchanges
+        self._late_at = -1  # number of an exchange
+        self._asked = 0.0
+        # An exchange longer than the time-out, and how often the hub has answered that no rank was behind in it.
+        self._none_behind = -1, 0
         self._broken_since: float | None = None
         # Process id of torchrun's agent, because its ranks are not ended when it dies. Other launchers end theirs, and
         # a shell that started ranks in the background may exit.
@@ -92,12 +95,18 @@ class Guard:
             atexit.register(self._leave)
 
     @contextmanager
-    def waiting(self, what: str) -> Iterator[None]:
-        """Wraps every exchange. Raises `RankFailureError` instead of an error in it if another rank is at fault."""
+    def waiting(self, what: str, for_gpu: bool = False) -> Iterator[None]:
+        """Wraps every exchange. Raises `RankFailureError` instead of an error in it if another rank is at fault.
+
+        Args:
+            what: for messages.
+            for_gpu: whether this waits for kernels that wait for messages, without a time-out of their own. Such an
+                exchange ends the process if it takes longer than twice the guard's time-out.
+        """
         with self._lock:
             self._exchanges += 1
             self._progress = time.monotonic()
-            self._is_waiting = True
+            self._is_waiting, self._is_for_gpu = True, for_gpu
         try:
             yield
         except RuntimeError as error:
@@ -178,18 +187,20 @@ class Guard:
         assert self._channel is not None
         with self._lock:
             exchanges, still = self._exchanges, time.monotonic() - self._progress
-            is_waiting = self._is_waiting
-        is_late = still > self._timeout
+            is_waiting, is_for_gpu = self._is_waiting, self._is_for_gpu
+        is_late, since_asked = still > self._timeout, time.monotonic() - self._asked
+        is_waiting_for_gpu = is_waiting and is_for_gpu
         if self._agent is not None and os.getppid() != self._agent:
             self._fail("has lost the process that launched it")
         elif is_late and is_waiting and self._ended_hub is not None:
             self._decide(self._ended_hub)
-        elif is_late and self._late_at != exchanges:
-            self._late_at = exchanges
-            self._channel.send(about="error", is_late=True)
-        elif is_waiting and still > 2.0 * self._timeout and self._none_behind_at == exchanges:
-            # All ranks have sent what this one waits for.
+        elif is_waiting_for_gpu and self._none_behind == (exchanges, 2):
+            # All ranks have sent what this one waits for. Asked twice, since messages are late, not lost, after all
+            # processes have been suspended.
             self._fail("lost messages of other ranks, although all are alive")
+        elif is_late and (self._late_at != exchanges or (is_waiting_for_gpu and since_asked > self._timeout)):
+            self._late_at, self._asked = exchanges, time.monotonic()
+            self._channel.send(about="error", is_late=True, exchange=exchanges)
         elif self.is_broken is not None and self.is_broken():
             if self._broken_since is None:
                 self._broken_since = time.monotonic()
@@ -216,7 +227,9 @@ class Guard:
                 case "verdict":
                     self._decide(str(message.get("text")))
                 case "no verdict":
-                    self._none_behind_at = self._late_at
+                    if message.get("is_late"):
+                        exchange, times = message.get("exchange", -1), self._none_behind[1]
+                        self._none_behind = exchange, times + 1 if exchange == self._none_behind[0] else 1
                     self._answered.set()
                 case "closing":
                     self._ended_hub = "rank 0 has ended early"

@@ -36,7 +36,7 @@ class _Inquiry:
     """A query of the progress of all ranks."""
 
     number: int
-    askers: set[int]
+    askers: dict[int, int]  #: ranks, and the number of the exchange that each asks about
     is_late: bool  #: whether an exchange took longer than the time-out
     deadline: float
     answers: dict[int, Message]
@@ -149,7 +149,7 @@ class Hub:
             case "failure":
                 self._blame(f"{member.name} {message.get('text')}")
             case "error":
-                self._ask_all(rank, bool(message.get("is_late")))
+                self._ask_all(rank, bool(message.get("is_late")), message.get("exchange", -1))
             case "answer" if self._inquiry is not None and message.get("number") == self._inquiry.number:
                 self._inquiry.answers[rank] = message
 
@@ -164,15 +164,16 @@ class Hub:
         for member in self._members.values():
             member.channel.send(about="verdict", text=verdict)
 
-    def _ask_all(self, asker: int, is_late: bool) -> None:
+    def _ask_all(self, asker: int, is_late: bool, exchange: int) -> None:
         if self._verdict is not None:
             self._members[asker].channel.send(about="verdict", text=self._verdict)
         elif self._inquiry is not None:
-            self._inquiry.askers.add(asker)
+            self._inquiry.askers[asker] = exchange
             self._inquiry.is_late |= is_late
         else:
             self._inquiries += 1
-            self._inquiry = _Inquiry(self._inquiries, {asker}, is_late, time.monotonic() + _ANSWER_SECONDS, {})
+            deadline = time.monotonic() + _ANSWER_SECONDS
+            self._inquiry = _Inquiry(self._inquiries, {asker: exchange}, is_late, deadline, {})
             for member in self._members.values():
                 member.channel.send(about="question", number=self._inquiries)
 
@@ -198,8 +199,8 @@ class Hub:
                 more = f" and {len(blamed) - 4} more" if len(blamed) > 4 else ""
                 self._blame(", ".join(blamed[:4]) + more)
                 return
-        for asker in inquiry.askers:
-            self._members[asker].channel.send(about="no verdict")
+        for asker, exchange in inquiry.askers.items():
+            self._members[asker].channel.send(about="no verdict", is_late=inquiry.is_late, exchange=exchange)
 
 
 def _allow_files(count: int) -> None:

@@ -13,6 +13,7 @@ import torch.distributed as dist
 
 from pgccd.distributed.comm import nccl
 from pgccd.distributed.comm.interface import Alone, Comm
+from pgccd.distributed.comm.peer_access import read_setting
 from pgccd.distributed.comm.torch_comm import TorchComm
 from pgccd.distributed.guard import Guard, Hub
 from pgccd.distributed.guard.channel import join, process_name
@@ -71,6 +72,10 @@ def connect(
         device = choose_device(device, placement)
     except RuntimeError as error:
         tell_problem(f"device: {error}", timeout)
+    try:
+        read_setting()
+    except ValueError as error:
+        tell_problem(str(error), timeout)
     meeting = meet(placement, timeout)
     store = meeting.store
     own = {"device": device.type, "transport": transport, "timeout": f"{timeout:g}"}

@@ -186,8 +186,9 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         world.columns = {name: column[: len(world.id)].clone() for name, column in graph.columns.items()}
 
     def _read(self, replay: Replay[_Committed], index: int) -> _Committed | None:
-        self._world.comm.guard.activity = "step"
-        with self._world.comm.guard.waiting("step"):
+        comm = self._world.comm
+        comm.guard.activity = "step"
+        with comm.guard.waiting("step", for_gpu=comm.goes_with_the_stream):
             return replay.read(index)
 
     def _needs_launch(self, step: _Committed, enqueued: int) -> bool:

@@ -310,7 +310,7 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         self._state = RobotState(**columns)
 
     def _read(self, replay: Replay[CommittedStep], index: int) -> CommittedStep | None:
-        with self.comm.guard.waiting("step"):
+        with self.comm.guard.waiting("step", for_gpu=self.comm.goes_with_the_stream):
             return replay.read(index)
 
     def _needs_launch(self, step: CommittedStep, enqueued: int) -> bool:
