@@ -20,6 +20,7 @@ from pgccd.checkpoint.files import (
     Rows,
     file_errors,
     file_hash,
+    layout_of,
     rank_file,
     read_bytes,
     read_json,
@@ -70,6 +71,13 @@ class Stored:
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             problem = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise CheckpointError(f"{path} is not the index of a checkpoint: {problem}") from error
+
+    # Torch pickles no tensors of some dtypes, uint16 for example.
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"layout": layout_of(self.layout)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, layout={table: _no_rows(columns) for table, columns in state["layout"].items()})
 
     def row_count(self, table: str) -> int:
         """Number of rows of a table, over all files."""

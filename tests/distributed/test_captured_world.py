@@ -17,6 +17,7 @@ from torch import Tensor
 
 import pgccd
 from distributed.conftest import World as Ranks
+from pgccd.detection.parts import find_part
 from pgccd.distributed import (
     BalanceOptions,
     Bodies,
@@ -266,3 +267,44 @@ def test_what_functions_return_is_checked() -> None:
         other = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, world.position, report=report)
         with pytest.raises(ValueError, match="world: expected one with report"):
             CapturedWorld(other, motion, response)
+
+
+_PAIRS = 60
+
+
+def follow_off_centre(comm: Comm, broad_phase: str) -> list[tuple[int, int, bool]]:
+    """PCS, contacts and whether each step was replayed, of meshes whose SBV centre is not their origin. On two ranks, a
+    pair of rank 0 reaches the part of rank 1, which sends no ghosts; so padding is beside them.
+    """
+    mesh = pgccd.Mesh(torch.eye(4, 3).double() + 0.1, [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
+    assert not pgccd.MeshSet([mesh]).is_centred
+    mine = torch.arange(2 * _PAIRS if comm.rank == 0 else 0)
+    # Each pair is in a world of its own, with another height.
+    height = 0.5 + 0.03 * (7 * (mine // 2) % _PAIRS)
+    position = torch.stack([2.0 + 1.6 * (mine % 2), height + 0.1 * (mine % 2), height], dim=1).double()
+
+    def approach(bodies: Bodies) -> pgccd.RigidMotion:
+        turn = torch.eye(4).double()[:1].repeat(len(bodies.id), 1)
+        velocity = torch.where(bodies.id % 2 == 0, 2.0, -1.0)[:, None] * turn[:, :3]
+        return pgccd.RigidMotion.from_velocity(bodies.position, turn, velocity, 0.0 * velocity, dt=1.0)
+
+    def stay(bodies: Bodies, _motion: pgccd.RigidMotion, _first: Tensor) -> dict[str, Tensor]:
+        return {"position": bodies.position}
+
+    def search(bodies: Any, *arguments: Any, **more: Any) -> Any:
+        assert not bodies.reach.isnan().any()
+        return find_part(bodies, *arguments, **more)
+
+    with graphs_on("cpu"), mock.patch.object(padded_share, "find_part", search):
+        columns = {"id": mine, "world": mine // 2, "balance": BalanceOptions("none")}
+        asked: dict[str, Any] = {"comm": comm, "broad_phase": broad_phase, **columns}
+        world = World.create([mesh], (0.0,) * 3, (8.0, 4.0, 4.0), position, **asked)
+        steps = CapturedWorld(world, approach, stay, True).run(6)
+        return [(step.pcs, step.contacts, step.replayed) for step in steps]
+
+
+@pytest.mark.parametrize("broad_phase", ["sweep", "grid", "lbvh"])
+def test_padding_beside_bodies_at_the_boundary_hides_none(ranks: RankPool, broad_phase: str) -> None:
+    for size in (1, 2):
+        steps = ranks.run(size, follow_off_centre, broad_phase)[0]
+        assert [step[:2] for step in steps] == [(_PAIRS, _PAIRS)] * 6 and sum(step[2] for step in steps) >= 3

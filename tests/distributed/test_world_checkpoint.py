@@ -30,6 +30,7 @@ def begin(comm: Comm, partition: str = "cells") -> World:
     mine = torch.arange(comm.rank, count, comm.size).flip(0)
     columns = {"orientation": crowd.orientation, "velocity": crowd.velocity, "rotation": crowd.rotation}
     columns |= {"tag": 7 * torch.arange(count), "half": torch.arange(count).to(torch.bfloat16)}
+    columns |= {"short": torch.arange(count).to(torch.uint16), "low": torch.arange(count).to(torch.float8_e4m3fn)}
     columns |= {"odd": (torch.arange(count) % 2 == 1)[:, None], "none": torch.zeros((count, 0))}
     return World.create(
         crowd.meshes,
@@ -59,11 +60,9 @@ def numbers(columns: list[torch.Tensor]) -> list[list[float]]:
 
 def state_of(world: World) -> list[list[float]]:
     """All columns of all bodies, by id; equal on all ranks."""
-    assert {name: column.dtype for name, column in world.payload.items() if name in ("half", "odd", "tag")} == {
-        "half": torch.bfloat16,
-        "odd": torch.bool,
-        "tag": torch.int64,
-    }
+    dtypes = {"half": torch.bfloat16, "odd": torch.bool, "tag": torch.int64, "short": torch.uint16}
+    dtypes["low"] = torch.float8_e4m3fn
+    assert {name: column.dtype for name, column in world.payload.items() if name in dtypes} == dtypes
     assert world.payload["none"].shape == (len(world.id), 0)
     columns = [world.columns[name] for name in sorted(world.columns) if name != "id"]
     return sorted(sum(to_all(world.comm, numbers([world.id, *columns])), []))

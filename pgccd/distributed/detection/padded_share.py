@@ -119,15 +119,14 @@ def search_padded_share(
         held = halo.padded()
         for name, column in held.ghosts.items():
             if name.startswith("orientation"):
-                column[:, 0].masked_fill_(
-                    held.ghosts["id"] < 0, 1.0
-                )  # padding is zeros, which is not a unit quaternion
+                _set_unit(column, held.ghosts["id"] < 0)
         ghosts = of_checked(*_build_padded(build, held.ghosts))
         near, near_count = ops.near_ghosts(centres, reach, centres_of(ghosts), *where)
         near = _first_rows(near[: capacity.near], near_count)
         rows = torch.cat([near, torch.arange(held.own_count, len(held), device=device)])
         columns = take_bodies(bodies, ghosts, rows)
         columns["radius"] = torch.where(rows < 0, -torch.inf, columns["radius"])
+        _set_unit(columns["orientation_t0"], rows < 0)
         at_boundary = bodies_of(bodies, columns)
 
         def owned_at_boundary(pairs: Tensor) -> tuple[Tensor, Tensor]:
@@ -151,6 +150,13 @@ def _build_padded(build: Build, columns: Columns) -> tuple[Scene, RigidMotion]:
     assert isinstance(motion, RigidMotion)
     scene.radius = torch.where(columns["id"] < 0, -torch.inf, scene.radius)
     return scene, motion
+
+
+def _set_unit(orientation: Tensor, is_padding: Tensor) -> None:
+    """Makes rows of padding, which are zeros, unit quaternions. A pose without one has no swept sphere: the NaN that is
+    computed instead would not be left out by broad phases, and hide pairs of others.
+    """
+    orientation[:, 0].masked_fill_(is_padding, 1.0)
 
 
 def _first_rows(rows: Tensor, count: Tensor) -> Tensor:
