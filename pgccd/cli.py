@@ -24,7 +24,7 @@ from pgccd.runtime.memory import is_out_of_memory
 from pgccd.sim.checkpoint import Header, require_checkpoint
 from pgccd.sim.distributed import command
 from pgccd.sim.progress import Progress, terminal_progress
-from pgccd.sim.run_folder import WORLD_FILE
+from pgccd.sim.run_folder import mesh_files
 from pgccd.sim.summary import summary_lines, totals, write_pictures
 
 _COMMANDS = ("simulate", "detect", "info")
@@ -171,6 +171,9 @@ def _print_run(finished: sim.Run, folder: Path, options: argparse.Namespace) -> 
             figures |= write_pictures(finished, folder)
         except ImportError as error:
             print(f"no picture: {error}", file=sys.stderr)
+        except OSError as error:
+            problem = f"pictures cannot be written to {folder}: {error.strerror or error}; the run is complete"
+            raise ArgumentError("--out", problem) from error
     print(" ".join(f"{name}={value}" for name, value in figures.items()))
     if finished.interrupted:
         print(f"interrupted; to continue: pgccd simulate --resume {folder}", file=sys.stderr)
@@ -194,7 +197,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
         if folder is not None:
             header = distributed.on_first(comm, lambda: require_checkpoint(folder)).run
             _require_same_world(folder, header, given)
-            files = options.mesh or distributed.on_first(comm, lambda: _mesh_files(folder))
+            files = options.mesh or distributed.on_first(comm, lambda: mesh_files(folder))
             meshes = distributed.together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))
             with _progress(comm, header.steps_made, options.steps or header.steps_wanted) as progress:
                 return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
@@ -231,16 +234,6 @@ def _option(field: str) -> str:
 
 def _progress(comm: distributed.Comm, steps_made: int, steps: int) -> AbstractContextManager[Progress | None]:
     return terminal_progress(steps_made, steps) if comm.rank == 0 else nullcontext()
-
-
-def _mesh_files(folder: Path) -> list[str] | None:
-    """The mesh files that the run was started with; None for the built-in robot."""
-    path = folder / WORLD_FILE
-    try:
-        files = json.loads(path.read_text()).get("mesh_files") if path.is_file() else None
-    except (AttributeError, ValueError) as error:
-        raise ValueError(f"{path} cannot be read: {error}") from error
-    return files or None
 
 
 def _load_meshes(files: Sequence[str] | None, argument: str, origin: Origin = (0, 0, 0)) -> list[pgccd.Mesh] | None:

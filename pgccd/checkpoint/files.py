@@ -41,6 +41,8 @@ DTYPES = {
 
 Columns = Mapping[str, Tensor]
 
+# Suffix of the pointer of a checkpoint that is not yet the newest.
+_UNFINISHED_POINTER = ".pointer"
 # Number of rows hashed at a time.
 _BLOCK = 1 << 20
 
@@ -178,13 +180,13 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
         index["shared"] = asdict(_write_tensors(folder / SHARED, content.shared))
     with file_errors(folder, "written"):
         raw = json.dumps(index, indent=1).encode()
+        pointer = {"format": FORMAT, "kind": content.kind, "folder": name}
+        pointer["index_sha256"] = hashlib.sha256(raw).hexdigest()
+        unfinished = root / f"{name}{_UNFINISHED_POINTER}"
+        _write_bytes(unfinished, json.dumps(pointer).encode())  # before the index: see `orphans`
         _write_bytes(folder / INDEX, raw)
         _sync(folder)
         _sync(root)  # syncs the entry of the new folder
-        pointer = {"format": FORMAT, "kind": content.kind, "folder": name}
-        pointer["index_sha256"] = hashlib.sha256(raw).hexdigest()
-        unfinished = root / f"{name}.pointer"
-        _write_bytes(unfinished, json.dumps(pointer).encode())
         os.replace(unfinished, root / POINTER)
         _sync(root)
     try:
@@ -205,7 +207,39 @@ def discard(root: Path, name: str) -> None:
     if named != name:
         shutil.rmtree(root / name, ignore_errors=True)
         with suppress(OSError):
-            (root / f"{name}.pointer").unlink()
+            (root / f"{name}{_UNFINISHED_POINTER}").unlink()
+
+
+def orphans(root: Path) -> list[str]:
+    """Names of complete checkpoints in a folder without `newest.json`, which has been lost. Without those of which the
+    writing was interrupted before they became the newest: these have a pointer of their own.
+    """
+    if not root.is_dir():
+        return []
+    names = {entry.name for entry in root.iterdir()}
+    return [
+        name
+        for name in sorted(names)
+        if NAME.fullmatch(name) and f"{name}{_UNFINISHED_POINTER}" not in names and (root / name / INDEX).exists()
+    ]
+
+
+def remove_all(root: Path) -> None:
+    """Removes all checkpoints, but no other files."""
+    if root.is_dir():
+        (root / POINTER).unlink(missing_ok=True)  # first: what it names is complete as long as it exists
+        _remove_others(root, None)
+        with suppress(OSError):  # it is a link, or holds other files
+            root.rmdir()
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Writes a file under another name, then gives it this one. Follows no symbolic links."""
+    unfinished = path.with_name(f"{path.name}.unfinished")
+    unfinished.unlink(missing_ok=True)
+    with open(unfinished, "x") as file:
+        file.write(text)
+    os.replace(unfinished, path)
 
 
 def read_pointer(root: Path, kind: str) -> tuple[str, str]:
@@ -281,10 +315,10 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def _remove_others(root: Path, kept: str) -> None:
+def _remove_others(root: Path, kept: str | None) -> None:
     """Removes previous and incomplete checkpoints."""
-    for other in root.iterdir():
-        if other.name != kept and NAME.fullmatch(other.name.removesuffix(".pointer")):
+    for other in list(root.iterdir()):
+        if other.name != kept and NAME.fullmatch(other.name.removesuffix(_UNFINISHED_POINTER)):
             if other.is_dir() and not other.is_symlink():
                 shutil.rmtree(other, ignore_errors=True)
             else:

@@ -25,7 +25,8 @@ def hold(folder: Path) -> Iterator[None]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        file = open(folder / _LOCK, "a+")  # noqa: SIM115  (closed below)
+        # Follows no symbolic link.
+        file = open(os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+")  # noqa: SIM115
     except OSError as error:
         raise FolderError(f"folder: cannot write to {folder}: {error.strerror or error}") from error
     with file:
@@ -37,7 +38,13 @@ def hold(folder: Path) -> Iterator[None]:
             raise FolderError(f"folder: {folder} is in use by another job: {holder}") from None
         except OSError as error:  # the file system does not support locks
             warnings.warn(f"{folder} cannot be locked against other jobs: {error.strerror}", stacklevel=3)
-        file.truncate(0)
-        file.write(f"process {os.getpid()} on {socket.gethostname()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n")
-        file.flush()
+        try:
+            file.truncate(0)
+            os.write(file.fileno(), _holder().encode())
+        except OSError as error:
+            raise FolderError(f"folder: cannot write to {folder}: {error.strerror or error}") from error
         yield
+
+
+def _holder() -> str:
+    return f"process {os.getpid()} on {socket.gethostname()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n"

@@ -1,6 +1,7 @@
 """Reading of checkpoints; see `pgccd.checkpoint`."""
 
 import hashlib
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from pgccd.checkpoint.files import (
     file_errors,
     file_hash,
     layout_of,
+    orphans,
     rank_file,
     read_bytes,
     read_json,
@@ -184,8 +186,17 @@ class Stored:
 
 
 def has_checkpoint(folder: Path) -> bool:
-    """Whether a folder holds a checkpoint."""
-    return (folder / FOLDER / POINTER).exists()
+    """Whether a folder holds a checkpoint.
+
+    Raises:
+        CheckpointError: it holds checkpoints, but not the file that names the newest one.
+    """
+    root = folder / FOLDER
+    if os.path.lexists(root / POINTER):
+        return True
+    if found := orphans(root):
+        raise CheckpointError(f"{root} has lost {POINTER}, but holds {', '.join(found[:2])}")
+    return False
 
 
 def _number(value: Any) -> int:

@@ -1,6 +1,5 @@
 """Checkpoints of a run, in the files of `pgccd.checkpoint`."""
 
-import shutil
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -145,7 +144,4 @@ def load_checkpoint(run_folder: str | Path) -> Checkpoint:
 def forget_checkpoints(run_folder: Path) -> None:
     """Removes all checkpoints of an earlier run."""
     (run_folder / _FORMER).unlink(missing_ok=True)
-    root = run_folder / files.FOLDER
-    if root.is_dir():
-        (root / files.POINTER).unlink(missing_ok=True)  # first: what it names is complete as long as it exists
-        shutil.rmtree(root)
+    files.remove_all(run_folder / files.FOLDER)

@@ -5,8 +5,13 @@ from __future__ import annotations
 import json
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
+
+from pgccd.checkpoint.files import replace_text
+from pgccd.checkpoint.lock import FolderError
 
 LOG_FILE = "steps.jsonl"
 
@@ -17,6 +22,9 @@ class StepLog:
     Args:
         folder: of the run.
         steps_made: number of steps whose lines are kept; warns if lines are missing.
+
+    Raises:
+        FolderError: it cannot be written; also from `append` and `sync`.
     """
 
     def __init__(self, folder: Path, steps_made: int) -> None:
@@ -26,37 +34,50 @@ class StepLog:
         if len(self.records) < steps_made:
             missing = steps_made - len(self.records)
             warnings.warn(f"{self.path} lacks {missing} of {steps_made} steps made before the checkpoint", stacklevel=2)
-        unfinished = self.path.with_suffix(".unfinished")
-        unfinished.write_text("".join(json.dumps(record) + "\n" for record in self.records))
-        os.replace(unfinished, self.path)
-        self._file: TextIO = open(self.path, "a")  # noqa: SIM115  (closed by __exit__)
+        with self._errors():
+            replace_text(self.path, "".join(json.dumps(record) + "\n" for record in self.records))
+            self._file: TextIO = open(self.path, "a")  # noqa: SIM115  (closed by __exit__)
 
     def append(self, record: dict[str, Any]) -> None:
         self.records.append(record)
-        self._file.write(json.dumps(record) + "\n")
-        self._file.flush()
+        with self._errors():
+            self._file.write(json.dumps(record) + "\n")
+            self._file.flush()
 
     def sync(self) -> None:
-        """Waits until all lines are on the disk."""
-        os.fsync(self._file.fileno())
+        """Waits until all lines are on the disk, where the log must still have its name."""
+        with self._errors():
+            os.fsync(self._file.fileno())
+            if not os.path.samestat(os.fstat(self._file.fileno()), os.stat(self.path)):
+                raise FolderError(f"folder: {self.path} has been replaced while the run was writing it")
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise FolderError(f"folder: {self.path} cannot be written: {error.strerror or error}") from error
 
     def __enter__(self) -> StepLog:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        with suppress(OSError) if error is not None else self._errors():
+            self._file.close()
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
-    """The records of `steps.jsonl`, up to the first incomplete line; empty without the file."""
+    """The records of `steps.jsonl` by step, the first of each; without lines that are damaged or incomplete. Empty
+    without the file.
+    """
     path = folder / LOG_FILE
-    records = []
-    for line in path.read_text(errors="replace").splitlines() if path.is_file() else []:
+    records: dict[int, dict[str, Any]] = {}
+    for line in path.read_bytes().split(b"\n") if path.is_file() else []:
         try:
             record = json.loads(line)
-        except (ValueError, RecursionError):  # the process died while writing it
-            break
-        if not isinstance(record, dict) or type(record.get("step")) is not int:
-            break
-        records.append(record)
-    return records
+        except (ValueError, RecursionError):  # the process died while writing it, for example
+            continue
+        step = record.get("step") if isinstance(record, dict) else None
+        if type(step) is int and step >= 0:
+            records.setdefault(step, record)
+    return [records[step] for step in sorted(records)]

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from pgccd.checkpoint.files import replace_text
 from pgccd.checkpoint.lock import FolderError
 from pgccd.sim.checkpoint import find_checkpoint, forget_checkpoints
 
@@ -19,7 +20,7 @@ def begin(folder: Path, world: dict[str, Any], overwrite: bool) -> None:
         overwrite: whether a checkpoint of an earlier run may be removed.
 
     Raises:
-        FolderError: the folder holds an earlier run, and `overwrite` is False.
+        FolderError: the folder holds an earlier run, and `overwrite` is False; or it cannot be written to.
     """
     if not overwrite:
         try:
@@ -31,5 +32,24 @@ def begin(folder: Path, world: dict[str, Any], overwrite: bool) -> None:
             made, wanted = earlier.run.steps_made, earlier.run.steps_wanted
             run = f"a run that made {made} of {wanted} steps"
             raise FolderError(f"folder: {folder} holds {run}; resume it, overwrite it, or take another folder")
-    forget_checkpoints(folder)
-    (folder / WORLD_FILE).write_text(json.dumps(world, indent=2) + "\n")
+    try:
+        forget_checkpoints(folder)
+        replace_text(folder / WORLD_FILE, json.dumps(world, indent=2) + "\n")
+    except OSError as error:
+        raise FolderError(f"folder: {folder} cannot be written to: {error.strerror or error}") from error
+
+
+def mesh_files(folder: Path) -> list[str] | None:
+    """The mesh files that the run was started with; None for the built-in robot.
+
+    Raises:
+        ValueError: `world.json` cannot be read.
+    """
+    path = folder / WORLD_FILE
+    try:
+        files = json.loads(path.read_text()).get("mesh_files") if path.is_file() else None
+    except (AttributeError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    if files is not None and not (isinstance(files, list) and all(isinstance(name, str) for name in files)):
+        raise ValueError(f"{path}: mesh_files: expected a list of file names, got {files!r}")
+    return files or None

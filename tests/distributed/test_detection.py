@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 from unittest import mock
 
 import pytest
@@ -232,3 +233,44 @@ def test_ranks_that_disagree_fail_together(ranks: World) -> None:
     for message, beginning in zip(messages[0], beginnings, strict=True):
         assert message.startswith(beginning), message
     assert messages[1][:3] == messages[0][:3] and messages[1][4].startswith("position: ")
+
+
+WRONG: dict[str, dict[str, Any]] = {
+    "report: expected one of": {"report": "bogus"},
+    "broad_phase: expected one of": {"broad_phase": "bogus"},
+    "path: expected one of": {"path": "bogus"},
+    "min_separation: expected a finite length": {"min_separation": float("nan")},
+    "tolerance: expected a finite length": {"tolerance": -1.0},
+    "nonzero_toi: expected True or False": {"nonzero_toi": "yes"},
+    "overlap: expected True or False": {"overlap": "x"},
+    "balance: expected BalanceOptions": {"balance": "cost"},
+    "position: row 1: expected numbers up to 1e150, got [0.0, nan, 0.0]": {
+        "position": torch.tensor([[0.0, 0.0, 0.0], [0.0, torch.nan, 0.0]]).double()
+    },
+    "position: row 0: expected numbers up to 1e150": {"position": torch.full((2, 3), 1e200, dtype=torch.float64)},
+    "payload['s']: expected a dense tensor": {"payload": {"s": torch.eye(2).to_sparse()}},
+    "payload['position']: this name is reserved": {"payload": {"position": torch.zeros(2)}},
+    "vertex_payload['a']: payload has a tensor of this name": {
+        "payload": {"a": torch.zeros(2)},
+        "vertex_payload": {"a": torch.zeros(2 * len(crowds()["one body"].meshes[0].vertices))},
+    },
+    "upper: expected a box with volume above (0.0, 0.0, 0.0), 1e-150 long": {"upper": (1e-310, 1.0, 1.0)},
+}
+
+
+def refuse(comm: Comm) -> list[str]:
+    mesh = crowds()["one body"].meshes[0]
+    position = torch.zeros((2, 3)).double()
+    messages = []
+    for wrong in WRONG.values():
+        given = {"meshes": [mesh], "lower": (0.0,) * 3, "upper": (8.0,) * 3, "position": position, "comm": comm}
+        with pytest.raises((TypeError, ValueError)) as caught:
+            SharedWorld.create(**(given | wrong))
+        messages.append(str(caught.value))
+    return messages
+
+
+def test_wrong_arguments_are_named_at_once(ranks: World) -> None:
+    for messages in ranks.run(2, refuse):
+        for message, beginning in zip(messages, WRONG, strict=True):
+            assert message.startswith(beginning), message

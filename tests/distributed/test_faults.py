@@ -132,9 +132,10 @@ def test_without_their_agent_ranks_end(tmp_path: Path, expected: list[Any]) -> N
 
 
 @pytest.mark.parametrize("launcher", LAUNCHERS)
-def test_a_stopped_rank_is_named(launcher: str, tmp_path: Path, expected: list[Any]) -> None:
+@pytest.mark.parametrize("which", [0, -1])
+def test_a_stopped_rank_is_named(launcher: str, which: int, tmp_path: Path, expected: list[Any]) -> None:
     process = start(launcher, tmp_path, "--timeout", "8")
-    stopped = ranks_of(process)[-1]
+    stopped = ranks_of(process)[which]
     os.kill(stopped, signal.SIGSTOP)
     try:
         for line in process.stdout:  # type: ignore[union-attr]

@@ -212,6 +212,20 @@ def test_a_rank_that_does_not_answer_is_blamed_last(ranks: Ranks, exits: list[in
     assert "rank 2 (process 2) does not answer: stopped, or busy" in message
 
 
+def test_a_hub_that_does_not_answer_is_blamed(ranks: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "_VERDICT_SECONDS", 1.0)
+    monkeypatch.setattr(ranks.hub, "_ask_all", lambda *_: None)
+    blamed = "does not answer: stopped, or busy"
+    message = fail(ranks.guards[1])
+    assert message.startswith(f"rank 0 (process {os.getpid()} on ") and blamed in message
+    # Without an error, too.
+    with ranks.guards[2].waiting("halo"):
+        wait_for(lambda: ranks.guards[2]._verdict)
+    assert blamed in str(ranks.guards[2]._verdict)
+    # Rank 0 does not blame itself.
+    assert fail(ranks.guards[0]) == "connection closed by peer"
+
+
 def test_a_rank_that_failed_says_so(ranks: Ranks, exits: list[int]) -> None:
     ranks.guards[2].activity = "step 3"
     ranks.guards[2].report(MemoryError("8 GiB\nand a long story"))

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import socket
+import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 import torch.distributed as dist
+from support.launch import finish, torchrun
 
+from pgccd.distributed.guard import Hub
 from pgccd.distributed.launch import rendezvous
 from pgccd.distributed.launch.placement import Placement
-from pgccd.distributed.launch.rendezvous import agree_on_start, first_host
+from pgccd.distributed.launch.rendezvous import agree_on_start, first_host, meet
 
 SIZE = 4
 
@@ -47,3 +52,51 @@ def test_ranks_that_do_not_come_are_named() -> None:
 )
 def test_first_host_of_slurm_s_short_form(nodes: str, first: str) -> None:
     assert first_host(nodes) == first
+
+
+def placed(monkeypatch: pytest.MonkeyPatch, launcher: str, **variables: str) -> Placement:
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    return Placement(launcher, 0, 2, 0, True)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+def test_a_port_in_use_is_named(monkeypatch: pytest.MonkeyPatch, host: str) -> None:
+    if host == "::1" and not socket.has_dualstack_ipv6():
+        pytest.skip("no IPv6")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.create_server((host, 0), family=family) as other:
+        port = other.getsockname()[1]
+        here = placed(monkeypatch, "srun", MASTER_ADDR=host, MASTER_PORT=str(port))
+        with pytest.raises(RuntimeError, match=f"^MASTER_PORT: cannot listen on {host}, port {port}: Address already"):
+            meet(here, 1.0)
+    store = meet(here, 5.0).store
+    store.set("key", "value")
+    assert store.get("key") == b"value"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [*(("MASTER_PORT", value) for value in ("99999", "abc", "0")), ("SLURM_STEP_ID", "x"), ("SLURM_JOB_ID", "-1")],
+)
+def test_variables_that_are_no_numbers_are_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
+    here = placed(monkeypatch, "srun", MASTER_ADDR="127.0.0.1", **{name: value})
+    with pytest.raises(ValueError, match=f"^{name}: expected a number"):
+        meet(here, 1.0)
+
+
+def test_a_hub_of_all_interfaces_can_be_reached_by_ipv6() -> None:
+    if not socket.has_dualstack_ipv6():
+        pytest.skip("no IPv6")
+    hub = Hub("", b"token", 1)
+    for host in ("127.0.0.1", "::1"):
+        socket.create_connection((host, hub.port), timeout=5.0).close()
+    hub.close(1.0)
+
+
+def test_a_token_on_some_ranks_only_is_named(tmp_path: Path) -> None:
+    shell = '[ "$RANK" = 1 ] && export PGCCD_JOB_TOKEN=secret; exec "$PYTHON" -m pgccd simulate --robots 9 --steps 1'
+    command = torchrun(2, "--no-python", "bash", "-c", f"cd {tmp_path}; {shell} --timeout 20")
+    done = finish(command, PYTHON=sys.executable)
+    expected = "pgccd simulate: error: PGCCD_JOB_TOKEN: rank 0 has none, rank 1 has a value"
+    assert done.returncode != 0 and expected in done.stdout, done.stdout

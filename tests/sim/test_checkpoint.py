@@ -299,3 +299,80 @@ def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ValueError, match="^folder: cannot write to .*: Not a directory"):
         sim.run(CONFIG, 1, tmp_path / "file" / "run")
+
+
+def test_checkpoints_without_a_pointer_are_not_deleted(tmp_path: Path) -> None:
+    kept = write(tmp_path, 7)
+    pointer = tmp_path / FOLDER / POINTER
+    pointer.rename(tmp_path / "elsewhere")
+    with pytest.raises(module.CheckpointError, match=f"has lost {POINTER}, but holds {kept.name}"):
+        sim.resume(tmp_path)
+    with pytest.raises(ValueError, match=f"holds an earlier run .*has lost {POINTER}.*; overwrite it, or take another"):
+        sim.run(CONFIG, 1, tmp_path)
+    pointer.symlink_to(tmp_path / "nowhere")
+    for call in (lambda: sim.resume(tmp_path), lambda: sim.run(CONFIG, 1, tmp_path)):
+        with pytest.raises(ValueError, match=f"{POINTER} cannot be read: No such file"):
+            call()
+    assert kept.exists()
+    pointer.unlink()
+    (tmp_path / "elsewhere").rename(pointer)
+    assert read_all(tmp_path).steps_made == 7
+    pointer.unlink()
+    assert sim.run(CONFIG, 1, tmp_path, overwrite=True).steps_made == 1 and not kept.exists()
+
+
+@pytest.mark.parametrize("call", ["_write_bytes", "replace"])
+@pytest.mark.parametrize("number", range(3))
+def test_a_first_checkpoint_that_is_interrupted_does_not_block_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, number: int
+) -> None:
+    """The process is killed before a file is written or renamed."""
+    owner: Any = module.os if call == "replace" else module
+    original, calls = getattr(owner, call), 0
+
+    def kill(*arguments: Any, **more: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == number + 1:
+            raise SystemExit
+        return original(*arguments, **more)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, call, kill)
+        try:
+            write(tmp_path, 6)
+        except SystemExit:
+            assert find_checkpoint(tmp_path) is None
+            sim.run(CONFIG, 1, tmp_path)
+        else:
+            assert calls <= number
+            assert read_all(tmp_path).steps_made == 6
+
+
+def test_files_of_others_stay_when_a_run_is_overwritten(tmp_path: Path) -> None:
+    write(tmp_path, 7)
+    for name in ("thesis.pt", "step-1", "step-000000001-pictures"):
+        (tmp_path / FOLDER / name).touch()
+    sim.run(CONFIG, 1, tmp_path, overwrite=True)
+    assert len(list((tmp_path / FOLDER).iterdir())) == 5 and len(list((tmp_path / FOLDER).glob("step-*"))) == 3
+    # Checkpoints may be on another disk.
+    shutil.move(tmp_path / FOLDER, tmp_path / "disk")
+    (tmp_path / FOLDER).symlink_to(tmp_path / "disk")
+    sim.run(CONFIG, 2, tmp_path, overwrite=True)
+    assert sim.load_checkpoint(tmp_path).steps_made == 2 and (tmp_path / "disk" / "thesis.pt").exists()
+
+
+@pytest.mark.parametrize(
+    "name", ["lock", "world.json", "world.json.unfinished", "steps.jsonl", "steps.jsonl.unfinished"]
+)
+def test_links_that_were_planted_are_not_followed(tmp_path: Path, name: str) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("precious")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / name).symlink_to(precious)
+    if name == "lock":
+        with pytest.raises(ValueError, match="^folder: cannot write to .*: Too many levels of symbolic links"):
+            sim.run(CONFIG, 1, tmp_path / "run")
+    else:
+        sim.run(CONFIG, 1, tmp_path / "run")
+    assert precious.read_text() == "precious"

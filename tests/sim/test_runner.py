@@ -8,15 +8,17 @@ import signal
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 import torch
 
 import pgccd
 from pgccd import sim
+from pgccd.checkpoint.lock import FolderError
 from pgccd.runtime.stages import StageClock
 from pgccd.sim import replay
-from pgccd.sim.log import LOG_FILE
+from pgccd.sim.log import LOG_FILE, StepLog
 from pgccd.sim.run_folder import WORLD_FILE
 
 CONFIG = sim.ModelConfig(robots=200, pattern="skewed", seed=11, speed=0.2)
@@ -188,3 +190,42 @@ def test_a_run_of_no_steps_is_a_run(tmp_path: Path) -> None:
     run = sim.run(CONFIG, 0, tmp_path)
     assert run.records == [] and run.last_step is None and not run.interrupted
     assert sim.load_checkpoint(tmp_path).steps_made == 0
+
+
+def test_a_damaged_line_of_the_log_costs_no_other(finished: tuple[Path, sim.Run], tmp_path: Path) -> None:
+    sim.run(CONFIG, 9, tmp_path)
+    lines = (tmp_path / LOG_FILE).read_bytes().splitlines(keepends=True)
+    lines[2] = lines[2][:40] + b"\xff" + lines[2][41:]
+    lines[5] = lines[5].replace(b'"step": 5', b'"step": -5')
+    (tmp_path / LOG_FILE).write_bytes(b"".join([*lines[:4], lines[1], *lines[4:]]))  # one twice
+    with pytest.warns(UserWarning, match="lacks 2 of 9 steps"):
+        sim.resume(tmp_path, 12)
+    expected = without_times(log(finished[0]))
+    assert without_times(log(tmp_path)) == [*expected[:2], *expected[3:5], *expected[6:12]]
+
+
+@pytest.mark.parametrize("replaced", [True, False])
+def test_a_log_that_is_removed_meanwhile_ends_the_run(tmp_path: Path, replaced: bool) -> None:
+    class Remove:
+        def advance(self, record: dict[str, Any]) -> None:
+            if record["step"] == 1:
+                (tmp_path / LOG_FILE).rename(tmp_path / "elsewhere")
+                if replaced:
+                    (tmp_path / LOG_FILE).touch()
+
+    why = "has been replaced while the run was writing it" if replaced else "cannot be written: No such file"
+    with pytest.raises(FolderError, match=f"^folder: .*{LOG_FILE} {why}"):
+        sim.run(CONFIG, 4, tmp_path, checkpoint_every=2, progress=Remove())
+    assert len((tmp_path / "elsewhere").read_text().splitlines()) == 2
+
+
+def test_a_full_disk_is_named(tmp_path: Path) -> None:
+    full = StepLog(tmp_path, 0)
+    full._file.close()
+    full._file = open("/dev/full", "w")  # noqa: SIM115
+    with pytest.raises(FolderError, match=f"^folder: .*{LOG_FILE} cannot be written: No space left on device"), full:
+        full.append({"step": 0})
+    with pytest.raises(FolderError, match="^folder: .* cannot be written to: No space left on device"):
+        (tmp_path / "full").mkdir()
+        with mock.patch("pgccd.sim.run_folder.replace_text", side_effect=OSError(28, "No space left on device")):
+            sim.run(CONFIG, 1, tmp_path / "full")

@@ -15,7 +15,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from pgccd import ops
+from pgccd import arguments, ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import check_separation, operator_tolerance
@@ -60,6 +60,13 @@ class Options:
     broad_phase: broad.BroadPhase = "auto"
     #: Whether pairs of own bodies are searched while ghosts are sent. The result does not depend on it.
     overlap: bool = True
+
+    def check(self) -> None:
+        """Raises TypeError or ValueError, naming the option, if one is invalid."""
+        arguments.choice(self.report, "report", [*narrow.REPORTS, "earliest"])
+        _ = self.query  # checks its own
+        arguments.choice(self.broad_phase, "broad_phase", broad.BROAD_PHASES)
+        arguments.flag(self.overlap, "overlap")
 
     @property
     def query(self) -> Query:

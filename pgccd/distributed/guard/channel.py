@@ -162,7 +162,7 @@ def _next(channel: Channel, deadline: float) -> Message:
     while time.monotonic() < deadline:
         messages = channel.receive(deadline - time.monotonic())
         if messages is None:
-            raise ValueError("it does not belong to this job, or has ended")
+            raise ValueError("it has ended, or does not accept this rank: is PGCCD_JOB_TOKEN the same on all?")
         if messages:
             return messages[0]
     raise ValueError("no answer")

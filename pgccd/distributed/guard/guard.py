@@ -15,6 +15,8 @@ from pgccd.distributed.guard.channel import Channel
 from pgccd.distributed.guard.hub import Hub
 
 _TICK_SECONDS = 1.0
+# Duration of a turn of the thread.
+_TURN_SECONDS = 0.2
 # Maximum time to wait for the hub's verdict.
 _VERDICT_SECONDS = 15.0
 # Time for a rank to end a failed exchange by itself before the process is killed.
@@ -81,6 +83,9 @@ class Guard:
         self._ended_hub: str | None = None
         self._is_alone = False
         self._late_at = -1  # number of an exchange
+        # Time without a message of the hub since it was asked; counted in turns of the thread, since the whole job may
+        # be suspended.
+        self._silent_turns: int | None = None
         self._asked = 0.0
         # An exchange longer than the time-out, and how often the hub has answered that no rank was behind in it.
         self._none_behind = -1, 0
@@ -113,7 +118,8 @@ class Guard:
             verdict = self._ask(time.monotonic() - self._progress > _LATE * self._timeout)
             if verdict is None:
                 raise
-            self._ends_hard = self.is_broken is not None
+            # NCCL's shutdown, and MPI's, wait for all ranks.
+            self._ends_hard = self.is_broken is not None or "mpi4py.MPI" in sys.modules
             raise RankFailureError(f"{verdict} (rank {self._rank} was in {self.activity}, {what})") from error
         finally:
             self._is_waiting = False
@@ -161,7 +167,8 @@ class Guard:
         self._answered.clear()
         if self._verdict is None:
             if self._channel.send(about="error", is_late=is_late):
-                self._answered.wait(_VERDICT_SECONDS)
+                if not self._answered.wait(_VERDICT_SECONDS):
+                    self._blame_silent_hub()
             else:
                 self._answered.wait(_TICK_SECONDS)  # until the thread has detected it too
         return self._verdict or self._ended_hub
@@ -200,7 +207,10 @@ class Guard:
             self._fail("lost messages of other ranks, although all are alive")
         elif is_late and (self._late_at != exchanges or (is_waiting_for_gpu and since_asked > self._timeout)):
             self._late_at, self._asked = exchanges, time.monotonic()
+            self._silent_turns = self._silent_turns or 0
             self._channel.send(about="error", is_late=True, exchange=exchanges)
+        elif self._silent_turns is not None and self._silent_turns * _TURN_SECONDS > _VERDICT_SECONDS:
+            self._blame_silent_hub()
         elif self.is_broken is not None and self.is_broken():
             if self._broken_since is None:
                 self._broken_since = time.monotonic()
@@ -213,15 +223,24 @@ class Guard:
         self._channel.send(about="failure", text=text)
         self._decide(f"rank {self._rank} {text}")
 
+    def _blame_silent_hub(self) -> None:
+        assert self._channel is not None
+        if self._rank != 0:
+            self._decide(f"rank 0 ({self._channel.peer}) does not answer: stopped, or busy")
+
     def _read_hub(self) -> None:
         """Handles messages of the hub, waiting for a fraction of a second."""
         assert self._channel is not None
-        messages = None if self._is_alone else self._channel.receive(0.2 * _TICK_SECONDS)
+        messages = None if self._is_alone else self._channel.receive(_TURN_SECONDS)
+        if messages:
+            self._silent_turns = None
+        elif self._silent_turns is not None:
+            self._silent_turns += 1
         if messages is None:
             if not self._is_alone and self._ended_hub is None and not self._closed.is_set():
                 self._decide(f"rank 0 ({self._channel.peer}) has died")
             self._is_alone = True
-            self._closed.wait(0.2 * _TICK_SECONDS)
+            self._closed.wait(_TURN_SECONDS)
         for message in messages or []:
             match message.get("about"):
                 case "verdict":

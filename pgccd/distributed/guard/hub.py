@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
+from typing import Any
 
 from pgccd.distributed.guard.channel import Channel, Greeting, Message
 
@@ -54,7 +55,10 @@ class Hub:
     def __init__(self, host: str, token: bytes, size: int) -> None:
         self._token, self._size = token, size
         _allow_files(size + _OTHER_FILES)
-        self._listener = socket.create_server((host, 0), backlog=min(size, 4096))
+        # Without a host, of both families.
+        both: dict[str, Any] = {"family": socket.AF_INET6, "dualstack_ipv6": True}
+        more = both if not host and socket.has_dualstack_ipv6() else {}
+        self._listener = socket.create_server((host, 0), backlog=min(size, 4096), **more)
         self.port: int = self._listener.getsockname()[1]
         self._greetings: dict[Channel, tuple[Greeting, float]] = {}
         self._members: dict[int, _Member] = {}

@@ -20,6 +20,7 @@ from pgccd.distributed.guard.channel import join, process_name
 from pgccd.distributed.launch.agreement import PROBLEM, agree_by_store
 from pgccd.distributed.launch.placement import Placement, find_placement
 from pgccd.distributed.launch.rendezvous import LOOPBACK, Meeting, meet
+from pgccd.distributed.launch.token import VARIABLE as TOKEN
 from pgccd.distributed.launch.token import share_token
 
 Transport = Literal["auto", "nccl", "gloo", "torch-mpi", "mpi4py"]
@@ -79,6 +80,7 @@ def connect(
     meeting = meet(placement, timeout)
     store = meeting.store
     own = {"device": device.type, "transport": transport, "timeout": f"{timeout:g}"}
+    own[TOKEN] = "a value" if os.environ.get(TOKEN) else "none"  # not compared: it would pass through the store
     agree_by_store(store, placement, {**own, **(settings or {})}, timeout)
     if device.type == "cuda" and torch.cuda.is_available():
         torch.cuda.set_device(device)

@@ -42,7 +42,7 @@ def meet(placement: Placement, timeout: float) -> Meeting:
     """
     if placement.launcher == "torchrun":
         run = os.environ.get("TORCHELASTIC_RUN_ID", "run")
-        host, port = _variable("MASTER_ADDR"), int(_variable("MASTER_PORT"))
+        host, port = _variable("MASTER_ADDR"), _port(_variable("MASTER_PORT"))
         common = _connect_store(host, port, placement, timeout, keeps=not agent_keeps_store())
         store = agree_on_start(dist.PrefixStore(f"pgccd/{run}", common), placement, timeout)
         return Meeting(store, host, is_loopback(host) or placement.is_one_machine)
@@ -50,8 +50,8 @@ def meet(placement: Placement, timeout: float) -> Meeting:
         alone = LOOPBACK if placement.is_one_machine else first_host(_variable("SLURM_STEP_NODELIST"))
         host = os.environ.get("MASTER_ADDR") or alone
         # The same on all ranks, and different for other jobs and steps.
-        number = int(os.environ.get("SLURM_JOB_ID", "0")) * 31 + int(os.environ.get("SLURM_STEP_ID", "0"))
-        port = int(os.environ.get("MASTER_PORT", 20000 + number % 20000))
+        number = 31 * _number("SLURM_JOB_ID") + _number("SLURM_STEP_ID")
+        port = _port(os.environ.get("MASTER_PORT", str(20000 + number % 20000)))
         return Meeting(_connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host))
     return _meet_by_mpi(placement, timeout)
 
@@ -129,7 +129,11 @@ def _connect_store(host: str, port: int, placement: Placement, timeout: float, k
     if not is_loopback(host):
         return dist.TCPStore(host, port, placement.size, is_master=True, **common)
     # By default torch would listen on all interfaces.
-    listener = socket.create_server((host, port), backlog=min(placement.size, 4096))
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        listener = socket.create_server((host, port), family=family, backlog=min(placement.size, 4096))
+    except OSError as error:
+        raise RuntimeError(f"MASTER_PORT: cannot listen on {host}, port {port}: {error.strerror}") from error
     port = listener.getsockname()[1]
     return dist.TCPStore(host, port, placement.size, is_master=True, master_listen_fd=listener.detach(), **common)
 
@@ -139,6 +143,20 @@ def _variable(name: str) -> str:
         return os.environ[name]
     except KeyError:
         raise ValueError(f"{name}: not set, though other variables of its launcher are") from None
+
+
+def _number(name: str) -> int:
+    """A variable of Slurm, 0 if it is not set."""
+    value = os.environ.get(name, "0")
+    if not value.isdecimal():
+        raise ValueError(f"{name}: expected a number, got {value!r}")
+    return int(value)
+
+
+def _port(value: str) -> int:
+    if not value.isdecimal() or not 0 < int(value) < 1 << 16:
+        raise ValueError(f"MASTER_PORT: expected a number below 65536, got {value!r}")
+    return int(value)
 
 
 def first_host(node_list: str) -> str:

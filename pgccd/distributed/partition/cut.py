@@ -50,6 +50,8 @@ class Cut:
     def _kind(self, balance: BalanceOptions, former: str | None) -> str:
         """For "auto" that of the checkpoint, or bisection, unless other options ask for cells."""
         arguments.choice(self.partition, "partition", PARTITION_CHOICES)
+        if not isinstance(balance, BalanceOptions):
+            raise TypeError(f"balance: expected BalanceOptions, got {arguments.describe(balance)}")
         needs_cells = balance.policy == "one-cell"
         if self.partition == "bisection" and needs_cells:
             raise ValueError('balance: "one-cell" moves cells; with partition "bisection" there are none')

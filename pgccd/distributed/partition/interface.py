@@ -14,6 +14,10 @@ Triple = tuple[int, int, int]
 Point = tuple[float, float, float]
 
 
+# The smallest extent of a box: numbers of cells per length are finite.
+_SHORTEST = 1e-150
+
+
 def box_given(lower: Point, upper: Point) -> tuple[Point, Point]:
     """The corners of a box as plain numbers.
 
@@ -26,8 +30,9 @@ def box_given(lower: Point, upper: Point) -> tuple[Point, Point]:
         if len(corner) != 3 or not all(math.isfinite(arguments.number(x, name)) for x in corner):
             raise ValueError(f"{name}: expected three finite numbers, got {corner}")
     low, high = (cast(Point, tuple(float(x) for x in corner)) for corner in (lower, upper))
-    if not all(0.0 < b - a < math.inf for a, b in zip(low, high, strict=True)):
-        raise ValueError(f"upper: expected a box with volume above {tuple(lower)}, got {tuple(upper)}")
+    if not all(_SHORTEST <= b - a < math.inf for a, b in zip(low, high, strict=True)):
+        expected = f"a box with volume above {tuple(lower)}, 1e-150 long or more along each axis"
+        raise ValueError(f"upper: expected {expected}, got {tuple(upper)}")
     return low, high
 
 

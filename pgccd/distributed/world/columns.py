@@ -94,6 +94,10 @@ def ids_given(id: Tensor | None, count: int, device: torch.device) -> Tensor:
     return id.to(device)
 
 
+# Names of arguments of `World.move`.
+_RESERVED = ("position", "self")
+
+
 def payload_columns(payload: dict[str, Tensor], argument: str, count: int, device: torch.device) -> Columns:
     """The user's tensors under names that differ from those of other columns."""
     if not isinstance(payload, dict) or not all(isinstance(name, str) for name in payload):
@@ -105,6 +109,10 @@ def payload_columns(payload: dict[str, Tensor], argument: str, count: int, devic
             arguments.refuse_gradient(values, f"{argument}[{name!r}]")
         if not isinstance(values, Tensor) or values.shape[:1] != (count,) or values.device != device:
             raise ValueError(f"{argument}[{name!r}]: expected a tensor ({count}, ...) on {device}")
+        if values.layout != torch.strided or values.is_quantized:
+            raise ValueError(f"{argument}[{name!r}]: expected a dense tensor, not a sparse or quantized one")
+        if name in _RESERVED:
+            raise ValueError(f"{argument}[{name!r}]: this name is reserved")
         columns["." + name] = values.detach()
     return columns
 

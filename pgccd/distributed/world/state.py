@@ -14,7 +14,7 @@ from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.share import Options
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
-from pgccd.distributed.launch.agreement import require_agreement
+from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.cut import Cut
 from pgccd.distributed.partition.interface import Partition
@@ -22,6 +22,10 @@ from pgccd.distributed.world.columns import ids_given, payload_columns, require_
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import PATHS
+
+# The largest coordinate.
+_LARGEST = 1e150
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,10 @@ def state_given(
     arguments.real_tensor(position, "position")
     if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
         raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
+    wrong = torch.nonzero(~(position.abs() <= _LARGEST).all(dim=1))
+    if len(wrong):
+        row = int(wrong[0])
+        raise ValueError(f"position: row {row}: expected numbers up to 1e150, got {position[row].tolist()}")
     mesh_set = MeshSet(meshes, position.device)
     partition = cut.uniform(ranks, position.device, balance)
     index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
@@ -94,13 +102,21 @@ def state_given(
     if of_vertices:
         vertices, columns["vertex_count"] = Vertices(of_vertices, count), count
     columns |= payload_columns({} if payload is None else payload, "payload", len(position), position.device)
+    if both := sorted(set(of_vertices) & set(columns)):
+        raise ValueError(f"vertex_payload[{both[0][1:]!r}]: payload has a tensor of this name too")
     return WorldState(mesh_set, cut, partition, columns, vertices)
 
 
 def require_alike(
     comm: Comm, state: WorldState, options: Options, balance: BalanceOptions, path: str, ids_given: bool
 ) -> None:
-    """Raises DisagreementError unless all ranks have equal parameters."""
+    """Raises an error, on all ranks, unless options are valid and all parameters equal on all ranks."""
+
+    def check() -> None:
+        options.check()
+        arguments.choice(path, "path", PATHS)
+
+    together(comm, check)
     all_columns = state.columns | ({} if state.vertices is None else state.vertices.columns)
     kinds = {name: (str(column.dtype), tuple(column.shape[1:])) for name, column in all_columns.items()}
     cut = state.cut
