@@ -203,7 +203,7 @@ def disagree(comm: Comm) -> list[str]:
     position = torch.zeros((1, 3), dtype=torch.float64)
     messages = []
     for arguments in (
-        {"min_separation": 0.1 if odd else 0.0},
+        {"min_separation": 0.1 if odd else 0},
         {"payload": {"mood": position} if odd else {}},
         {"cells": 3 if odd else 4},
         {"id": torch.tensor([7])},
@@ -213,6 +213,9 @@ def disagree(comm: Comm) -> list[str]:
         with pytest.raises(ValueError) as caught:
             SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, **({"position": position, "comm": comm} | arguments))
         messages.append(str(caught.value))
+    # Equal values of other types.
+    corner = torch.full((3,), 8.0) if odd else (8,) * 3
+    SharedWorld.create([mesh], (0,) * 3, corner, position, cells=[4] * 3 if odd else (4, 4, 4), comm=comm)
     with pytest.raises(ValueError, match="^meshes: rank 0 has .*, rank 1 has"):
         other = pgccd.Mesh(mesh.vertices * 2.0, mesh.faces)
         SharedWorld.create([other if odd else mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
@@ -223,9 +226,9 @@ def test_ranks_that_disagree_fail_together(ranks: World) -> None:
     messages = ranks.run(3, disagree)
     assert messages[0] == messages[2]
     beginnings = [
-        "options: rank 0",
-        "payload: rank 0",
-        "cells: rank 0",
+        "min_separation: rank 0 has 0, rank 1 has 0.1",
+        "payload['mood']: rank 0 has nothing, rank 1 has ('float64', (3,))",
+        "cells: rank 0 has 4, rank 1 has 3",
         "rank 1: id: 7 is given",
         "rank 1: position",
         "rank 1: mesh_index",

@@ -117,10 +117,22 @@ def require_alike(
         arguments.choice(path, "path", PATHS)
 
     together(comm, check)
-    all_columns = state.columns | ({} if state.vertices is None else state.vertices.columns)
-    kinds = {name: (str(column.dtype), tuple(column.shape[1:])) for name, column in all_columns.items()}
-    cut = state.cut
-    facts = {"payload": kinds, "lower, upper": (cut.lower, cut.upper), "options": options, "path": path}
-    facts |= {"partition": cut.partition, "axes": cut.axes, "cells": cut.cells, "balance": balance, "id": not ids_given}
+    facts = {name: _plain(value) for part in (vars(state.cut), vars(options)) for name, value in part.items()}
+    facts |= {f"balance.{name}": _plain(value) for name, value in vars(balance).items()}
+    facts |= {"path": path, "id": "given" if ids_given else "not given"}
     facts |= {"meshes": meshes_digest(state.meshes.meshes), "position": state.columns["position"].device.type}
+    of_vertices = {} if state.vertices is None else state.vertices.columns
+    for argument, columns in (("payload", state.columns), ("vertex_payload", of_vertices)):
+        for name, column in columns.items():
+            if name not in facts:
+                fact = f"{argument}[{name[1:]!r}]" if name.startswith(".") else name
+                facts[fact] = arguments.dtype_name(column.dtype), tuple(column.shape[1:])
     require_agreement(comm, facts)
+
+
+def _plain(value: Any) -> Any:
+    """Equal values of different types (0 and 0.0; a tuple and a tensor) as values of the same type."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
