@@ -238,6 +238,22 @@ def test_ranks_that_disagree_fail_together(ranks: World) -> None:
     assert messages[1][:3] == messages[0][:3] and messages[1][4].startswith("position: ")
 
 
+def move_differently(comm: Comm) -> str:
+    mesh, still = crowds()["one body"].meshes[0], torch.zeros((1, 3)).double()
+    upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).double()
+    world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, still, comm=comm)
+    motion: Any = pgccd.RigidMotion(still, upright, still, upright)
+    if comm.rank == 1:
+        motion = pgccd.Trajectory(still.expand(3, 1, 3), upright.expand(3, 1, 4))
+    with pytest.raises(ValueError) as caught:
+        world.step(motion)
+    return str(caught.value)
+
+
+def test_motions_of_different_kinds_on_ranks(ranks: World) -> None:
+    assert ranks.run(2, move_differently) == ["motion: rank 0 has 'RigidMotion', rank 1 has 'Trajectory'"] * 2
+
+
 WRONG: dict[str, dict[str, Any]] = {
     "report: expected one of": {"report": "bogus"},
     "broad_phase: expected one of": {"broad_phase": "bogus"},

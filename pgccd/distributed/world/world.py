@@ -23,7 +23,7 @@ from pgccd.distributed.detection.share import Options, PartEstimates
 from pgccd.distributed.halo.capacity import HaloCapacity
 from pgccd.distributed.halo.migrate import Census, migrate
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
-from pgccd.distributed.launch.agreement import together
+from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.partition.balance import PAIR_COST, BalanceOptions, RankLoads
 from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
 from pgccd.distributed.partition.decomposition import Decomposition
@@ -261,6 +261,8 @@ class World:
             >>> toi = world.first_toi(hits)
         """
         own = scene_columns(self.columns)
+        if self.found is None:  # the first step
+            require_agreement(self.comm, {"motion": type(motion).__name__})
         if isinstance(motion, Trajectory):
             require_rows(motion, len(self.id), vertex_counts(self._meshes, self.mesh_index))
             segments = Segments.agreed(self.comm, motion.segment_count, own)
@@ -269,9 +271,7 @@ class World:
             found = self._detect(segments.repeat(own), motion.steps(), replace(self.options, report=report))
             return segments.contacts_for_owners(self.comm, found, self.options.report)
         found = self._detect(own, motion, self.options)
-        if self.options.report == "earliest":
-            return earliest_for_all(self.comm, found)
-        return tell_owners(found)
+        return earliest_for_all(self.comm, found) if self.options.report == "earliest" else tell_owners(found)
 
     def _detect(self, own: Columns, motion: RigidMotion | VertexMotion, options: Options) -> Detection:
         count = vertex_counts(self._meshes, own["mesh_index"])
