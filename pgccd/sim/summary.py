@@ -70,5 +70,7 @@ def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
         caption.append(f"{record['stopped']:,} robots stopped")
         caption.append(f"{1e3 * record['seconds']:,.1f} ms for the step on {run.model.device.type}")
         snapshot = viz.Snapshot.of_step(run.model, run.last_step, caption)
-    page = viz.world_page(folder / "world.html", snapshot)
-    return {"page": page, "picture": viz.world_picture(folder / "world.png", snapshot)}
+    page, picture = folder / "world.html", folder / "world.png"
+    for path in (page, picture):
+        path.unlink(missing_ok=True)  # links are not followed
+    return {"page": viz.world_page(page, snapshot), "picture": viz.world_picture(picture, snapshot)}

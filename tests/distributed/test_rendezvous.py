@@ -6,6 +6,7 @@ import socket
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch.distributed as dist
@@ -91,6 +92,20 @@ def test_a_hub_of_all_interfaces_can_be_reached_by_ipv6() -> None:
     hub = Hub("", b"token", 1)
     for host in ("127.0.0.1", "::1"):
         socket.create_connection((host, hub.port), timeout=5.0).close()
+    hub.close(1.0)
+
+
+def test_a_hub_on_a_machine_without_ipv6(monkeypatch: pytest.MonkeyPatch) -> None:
+    original = socket.create_server
+
+    def create(*arguments: Any, **more: Any) -> socket.socket:
+        if more.get("family") == socket.AF_INET6:
+            raise OSError(99, "Cannot assign requested address")
+        return original(*arguments, **more)
+
+    monkeypatch.setattr(socket, "create_server", create)
+    hub = Hub("", b"token", 1)
+    socket.create_connection(("127.0.0.1", hub.port), timeout=5.0).close()
     hub.close(1.0)
 
 

@@ -377,8 +377,8 @@ def test_mistakes_are_named(ranks: RankPool, tmp_path: Path) -> None:
     assert first[0] == second[0] == f"meshes: the world in {tmp_path} was saved with others"
     assert first[1] == f"rank 1: {second[1]}" and second[1] == first[0]
     assert first[2] == second[2] == first[0]
-    assert first[3] == second[3] and first[3].startswith("options: rank 0 has")
-    assert first[4] == second[4] and first[4].startswith("balance: rank 0 has")
+    assert first[3] == second[3] and first[3].startswith("min_separation: rank 0 has")
+    assert first[4] == second[4] and first[4].startswith("balance.policy: rank 0 has")
 
 
 def test_no_path() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from pgccd import sim, viz
+from pgccd.sim.summary import write_pictures
 from pgccd.viz.raster import Camera, Canvas
 
 
@@ -87,3 +88,13 @@ def test_a_world_between_steps_has_pictures_too(tmp_path: Path) -> None:
     assert viz.world_page(tmp_path / "world.html", still).stat().st_size > 10_000
     pytest.importorskip("matplotlib")
     assert viz.world_picture(tmp_path / "world.png", still).stat().st_size > 10_000
+
+
+def test_pictures_replace_links(tmp_path: Path) -> None:
+    run = sim.run(sim.ModelConfig(robots=8), 1, tmp_path / "run")
+    precious = tmp_path / "precious"
+    precious.write_text("precious")
+    for name in ("world.html", "world.png"):
+        (tmp_path / "run" / name).symlink_to(precious)
+    write_pictures(run, tmp_path / "run")
+    assert precious.read_text() == "precious" and (tmp_path / "run" / "world.png").stat().st_size > 1000

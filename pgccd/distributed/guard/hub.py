@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
-from typing import Any
 
 from pgccd.distributed.guard.channel import Channel, Greeting, Message
 
@@ -55,10 +54,7 @@ class Hub:
     def __init__(self, host: str, token: bytes, size: int) -> None:
         self._token, self._size = token, size
         _allow_files(size + _OTHER_FILES)
-        # Without a host, of both families.
-        both: dict[str, Any] = {"family": socket.AF_INET6, "dualstack_ipv6": True}
-        more = both if not host and socket.has_dualstack_ipv6() else {}
-        self._listener = socket.create_server((host, 0), backlog=min(size, 4096), **more)
+        self._listener = _listen(host, min(size, 4096))
         self.port: int = self._listener.getsockname()[1]
         self._greetings: dict[Channel, tuple[Greeting, float]] = {}
         self._members: dict[int, _Member] = {}
@@ -205,6 +201,14 @@ class Hub:
                 return
         for asker, exchange in inquiry.askers.items():
             self._members[asker].channel.send(about="no verdict", is_late=inquiry.is_late, exchange=exchange)
+
+
+def _listen(host: str, backlog: int) -> socket.socket:
+    """A server on any free port; without a host, of all interfaces, by IPv6 too where the machine has it."""
+    if not host and socket.has_dualstack_ipv6():
+        with contextlib.suppress(OSError):  # IPv6 may be switched off although sockets of it can be made
+            return socket.create_server(("", 0), family=socket.AF_INET6, dualstack_ipv6=True, backlog=backlog)
+    return socket.create_server((host, 0), backlog=backlog)
 
 
 def _allow_files(count: int) -> None:
