@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import pickle
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -78,30 +79,34 @@ def test_only_the_newest_is_kept(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / FOLDER).iterdir()) == sorted([POINTER, newest.name])
 
 
+def fail_at(patch: pytest.MonkeyPatch, call: str, number: int, error: BaseException) -> Iterator[int]:
+    """Makes a call of a function fail, counted from 0. Returns the counter, whose next value is the number of calls."""
+    owner: Any = module.os if call == "replace" else module
+    original, calls = getattr(owner, call), itertools.count()
+
+    def fail(*arguments: Any, **more: Any) -> Any:
+        if next(calls) == number:
+            raise error
+        return original(*arguments, **more)
+
+    patch.setattr(owner, call, fail)
+    return calls
+
+
 @pytest.mark.parametrize("call", ["save_file", "_sync", "_write_bytes", "replace"])
 @pytest.mark.parametrize("number", range(8))
 def test_a_failure_leaves_a_whole_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, number: int) -> None:
     """A disk failure at any time."""
     write(tmp_path, 5)
-    owner: Any = module.os if call == "replace" else module
-    original, calls = getattr(owner, call), 0
-
-    def fail(*arguments: Any, **more: Any) -> Any:
-        nonlocal calls
-        calls += 1
-        if calls == number + 1:
-            raise OSError(28, "No space left on device")
-        return original(*arguments, **more)
-
     with monkeypatch.context() as patch:
-        patch.setattr(owner, call, fail)
+        calls = fail_at(patch, call, number, OSError(28, "No space left on device"))
         try:
             write(tmp_path, 6)
             failed = False
         except module.CheckpointError as error:
             assert "cannot be written: " in str(error) and "No space left on device" in str(error)
             failed = True
-    assert failed == (calls > number)
+    assert failed == (next(calls) > number)
     # The last operation that may fail is the sync of the pointer, after it has been replaced.
     is_last = failed and call == "_sync" and number == 6
     assert read_all(tmp_path).steps_made == (5 if failed and not is_last else 6)
@@ -327,25 +332,15 @@ def test_a_first_checkpoint_that_is_interrupted_does_not_block_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, number: int
 ) -> None:
     """The process is killed before a file is written or renamed."""
-    owner: Any = module.os if call == "replace" else module
-    original, calls = getattr(owner, call), 0
-
-    def kill(*arguments: Any, **more: Any) -> Any:
-        nonlocal calls
-        calls += 1
-        if calls == number + 1:
-            raise SystemExit
-        return original(*arguments, **more)
-
     with monkeypatch.context() as patch:
-        patch.setattr(owner, call, kill)
+        calls = fail_at(patch, call, number, SystemExit())
         try:
             write(tmp_path, 6)
         except SystemExit:
             assert find_checkpoint(tmp_path) is None
             sim.run(CONFIG, 1, tmp_path)
         else:
-            assert calls <= number
+            assert next(calls) <= number
             assert read_all(tmp_path).steps_made == 6
 
 

@@ -22,10 +22,8 @@ from pgccd.distributed.world.columns import ids_given, payload_columns, require_
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
+from pgccd.motion.faults import LARGEST_COORDINATE
 from pgccd.motion.paths import PATHS
-
-# The largest coordinate.
-_LARGEST = 1e150
 
 
 @dataclass(frozen=True)
@@ -80,10 +78,12 @@ def state_given(
     arguments.real_tensor(position, "position")
     if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
         raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
-    wrong = torch.nonzero(~(position.abs() <= _LARGEST).all(dim=1))
+    wrong = torch.nonzero(~(position.abs() <= LARGEST_COORDINATE).all(dim=1))
     if len(wrong):
         row = int(wrong[0])
-        raise ValueError(f"position: row {row}: expected numbers up to 1e150, got {position[row].tolist()}")
+        raise ValueError(
+            f"position: row {row}: expected numbers up to {LARGEST_COORDINATE:g}, got {position[row].tolist()}"
+        )
     mesh_set = MeshSet(meshes, position.device)
     partition = cut.uniform(ranks, position.device, balance)
     index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
