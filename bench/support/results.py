@@ -54,14 +54,16 @@ def parser(description: str | None) -> argparse.ArgumentParser:
     shared = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )
-    shared.add_argument("--out", type=Path, help="file for the result (default: a name in bench/results)")
+    shared.add_argument("--out", type=Path, help="file or folder for the result (default: bench/results)")
     return shared
 
 
 def write(name: str, device: torch.device | str, content: dict[str, Any], out: Path | None = None) -> Path:
     """Writes `content` with its provenance. The default file name is made of the script and the device."""
     device_name = "cpu" if torch.device(device).type == "cpu" else torch.cuda.get_device_name(device)
-    path = out or FOLDER / f"{name}-{re.sub('[^a-z0-9]+', '-', device_name.lower()).strip('-')}.json"
+    path = FOLDER / f"{name}-{re.sub('[^a-z0-9]+', '-', device_name.lower()).strip('-')}.json"
+    if out is not None:
+        path = out / path.name if out.is_dir() else out
     path.parent.mkdir(parents=True, exist_ok=True)
     made = {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),

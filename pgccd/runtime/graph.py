@@ -19,7 +19,12 @@ def capture(work: Callable[[], T], device: torch.device) -> tuple[torch.cuda.CUD
 
     Returns:
         The graph, and the result of `work` during capture: each replay writes to these tensors.
+
+    Raises:
+        ValueError: there are no graphs on this device.
     """
+    if device.type != "cuda":
+        raise ValueError(f"graph: steps on a {device.type} device cannot be replayed")
     with torch.cuda.device(device):
         current, side = torch.cuda.current_stream(), torch.cuda.Stream()
         side.wait_stream(current)

@@ -14,6 +14,9 @@ from pgccd.checkpoint.files import replace_text
 from pgccd.checkpoint.lock import FolderError
 
 LOG_FILE = "steps.jsonl"
+# Fields of a line, besides "step", "seconds" and "stage_seconds", that summaries use.
+_COUNTS = ("pcs", "contacts", "stopped", "candidates", "unresolved", "touching_at_t0")
+_HASHES = ("contacts_hash", "state_hash")
 
 
 class StepLog:
@@ -77,7 +80,20 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
             record = json.loads(line)
         except (ValueError, RecursionError):  # the process died while writing it, for example
             continue
-        step = record.get("step") if isinstance(record, dict) else None
-        if type(step) is int and step >= 0:
-            records.setdefault(step, record)
+        if _is_record(record):
+            records.setdefault(record["step"], record)
     return [records[step] for step in sorted(records)]
+
+
+def _is_record(record: Any) -> bool:
+    """Whether a line has the fields that summaries use."""
+    if not isinstance(record, dict) or not isinstance(record.get("stage_seconds"), dict):
+        return False
+    counts = [record.get(name) for name in ("step", *_COUNTS)]
+    hashes = [record.get(name) for name in _HASHES]
+    times = [record.get("seconds"), *record["stage_seconds"].values()]
+    return (
+        all(type(count) is int and count >= 0 for count in counts)
+        and all(isinstance(value, str) for value in hashes)
+        and all(type(time) in (int, float) for time in times)
+    )

@@ -187,6 +187,29 @@ def test_ranks_without_bodies(world: Ranks) -> None:
     assert world(start_empty)[0] > 5
 
 
+def disagree(comm: Comm) -> list[str]:
+    """Errors of runs with different arguments on the last rank."""
+    world, last, errors = spread(comm, torch.device("cpu"), "none", "cells"), comm.rank == comm.size - 1, []
+    with graphs_on("cpu"):
+        for graph, steps in ((last, 3), (False, 3 + last)):
+            with pytest.raises(ValueError) as raised:
+                CapturedWorld(world, motion, response, graph).run(steps)
+            errors.append(str(raised.value))
+    return errors
+
+
+def test_arguments_that_differ_between_ranks_are_named(ranks: RankPool) -> None:
+    expected = ["graph: expected the same on all ranks, got [0, 0, 1]"]
+    expected.append("steps: expected the same on all ranks, got [3, 3, 4]")
+    assert ranks.run(3, disagree) == [expected] * 3
+
+
+def test_there_are_no_graphs_on_a_cpu() -> None:
+    world = spread(Alone(), torch.device("cpu"), "none", "cells")
+    with pytest.raises(ValueError, match="^graph: steps on a cpu device cannot be replayed"):
+        CapturedWorld(world, motion, response, True).run(9)
+
+
 def decisions(comm: Comm, graph: bool) -> tuple[list[int], int]:
     """Steps after which space is redistributed, and number of replays."""
     made: list[int] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from typing import Any
 from unittest import mock
 
@@ -13,7 +14,7 @@ from support.ranks import to_all
 
 import pgccd
 from distributed.conftest import World
-from pgccd.distributed import BalanceOptions, Comm
+from pgccd.distributed import BalanceOptions, Cells, Comm
 from pgccd.distributed import World as SharedWorld
 from pgccd.distributed.comm.exchange import take_rows
 
@@ -252,6 +253,27 @@ def move_differently(comm: Comm) -> str:
 
 def test_motions_of_different_kinds_on_ranks(ranks: World) -> None:
     assert ranks.run(2, move_differently) == ["motion: rank 0 has 'RigidMotion', rank 1 has 'Trajectory'"] * 2
+
+
+def set_partitions(comm: Comm) -> list[str]:
+    mesh, position = crowds()["one body"].meshes[0], torch.zeros((0, 3)).double()
+    world, said = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm, partition="cells"), []
+    former = world.partition
+    owners = torch.full_like(former.owner, comm.rank)
+    other = Cells.uniform((0.0,) * 3, (8.0,) * 3, comm.size + 1)
+    for partition in (former.with_owner(owners), other, former.owner):
+        with pytest.raises((ValueError, TypeError)) as caught:
+            world.partition = partition
+        said.append(str(caught.value))
+    assert world.partition is former
+    return said
+
+
+def test_a_partition_that_ranks_cannot_share(ranks: World) -> None:
+    for rank, said in enumerate(ranks.run(2, set_partitions)):
+        assert re.fullmatch(r"partition: rank 0 has .*, rank 1 has .*", said[0])
+        assert said[1].endswith("partition: expected one for 2 ranks, got one for 3"), rank
+        assert "partition: expected Cells or a Bisection" in said[2]
 
 
 WRONG: dict[str, dict[str, Any]] = {

@@ -262,6 +262,28 @@ def mistakes(comm: Comm) -> list[str]:
     return said
 
 
+def largest_id(comm: Comm) -> list[str]:
+    mesh = pgccd.Mesh(((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), ((0, 1, 2),))
+    position = torch.zeros((1, 3), dtype=torch.float64)
+    upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    said = []
+    for id in (2**63 - 1, 2**62 - 1):
+        given = {"id": torch.tensor([id - comm.rank]), "comm": comm}
+        world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, position + 3.0 * comm.rank, **given)
+        count = len(world.id)
+        steps = pgccd.Trajectory(world.position.expand(2, count, 3), upright.expand(2, count, 4))
+        with pytest.raises(ValueError) as caught:
+            world.step(steps)
+        said.append(str(caught.value))
+    return said
+
+
+def test_ids_too_large_for_segments_are_named(ranks: World) -> None:
+    for said in ranks.run(2, largest_id):  # type: ignore[attr-defined]
+        for message, id in zip(said, (2**63 - 1, 2**62 - 1), strict=True):
+            assert message == f"motion: 1 segments are too many for ids up to {id} and worlds up to 0"
+
+
 def test_mistakes_are_named(ranks: World) -> None:
     for said in ranks.run(2, mistakes):  # type: ignore[attr-defined]
         assert "motion: has" in said[0] and "vertices, this rank owns" in said[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -10,7 +11,7 @@ from typing import Any
 
 import pytest
 import torch.distributed as dist
-from support.launch import finish, torchrun
+from support.launch import SECONDS, finish, start_ranks, torchrun
 
 from pgccd.distributed.guard import Hub
 from pgccd.distributed.launch import rendezvous
@@ -115,3 +116,14 @@ def test_a_token_on_some_ranks_only_is_named(tmp_path: Path) -> None:
     done = finish(command, PYTHON=sys.executable)
     expected = "pgccd simulate: error: PGCCD_JOB_TOKEN: rank 0 has none, rank 1 has a value"
     assert done.returncode != 0 and expected in done.stdout, done.stdout
+
+
+def test_tokens_that_differ_end_all_ranks_before_the_time_out(tmp_path: Path) -> None:
+    token = "os.environ['PGCCD_JOB_TOKEN'] = 'secret' + os.environ['RANK']"
+    code = f"import os; {token}; from pgccd.__main__ import run; raise SystemExit(run())"
+    options = ["--robots", "9", "--steps", "1", "--timeout", "9999", "--out", str(tmp_path)]
+    ranks = start_ranks(3, ["-c", code, "simulate", *options])  # torchrun would end all when one fails
+    printed = [rank.communicate(timeout=SECONDS)[0] for rank in ranks]
+    assert [rank.returncode for rank in ranks] == [2, 2, 2], printed
+    expected = r"pgccd simulate: error: rank 1: guard: .* is PGCCD_JOB_TOKEN the same on all\?"
+    assert re.search(expected, printed[0]), printed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from contextlib import nullcontext
 from pathlib import Path
@@ -20,6 +21,7 @@ from pgccd.runtime.stages import StageClock
 from pgccd.sim import replay
 from pgccd.sim.log import LOG_FILE, StepLog
 from pgccd.sim.run_folder import WORLD_FILE
+from pgccd.sim.summary import summary_lines
 
 CONFIG = sim.ModelConfig(robots=200, pattern="skewed", seed=11, speed=0.2)
 FIELDS = {"step", "robots", "pcs", "contacts", "contacts_hash", "state_hash", "seconds", "stage_seconds", "candidates"}
@@ -197,11 +199,15 @@ def test_a_damaged_line_of_the_log_costs_no_other(finished: tuple[Path, sim.Run]
     lines = (tmp_path / LOG_FILE).read_bytes().splitlines(keepends=True)
     lines[2] = lines[2][:40] + b"\xff" + lines[2][41:]
     lines[5] = lines[5].replace(b'"step": 5', b'"step": -5')
+    lines[6] = lines[6].replace(b'"pcs"', b'"pxs"')
+    lines[7] = re.sub(rb'"contacts": \d+', b'"contacts": "3"', lines[7])
+    lines[8] = re.sub(rb'"plan": [^,}]+', b'"plan": "0"', lines[8])
     (tmp_path / LOG_FILE).write_bytes(b"".join([*lines[:4], lines[1], *lines[4:]]))  # one twice
-    with pytest.warns(UserWarning, match="lacks 2 of 9 steps"):
-        sim.resume(tmp_path, 12)
+    with pytest.warns(UserWarning, match="lacks 5 of 9 steps"):
+        run = sim.resume(tmp_path, 12)
     expected = without_times(log(finished[0]))
-    assert without_times(log(tmp_path)) == [*expected[:2], *expected[3:5], *expected[6:12]]
+    assert without_times(log(tmp_path)) == [*expected[:2], *expected[3:5], *expected[9:12]]
+    assert len(summary_lines(run)) > 7
 
 
 @pytest.mark.parametrize("replaced", [True, False])

@@ -35,11 +35,11 @@ class Segments:
             ValueError: ranks have different numbers of segments, or there are too many; on all ranks.
         """
         world = own.get("world", own["id"][:0])
-        most = [1 + int(column.max()) if len(column) else 1 for column in (own["id"], world)]
+        most = [int(column.max()) if len(column) else 0 for column in (own["id"], world)]
         of_ranks = comm.all_gather(torch.tensor([count, *most]))
         if bool((of_ranks[:, 0] != of_ranks[0, 0]).any()):
             raise ValueError(f"motion: ranks have {sorted(set(of_ranks[:, 0].tolist()))} segments")
-        ids, worlds = of_ranks[:, 1:].amax(dim=0).tolist()
+        ids, worlds = (1 + largest for largest in of_ranks[:, 1:].amax(dim=0).tolist())
         if count * ids >= _MOST_IDS or count * worlds >= _MOST_WORLDS:
             limits = f"ids up to {ids - 1} and worlds up to {worlds - 1}"
             raise ValueError(f"motion: {count} segments are too many for {limits}")

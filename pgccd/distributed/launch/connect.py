@@ -86,7 +86,7 @@ def connect(
         torch.cuda.set_device(device)
     if meeting.is_local:
         _keep_to_this_machine()
-    guard = _start_guard(meeting, placement, timeout)
+    guard = _start_guard_on_all(meeting, placement, timeout)
     backend = _backend(transport, device, placement, store)
     if backend == "nccl":
         guard.is_broken = nccl.make_default_group(store, placement.rank, placement.size, timeout)
@@ -118,6 +118,23 @@ def tell_problem(problem: str, timeout: float = DEFAULT_TIMEOUT) -> NoReturn:
     placement = find_placement()
     agree_by_store(meet(placement, timeout).store, placement, {PROBLEM: problem}, timeout)
     raise AssertionError("expected an error on all ranks")
+
+
+def _start_guard_on_all(meeting: Meeting, placement: Placement, timeout: float) -> Guard:
+    """The guard. If the hub rejects a rank, the others do not wait for it, but fail too."""
+    guard, problem = None, {}
+    try:
+        guard = _start_guard(meeting, placement, timeout)
+    except RuntimeError as error:
+        problem = {PROBLEM: str(error)}
+    try:
+        agree_by_store(dist.PrefixStore("guard", meeting.store), placement, problem, timeout)
+    except BaseException:
+        if guard is not None:
+            guard.close()
+        raise
+    assert guard is not None
+    return guard
 
 
 def _start_guard(meeting: Meeting, placement: Placement, timeout: float) -> Guard:

@@ -23,6 +23,7 @@ from pgccd.distributed.detection.padded_share import (
     rows_with_slack,
     search_padded_share,
 )
+from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.halo.migrate import count_leaving
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.distributed.world.columns import scene_columns
@@ -125,10 +126,15 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
             steps: their number, the same on all ranks.
 
         Raises:
-            TypeError, ValueError: as `World.step` and `World.move` raise for the results of the functions.
+            TypeError, ValueError: as `World.step` and `World.move` raise for the results of the functions; or ranks
+                have different `steps` or `graph`.
         """
         steps = arguments.integer(steps, "steps", 0, "a number of steps >= 0")
         world, found = self._world, []
+        of_ranks = world.comm.all_gather(torch.tensor([steps, int(self._wants_graph)])).T.tolist()
+        for name, values in zip(("steps", "graph"), of_ranks, strict=True):
+            if len(set(values)) > 1:
+                raise of_all_ranks(ValueError(f"{name}: expected the same on all ranks, got {values[:8]}"))
         if self._graph is not None and not self._load(self._graph, world.steps_made):
             self._graph = None
         for more in reversed(range(steps)):

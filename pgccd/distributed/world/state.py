@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,6 +11,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.distributed.checkpoint.partition import partition_header
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.share import Options
@@ -128,6 +130,22 @@ def require_alike(
                 fact = f"{argument}[{name[1:]!r}]" if name.startswith(".") else name
                 facts[fact] = arguments.dtype_name(column.dtype), tuple(column.shape[1:])
     require_agreement(comm, facts)
+
+
+def agreed_partition(comm: Comm, partition: Partition) -> Partition:
+    """The partition. Raises an error, on all ranks, unless it is one for these ranks, and the same on all."""
+
+    def check() -> None:
+        if not isinstance(partition, Partition):
+            raise TypeError(f"partition: expected Cells or a Bisection, got {arguments.describe(partition)}")
+        if partition.ranks != comm.size:
+            raise ValueError(f"partition: expected one for {comm.size} ranks, got one for {partition.ranks}")
+
+    together(comm, check)
+    parameters, tensors = partition_header(partition)
+    digests = [hashlib.sha256(tensor.cpu().numpy().tobytes()).hexdigest() for tensor in tensors.values()]
+    require_agreement(comm, {"partition": (parameters, digests)})
+    return partition
 
 
 def _plain(value: Any) -> Any:

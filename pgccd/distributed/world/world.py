@@ -31,7 +31,7 @@ from pgccd.distributed.partition.interface import Partition, Point, Triple
 from pgccd.distributed.partition.rebalancing import Balancer
 from pgccd.distributed.world.checkpoint import load_state, save_state
 from pgccd.distributed.world.columns import motion_of, moving_columns, new_values, require_rows, scene_columns, scene_of
-from pgccd.distributed.world.state import WorldState, require_alike, state_given
+from pgccd.distributed.world.state import WorldState, agreed_partition, require_alike, state_given
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
@@ -212,7 +212,7 @@ class World:
 
     @partition.setter
     def partition(self, partition: Partition) -> None:
-        self.decomposition, self._capacity = Decomposition(self.comm, partition), None
+        self.decomposition, self._capacity = Decomposition(self.comm, agreed_partition(self.comm, partition)), None
 
     @property
     def id(self) -> Tensor:
