@@ -110,6 +110,17 @@ def test_a_hub_on_a_machine_without_ipv6(monkeypatch: pytest.MonkeyPatch) -> Non
     hub.close(1.0)
 
 
+def test_a_silent_program_on_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rendezvous, "_LATER_SECONDS", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        monkeypatch.setenv("MASTER_ADDR", "127.0.0.1")
+        monkeypatch.setenv("MASTER_PORT", str(port))
+        expected = rf"^MASTER_PORT: no store answers at 127.0.0.1, port {port}, within 1 s"
+        with pytest.raises(RuntimeError, match=expected):
+            meet(Placement("torchrun", 1, 2, 1), 1.0)
+
+
 def test_a_token_on_some_ranks_only_is_named(tmp_path: Path) -> None:
     shell = '[ "$RANK" = 1 ] && export PGCCD_JOB_TOKEN=secret; exec "$PYTHON" -m pgccd simulate --robots 9 --steps 1'
     command = torchrun(2, "--no-python", "bash", "-c", f"cd {tmp_path}; {shell} --timeout 20")

@@ -9,10 +9,12 @@ from __future__ import annotations
 import os
 import re
 import socket
+import threading
 import time
 import uuid
 from dataclasses import dataclass
 from datetime import timedelta
+from queue import Empty, Queue
 from typing import Any
 
 import torch.distributed as dist
@@ -21,6 +23,8 @@ from pgccd.distributed.launch.placement import Placement
 
 LOOPBACK = "127.0.0.1"
 _POLL_SECONDS = 0.01
+# Time after the time-out for torch to report it.
+_LATER_SECONDS = 2.0
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,7 @@ def _meet_by_mpi(placement: Placement, timeout: float) -> Meeting:
 def _connect_store(host: str, port: int, placement: Placement, timeout: float, keeps: bool) -> dist.TCPStore:
     common: dict[str, Any] = {"timeout": timedelta(seconds=timeout), "wait_for_workers": False}
     if not (keeps and placement.rank == 0):
-        return dist.TCPStore(host, port, placement.size, is_master=False, **common)
+        return _join_store(host, port, placement.size, timeout, common)
     if not is_loopback(host):
         return dist.TCPStore(host, port, placement.size, is_master=True, **common)
     # By default torch would listen on all interfaces.
@@ -136,6 +140,28 @@ def _connect_store(host: str, port: int, placement: Placement, timeout: float, k
         raise RuntimeError(f"MASTER_PORT: cannot listen on {host}, port {port}: {error.strerror}") from error
     port = listener.getsockname()[1]
     return dist.TCPStore(host, port, placement.size, is_master=True, master_listen_fd=listener.detach(), **common)
+
+
+def _join_store(host: str, port: int, size: int, timeout: float, common: dict[str, Any]) -> dist.TCPStore:
+    """Connects to rank 0's store. In a thread, because torch waits without a time-out for the answer of a process that
+    accepts the connection: if another program listens on this port, forever.
+    """
+    made: Queue[dist.TCPStore | Exception] = Queue()
+
+    def join() -> None:
+        try:
+            made.put(dist.TCPStore(host, port, size, is_master=False, **common))
+        except Exception as error:
+            made.put(error)
+
+    threading.Thread(target=join, name="pgccd-store", daemon=True).start()
+    try:
+        store = made.get(timeout=timeout + _LATER_SECONDS)
+    except Empty:
+        raise RuntimeError(f"MASTER_PORT: no store answers at {host}, port {port}, within {timeout:g} s") from None
+    if isinstance(store, Exception):
+        raise store
+    return store
 
 
 def _variable(name: str) -> str:
