@@ -58,9 +58,14 @@ class CommittedStep:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Its line in steps.jsonl; the stage "respond" is everything except detection."""
-        parts = [Counts.of(numbers).seconds for numbers in self.counts.of_parts[self.rank].tolist()]
-        stages = {stage: sum(spent[stage] for spent in parts) for stage in parts[0]}
+        """Its line in steps.jsonl. With several ranks the stages of detection are those of own pairs; the stage "halo"
+        is the time until the search of ghosts' pairs, concurrent with it, ends too. "respond" is everything else.
+        """
+        own, *others = [Counts.of(numbers) for numbers in self.counts.of_parts[self.rank].tolist()]
+        stages = own.seconds
+        if others:
+            ended = max(part.narrow_ended for part in others)
+            stages = {"halo": 1e-9 * max(0, ended - own.narrow_ended)} | stages
         respond = max(0.0, self.seconds - sum(stages.values()))
         clock = StageClock.of(stages | {"respond": respond}, self.seconds)
         return Tally.of(self.work, self.conclusions[:, :COUNTED]).record(self.index, self.rounds, clock)

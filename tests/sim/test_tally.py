@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pgccd.detection.capacity import COUNT_ROWS
-from pgccd.sim.tally import WORK, GatheredCounts
+from pgccd.sim.captured import CommittedStep
+from pgccd.sim.tally import COUNTED, WORK, GatheredCounts
 
 intervals = st.tuples(st.integers(0, 30), st.integers(0, 12)).map(lambda given: (given[0], given[0] + given[1]))
 
@@ -25,3 +27,20 @@ def test_parts_searched_side_by_side_count_once(ranks: list[list[tuple[int, int]
     assert work[:, WORK.index("nanoseconds")].tolist() == busy
     assert work[:, WORK.index("pcs")].tolist() == [7 * len(ranks[0])] * len(ranks)
     assert work[:, WORK.index("secondary_contacts")].tolist() == list(range(len(ranks)))
+
+
+def test_stages_of_a_replayed_step_do_not_overlap() -> None:
+    counts = np.zeros((2, 2, len(COUNT_ROWS)), dtype=np.int64)
+    names = ("broad_began", "broad_ended", "traverse_began", "traverse_ended", "narrow_ended")
+    for part, times in enumerate([(0, 10, 10, 40, 60), (5, 25, 25, 65, 75)]):  # ghosts' pairs: 15 longer than own pairs
+        for name, time in zip(names, times, strict=True):
+            counts[1, part, COUNT_ROWS[name]] = 10**6 * time
+    conclusions = np.zeros((2, COUNTED), dtype=np.int64)
+    record = CommittedStep(0, 1, 0.1, 1, GatheredCounts(np.zeros(2, np.int64), counts), conclusions).record
+    expected = {"broad": 0.01, "traverse": 0.03, "narrow": 0.02, "halo": 0.015, "respond": 0.025}
+    assert record["stage_seconds"] == pytest.approx(expected)
+    counts[1, 1, COUNT_ROWS["narrow_ended"]] = 55 * 10**6
+    record = CommittedStep(0, 1, 0.1, 1, GatheredCounts(np.zeros(2, np.int64), counts), conclusions).record
+    assert record["stage_seconds"] == pytest.approx(expected | {"halo": 0.0, "respond": 0.04})
+    alone = GatheredCounts(np.zeros(2, np.int64), counts[:, :1])
+    assert "halo" not in CommittedStep(0, 1, 0.1, 1, alone, conclusions).record["stage_seconds"]
