@@ -7,7 +7,7 @@ import gc
 import pytest
 import torch
 
-from pgccd.runtime.graph import capture
+from pgccd.runtime.graph import capture, conditional
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.side_stream import SideStream
 
@@ -44,3 +44,57 @@ def test_pinned_memory_in_garbage_is_not_freed_during_capture() -> None:
     gc.collect()
     _ = [torch.empty(8, dtype=torch.int64, pin_memory=True) for _ in range(64)]  # reads the events of freed memory
     assert torch.equal(found, values + 1)
+
+
+@pytest.mark.cuda
+def test_parts_of_a_graph_run_only_if_wanted() -> None:
+    device = torch.device("cuda")
+    wanted = torch.tensor([1, 1], device=device)
+    x, y = torch.arange(1000.0, device=device), torch.zeros(1000, device=device)
+    runs = torch.zeros(3, dtype=torch.int64, device=device)
+
+    def work() -> torch.Tensor:
+        before = x + 1.0
+        with conditional(wanted[:1]):
+            y.copy_(torch.cumsum(before, 0))  # memory of the part
+            runs[0] += 1
+            with conditional(wanted[1:]):
+                y.mul_(2.0 * torch.ones(1000, device=device))
+                runs[1] += 1
+        runs[2] += 1
+        return y + before
+
+    graph, found = capture(work, device)
+    assert runs.tolist() == [1, 1, 1]  # before the capture, whatever is wanted
+    expected = torch.zeros(1000, device=device)
+    for outer, inner in ((1, 1), (0, 1), (1, 0), (0, 0), (1, 7)):
+        wanted.copy_(torch.tensor([outer, inner]))
+        former = y.clone()
+        _ = [torch.full((1000,), torch.nan, device=device) for _ in range(8)]  # takes memory that is free
+        graph.replay()
+        sums = torch.cumsum(x + 1.0, 0)
+        expected = (2.0 * sums if inner else sums) if outer else former
+        assert torch.equal(y, expected) and torch.equal(found, expected + x + 1.0)
+    assert runs.tolist() == [4, 3, 6]
+
+
+@pytest.mark.cuda
+def test_a_part_that_fails_during_capture_leaves_no_stream_captured() -> None:
+    device = torch.device("cuda")
+    wanted = torch.ones(1, dtype=torch.int64, device=device)
+    calls = 0
+
+    def work() -> None:
+        nonlocal calls
+        calls += 1
+        with conditional(wanted):
+            wanted.add_(1)
+            if calls == 2:
+                raise RuntimeError("in the part")
+
+    with pytest.raises(RuntimeError, match="in the part"):
+        capture(work, device)
+    assert wanted.tolist() == [2]
+    graph, _ = capture(lambda: wanted.add_(1), device)
+    graph.replay()
+    assert wanted.tolist() == [4]

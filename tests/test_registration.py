@@ -16,7 +16,8 @@ CSRC = Path(__file__).resolve().parents[1] / "csrc"
 # The baseline runs on CPUs only.
 ON_CPU_ALONE = {"pgccd::voxels_touched", "pgccd::voxel_boxes", "pgccd::voxel_pairs"}
 # Messages between GPUs.
-ON_CUDA_ALONE = {"pgccd::peer_gather", "pgccd::peer_minimum"}
+ON_CUDA_ALONE = {"pgccd::peer_gather", "pgccd::peer_minimum", "pgccd::has_conditional_nodes"}
+ON_CUDA_ALONE |= {"pgccd::begin_conditional", "pgccd::end_conditional"}
 OPERATORS = sorted(name for name in torch._C._dispatch_get_all_op_names() if name.startswith("pgccd::"))
 
 

@@ -34,7 +34,7 @@ PeerRows peer_rows(const PeerMemory& memory, const Tensor& given, const std::vec
   PeerRows view{rows<int64_t>(given, name, {kAnySize}), {}};
   for (size_t rank = 0; rank < counts.size(); ++rank) {
     STD_TORCH_CHECK(counts[rank] >= 0, name, ": expected numbers >= 0, got ", counts[rank]);
-    check_size(memory, counts[rank]);
+    check_size(memory, counts[rank] + 1);
     view.begin[rank + 1] = view.begin[rank] + counts[rank];
   }
   STD_TORCH_CHECK(view.begin[counts.size()] == given.size(0), name, ": expected numbers that sum up to ", given.size(0),
@@ -53,12 +53,18 @@ Tensor peer_gather(const Tensor& values, const Tensor& memory, const Tensor& add
 }
 
 void peer_minimum(Tensor values, const Tensor& sent_rows, std::vector<int64_t> sent, const Tensor& received_rows,
-                  std::vector<int64_t> received, const Tensor& memory, const Tensor& addresses, int64_t stop,
-                  int64_t rank) {
+                  std::vector<int64_t> received, const std::optional<Tensor>& found, std::optional<Tensor> anywhere,
+                  const Tensor& memory, const Tensor& addresses, int64_t stop, int64_t rank) {
   const PeerMemory view = peer_memory(memory, addresses, stop, rank);
   rows<double>(values, "values", {kAnySize});
-  const PeerMinimum message{data<double>(values), values.size(0), peer_rows(view, sent_rows, sent, "sent"),
-                            peer_rows(view, received_rows, received, "received")};
+  PeerMinimum message{data<double>(values), values.size(0), peer_rows(view, sent_rows, sent, "sent"),
+                      peer_rows(view, received_rows, received, "received")};
+  STD_TORCH_CHECK(found.has_value() == anywhere.has_value(), "found, anywhere: expected both or none");
+  if (found.has_value()) {
+    message.found = rows<int64_t>(*found, "found", {1});
+    rows<int64_t>(*anywhere, "anywhere", {1});
+    message.anywhere = data<int64_t>(*anywhere);
+  }
   const CudaSession session(values);
   peer_minimum_cuda(session.context(), view, message);
 }

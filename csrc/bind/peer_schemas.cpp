@@ -8,5 +8,5 @@ STABLE_TORCH_LIBRARY_FRAGMENT(pgccd, library) {
   library.def("peer_gather(Tensor values, Tensor(a!) memory, Tensor addresses, int stop, int rank) -> Tensor");
   library.def(
       "peer_minimum(Tensor(a!) values, Tensor sent_rows, int[] sent, Tensor received_rows, int[] received, "
-      "Tensor(b!) memory, Tensor addresses, int stop, int rank) -> ()");
+      "Tensor? found, Tensor(c!)? anywhere, Tensor(b!) memory, Tensor addresses, int stop, int rank) -> ()");
 }

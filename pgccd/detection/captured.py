@@ -2,8 +2,6 @@
 
 from typing import Unpack
 
-import torch
-
 from pgccd import arguments
 from pgccd.detection import broad, narrow
 from pgccd.detection.capacity import Capacity, CapacityError, check_capacity
@@ -12,7 +10,7 @@ from pgccd.detection.pipeline import Options, detect
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.runtime.graph import capture
+from pgccd.runtime.graph import Graph, capture
 
 # Initial capacity, relative to what the first motion needs.
 _SLACK = 1.5
@@ -67,7 +65,7 @@ class CapturedDetection:
         self.capacity = capacity
         #: The motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
         self.motion = _copy_of(motion)
-        self._graph: torch.cuda.CUDAGraph | None = None
+        self._graph: Graph | None = None
         self._found: PaddedContacts | None = None
 
     def load(self, motion: RigidMotion | VertexMotion) -> None:

@@ -25,6 +25,8 @@ def peer_minimum(
     sent: Sequence[int],
     received_rows: Tensor,
     received: Sequence[int],
+    found: Tensor | None,
+    anywhere: Tensor | None,
     memory: Tensor,
     addresses: Tensor,
     stop: int,
@@ -32,5 +34,6 @@ def peer_minimum(
 ) -> None:
     """Sends the rows `sent_rows` of values (N,) float64 >= 0, the first `sent[0]` of them to rank 0, and so on; then
     lowers the rows `received_rows` to the values that arrive, `received[r]` from rank r. A row of -1 is padding.
+    Sets `anywhere` (1,) int64 to 1 if `found` (1,) int64 is nonzero on any rank.
     """
     return None

@@ -3,14 +3,38 @@
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TypeVar
 
 import torch
+from torch import Tensor
+
+from pgccd import ops
 
 T = TypeVar("T")
 
 
-def capture(work: Callable[[], T], device: torch.device) -> tuple[torch.cuda.CUDAGraph, T]:
+class Graph:
+    """A CUDA graph, and the memory that its conditional parts use."""
+
+    def __init__(self) -> None:
+        self.graph = torch.cuda.CUDAGraph()
+        self.parts: list[tuple[torch.cuda.Stream, torch.cuda.MemPool]] = []
+
+    def replay(self) -> None:
+        """Enqueues the work on the current stream."""
+        self.graph.replay()
+
+    def reset(self) -> None:
+        """Frees the graph, which cannot be replayed afterwards."""
+        self.graph.reset()
+        self.parts.clear()
+
+
+_being_captured: ContextVar[Graph | None] = ContextVar("being_captured", default=None)
+
+
+def capture(work: Callable[[], T], device: torch.device) -> tuple[Graph, T]:
     """Captures `work` as a graph. It is run once before, since kernels cannot be loaded during capture.
 
     Args:
@@ -31,12 +55,54 @@ def capture(work: Callable[[], T], device: torch.device) -> tuple[torch.cuda.CUD
         with torch.cuda.stream(side):
             work()
         current.wait_stream(side)
-        graph = torch.cuda.CUDAGraph()
-        # Other threads (of a checkpoint or guard) may continue to use the device.
-        with _no_garbage_collection(), torch.cuda.graph(graph, stream=side, capture_error_mode="thread_local"):
-            found = work()
+        graph = Graph()
+        token = _being_captured.set(graph)
+        try:
+            # Other threads (of a checkpoint or guard) may continue to use the device.
+            with (
+                _no_garbage_collection(),
+                torch.cuda.graph(graph.graph, stream=side, capture_error_mode="thread_local"),
+            ):
+                found = work()
+        finally:
+            _being_captured.reset(token)
         current.wait_stream(side)
     return graph, found
+
+
+@contextmanager
+def conditional(value: Tensor) -> Iterator[None]:
+    """A part of a graph that each replay runs only if `value` (1,) int64 is nonzero when it is reached. May be nested.
+    What it writes to tensors from outside is kept; without the part these keep their values. Outside of `capture`, or
+    where the driver does not support this, the part always runs.
+
+    Example:
+        >>> with conditional(change):
+        ...     counts.copy_(search())
+    """
+    graph = _being_captured.get()
+    if graph is None or not ops.has_conditional_nodes(value):
+        yield
+        return
+    # Memory freed in the part must not be reused by work that other replays run meanwhile: a pool of its own, kept with
+    # the graph.
+    stream, pool = _uncaptured_stream(), torch.cuda.MemPool()
+    graph.parts.append((stream, pool))
+    ops.begin_conditional(value, stream.cuda_stream)
+    try:
+        with torch.cuda.stream(stream), torch.cuda.use_mem_pool(pool):
+            yield
+    finally:
+        ops.end_conditional(value, stream.cuda_stream)
+
+
+def _uncaptured_stream() -> torch.cuda.Stream:
+    """A stream that is not being captured; torch hands out 32 in turn."""
+    while True:
+        stream = torch.cuda.Stream()
+        with torch.cuda.stream(stream):
+            if not torch.cuda.is_current_stream_capturing():
+                return stream
 
 
 @contextmanager

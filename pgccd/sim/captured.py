@@ -82,6 +82,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         search: enqueues the searches of a planned step.
         plan: capacities of rounds.
         rounds: number of rounds of collision resolution.
+        usual_rounds: of these, how many every replay runs; see `Attempt.make_rounds_of_replay`.
         conclude: values to exchange besides those of `count_step`; default: none.
     """
 
@@ -93,10 +94,12 @@ class StepGraph(TransactionGraph[CommittedStep]):
         search: Search,
         plan: RoundPlan,
         rounds: int,
+        usual_rounds: int = 0,
         conclude: Conclude | None = None,
     ) -> None:
         super().__init__(model.device)
         self._model, self._search, self._plan, self.rounds = model, search, plan, rounds
+        self._usual_rounds = usual_rounds
         self._conclude = conclude
         self.state = state.map(Tensor.clone)
         self._index = torch.full((1,), index, dtype=torch.int64, device=model.device)
@@ -120,7 +123,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         exchange, robots = searches.exchange, len(searches.id)
         attempt = Attempt(searches.parts, robots, searches.partners, self._plan, exchange, StageClock())
         first_change = attempt.begin()
-        more_changes, of_rounds = attempt.make_rounds(self.rounds)
+        more_changes, of_rounds = attempt.make_rounds_of_replay(self.rounds, self._usual_rounds)
         changes = torch.cat([first_change, more_changes])  # if the last one is nonzero, more rounds are needed
         counts = SearchCounts([part.counts() for part in searches.parts], of_rounds)
         failed = torch.cat([self._failed, changes[-1:], *counts.overflow(), *searches.failed]).sum().reshape(1)

@@ -18,6 +18,8 @@ from pgccd.sim.step import Step, StepPlan, make_step
 # A graph has more rounds of collision resolution than any recent step took: the step that needs one more is repeated,
 # and another graph captured, which takes as long as several hundred superfluous rounds.
 _RECENT_STEPS, _SPARE_ROUNDS = 512, 1
+# Steps from which the usual number of rounds is taken: fewer, since it grows in the first hundred steps.
+_USUAL_STEPS = 16
 
 
 class MadeStep(Protocol):
@@ -47,6 +49,14 @@ class SimulationSteps(ReplayedSteps[M, CommittedStep, StepGraph]):
     @property
     def _rounds_to_capture(self) -> int:
         return max(self._rounds) + _SPARE_ROUNDS
+
+    @property
+    def _usual_rounds(self) -> int:
+        """Rounds that three of four recent steps needed. A conditional part of a graph costs a third as much as a
+        superfluous round.
+        """
+        recent = sorted(list(self._rounds)[-_USUAL_STEPS:])
+        return recent[len(recent) // 4]
 
     def _is_oversized(self, graph: StepGraph) -> bool:
         return len(self._rounds) == _RECENT_STEPS and self._rounds_to_capture < graph.rounds
@@ -100,8 +110,8 @@ class StepMaker(SimulationSteps[Step]):
         return made
 
     def _make_graph(self, index: int) -> StepGraph:
-        rounds = self._rounds_to_capture
-        return make_step_graph(self._model, self._state, index, self._broad_phase, self._plan, rounds)
+        rounds = self._rounds_to_capture, self._usual_rounds
+        return make_step_graph(self._model, self._state, index, self._broad_phase, self._plan, *rounds)
 
     def _begin(self, graph: StepGraph, index: int) -> None:
         return  # it was made with the state
@@ -115,7 +125,13 @@ class StepMaker(SimulationSteps[Step]):
 
 
 def make_step_graph(
-    model: Model, state: RobotState, index: int, broad_phase: broad.BroadPhase, plan: StepPlan, rounds: int
+    model: Model,
+    state: RobotState,
+    index: int,
+    broad_phase: broad.BroadPhase,
+    plan: StepPlan,
+    rounds: int,
+    usual_rounds: int = 0,
 ) -> StepGraph:
     """The graph of a step of all robots on one rank, to be captured; arguments as for `StepGraph`."""
     scene = model.scene(state.id)
@@ -126,4 +142,4 @@ def make_step_graph(
         partners = Partners(model, planned.moving_columns, None, part.pairs)
         return Searches([part], partners, planned.id, OneRank(), [bodies.first_faults()[-1:]])
 
-    return StepGraph(model, state, index, search, plan.rounds, rounds)
+    return StepGraph(model, state, index, search, plan.rounds, rounds, usual_rounds)

@@ -9,6 +9,7 @@ Several rounds are enqueued at a time, before it is known whether they are neede
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Protocol
@@ -19,8 +20,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.capacity import Capacity, Counts
+from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
 from pgccd.detection.parts import Part, pairs_of_step, search_seconds
+from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.partners import Partners
@@ -40,6 +42,7 @@ _FIRST_ROUNDS, _MORE_ROUNDS = 4, 2
 _RECENT_STEPS = 8
 # Capacity relative to what a round needed in the last step.
 _SLACK = 2.0
+_CONTACTS = COUNT_ROWS["contacts"]
 
 
 @dataclass
@@ -112,8 +115,15 @@ class Exchange(Protocol):
     @property
     def ranks(self) -> int: ...
 
-    def share(self, first: Tensor) -> None:
-        """Sets the first toi (N,) of all robots to the minimum over all ranks that hold them."""
+    @property
+    def tells_if_found(self) -> bool:
+        """Whether `share` tells ranks if any rank has found contacts."""
+        ...
+
+    def share(self, first: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None) -> None:
+        """Sets the first toi (N,) of all robots to the minimum over all ranks that hold them. If it `tells_if_found`,
+        and given both, it sets `anywhere` (1,) int64 to 1 if the number `found` (1,) int64 is nonzero on any rank.
+        """
         ...
 
     def gather(self, values: Tensor) -> Tensor:
@@ -124,9 +134,9 @@ class Exchange(Protocol):
 class OneRank:
     """The exchange of a single rank."""
 
-    rank, ranks = 0, 1
+    rank, ranks, tells_if_found = 0, 1, False
 
-    def share(self, first: Tensor) -> None:
+    def share(self, first: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None) -> None:
         pass
 
     def gather(self, values: Tensor) -> Tensor:
@@ -214,14 +224,44 @@ class Attempt:
         """
         changes, counts = torch.zeros(count, dtype=torch.int64, device=self._device), []
         for change in changes.split(1) if count else ():
-            capacity = self.plan.capacity(len(self.capacities))
-            self.capacities.append(capacity)
-            counts.append(self.partners.start_round(self._changed, self.fraction, capacity, self._first))
-            self._slow_down(len(self.capacities), change)
+            counts.append(self._make_round(change))
         return changes, counts
 
-    def _slow_down(self, round: int, change: Tensor) -> None:
-        self.exchange.share(self._first)
+    def make_rounds_of_replay(self, count: int, usual: int) -> tuple[Tensor, list[Tensor]]:
+        """As `make_rounds`, for a graph: replays skip superfluous rounds after the first `usual`, unless ranks are not
+        told of contacts that others found.
+        """
+        is_alone = self.exchange.ranks == 1
+        if not is_alone and not self.exchange.tells_if_found:
+            return self.make_rounds(count)
+        numbers = torch.zeros((2, count), dtype=torch.int64, device=self._device)
+        changes, anywhere = numbers
+        counts = torch.zeros((count, len(COUNT_ROWS)), dtype=torch.int64, device=self._device)
+        with ExitStack() as nested:
+            for round in range(count):
+                this, before = slice(round, round + 1), slice(round - 1, round)
+                if round >= max(usual, 1):
+                    # A robot changes only if its rank, or another that holds it, found a contact.
+                    nested.enter_context(conditional((changes if is_alone else anywhere)[before]))
+                counts[round].copy_(self._make_round(changes[this], anywhere[this]))
+        return changes, list(counts)
+
+    def _make_round(self, change: Tensor, anywhere: Tensor | None = None) -> Tensor:
+        """Enqueues a round, which sets `change` (1,) to nonzero if it changed a robot of this rank, and `anywhere` (1,)
+        if a rank found a contact and tells. Returns its counts (21,).
+        """
+        capacity = self.plan.capacity(len(self.capacities))
+        self.capacities.append(capacity)
+        counts = self.partners.start_round(self._changed, self.fraction, capacity, self._first)
+        tells = anywhere is not None and self.exchange.tells_if_found
+        found = counts[_CONTACTS : _CONTACTS + 1] if tells else None
+        self._slow_down(len(self.capacities), change, found, anywhere if tells else None)
+        return counts
+
+    def _slow_down(
+        self, round: int, change: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None
+    ) -> None:
+        self.exchange.share(self._first, found, anywhere)
         # Every round slows at least one robot, and from _STOPPING_ROUND on stops it at t0, so the iteration terminates.
         smallest = _SMALLEST_PART if round < _STOPPING_ROUND else torch.inf
         ops.simulate_slow_all_down(self._first, self.fraction, self._changed, change, _APPROACH, smallest)

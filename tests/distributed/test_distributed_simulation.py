@@ -153,7 +153,9 @@ def follow_replayed(
                 stack.enter_context(mock.patch.object(module, "padded_count", lambda count: count))
             stack.enter_context(mock.patch.object(padded_share, "_NEAR_SLACK", 1))
             stack.enter_context(mock.patch.object(padded_share, "_OWN_MORE", 0))
-        return follow(comm, name, policy, steps, random_owners, True, graph=True)
+        seen = follow(comm, name, policy, steps, random_owners, True, graph=True)
+        assert stack.rounds is not None
+        return seen | {"skipped": stack.rounds.skipped}
 
 
 def follow_not_captured(comm: Comm, device: str = "cpu") -> dict[str, int]:
@@ -256,6 +258,8 @@ def test_same_bits_as_replays(world: World, name: str, policy: str, padding: str
     # Without padding nearly every step is repeated.
     seen = world(follow_replayed, name, policy, 36 if padding == "usual" else 16, policy == "none", padding)
     assert seen[0]["replayed"] > 3 or (padding == "none" and len(seen) > 1)
+    # Without messages of peers a rank does not know whether others need a round.
+    assert all((rank["skipped"] > 0) == (len(seen) == 1) for rank in seen)
     if len(seen) > 1 and padding == "usual":
         assert seen[0]["arrived"] > 20
         assert sum(rank["away"] for rank in seen) > 0

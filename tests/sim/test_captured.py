@@ -122,7 +122,7 @@ def test_too_little_capacity(
     maker = StepMaker(model, model.start())
     make_graph = replay.make_step_graph
 
-    def make_tight(model: Any, state: Any, index: Any, broad_phase: Any, plan: StepPlan, rounds: int) -> StepGraph:
+    def make_tight(model: Any, state: Any, index: Any, broad_phase: Any, plan: StepPlan, *rounds: int) -> StepGraph:
         if not graphs:
             tight = StepPlan()
             little = Capacity(10, 10)
@@ -133,7 +133,7 @@ def test_too_little_capacity(
                 tight.pairs, tight.rounds = plan.pairs, RoundPlan()
                 tight.rounds._capacities = [little]
             plan = tight
-        return make_graph(model, state, index, broad_phase, plan, rounds)
+        return make_graph(model, state, index, broad_phase, plan, *rounds)
 
     monkeypatch.setattr(replay, "make_step_graph", make_tight)
     kinds = []

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 from unittest import mock
 
 import torch
 from torch import Tensor
 
+from pgccd.detection.capacity import COUNT_ROWS
 from pgccd.runtime import transaction
+from pgccd.sim import resolution
 
 
 class Recorded:
@@ -43,10 +45,44 @@ def record(work: Callable[[], Tensor], device: torch.device) -> tuple[Any, Tenso
     return graph, graph._found
 
 
-def graphs_on(device: torch.device | str) -> ExitStack:
+class ConditionalRounds:
+    """Skips rounds of collision resolution in conditional parts that are not wanted. Replaces
+    `pgccd.runtime.graph.conditional` and `Attempt._make_round`.
+    """
+
+    def __init__(self) -> None:
+        self.skipped, self._unwanted, self._make_round = 0, 0, resolution.Attempt._make_round
+
+    @contextmanager
+    def conditional(self, value: Tensor) -> Iterator[None]:
+        assert value.shape == (1,) and value.dtype == torch.int64
+        is_unwanted = int(value) == 0
+        self._unwanted += is_unwanted
+        yield
+        self._unwanted -= is_unwanted
+
+    def make_round(self, attempt: resolution.Attempt, change: Tensor, anywhere: Tensor | None = None) -> Tensor:
+        if not self._unwanted:
+            return self._make_round(attempt, change, anywhere)
+        self.skipped += 1
+        attempt.capacities.append(attempt.plan.capacity(len(attempt.capacities)))
+        return torch.zeros(len(COUNT_ROWS), dtype=torch.int64)
+
+
+class Graphs(ExitStack):
+    """A context in which steps can be captured."""
+
+    rounds: ConditionalRounds | None = None  #: on a CPU
+
+
+def graphs_on(device: torch.device | str) -> Graphs:
     """A context in which steps can be captured on this device; "none": without graphs."""
-    stack = ExitStack()
+    stack = Graphs()
     if device != "none" and torch.device(device).type == "cpu":
         stack.enter_context(mock.patch.object(transaction, "capture", record))
         stack.enter_context(mock.patch.object(transaction, "record_event", lambda timed, sleep=False: Now()))
+        stack.rounds = rounds = ConditionalRounds()
+        stack.enter_context(mock.patch.object(resolution, "conditional", rounds.conditional))
+        make_round = lambda attempt, *given: rounds.make_round(attempt, *given)  # noqa: E731  (a method)
+        stack.enter_context(mock.patch.object(resolution.Attempt, "_make_round", make_round))
     return stack

@@ -20,8 +20,17 @@ class OverConnection:
         self.calls += 1
         return self._comm.all_gather(values)
 
-    def lower(self, values: Tensor, sent: RowsOfRanks, received: RowsOfRanks) -> None:
+    def lower(
+        self,
+        values: Tensor,
+        sent: RowsOfRanks,
+        received: RowsOfRanks,
+        found: Tensor | None = None,
+        anywhere: Tensor | None = None,
+    ) -> None:
         self.calls += 1
+        if found is not None and anywhere is not None:
+            anywhere |= (self._comm.all_gather(found) != 0).any()
         padded = torch.cat([values, values.new_full((1,), torch.inf)])
         to_send, to_lower = (torch.where(rows < 0, len(values), rows) for rows in (sent.rows, received.rows))
         rows = ops.pack_rows([padded], to_send)

@@ -49,6 +49,8 @@ struct PeerMinimum {
   double* values;
   int64_t count;
   PeerRows sent, received;
+  const int64_t* found = nullptr;  // (1,), sent too; or null
+  int64_t* anywhere = nullptr;     // (1,) set to 1 if `found` of any rank is nonzero
 };
 
 }  // namespace pgccd

@@ -38,8 +38,17 @@ class PeerMessages(Protocol):
         """values (k,) int64 -> (ranks, k): those of every rank."""
         ...
 
-    def lower(self, values: Tensor, sent: RowsOfRanks, received: RowsOfRanks) -> None:
-        """Sends rows of values (N,) float64 >= 0, and lowers others to what arrives."""
+    def lower(
+        self,
+        values: Tensor,
+        sent: RowsOfRanks,
+        received: RowsOfRanks,
+        found: Tensor | None = None,
+        anywhere: Tensor | None = None,
+    ) -> None:
+        """Sends rows of values (N,) float64 >= 0, and lowers others to what arrives. Sets `anywhere` (1,) int64 to 1 if
+        `found` (1,) int64 is nonzero on any rank.
+        """
         ...
 
 
@@ -64,8 +73,16 @@ class PeerMemory:
     def gather(self, values: Tensor) -> Tensor:
         return ops.peer_gather(values, *self._where)
 
-    def lower(self, values: Tensor, sent: RowsOfRanks, received: RowsOfRanks) -> None:
-        ops.peer_minimum(values, sent.rows, sent.counts, received.rows, received.counts, *self._where)
+    def lower(
+        self,
+        values: Tensor,
+        sent: RowsOfRanks,
+        received: RowsOfRanks,
+        found: Tensor | None = None,
+        anywhere: Tensor | None = None,
+    ) -> None:
+        rows = sent.rows, sent.counts, received.rows, received.counts
+        ops.peer_minimum(values, *rows, found, anywhere, *self._where)
 
     def stop(self) -> None:
         """From now on kernels give up messages that have not arrived; then the rank sends none either. Also called at

@@ -166,7 +166,7 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         world = self._world
         capacity = ShareCapacity.after(self._share, world.decomposition.neighbours)
         values = [4 + 2 * len(COUNT_ROWS), *capacity.halo.sent, *capacity.halo.received]
-        world.comm.reserve_peer_messages(8 * max(values))
+        world.comm.reserve_peer_messages(8 * (1 + max(values)))
         like = _any_body(world.comm, world.columns)
         return _WorldGraph(world, self._motion, self._response, capacity, like, index)
 

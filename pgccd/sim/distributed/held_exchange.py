@@ -112,14 +112,18 @@ class HeldExchange:
     def ranks(self) -> int:
         return self._comm.size
 
-    def share(self, first: Tensor) -> None:
+    @property
+    def tells_if_found(self) -> bool:
+        return self._peers is not None
+
+    def share(self, first: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None) -> None:
         """Sets the first toi (N + G,) float64 of all held bodies to the minimum over the ranks."""
         if self._comm.size == 1:
             return
         rows, counts = self._shared
         if self._peers is not None:
             shared = RowsOfRanks(rows, self._neighbours.counts_of_ranks(counts))
-            self._peers.lower(first, shared, shared)
+            self._peers.lower(first, shared, shared, found, anywhere)
             return
         answer = self._neighbours.exchange(ops.pack_rows([first], rows), counts, counts).wait()
         ops.simulate_first_toi(first, None, self._twice, answer.view(first.dtype)[:, 0])

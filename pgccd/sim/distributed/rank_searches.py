@@ -84,7 +84,7 @@ def padded_state(state: RobotState, rows: int) -> RobotState:
 
 def largest_message(capacity: ShareCapacity, rounds: int) -> int:
     """Size in bytes of the largest message between two ranks that holds no bodies: the first toi of bodies that both
-    hold, or what all ranks gather.
+    hold and one number, or what all ranks gather.
     """
     gathered = GatheredCounts.width(parts=2) + COUNTED + _CONCLUDED
-    return 8 * max([2 + rounds, gathered, *capacity.common])
+    return 8 * max([2 + rounds, gathered, 1 + max(capacity.common)])

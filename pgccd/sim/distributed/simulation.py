@@ -280,7 +280,8 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         where = self._graph_decomposition, self._share_capacity, self._notes
         searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
         state = padded_state(self._state, rows_with_slack(len(self._state)))
-        made = self.model, state, index, searches.search, self._plan, self._rounds_to_capture, searches.conclude
+        rounds = self._rounds_to_capture, self._usual_rounds
+        made = self.model, state, index, searches.search, self._plan, *rounds, searches.conclude
         return StepGraph(*made)
 
     def _begin(self, graph: StepGraph, index: int) -> None:
