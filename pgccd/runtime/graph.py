@@ -77,8 +77,11 @@ def conditional(value: Tensor) -> Iterator[None]:
     where the driver does not support this, the part always runs.
 
     Example:
-        >>> with conditional(change):
-        ...     counts.copy_(search())
+        >>> change, count = torch.ones(1, dtype=torch.int64), torch.zeros(1)
+        >>> with pgccd.runtime.graph.conditional(change):
+        ...     count[0] = 7.0
+        >>> int(count)
+        7
     """
     graph = _being_captured.get()
     if graph is None or not ops.has_conditional_nodes(value):
