@@ -2,7 +2,7 @@
 
 import gc
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import TypeVar
 
@@ -95,8 +95,11 @@ def conditional(value: Tensor) -> Iterator[None]:
     try:
         with torch.cuda.stream(stream), torch.cuda.use_mem_pool(pool):
             yield
-    finally:
-        ops.end_conditional(value, stream.cuda_stream)
+    except BaseException:
+        with suppress(RuntimeError):  # after an error the capture may be invalid
+            ops.end_conditional(value, stream.cuda_stream)
+        raise
+    ops.end_conditional(value, stream.cuda_stream)
 
 
 def _uncaptured_stream() -> torch.cuda.Stream:
