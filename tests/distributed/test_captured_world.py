@@ -274,6 +274,21 @@ def test_a_step_of_invalid_poses_is_an_error(device: torch.device) -> None:
         assert world.steps_made == (7 if device.type == "cuda" else 6)
 
 
+def test_positions_beyond_the_limit_are_errors(device: torch.device) -> None:
+    """In replays, too."""
+    with graphs_on(device):
+        world = spread(Alone(), device, "none", "cells")
+
+        def leave(bodies: Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
+            new = response(bodies, motion, first_toi)
+            far = (bodies.id == 7)[:, None] & (bodies.step == 6)
+            return new | {"position": torch.where(far, 2e150, new["position"])}
+
+        with pytest.raises(ValueError, match=r"^position: expected finite numbers up to 1e\+150"):
+            CapturedWorld(world, motion, leave, True).run(20)
+        assert bool((world.position.abs() < 1e150).all())
+
+
 def test_what_functions_return_is_checked() -> None:
     world = spread(Alone(), torch.device("cpu"), "none", "cells")
     where: Any

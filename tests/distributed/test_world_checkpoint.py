@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,7 @@ from distributed import test_motions
 from distributed.test_motions import REPORTS, STEPS, alone, require_equal, rows_of, spread, vertices_of
 from pgccd.checkpoint.files import FOLDER
 from pgccd.distributed import Alone, BalanceOptions, Comm, World
+from pgccd.distributed.checkpoint import writing
 from pgccd.distributed.comm.exchange import take_rows
 
 CPU = torch.device("cpu")
@@ -213,3 +217,26 @@ def test_columns_that_share_memory(tmp_path: Path) -> None:
     world.save(tmp_path)
     loaded = load(Alone(), tmp_path)
     assert torch.equal(loaded.position, v) and torch.equal(loaded.payload["rotation"], v)
+
+
+@pytest.mark.parametrize("far", [2e150, -torch.inf, torch.nan])
+def test_no_position_that_a_checkpoint_cannot_hold(far: float) -> None:
+    world = begin(Alone())
+    former = world.position.clone()
+    with pytest.raises(ValueError, match=r"^position: expected finite numbers up to 1e\+150"):
+        world.move(torch.where(world.id[:, None] == 3, far, former))
+    assert torch.equal(world.position, former)
+    world.move(torch.where(world.id[:, None] == 3, 1e150, former))
+
+
+def test_the_thread_that_writes_has_ended_when_save_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """If Python exits while it frees tensors, C++ ends the process."""
+
+    class Slow(Future[Any]):
+        def set_result(self, result: Any) -> None:
+            super().set_result(result)
+            time.sleep(0.3)
+
+    monkeypatch.setattr(writing, "Future", Slow)
+    begin(Alone()).save(tmp_path)
+    assert "pgccd-checkpoint" not in [thread.name for thread in threading.enumerate()]

@@ -48,7 +48,7 @@ class CheckpointWriter:
         self._comm, self._kind = comm, kind
         self._root = folder / files.FOLDER
         self._background: Objects | None = None
-        self._writing: Future[Path] | None = None
+        self._writing: tuple[Future[Path], threading.Thread] | None = None
 
     def begin(
         self, steps_made: int, header: Mapping[str, Any], tables: Mapping[str, Columns], partition: Partition
@@ -84,8 +84,9 @@ class CheckpointWriter:
             except BaseException as error:
                 done.set_exception(error)
 
-        self._writing = done
-        threading.Thread(target=work, name="pgccd-checkpoint", daemon=True).start()
+        thread = threading.Thread(target=work, name="pgccd-checkpoint", daemon=True)
+        self._writing = done, thread
+        thread.start()
 
     def finish(self) -> Path | None:
         """Waits until the last checkpoint is complete.
@@ -99,8 +100,15 @@ class CheckpointWriter:
         writing, self._writing = self._writing, None
         if writing is None:
             return None
+        done, thread = writing
         with self._comm.guard.waiting("checkpoint") if self._comm.size > 1 else nullcontext():
-            return writing.result()
+            try:
+                return done.result()
+            finally:
+                if done.done():
+                    # It still frees its copies of the rows. If Python exited meanwhile, it would end the thread in the
+                    # middle of that, and C++ the process.
+                    thread.join()
 
     def _write(self, name: str, content: Content, tables: Mapping[str, Columns], error: str | None) -> Path:
         own = None

@@ -154,11 +154,13 @@ def _join_store(host: str, port: int, size: int, timeout: float, common: dict[st
         except Exception as error:
             made.put(error)
 
-    threading.Thread(target=join, name="pgccd-store", daemon=True).start()
+    thread = threading.Thread(target=join, name="pgccd-store", daemon=True)
+    thread.start()
     try:
         store = made.get(timeout=timeout + _LATER_SECONDS)
     except Empty:
         raise RuntimeError(f"MASTER_PORT: no store answers at {host}, port {port}, within {timeout:g} s") from None
+    thread.join()
     if isinstance(store, Exception):
         raise store
     return store

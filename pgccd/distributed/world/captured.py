@@ -28,6 +28,7 @@ from pgccd.distributed.halo.migrate import count_leaving
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.distributed.world.columns import scene_columns
 from pgccd.distributed.world.world import World
+from pgccd.motion.faults import LARGEST_COORDINATE
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.replayed_steps import GRAPH_SLACK, ReplayedSteps
 from pgccd.runtime.transaction import Replay, TransactionGraph
@@ -252,10 +253,10 @@ class _WorldGraph(TransactionGraph[_Committed]):
         new = _with_position(self._response(bodies, motion, _first_toi(share, comm.peer_messages)))
         is_body = id >= 0
         leaving = count_leaving(self.decomposition, new["position"], id)
-        is_finite = (torch.isfinite(new["position"]).all(dim=1) | ~is_body).all()
+        is_valid = ((new["position"].abs() <= LARGEST_COORDINATE).all(dim=1) | ~is_body).all()
         counts = [part.counts() for part in share.parts]
         overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
-        faults = [motion.first_faults()[-1:], (~is_finite).to(torch.int64)[None], *overflow]
+        faults = [motion.first_faults()[-1:], (~is_valid).to(torch.int64)[None], *overflow]
         failed = torch.cat([self._failed, share.failed, *faults]).sum().reshape(1)
         owned, ghosts = is_body.sum()[None], (share.held.ghosts["id"] >= 0).sum()[None]
         mine = torch.cat([failed, owned, ghosts, leaving, *counts])

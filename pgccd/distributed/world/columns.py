@@ -15,6 +15,7 @@ from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import together
 from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.motion.faults import LARGEST_COORDINATE
 from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 
@@ -158,6 +159,6 @@ def new_values(new: Mapping[str, Tensor], columns: Columns, vertices: Columns) -
             expected = f"{tuple(former.shape)} {former.dtype} on {former.device}"
             raise ValueError(f"{name}: expected {expected}, got {tuple(values.shape)} {values.dtype}")
         (of_bodies if key in columns else of_vertices)[key] = values.detach()
-    if not bool(torch.isfinite(new["position"]).all()):
-        raise ValueError("position: expected finite numbers")
+    if not bool((new["position"].abs() <= LARGEST_COORDINATE).all()):
+        raise ValueError(f"position: expected finite numbers up to {LARGEST_COORDINATE:g}")
     return of_bodies, of_vertices
