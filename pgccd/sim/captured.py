@@ -19,7 +19,8 @@ from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import TransactionGraph
 from pgccd.sim.model import PLANNED, Model, RobotState
 from pgccd.sim.partners import Partners
-from pgccd.sim.resolution import Attempt, Exchange, RoundPlan
+from pgccd.sim.resolution import Attempt, Exchange
+from pgccd.sim.round_plan import RoundPlan
 from pgccd.sim.tally import COUNTED, GatheredCounts, Rows, SearchCounts, Tally, count_step
 
 

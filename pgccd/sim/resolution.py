@@ -7,7 +7,6 @@ resulting step no robot touches another, and the next step starts without contac
 Several rounds are enqueued at a time, before it is known whether they are needed: superfluous rounds change nothing.
 """
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.partners import Partners
+from pgccd.sim.round_plan import RoundPlan
 from pgccd.sim.tally import GatheredCounts, Rows, SearchCounts
 
 # A robot moves by this fraction of its toi: at the toi itself it may be within the tolerance of contact, which the next
@@ -36,12 +36,8 @@ _APPROACH = 0.99
 _SMALLEST_PART = 0.01
 # From this round on a colliding robot does not move at all, which ends the iteration quickly.
 _STOPPING_ROUND = 4
-# Rounds enqueued at once in the first step; rounds added at a time if these do not suffice.
-_FIRST_ROUNDS, _MORE_ROUNDS = 4, 2
-# Number of recent steps considered.
-_RECENT_STEPS = 8
-# Capacity relative to what a round needed in the last step.
-_SLACK = 2.0
+# Rounds added at a time if those of the plan do not suffice.
+_MORE_ROUNDS = 2
 _CONTACTS = COUNT_ROWS["contacts"]
 
 
@@ -68,42 +64,6 @@ class ResolvedStep:
     conclusions: Rows  #: (ranks, k): the values of `conclude` of each rank
     #: Updates the capacity estimates for the next step; deferred, so that the next step can be enqueued first.
     learn: Callable[[], None]
-
-
-class RoundPlan:
-    """The number of rounds enqueued at once, equal on all ranks, and the capacity of each on this rank. Owned by a
-    simulation.
-    """
-
-    def __init__(self) -> None:
-        self._recent: deque[int] = deque(maxlen=_RECENT_STEPS)
-        self._needed: Callable[[], Sequence[Capacity]] | None = None
-        self._capacities: list[Capacity] = []
-
-    @property
-    def at_once(self) -> int:
-        """The largest number in recent steps: a superfluous round costs less than a synchronisation."""
-        return max(self._recent, default=_FIRST_ROUNDS)
-
-    def capacity(self, round: int) -> Capacity:
-        """The capacity of a round, counted from 0."""
-        if self._needed is not None:
-            capacities = [capacity.times(_SLACK) for capacity in self._needed()]
-            self._needed, self._capacities[: len(capacities)] = None, capacities
-        if not self._capacities:
-            return Capacity(0, 0).times(1.0)
-        return self._capacities[min(round, len(self._capacities) - 1)]
-
-    def grow(self, round: int, counts: Counts) -> None:
-        """Grows the capacity of a round that overflowed."""
-        capacities = [self.capacity(earlier) for earlier in range(max(round + 1, len(self._capacities)))]
-        capacities[round] = capacities[round].grown(counts.needed(capacities[round]))
-        self._capacities = capacities
-
-    def learn(self, rounds: int, needed: Callable[[], Sequence[Capacity]]) -> None:
-        """Records a step's rounds. The capacities are computed in the next step, while the host is idle."""
-        self._recent.append(rounds)
-        self._needed = needed
 
 
 class Exchange(Protocol):

@@ -17,8 +17,9 @@ from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
-from pgccd.sim.resolution import Resolution, RoundPlan, resolve_collisions
+from pgccd.sim.resolution import Resolution, resolve_collisions
 from pgccd.sim.response import respond
+from pgccd.sim.round_plan import RoundPlan
 from pgccd.sim.tally import Tally, count_step
 
 

@@ -24,7 +24,7 @@ from pgccd.runtime import transaction
 from pgccd.sim.distributed import DistributedSimulation, RankStep, starting_share
 from pgccd.sim.distributed import simulation as simulation_module
 from pgccd.sim.distributed.gathering import gather_sample
-from pgccd.sim.resolution import RoundPlan
+from pgccd.sim.round_plan import RoundPlan
 
 TIMES = ("seconds", "stage_seconds", "ranks")
 # Fast robots in a small world, so that few steps suffice.

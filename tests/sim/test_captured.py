@@ -14,7 +14,7 @@ from pgccd.detection.capacity import Capacity
 from pgccd.runtime import transaction
 from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, make_step, replay
 from pgccd.sim.captured import CommittedStep, StepGraph
-from pgccd.sim.resolution import RoundPlan
+from pgccd.sim.round_plan import RoundPlan
 from pgccd.sim.step import Step
 
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5, "seed": 3}

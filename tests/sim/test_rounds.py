@@ -23,7 +23,8 @@ from pgccd.runtime.stages import StageClock
 from pgccd.sim import Model, ModelConfig, Resolution, RobotState, StepPlan, make_step, robot_mesh
 from pgccd.sim import partners as partners_module
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
-from pgccd.sim.resolution import OneRank, ResolvedStep, RoundPlan, resolve_collisions
+from pgccd.sim.resolution import OneRank, ResolvedStep, resolve_collisions
+from pgccd.sim.round_plan import RoundPlan
 from pgccd.sim.tally import WORK
 
 pipeline_module = sys.modules["pgccd.detection.pipeline"]

@@ -16,7 +16,8 @@ from pgccd.detection.parts import Part
 from pgccd.runtime.stages import StageClock
 from pgccd.sim import Model, Resolution, RobotState, contacts_hash, respond, state_hash
 from pgccd.sim.partners import Partners, toi_of
-from pgccd.sim.resolution import RoundPlan, resolve_collisions
+from pgccd.sim.resolution import resolve_collisions
+from pgccd.sim.round_plan import RoundPlan
 
 #: Contacts of the robots that changed (N,) bool, each moving by its fraction (N,) of the step.
 Find = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]

@@ -34,8 +34,9 @@ from pgccd.sim.distributed.reports import Reports
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
 from pgccd.sim.replay import SimulationSteps
-from pgccd.sim.resolution import Resolution, RoundPlan, resolve_collisions
+from pgccd.sim.resolution import Resolution, resolve_collisions
 from pgccd.sim.response import respond
+from pgccd.sim.round_plan import RoundPlan
 from pgccd.sim.tally import Tally, count_step
 
 # Robots that have left their rank's cells migrate once they exceed the number of ghosts over this (each may be a
