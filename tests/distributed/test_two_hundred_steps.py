@@ -1,4 +1,4 @@
-"""Two hundred steps of the simulator on ranks, over MPI and on GPUs: the log of one process on a CPU."""
+"""Two hundred steps of the simulator on ranks, over MPI, Gloo and on GPUs: the log of one process on a CPU."""
 
 from __future__ import annotations
 
@@ -49,7 +49,6 @@ def test_over_mpi(ranks: int, cut: list[str], single: tuple[list[str], Log], tmp
     assert log(tmp_path) == expected
 
 
-@pytest.mark.cuda
 @pytest.mark.parametrize("cut", CUTS, ids=["cost", "one cell", "bisection"])
 @pytest.mark.parametrize("ranks", [2, 3, 5])
 def test_over_gloo(ranks: int, cut: list[str], single: tuple[list[str], Log], tmp_path: Path) -> None:
