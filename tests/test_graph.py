@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gc
+from types import SimpleNamespace
 
 import pytest
 import torch
 
+from pgccd.runtime import graph
 from pgccd.runtime.graph import capture, conditional
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.side_stream import SideStream
@@ -38,9 +40,9 @@ def test_pinned_memory_in_garbage_is_not_freed_during_capture() -> None:
         return found
 
     assert gc.isenabled()
-    graph, found = capture(work, device)
+    captured, found = capture(work, device)
     assert gc.isenabled()
-    graph.replay()
+    captured.replay()
     gc.collect()
     _ = [torch.empty(8, dtype=torch.int64, pin_memory=True) for _ in range(64)]  # reads the events of freed memory
     assert torch.equal(found, values + 1)
@@ -64,14 +66,14 @@ def test_parts_of_a_graph_run_only_if_wanted() -> None:
         runs[2] += 1
         return y + before
 
-    graph, found = capture(work, device)
+    captured, found = capture(work, device)
     assert runs.tolist() == [1, 1, 1]  # before the capture, whatever is wanted
     expected = torch.zeros(1000, device=device)
     for outer, inner in ((1, 1), (0, 1), (1, 0), (0, 0), (1, 7)):
         wanted.copy_(torch.tensor([outer, inner]))
         former = y.clone()
         _ = [torch.full((1000,), torch.nan, device=device) for _ in range(8)]  # takes memory that is free
-        graph.replay()
+        captured.replay()
         sums = torch.cumsum(x + 1.0, 0)
         expected = (2.0 * sums if inner else sums) if outer else former
         assert torch.equal(y, expected) and torch.equal(found, expected + x + 1.0)
@@ -95,6 +97,16 @@ def test_a_part_that_fails_during_capture_leaves_no_stream_captured() -> None:
     with pytest.raises(RuntimeError, match="in the part"):
         capture(work, device)
     assert wanted.tolist() == [2]
-    graph, _ = capture(lambda: wanted.add_(1), device)
-    graph.replay()
+    captured, _ = capture(lambda: wanted.add_(1), device)
+    captured.replay()
     assert wanted.tolist() == [4]
+
+
+def test_parts_beyond_the_limit_always_run() -> None:
+    full = SimpleNamespace(parts=[None] * graph._MOST_PARTS)
+    token = graph._being_captured.set(full)  # type: ignore[arg-type]
+    ran = False
+    with conditional(torch.zeros(1, dtype=torch.int64)):  # needs no stream of a GPU
+        ran = True
+    graph._being_captured.reset(token)
+    assert ran and len(full.parts) == graph._MOST_PARTS

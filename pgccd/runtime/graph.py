@@ -31,6 +31,9 @@ class Graph:
         self.parts.clear()
 
 
+# Each part takes one of torch's 32 streams during capture, and nested ones at the same time.
+_MOST_PARTS = 8
+
 _being_captured: ContextVar[Graph | None] = ContextVar("being_captured", default=None)
 
 
@@ -74,7 +77,7 @@ def capture(work: Callable[[], T], device: torch.device) -> tuple[Graph, T]:
 def conditional(value: Tensor) -> Iterator[None]:
     """A part of a graph that each replay runs only if `value` (1,) int64 is nonzero when it is reached. May be nested.
     What it writes to tensors from outside is kept; without the part these keep their values. Outside of `capture`, or
-    where the driver does not support this, the part always runs.
+    where the driver does not support this, the part always runs; so do those of a graph after the first eight.
 
     Example:
         >>> change, count = torch.ones(1, dtype=torch.int64), torch.zeros(1)
@@ -84,11 +87,11 @@ def conditional(value: Tensor) -> Iterator[None]:
         7
     """
     graph = _being_captured.get()
-    if graph is None or not ops.has_conditional_nodes(value):
+    if graph is None or len(graph.parts) >= _MOST_PARTS or not ops.has_conditional_nodes(value):
         yield
         return
-    # Memory freed in the part must not be reused by work that other replays run meanwhile: a pool of its own, kept with
-    # the graph.
+    # Torch does not recognise the stream of the part as one of this capture: without a pool of its own, kept with the
+    # graph, the part would use memory that is handed out again between replays.
     stream, pool = _uncaptured_stream(), torch.cuda.MemPool()
     graph.parts.append((stream, pool))
     ops.begin_conditional(value, stream.cuda_stream)

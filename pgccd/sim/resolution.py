@@ -76,13 +76,13 @@ class Exchange(Protocol):
     def ranks(self) -> int: ...
 
     @property
-    def tells_if_found(self) -> bool:
-        """Whether `share` tells ranks if any rank has found contacts."""
+    def shares_found(self) -> bool:
+        """Whether `share` sets `anywhere`."""
         ...
 
     def share(self, first: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None) -> None:
-        """Sets the first toi (N,) of all robots to the minimum over all ranks that hold them. If it `tells_if_found`,
-        and given both, it sets `anywhere` (1,) int64 to 1 if the number `found` (1,) int64 is nonzero on any rank.
+        """Sets the first toi (N,) of all robots to the minimum over all ranks that hold them. If it `shares_found`, it
+        also sets `anywhere` (1,) int64 to 1 if the number of contacts `found` (1,) int64 is nonzero on any rank.
         """
         ...
 
@@ -94,7 +94,7 @@ class Exchange(Protocol):
 class OneRank:
     """The exchange of a single rank."""
 
-    rank, ranks, tells_if_found = 0, 1, False
+    rank, ranks, shares_found = 0, 1, False
 
     def share(self, first: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None) -> None:
         pass
@@ -188,11 +188,11 @@ class Attempt:
         return changes, counts
 
     def make_rounds_of_replay(self, count: int, usual: int) -> tuple[Tensor, list[Tensor]]:
-        """As `make_rounds`, for a graph: replays skip superfluous rounds after the first `usual`, unless ranks are not
-        told of contacts that others found.
+        """As `make_rounds`, for a graph: replays skip superfluous rounds after the first `usual`; on several ranks only
+        if the exchange `shares_found`.
         """
         is_alone = self.exchange.ranks == 1
-        if not is_alone and not self.exchange.tells_if_found:
+        if not is_alone and not self.exchange.shares_found:
             return self.make_rounds(count)
         numbers = torch.zeros((2, count), dtype=torch.int64, device=self._device)
         changes, anywhere = numbers
@@ -208,14 +208,13 @@ class Attempt:
 
     def _make_round(self, change: Tensor, anywhere: Tensor | None = None) -> Tensor:
         """Enqueues a round, which sets `change` (1,) to nonzero if it changed a robot of this rank, and `anywhere` (1,)
-        if a rank found a contact and tells. Returns its counts (21,).
+        if any rank found a contact, where the exchange `shares_found`. Returns its counts (21,).
         """
         capacity = self.plan.capacity(len(self.capacities))
         self.capacities.append(capacity)
         counts = self.partners.start_round(self._changed, self.fraction, capacity, self._first)
-        tells = anywhere is not None and self.exchange.tells_if_found
-        found = counts[_CONTACTS : _CONTACTS + 1] if tells else None
-        self._slow_down(len(self.capacities), change, found, anywhere if tells else None)
+        found = counts[_CONTACTS : _CONTACTS + 1] if anywhere is not None else None
+        self._slow_down(len(self.capacities), change, found, anywhere)
         return counts
 
     def _slow_down(

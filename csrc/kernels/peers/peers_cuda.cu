@@ -126,9 +126,9 @@ __global__ void __launch_bounds__(kPeerThreads)
   wait_for_previous_kernels();
   const int64_t peer = blockIdx.y;
   const auto part = static_cast<int>(blockIdx.x);
-  const bool tells = given.found != nullptr && part == 0 && threadIdx.x == 0;
+  const bool sends_found = given.found != nullptr && part == 0 && threadIdx.x == 0;
   if (peer == regions.memory.rank) {
-    if (tells && *given.found != 0) *given.anywhere = 1;  // all threads write the same value
+    if (sends_found && *given.found != 0) *given.anywhere = 1;  // all threads write the same value
     return;
   }
   const int64_t* const sent = given.sent.rows + given.sent.begin[peer];
@@ -142,7 +142,7 @@ __global__ void __launch_bounds__(kPeerThreads)
           require_row(sent[k], given.count);
           slot[k] = sent[k] < 0 ? kInfinity : given.values[sent[k]];
         });
-        if (tells) slot[given.sent.begin[peer + 1] - given.sent.begin[peer]] = *given.found != 0 ? 1.0 : 0.0;
+        if (sends_found) slot[given.sent.begin[peer + 1] - given.sent.begin[peer]] = *given.found != 0 ? 1.0 : 0.0;
       },
       [&](const double* slot) {
         of_received.for_each([&](int64_t k) {
@@ -152,7 +152,7 @@ __global__ void __launch_bounds__(kPeerThreads)
           atomicMin(reinterpret_cast<long long*>(given.values + received[k]), __double_as_longlong(slot[k]));
         });
         const int64_t last = given.received.begin[peer + 1] - given.received.begin[peer];
-        if (tells && slot[last] != 0.0) *given.anywhere = 1;
+        if (sends_found && slot[last] != 0.0) *given.anywhere = 1;
       });
 }
 

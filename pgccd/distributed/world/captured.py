@@ -23,8 +23,8 @@ from pgccd.distributed.detection.padded_share import (
     rows_with_slack,
     search_padded_share,
 )
-from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.halo.migrate import count_leaving
+from pgccd.distributed.launch.agreement import require_agreement
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.distributed.world.columns import scene_columns
 from pgccd.distributed.world.world import World
@@ -132,10 +132,7 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         """
         steps = arguments.integer(steps, "steps", 0, "a number of steps >= 0")
         world, found = self._world, []
-        of_ranks = world.comm.all_gather(torch.tensor([steps, int(self._wants_graph)])).T.tolist()
-        for name, values in zip(("steps", "graph"), of_ranks, strict=True):
-            if len(set(values)) > 1:
-                raise of_all_ranks(ValueError(f"{name}: expected the same on all ranks, got {values[:8]}"))
+        require_agreement(world.comm, {"steps": steps, "graph": self._wants_graph})
         if self._graph is not None and not self._load(self._graph, world.steps_made):
             self._graph = None
         for more in reversed(range(steps)):

@@ -113,7 +113,7 @@ class HeldExchange:
         return self._comm.size
 
     @property
-    def tells_if_found(self) -> bool:
+    def shares_found(self) -> bool:
         return self._peers is not None
 
     def share(self, first: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None) -> None:
