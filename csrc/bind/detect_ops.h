@@ -16,6 +16,11 @@ namespace pgccd::bind {
 
 using TensorList = std::vector<Tensor>;
 
+inline SweepSettings sweep_settings(double min_separation, double tolerance, bool tests_start) {
+  const KeptDistance kept(min_separation, tolerance);
+  return {kept.separation, kept.tolerance, tests_start};
+}
+
 template <class Backend>
 struct DetectOps {
   static Tensor first_faults(const TensorList& columns, const std::vector<int64_t>& checks,
@@ -86,14 +91,16 @@ struct DetectOps {
   static std::tuple<Tensor, Tensor> traverse_rigid(const TensorList& mesh_set, const TensorList& bodies,
                                                    bool linear_path, const Tensor& pairs,
                                                    const std::optional<Tensor>& horizon, double min_separation,
-                                                   double tolerance) {
-    return traverse(rigid_view(mesh_set, bodies, linear_path), pairs, horizon, checked(min_separation, tolerance));
+                                                   double tolerance, bool tests_start) {
+    return traverse(rigid_view(mesh_set, bodies, linear_path), pairs, horizon,
+                    sweep_settings(min_separation, tolerance, tests_start));
   }
 
   static std::tuple<Tensor, Tensor> traverse_deforming(const TensorList& mesh_set, const TensorList& bodies,
                                                        const Tensor& pairs, const std::optional<Tensor>& horizon,
-                                                       double min_separation, double tolerance) {
-    return traverse(deforming_view(mesh_set, bodies), pairs, horizon, checked(min_separation, tolerance));
+                                                       double min_separation, double tolerance, bool tests_start) {
+    return traverse(deforming_view(mesh_set, bodies), pairs, horizon,
+                    sweep_settings(min_separation, tolerance, tests_start));
   }
 
   static ContactTensors narrow_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
@@ -111,11 +118,6 @@ struct DetectOps {
   }
 
  private:
-  static SweepSettings checked(double min_separation, double tolerance) {
-    const KeptDistance kept(min_separation, tolerance);
-    return {kept.separation, kept.tolerance};
-  }
-
   template <class Bodies>
   static std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs,
                                              const std::optional<Tensor>& horizon, const SweepSettings& settings) {
@@ -146,7 +148,8 @@ struct DetectOps {
   static ContactTensors narrow(const Bodies& bodies, const Tensor& pairs, const Tensor& candidates,
                                const NarrowSettings& settings, int64_t report) {
     NarrowInput input;
-    checked(settings.separation, settings.tolerance);
+    check_separation(settings.separation);
+    check_tolerance(settings.tolerance);
     input.candidates.items = rows<int32_t, Candidate>(candidates, "candidates", {kAnySize, 4});
     input.candidates.size = candidates.size(0);
     STD_TORCH_CHECK(input.candidates.size < (int64_t{1} << 31), "candidates: more than 2^31 - 1 rows in one call");

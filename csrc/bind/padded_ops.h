@@ -39,7 +39,7 @@ struct PaddedOps {
                             const std::optional<Tensor>& mask, const std::optional<Tensor>& world,
                             const std::optional<Tensor>& is_static, const std::optional<Tensor>& known_faults,
                             const std::vector<int64_t>& checks, const std::vector<double>& limits,
-                            double min_separation, double tolerance, bool nonzero_toi, int64_t report,
+                            double min_separation, double tolerance, bool nonzero_toi, bool tests_start, int64_t report,
                             int64_t broad_phase, const std::vector<int64_t>& pair_capacity,
                             const std::vector<int64_t>& capacity) {
     const RigidBodies view = rigid_view(mesh_set, bodies, linear_path);
@@ -71,32 +71,34 @@ struct PaddedOps {
       const PairCapacity most{pair_capacity[0], pair_capacity[1], pair_capacity[2] != 0};
       backend.pairs_padded(swept, choice, {most, make_rows(most.pairs), data<int64_t>(counts)});
     }
-    return contacts(view, pairs, counts, faults, {min_separation, tolerance, nonzero_toi}, report, capacity);
+    return contacts(view, pairs, counts, faults, {min_separation, tolerance, nonzero_toi}, tests_start, report,
+                    capacity);
   }
 
   static Found contacts_rigid(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies, bool linear_path,
                               const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
-                              double min_separation, double tolerance, bool nonzero_toi, int64_t report,
-                              const std::vector<int64_t>& capacity) {
+                              double min_separation, double tolerance, bool nonzero_toi, bool tests_start,
+                              int64_t report, const std::vector<int64_t>& capacity) {
     return contacts(rigid_view(mesh_set, bodies, linear_path), pairs, pair_counts, faults,
-                    {min_separation, tolerance, nonzero_toi}, report, capacity);
+                    {min_separation, tolerance, nonzero_toi}, tests_start, report, capacity);
   }
 
   static Found contacts_deforming(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies,
                                   const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
-                                  double min_separation, double tolerance, bool nonzero_toi, int64_t report,
-                                  const std::vector<int64_t>& capacity) {
+                                  double min_separation, double tolerance, bool nonzero_toi, bool tests_start,
+                                  int64_t report, const std::vector<int64_t>& capacity) {
     return contacts(deforming_view(mesh_set, bodies), pairs, pair_counts, faults,
-                    {min_separation, tolerance, nonzero_toi}, report, capacity);
+                    {min_separation, tolerance, nonzero_toi}, tests_start, report, capacity);
   }
 
-  // Lowers the first toi of the owners of each pair; computes no other column.
+  // Lowers the first toi of the owners of each pair; computes no other column, and does not test starts.
   static Tensor lower_first_toi_rigid(Tensor first, const Tensor& owners, const std::vector<Tensor>& mesh_set,
                                       const std::vector<Tensor>& bodies, bool linear_path, const Tensor& pairs,
                                       const Tensor& pair_counts, double min_separation, double tolerance,
                                       bool nonzero_toi, const std::vector<int64_t>& capacity) {
     check_capacity(capacity, 6);
-    ContactSearch search = search_of(pairs, pair_counts, {min_separation, tolerance, nonzero_toi}, Report::kFirst);
+    ContactSearch search =
+        search_of(pairs, pair_counts, {min_separation, tolerance, nonzero_toi}, false, Report::kFirst);
     search.traverse_capacity = traverse_capacity(capacity);
     search.contact_capacity = {capacity[5], 0};
     rows<double>(first, "first", {kAnySize});
@@ -111,14 +113,13 @@ struct PaddedOps {
  private:
   // The search of these pairs, without capacities and counts.
   static ContactSearch search_of(const Tensor& pairs, const Tensor& pair_counts, const NarrowSettings& settings,
-                                 Report report) {
-    const KeptDistance kept(settings.separation, settings.tolerance);
+                                 bool tests_start, Report report) {
     ContactSearch search;
     search.pair_count = rows<int64_t>(pair_counts, "pair_counts", {kPairCounts}) + kPairsWritten;
     search.traversal.pairs = search.narrow.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
     search.traversal.pair_count = search.narrow.pair_count = pairs.size(0);
     STD_TORCH_CHECK(search.traversal.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
-    search.traversal.settings = {kept.separation, kept.tolerance};
+    search.traversal.settings = sweep_settings(settings.separation, settings.tolerance, tests_start);
     search.narrow.settings = settings;
     search.narrow.report = report;
     return search;
@@ -155,11 +156,12 @@ struct PaddedOps {
 
   template <class Bodies>
   static Found contacts(const Bodies& bodies, const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
-                        const NarrowSettings& settings, int64_t report, const std::vector<int64_t>& capacity) {
+                        const NarrowSettings& settings, bool tests_start, int64_t report,
+                        const std::vector<int64_t>& capacity) {
     check_capacity(capacity, 7);
     constexpr int64_t kOnlyEarliest = 3;  // first contacts, pruned by the earliest of the scene
     ContactSearch search =
-        search_of(pairs, pair_counts, settings,
+        search_of(pairs, pair_counts, settings, tests_start,
                   report_of(report == kOnlyEarliest ? static_cast<int64_t>(Report::kFirst) : report));
     search.only_earliest = report == kOnlyEarliest;
     search.traverse_capacity = traverse_capacity(capacity);

@@ -48,11 +48,11 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "Tensor");
   library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
-      "float min_separation, float tolerance) "
+      "float min_separation, float tolerance, bool tests_start) "
       "-> (Tensor candidates, Tensor node_tests)");
   library.def(
       "traverse_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor? horizon, "
-      "float min_separation, float tolerance) "
+      "float min_separation, float tolerance, bool tests_start) "
       "-> (Tensor candidates, Tensor node_tests)");
   library.def(
       "narrow_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor candidates, "
@@ -73,11 +73,11 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def(
       "contacts_padded_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_counts, "
       "Tensor faults, "
-      "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
+      "float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   library.def(
       "contacts_padded_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, Tensor faults, "
-      "float min_separation, float tolerance, bool nonzero_toi, int report, int[] capacity) "
+      "float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   // A whole step: pairs_padded of the spheres = [position_t0, position_t1, radius], then contacts_padded_rigid. If
   // `spheres` is empty, the bodies' own spheres are used; the bodies must then be centred, without margins. The poses,
@@ -87,7 +87,8 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, Tensor? "
       "mask, "
       "Tensor? world, Tensor? is_static, Tensor? faults, int[] checks, float[] limits, float min_separation, "
-      "float tolerance, bool nonzero_toi, int report, int broad_phase, int[] pair_capacity, int[] capacity) "
+      "float tolerance, bool nonzero_toi, bool tests_start, int report, int broad_phase, int[] pair_capacity, int[] "
+      "capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   // Lowers first (N,) f64 at the owners (P, 2) i64 of each pair; capacity without contacts, counts without faults.
   library.def(

@@ -12,7 +12,10 @@ enum class FeatureKind : int32_t {
   kVertexFace = 0,  // vertex of i, face of j
   kFaceVertex = 1,  // vertex of j, face of i
   kEdgeEdge = 2,    // edge of i, edge of j
+  kEdgeFace = 3,    // edge of i that passes through a face of j at t = 0
+  kFaceEdge = 4,    // edge of j that passes through a face of i at t = 0
 };
+constexpr int32_t kFeatureKinds = 5;
 
 struct Candidate {
   int32_t pair;  // index into the list of body pairs
@@ -20,6 +23,8 @@ struct Candidate {
   int32_t feature_i;
   int32_t feature_j;
 };
+
+PGCCD_HD bool is_crossing(const Candidate& c) { return c.kind >= static_cast<int32_t>(FeatureKind::kEdgeFace); }
 
 // Numbers of candidates at the front and at the back of a buffer.
 struct CandidateCounts {

@@ -75,6 +75,7 @@ class PCCCD:
         min_separation: float = 0.0,
         tolerance: float | None = None,
         nonzero_toi: bool = False,
+        initial: narrow.Initial = "report",
     ) -> PCCCD:
         """Prepares the meshes, and compares the arguments of all ranks.
 
@@ -83,7 +84,7 @@ class PCCCD:
             voxel_size: length of a voxel's edge. Default: 8 mean edges of the meshes' triangles.
             comm: between the ranks. Default: one rank.
             report: "first": the earliest contact of each pair of bodies; "all": every touching feature pair.
-            min_separation, tolerance, nonzero_toi: as for `pgccd.detect`.
+            min_separation, tolerance, nonzero_toi, initial: as for `pgccd.detect`.
 
         Raises:
             TypeError, ValueError: naming the argument; on all ranks.
@@ -96,7 +97,7 @@ class PCCCD:
             size = _EDGES_A_VOXEL * _mean_edge(mesh_set.meshes) if voxel_size is None else voxel_size
             if not arguments.length(size, "voxel_size") > 0.0:
                 raise ValueError(f"voxel_size: expected a length > 0, got {size}")
-            return mesh_set, Query(report, min_separation, tolerance, nonzero_toi), size
+            return mesh_set, Query(report, min_separation, tolerance, nonzero_toi, initial), size
 
         mesh_set, query, size = together(comm, prepare)
         require_agreement(comm, {"meshes": meshes_digest(mesh_set.meshes), "voxel_size": size, "query": query})
@@ -149,7 +150,7 @@ class PCCCD:
             pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
             scene = Scene.of_checked(self._meshes, columns["mesh_index"])
             found = MovingBodies.of(scene, RigidMotion.from_rotation(*pose, path=motion.path))
-            pairs, candidates = feature_candidates(found, triangle_pairs)
+            pairs, candidates = feature_candidates(found, triangle_pairs, self._query.tests_start)
             rest = (pairs, candidates, *self._query.settings, narrow.REPORTS[self._query.report])
             row, *rows = ops.narrow(found.operands, *rest)
         with clock.stage("report"):

@@ -10,7 +10,7 @@ from pgccd.detection.narrow import Kind
 _VERTEX, _EDGE, _FACE, _REPRESENTED = slice(0, 3), slice(3, 6), 6, 7
 
 
-def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor) -> tuple[Tensor, Tensor]:
+def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor, tests_start: bool) -> tuple[Tensor, Tensor]:
     """Body pairs (P, 2) int64, ascending, and candidates (C, 4) int32 as from `pgccd.traverse.bvtt`.
 
     Every vertex and edge is represented by one triangle of its mesh (Curtis, Tamstorf & Manocha 2008), so the two
@@ -19,6 +19,7 @@ def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor) -> tuple[Te
     Args:
         bodies: the moving bodies.
         triangle_pairs: (K, 4) int64: body i, triangle of i, body j, triangle of j; i < j; unique rows.
+        tests_start: whether edges and faces are listed, which may pass through one another at t = 0.
     """
     body_i, triangle_i, body_j, triangle_j = triangle_pairs.unbind(dim=1)
     count = bodies.scene.body_count
@@ -39,7 +40,13 @@ def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor) -> tuple[Te
     face_vertex = listed(Kind.VF_BA, pair, of_i[pair, _FACE], of_j[:, _VERTEX][pair, corner])
     pair, first, second = (edges_i[:, :, None] & edges_j[:, None, :]).nonzero(as_tuple=True)
     edge_edge = listed(Kind.EE, pair, of_i[:, _EDGE][pair, first], of_j[:, _EDGE][pair, second])
-    return pairs, torch.cat([vertex_face, face_vertex, edge_edge])
+    candidates = [vertex_face, face_vertex, edge_edge]
+    if tests_start:
+        pair, edge = edges_i.nonzero(as_tuple=True)
+        candidates.append(listed(Kind.EF_AB, pair, of_i[:, _EDGE][pair, edge], of_j[pair, _FACE]))
+        pair, edge = edges_j.nonzero(as_tuple=True)
+        candidates.append(listed(Kind.EF_BA, pair, of_i[pair, _FACE], of_j[:, _EDGE][pair, edge]))
+    return pairs, torch.cat(candidates)
 
 
 def _rows(bodies: MovingBodies, body: Tensor, triangle: Tensor) -> Tensor:

@@ -28,7 +28,7 @@ class CapturedDetection:
         motion: a step of the same kind as later ones, with the same number of bodies or vertices.
         report, min_separation: as for `detect`.
         capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
-        options: tolerance, nonzero_toi, broad_phase: as for `detect`.
+        options: tolerance, nonzero_toi, initial, broad_phase: as for `detect`.
 
     Raises:
         TypeError, ValueError: naming the argument.
@@ -55,7 +55,8 @@ class CapturedDetection:
         if not isinstance(motion, (RigidMotion, VertexMotion)):
             kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
-        Query(report, min_separation, options.get("tolerance"), options.get("nonzero_toi", False))  # checks them
+        of_query = options.get("tolerance"), options.get("nonzero_toi", False), options.get("initial", "report")
+        Query(report, min_separation, *of_query)  # checks them
         arguments.choice(options.get("broad_phase", "auto"), "broad_phase", broad.BROAD_PHASES)
         if capacity is not None:
             check_capacity(capacity)

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
@@ -21,6 +21,8 @@ from pgccd.detection.checks import (
 from pgccd.detection.contacts import ContactRows, take_earliest
 
 Report = Literal["any", "first", "all", "earliest"]
+Initial = Literal["report", "assume_free"]
+INITIALS = get_args(Initial)
 # The operators' numbers; "earliest" selects from the first contacts.
 REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 1}
 
@@ -34,6 +36,8 @@ class Kind(IntEnum):
     VF_AB = 0  #: vertex of i, face of j
     VF_BA = 1  #: vertex of j, face of i; `features` still lists i's feature first
     EE = 2  #: edge of i, edge of j
+    EF_AB = 3  #: edge of i that passes through a face of j at t = 0
+    EF_BA = 4  #: edge of j that passes through a face of i at t = 0; `features` still lists i's feature first
 
 
 class Status(IntEnum):
@@ -160,7 +164,7 @@ def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> 
     counts = offsets[1:] - offsets[:-1]  # vertices, faces, edges
     row, kind = torch.where(known, row, 0), torch.where(known, kind, 0)
     # The column of `counts` that bounds each body's feature index, by kind.
-    column = torch.tensor([[0, 1], [1, 0], [2, 2]], device=bodies.device)
+    column = torch.tensor([[0, 1], [1, 0], [2, 2], [2, 1], [1, 2]], device=bodies.device)
     for side in (0, 1):
         mesh = bodies.scene.mesh_index[pairs[row, side]].long() if len(pairs) else row
         known = known & (features[side] >= 0) & (features[side] < counts[mesh, column[kind, side]])

@@ -118,8 +118,8 @@ def search_padded(
         pair_counts = counts_of_given(pairs) if pair_counts is None else pair_counts
         if not bodies.checked:
             pair_counts = pair_counts * (1 - faults[-1:])
-    rest = (pairs, pair_counts, faults, *query.settings, _REPORTS[query.report], capacity.of_contacts)
-    *rows, counts = ops.contacts_padded(bodies.operands, *rest)
+    rest = (pairs, pair_counts, faults, *query.settings, query.tests_start, _REPORTS[query.report])
+    *rows, counts = ops.contacts_padded(bodies.operands, *rest, capacity.of_contacts)
     return Search(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
 
 
@@ -150,6 +150,7 @@ def search_rigid(
         min_separation,
         tolerance,
         nonzero_toi,
+        query.tests_start,
         _REPORTS[query.report],
         broad.BROAD_PHASE_NUMBERS[chosen],
         pair_capacity,
@@ -169,7 +170,8 @@ def lower_first_toi(
     query: Query,
     capacity: Capacity,
 ) -> Tensor:
-    """Traversal and narrow phase of rigid bodies for the first toi of each pair alone. Does not synchronise.
+    """Traversal and narrow phase of rigid bodies for the first toi of each pair alone. Surfaces are assumed not to
+    intersect at t = 0. Does not synchronise.
 
     Args:
         first: (N,) float64: the first toi so far; lowered in place.

@@ -30,6 +30,7 @@ class Options(TypedDict, total=False):
 
     tolerance: float | None
     nonzero_toi: bool
+    initial: narrow.Initial
     broad_phase: broad.BroadPhase
     memory_budget: int | None
 
@@ -72,6 +73,7 @@ def detect(
     *,
     tolerance: float | None = None,
     nonzero_toi: bool = False,
+    initial: narrow.Initial = "report",
     broad_phase: broad.BroadPhase = "auto",
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
@@ -79,10 +81,13 @@ def detect(
 ) -> Contacts | PaddedContacts:
     """Finds the collisions that happen during one step, or during all steps of a trajectory.
 
-    Nothing is missed: if two primitives of different bodies touch (distance <= min_separation) at some t in [0, 1] on
-    the paths the motion defines, a contact is reported, and its toi is not later than that t. The same holds within a
-    body that deforms (`VertexMotion`) and has `self_collision` set in the scene, for primitives that share no vertex;
-    such contacts have the pair (i, i).
+    Nothing is missed: if the surfaces of two bodies come within min_separation at some t in [0, 1] on the paths the
+    motion defines, a contact is reported, and its toi is not later than that t. A surface is the union of its closed
+    triangles. Surfaces that are disjoint at t = 0 first meet where a vertex meets a face or two edges meet; surfaces
+    that intersect at t = 0 are reported with toi 0 (kinds `EF_AB` and `EF_BA` where an edge passes through a face).
+    The same holds within a body that deforms (`VertexMotion`) and has `self_collision` set in the scene, for features
+    that share no vertex; such contacts have the pair (i, i). A body wholly inside another, without contact, does not
+    touch its surface: see `pgccd.enclosed`.
 
     Args:
         scene: the bodies.
@@ -96,6 +101,8 @@ def detect(
         tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
             SBV radius of each pair.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
+        initial: "report": surfaces that intersect at t = 0 are reported. "assume_free": the caller guarantees that none
+            do, for example because a previous step ended before its first contact; the test is left out.
         broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses by number and sizes of the
             bodies (see `stats`). The result does not depend on it.
         pairs: (P, 2) int64, i < j (or i, i for a body tested against itself), sorted and unique: test only these body
@@ -119,7 +126,7 @@ def detect(
         >>> safe = float(hits.toi[0]) if len(hits) else 1.0
         >>> x = x0 + safe * (x1 - x0)
     """
-    query = Query(report, min_separation, tolerance, nonzero_toi)
+    query = Query(report, min_separation, tolerance, nonzero_toi, initial)
     if memory_budget is not None:
         memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
     if capacity is not None:
@@ -129,8 +136,8 @@ def detect(
             if value is not None:
                 raise ValueError(f"{name}: cannot be given with a Trajectory, whose segments are found in one call")
 
-        options: Options = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "broad_phase": broad_phase}
-        options["memory_budget"] = memory_budget
+        options: Options = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial}
+        options |= {"broad_phase": broad_phase, "memory_budget": memory_budget}
         return detect_trajectory(scene, motion, query, partial(detect, min_separation=min_separation, **options))
     on_cpu = isinstance(scene, Scene) and scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs

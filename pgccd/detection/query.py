@@ -19,14 +19,21 @@ class Query:
     min_separation: float
     tolerance: float | None
     nonzero_toi: bool
+    initial: narrow.Initial = "report"
 
     def __post_init__(self) -> None:
         arguments.choice(self.report, "report", narrow.REPORTS)
         check_separation(self.min_separation)
         operator_tolerance(self.tolerance)
         arguments.flag(self.nonzero_toi, "nonzero_toi")
+        arguments.choice(self.initial, "initial", narrow.INITIALS)
 
     @property
     def settings(self) -> tuple[float, float, bool]:
         """The operators' arguments min_separation, tolerance and nonzero_toi."""
         return self.min_separation, operator_tolerance(self.tolerance), self.nonzero_toi
+
+    @property
+    def tests_start(self) -> bool:
+        """Whether surfaces that intersect at t = 0 are reported: the operators' argument of that name."""
+        return self.initial == "report"

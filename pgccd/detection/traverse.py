@@ -13,6 +13,7 @@ from pgccd.detection.checks import (
     require,
     require_bodies,
 )
+from pgccd.detection.narrow import INITIALS, Initial
 
 
 def bvtt(
@@ -21,8 +22,10 @@ def bvtt(
     min_separation: float = 0.0,
     tolerance: float | None = None,
     horizon: Tensor | None = None,
+    initial: Initial = "report",
 ) -> tuple[Tensor, Tensor]:
-    """Feature pairs that may come within min_separation + tolerance during the step.
+    """Feature pairs that may come within min_separation + tolerance during the step, and edges and faces that may pass
+    through one another at t = 0.
 
     Args:
         bodies: the scene in motion.
@@ -30,11 +33,12 @@ def bvtt(
         min_separation: length.
         tolerance: length; default 1e-6 of the smaller SBV radius of each pair.
         horizon: (P,) float64 in [0, 1]: end of the time searched for each pair. Default: the whole step.
+        initial: as for `pgccd.detect`.
 
     Returns:
         candidates (C, 4) int32: index into `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Every
         feature pair that may touch is listed exactly once (representative triangles, Curtis et al. 2008). Of a pair
-        (i, i) they are of kind VF_AB, or EE with the smaller edge first. The order of rows is not specified.
+        (i, i) they are of kind VF_AB, EE with the smaller edge first, or EF_AB. The order of rows is not specified.
         node_tests (1,) int64: number of node pairs tested.
 
     Example:
@@ -47,5 +51,6 @@ def bvtt(
         check_tensor(horizon, "horizon", torch.float64, pairs.shape[:1], pairs.device)
         arguments.refuse_gradient(horizon, "horizon")
         require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
-    settings = (check_separation(min_separation), operator_tolerance(tolerance))
+    arguments.choice(initial, "initial", INITIALS)
+    settings = (check_separation(min_separation), operator_tolerance(tolerance), initial == "report")
     return ops.traverse(bodies.operands, pairs, horizon, *settings)

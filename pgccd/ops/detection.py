@@ -109,6 +109,7 @@ def traverse(
     horizon: Tensor | None,
     min_separation: float,
     tolerance: float,
+    tests_start: bool,
 ) -> tuple[Tensor, Tensor]:
     """Candidates (C, 4) int32 of body pairs, and the number of node tests (1,)."""
     return pairs.new_empty((unknown_count(), 4), dtype=torch.int32), int64(pairs, 1)
@@ -157,6 +158,7 @@ def contacts_padded(
     min_separation: float,
     tolerance: float,
     nonzero_toi: bool,
+    tests_start: bool,
     report: int,
     capacity: Sequence[int],
 ) -> tuple[Tensor, ...]:
@@ -182,6 +184,7 @@ def detect_rigid(
     min_separation: float,
     tolerance: float,
     nonzero_toi: bool,
+    tests_start: bool,
     report: int,
     broad_phase: int,
     pair_capacity: Sequence[int],

@@ -11,8 +11,8 @@ from pgccd.detection.query import Query
 from pgccd.sim.model import Model
 
 #: Options of the search of the whole step and of every round. nonzero_toi: robots that separate after a contact may
-#: move.
-FIRST_CONTACTS = Query("first", 0.0, None, True)
+#: move. assume_free: robots start disjoint, and each step ends before the first contact.
+FIRST_CONTACTS = Query("first", 0.0, None, True, "assume_free")
 
 _CONTACTS = COUNT_ROWS["contacts"]
 

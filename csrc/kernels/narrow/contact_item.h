@@ -29,6 +29,11 @@ PGCCD_HD void store_contact(Columns& columns, int64_t row, const Candidate& cand
 
 namespace contact_detail {
 
+PGCCD_HD Vec3<double> unit_or_zero(Vec3<double> v) {
+  const double length = norm(v);
+  return length > 0.0 ? (1.0 / length) * v : Vec3<double>{0.0, 0.0, 0.0};
+}
+
 template <bool kEdgeEdge, class Bodies, class Pair>
 PGCCD_HD void positions_at(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double t,
                            Vec3<double> x[4]) {
@@ -44,13 +49,12 @@ PGCCD_HD void positions_at(const Bodies& bodies, const Pair& pair, const Feature
 }
 
 // Origin of the coordinates of `positions_at`.
-PGCCD_HD Vec3<double> frame_origin(const RigidBodies& bodies, const RigidPair& pair, const FeatureVertices& f,
-                                   double t) {
-  const int64_t body = pair.body[f.swapped ? 1 : 0];
+PGCCD_HD Vec3<double> frame_origin(const RigidBodies& bodies, const RigidPair& pair, bool swapped, double t) {
+  const int64_t body = pair.body[swapped ? 1 : 0];
   return (1.0 - t) * load_vec3(bodies.centres.position_t0 + 3 * body) +
          t * load_vec3(bodies.centres.position_t1 + 3 * body);
 }
-PGCCD_HD Vec3<double> frame_origin(const DeformingBodies&, const DeformingPair&, const FeatureVertices&, double) {
+PGCCD_HD Vec3<double> frame_origin(const DeformingBodies&, const DeformingPair&, bool, double) {
   return {0.0, 0.0, 0.0};
 }
 
@@ -81,7 +85,7 @@ PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const Featur
   const FeaturePair<double> features = feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
   const Vec3<double> on_first = kEdgeEdge ? x[0] + u * features.a : x[0];
   const Vec3<double> on_second = kEdgeEdge ? x[2] + v * features.b : x[1] + (u * features.a + v * features.b);
-  const Vec3<double> middle = frame_origin(bodies, pair, f, toi) + 0.5 * (on_first + on_second);
+  const Vec3<double> middle = frame_origin(bodies, pair, f.swapped, toi) + 0.5 * (on_first + on_second);
 
   // The gap gives the normal unless it is below rounding; then the features' own normal does, oriented from centre to
   // centre.
@@ -92,9 +96,20 @@ PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const Featur
     if ((along < 0.0) != f.swapped) normal = -normal;
   }
   if (f.swapped) normal = -normal;
-  const double length = norm(normal);
-  if (!(length > 0.0)) return {middle, {0.0, 0.0, 0.0}};
-  return {middle, (1.0 / length) * normal};
+  return {middle, unit_or_zero(normal)};
+}
+
+// Where an edge passes through a face at t = 0. The normal is the face's: of two bodies, oriented from centre to
+// centre.
+template <class Bodies, class Pair>
+PGCCD_HD ContactPlace place_crossing(const Bodies& bodies, const Pair& pair, const CrossingVertices& c, double u,
+                                     double v) {
+  const EdgeAndFace x = pair.edge_and_face(bodies, c);
+  const Vec3<double> a = x.face[1] - x.face[0], b = x.face[2] - x.face[0];
+  const Vec3<double> point = frame_origin(bodies, pair, c.swapped, 0.0) + (x.face[0] + (u * a + v * b));
+  Vec3<double> normal = cross(a, b);
+  if (dot(normal, centre_offset(bodies, pair, 0.0)) < 0.0) normal = -normal;
+  return {point, unit_or_zero(normal)};
 }
 
 }  // namespace contact_detail
@@ -102,6 +117,10 @@ PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const Featur
 template <class Bodies, class Pair>
 PGCCD_HD ContactPlace contact_place(const Bodies& bodies, const Pair& pair, const Candidate& candidate, double toi,
                                     double u, double v) {
+  if (is_crossing(candidate)) {
+    const CrossingVertices c = crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
+    return contact_detail::place_crossing(bodies, pair, c, u, v);
+  }
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
     return contact_detail::place<true>(bodies, pair, f, toi, u, v);

@@ -33,6 +33,44 @@ double latest_useful(Report report, const double& best) {
   return seen;
 }
 
+// The smaller one wins among contacts with equal toi.
+auto canonical_key(const Candidate& c) { return std::make_tuple(c.kind, c.feature_i, c.feature_j); }
+
+// Solves candidates of one pair: calls keep(index, outcome) for each contact, and latest() for the time up to which
+// they matter. Edges that certainly pass through faces come first, since later contacts then need no search; those for
+// which rounding leaves that open come last, since they need exact arithmetic, and a contact at t = 0 of a smaller kind
+// makes them superfluous if one contact is wanted (`only_one`).
+template <class Bodies, class Keep, class Latest>
+void solve_pair(const Bodies& bodies, const PairOf<Bodies>& pair, const NarrowInput& input, int64_t begin, int64_t end,
+                bool only_one, Keep&& keep, Latest&& latest) {
+  const Candidate* const candidates = input.candidates.items;
+  const Candidate* best = nullptr;  // found at t = 0
+  const auto solve = [&](int64_t c) {
+    const Candidate& candidate = candidates[c];
+    const Outcome<double> outcome = solve_candidate(bodies, pair, candidate, input.settings, latest());
+    if (!is_contact(outcome.status)) return;
+    keep(c, outcome);
+    if (outcome.toi > 0.0) return;
+    if (best == nullptr || canonical_key(candidate) < canonical_key(*best)) best = &candidate;
+  };
+  const auto is_wanted = [&](const Candidate& c) {
+    return !only_one || best == nullptr || (input.report == Report::kFirst && canonical_key(c) < canonical_key(*best));
+  };
+  std::vector<int64_t> open;
+  for (int64_t c = begin; c < end; ++c) {
+    if (!is_crossing(candidates[c]) || !is_wanted(candidates[c])) continue;
+    const Crossing found = crossing_of(bodies, pair, candidates[c], false);
+    if (found == Crossing::kPasses) solve(c);
+    if (found == Crossing::kOpen) open.push_back(c);
+  }
+  for (int64_t c = begin; c < end; ++c) {
+    if (!is_crossing(candidates[c])) solve(c);
+  }
+  for (const int64_t c : open) {
+    if (is_wanted(candidates[c])) solve(c);
+  }
+}
+
 // Finds every contact that is not certainly later than another of its pair. Which contacts are pruned depends on
 // timing; the first one does not, since it is never later than any bound.
 template <class Bodies>
@@ -46,15 +84,15 @@ std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& 
     while (c < end) {
       const int32_t row = input.candidates.items[c].pair;
       const PairOf<Bodies> pair(bodies, input.pairs[2 * int64_t{row}], input.pairs[2 * int64_t{row} + 1]);
-      for (; c < end && input.candidates.items[c].pair == row; ++c) {
-        double* pair_best = bounded ? &best[row] : nullptr;
-        const double latest = bounded ? latest_useful(input.report, *pair_best) : kNever;
-        const Outcome<double> outcome =
-            solve_candidate(bodies, pair, input.candidates.items[c], input.settings, latest);
-        if (!is_contact(outcome.status)) continue;
-        found[worker].push_back({c, outcome});
+      const int64_t first = c;
+      while (c < end && input.candidates.items[c].pair == row) ++c;
+      double* const pair_best = bounded ? &best[row] : nullptr;
+      const auto keep = [&](int64_t candidate, const Outcome<double>& outcome) {
+        found[worker].push_back({candidate, outcome});
         if (bounded) lower_to(*pair_best, outcome.toi);
-      }
+      };
+      const auto latest = [&] { return bounded ? latest_useful(input.report, *pair_best) : kNever; };
+      solve_pair(bodies, pair, input, first, c, bounded, keep, latest);
     }
   });
   std::vector<FoundContact> all;
@@ -66,7 +104,7 @@ std::vector<FoundContact> find_contacts(const Executor& executor, const Bodies& 
 void select(std::vector<FoundContact>& found, const NarrowInput& input) {
   const auto features = [&](const FoundContact& f) {
     const Candidate& c = input.candidates.items[f.candidate];
-    return std::make_tuple(c.kind, c.feature_i, c.feature_j);
+    return canonical_key(c);
   };
   const auto pair = [&](const FoundContact& f) { return input.candidates.items[f.candidate].pair; };
   const bool by_toi = input.report == Report::kFirst;

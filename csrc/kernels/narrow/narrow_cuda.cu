@@ -9,7 +9,9 @@
 namespace pgccd {
 namespace {
 
-constexpr int kMostFeatureBits = 31;
+constexpr int kMostFeatureBits = 30;
+constexpr int kKindBits = 3;
+static_assert(kFeatureKinds <= 1 << kKindBits && 2 * kMostFeatureBits + kKindBits < 64);
 
 // Sort key of kind and features, which are below 2^bits, in canonical order.
 __device__ unsigned long long feature_key(const Candidate& c, int bits = kMostFeatureBits) {
@@ -91,7 +93,7 @@ int32_t* sort_all(const DeviceContext& context, int64_t feature_count, const Sea
   });
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, order, sorted_order, count, 0,
-                                           2 * feature_bits + 2, context.stream);
+                                           2 * feature_bits + kKindBits, context.stream);
   });
   for_each_item(context, count, [=] __device__(int64_t k) {
     const int32_t contact = sorted_order[k];

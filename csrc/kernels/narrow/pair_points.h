@@ -5,6 +5,7 @@
 
 #include "core/candidate.h"
 #include "core/centre_arc.h"
+#include "kernels/narrow/crossing.h"
 #include "kernels/narrow/paths.h"
 
 namespace pgccd {
@@ -30,6 +31,22 @@ PGCCD_HD FeatureVertices feature_vertices(const MeshSetView& meshes, int32_t mes
   }
   const int32_t* f = meshes.faces + 3 * (oi.face + c.feature_i);
   return {{c.feature_j, f[0], f[1], f[2]}, true};
+}
+
+// The edge and the face of a candidate for t = 0.
+struct CrossingVertices {
+  int64_t edge[2], face[3];  // indices within their meshes
+  bool swapped;              // the edge belongs to body j
+};
+
+PGCCD_HD CrossingVertices crossing_vertices(const MeshSetView& meshes, int32_t mesh_i, int32_t mesh_j,
+                                            const Candidate& c) {
+  const bool swapped = c.kind == static_cast<int32_t>(FeatureKind::kFaceEdge);
+  const MeshOffsets& of_edge = meshes.offsets[swapped ? mesh_j : mesh_i];
+  const MeshOffsets& of_face = meshes.offsets[swapped ? mesh_i : mesh_j];
+  const int32_t* e = meshes.edges + 2 * (of_edge.edge + (swapped ? c.feature_j : c.feature_i));
+  const int32_t* f = meshes.faces + 3 * (of_face.face + (swapped ? c.feature_i : c.feature_j));
+  return {{e[0], e[1]}, {f[0], f[1], f[2]}, swapped};
 }
 
 // Error of the centre offset, and of adding it to a point.
@@ -88,6 +105,20 @@ struct RigidPair {
     return {base, spin[first], spin[second], named_centre(f), point_error};
   }
 
+  // At t = 0, relative to the origin of the edge's body: by the same products and shift as `end_positions`.
+  PGCCD_HD EdgeAndFace edge_and_face(const RigidBodies& bodies, const CrossingVertices& c) const {
+    const int of_edge = c.swapped ? 1 : 0, of_face = 1 - of_edge;
+    const Vec3<double> shift = c.swapped ? -centre.at_t0 : centre.at_t0;
+    const auto turned = [&](int side, int64_t vertex) {
+      const int64_t row = bodies.meshes.offsets[mesh[side]].vertex + vertex;
+      return orientation[side] * load_vec3(bodies.meshes.vertices + 3 * row);
+    };
+    EdgeAndFace x;
+    for (int k = 0; k < 2; ++k) x.edge[k] = turned(of_edge, c.edge[k]);
+    for (int k = 0; k < 3; ++k) x.face[k] = shift + turned(of_face, c.face[k]);
+    return x;
+  }
+
   // End positions relative to the origin of the first primitive's body.
   template <bool kEdgeEdge>
   PGCCD_HD void end_positions(const RigidBodies& bodies, const FeatureVertices& f, Vec3<double> t0[4],
@@ -112,6 +143,16 @@ struct DeformingPair {
 
   PGCCD_HD DeformingPair(const DeformingBodies& bodies, int64_t i, int64_t j)
       : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]} {}
+
+  // At t = 0, world coordinates.
+  PGCCD_HD EdgeAndFace edge_and_face(const DeformingBodies& bodies, const CrossingVertices& c) const {
+    const int of_edge = c.swapped ? 1 : 0, of_face = 1 - of_edge;
+    const auto vertex = [&](int side, int64_t index) {
+      return load_vec3(bodies.vertices_t0 + 3 * (bodies.vertex_begin[body[side]] + index));
+    };
+    return {{vertex(of_edge, c.edge[0]), vertex(of_edge, c.edge[1])},
+            {vertex(of_face, c.face[0]), vertex(of_face, c.face[1]), vertex(of_face, c.face[2])}};
+  }
 
   // World coordinates: only their differences are used, so no shift is needed.
   template <bool kEdgeEdge>

@@ -7,7 +7,7 @@ namespace pgccd {
 
 struct alignas(16) DeformingSweep : PairFrame {
   float inflation;
-  int32_t unused = 0;  // explicit padding, so that no uninitialised bytes are copied
+  float start_distance;
   const NodeBlock* blocks_at_t1[2];
   static constexpr int segment_count = 1;
 
@@ -17,6 +17,7 @@ struct alignas(16) DeformingSweep : PairFrame {
     for (int side = 0; side < 2; ++side) blocks_at_t1[side] = bodies.blocks_t1 + bodies.block_begin[body[side]];
     const double distance = sweep_detail::kept_distance(bodies.centres, i, j, settings);
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
+    start_distance = sweep_detail::start_distance(settings, 0.0);
   }
 
   // In a test of a body against itself both sides are one tree, and only one of two mirror images is needed.

@@ -52,6 +52,44 @@ PGCCD_HD uint32_t pairs_without_common_vertex(const Triangle& ti, const Triangle
   return ~(corners_i | corners_j << 3 | edges << kFirstEdgeBit) & ((1u << kFeaturePairBits) - 1u);
 }
 
+// Bits of the edges and faces that two triangles represent: edge c of i and the face of j (c), edge c of j and the face
+// of i (3 + c). Of one body, only those without a common vertex.
+constexpr int kCrossingBits = 6;
+
+PGCCD_HD uint32_t represented_crossings(const Triangle& ti, const Triangle& tj, bool is_one_body) {
+  const uint32_t bits = static_cast<uint32_t>((ti.represented >> 3 & 7) | (tj.represented >> 3 & 7) << 3);
+  if (!is_one_body) return bits;
+  uint32_t common_i = 0, common_j = 0;  // corners
+  for (int c = 0; c < 3; ++c) {
+    for (int d = 0; d < 3; ++d) {
+      if (ti.vertex[c] != tj.vertex[d]) continue;
+      common_i |= 1u << c;
+      common_j |= 1u << d;
+    }
+  }
+  // Edge c joins corners c and c + 1.
+  const auto edges_at = [](uint32_t corners) { return (corners | corners >> 1 | corners << 2) & 7u; };
+  return bits & ~(edges_at(common_i) | edges_at(common_j) << 3);
+}
+
+// Calls emit(kind, feature_i, feature_j) for the edge and face of that bit. Of one body, the edge comes before the
+// face.
+template <class Emit>
+PGCCD_HD void emit_crossing(const Triangle& ti, const Triangle& tj, int bit, bool is_one_body, Emit&& emit) {
+  if (bit < 3) return emit(FeatureKind::kEdgeFace, ti.edge[bit], tj.face);
+  if (is_one_body) return emit(FeatureKind::kEdgeFace, tj.edge[bit - 3], ti.face);
+  emit(FeatureKind::kFaceEdge, ti.face, tj.edge[bit - 3]);
+}
+
+// True where the edge and the face of that bit are certainly apart at t = 0; corners of both triangles.
+template <class T, class Mask>
+PGCCD_HD Mask crossing_apart(const Vec3<T> (&i)[3], const Vec3<T> (&j)[3], int bit, float distance, Mask out) {
+  const bool is_of_i = bit < 3;
+  const int c = is_of_i ? bit : bit - 3, next = c == 2 ? 0 : c + 1;
+  const Vec3<T> edge[2] = {is_of_i ? i[c] : j[c], is_of_i ? i[next] : j[next]};
+  return edge_and_face_apart(edge, is_of_i ? j : i, distance, out);
+}
+
 // A feature pair at both ends of a segment.
 struct MovingFeatures {
   FeaturePair<float> start, end;

@@ -23,10 +23,12 @@ struct LeafShared {
   int32_t pair[kSlots];
   uint8_t lane[kSlots];                           // that loaded it: leaf pair, side, row
   bool remembers[kSlots];                         // many segments, in which the same feature pair may meet
+  bool may_start_near[kSlots];                    // at t = 0, where starts are tested
   bool is_one_body[kSlots], is_one_leaf[kSlots];  // both sides are; written where a body may be tested against itself
   uint16_t triangle_pairs[5 * kWarp];             // waiting: slot of i * kSlots + slot of j
   uint16_t features[kWarp * (kFeaturePairBits + 1)];  // waiting: triangle pair * 16 + bit
   uint16_t near[2 * kWarp];                           // likewise: not rejected by `plainly_apart`
+  uint16_t near_at_start[2 * kWarp];                  // triangle pairs, waiting
   alignas(4) uint16_t met[2 * kTrianglePairs];        // feature pairs emitted so far, if there are many segments
 };
 
@@ -99,7 +101,7 @@ __device__ inline int sum_before(int value, int lane, int& total) {
   return sum - value;
 }
 
-// Output buffers of candidates of both kinds.
+// Output buffers of edge pairs, and of all other candidates.
 struct CandidateBuffers {
   WarpBuffer<Candidate> edge_edge, vertex_face;
 };

@@ -109,6 +109,45 @@ PGCCD_HD auto triangles_stay_apart(const MovingPoints<3, T>& i, const MovingPoin
   return apart;
 }
 
+// True where two point sets at rest are certainly further apart than `distance` along a direction.
+template <int N, int M, class T>
+PGCCD_HD auto separates(const Vec3<T> (&i)[N], const Vec3<T> (&j)[M], Vec3<T> direction, float distance) {
+  using namespace overlap_detail;
+  const T length_squared = norm_squared(direction);
+  const T gap = square_root(length_squared) * (distance * (1.0f + 8.0f * Precision<float>::unit));
+  const Range<T> of_i = project(i, direction), of_j = project(j, direction);
+  return (length_squared > 1e-30f) & ((of_j.lower - of_i.upper > gap) | (of_i.lower - of_j.upper > gap));
+}
+
+// True where two triangles at rest are certainly further apart than `distance`: along both normals, or a direction
+// perpendicular to an edge of each. `out` where the answer is not needed.
+template <class T, class Mask>
+PGCCD_HD Mask triangles_apart(const Vec3<T> (&i)[3], const Vec3<T> (&j)[3], float distance, Mask out) {
+  const auto edge = [](const Vec3<T>(&x)[3], int k) { return x[k == 2 ? 0 : k + 1] - x[k]; };
+  out = out | separates(i, j, cross(i[1] - i[0], i[2] - i[0]), distance);
+  if (all_lanes(out)) return out;
+  out = out | separates(i, j, cross(j[1] - j[0], j[2] - j[0]), distance);
+  PGCCD_KEEP_LOOP
+  for (int k = 0; k < 9 && !all_lanes(out); ++k) {
+    out = out | separates(i, j, cross(edge(i, k / 3), edge(j, k % 3)), distance);
+  }
+  return out;
+}
+
+// The same for an edge and a face. Directions within the face's plane separate coplanar neighbours.
+template <class T, class Mask>
+PGCCD_HD Mask edge_and_face_apart(const Vec3<T> (&edge)[2], const Vec3<T> (&face)[3], float distance, Mask out) {
+  const Vec3<T> along = edge[1] - edge[0], normal = cross(face[1] - face[0], face[2] - face[0]);
+  out = out | separates(edge, face, normal, distance);
+  PGCCD_KEEP_LOOP
+  for (int k = 0; k < 7 && !all_lanes(out); ++k) {
+    const int c = k % 3;
+    const Vec3<T> side = k == 6 ? along : face[c == 2 ? 0 : c + 1] - face[c];
+    out = out | separates(edge, face, cross(k < 3 || k == 6 ? normal : along, side), distance);
+  }
+  return out;
+}
+
 // True if a triangle certainly stays outside of a moving sphere. Cheap, and saves whole rows of triangle tests.
 template <class T>
 PGCCD_HD auto stays_out(const MovingPoints<3, T>& triangle, const MovingPoints<1, T>& centre, float reach) {

@@ -52,7 +52,8 @@ struct alignas(16) RigidSweep : PairFrame {
   float inflation;  // distance to keep, chord deviation and rounding, local units
   float growth[2];  // see `slab_growth`
   int segment_count;
-  int32_t unused[2] = {};  // explicit padding, so that no uninitialised bytes are copied
+  float start_distance;
+  int32_t unused = 0;  // explicit padding, so that no uninitialised bytes are copied
 
   PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until)
       : RigidSweep(bodies, i, j, settings, until, CentrePath(bodies, i, j)) {}
@@ -78,6 +79,7 @@ struct alignas(16) RigidSweep : PairFrame {
     }
     const double distance = sweep_detail::kept_distance(centres, i, j, settings) + deviation + path.rounding;
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
+    start_distance = sweep_detail::start_distance(settings, scale * path.rounding);
     for (int side = 0; side < 2; ++side) {
       const double angle = norm(load_vec3(bodies.rotation + 3 * body[side]));
       const double whole_change = smaller(angle, 2.0), change = smaller(horizon * angle / segment_count, 2.0);

@@ -17,10 +17,12 @@ constexpr int kMaxSegments = 64;
 // directions together stay below 64 units of float32 rounding.
 constexpr float kLocalRounding = 64.0f * Precision<float>::unit;
 
-// Pairs of features are kept if they may come within separation + tolerance, which the narrow phase may report.
+// Pairs of features are kept if they may come within separation + tolerance, which the narrow phase may report; with
+// `tests_start` also edges and faces that may pass through one another at t = 0.
 struct SweepSettings {
   double separation;
   double tolerance;  // as in pair_tolerance
+  bool tests_start;
 };
 
 // The pose of a body in the local frame, scale included: a point v relative to its SBV centre, body axes, is at
@@ -69,6 +71,12 @@ PGCCD_HD double kept_distance(const BodyCentres& centres, int64_t i, int64_t j, 
 }
 
 PGCCD_HD float rounded_up(double x) { return static_cast<float>(x) * (1.0f + 2.0f * Precision<float>::unit); }
+
+// Edges and faces that are further apart at t = 0, in the local frame, certainly do not pass through one another: all
+// float32 rounding, and that of the centres. Negative if starts are not tested.
+PGCCD_HD float start_distance(const SweepSettings& settings, double centre_rounding) {
+  return settings.tests_start ? rounded_up(centre_rounding) + kLocalRounding : -1.0f;
+}
 
 PGCCD_HD Placement scaled(double scale, const Mat3<double>& m) {
   return {{cast<float>(scale * m.r0), 0.0f}, {cast<float>(scale * m.r1), 0.0f}, {cast<float>(scale * m.r2), 0.0f}};

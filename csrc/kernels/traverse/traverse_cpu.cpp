@@ -65,6 +65,32 @@ MovingPoints<N, Float8> in_all_lanes(const MovingPoints<N, float>& points) {
   return out;
 }
 
+Mask8 lanes_without(uint32_t bits) {
+  const Mask8 bit{1, 2, 4, 8, 16, 32, 64, 128};
+  return (bit & (static_cast<int32_t>(bits) - Mask8{})) == 0;
+}
+
+// Calls emit(lane, bit) for edges and faces of one triangle and others, the lanes `near`, that may pass through one
+// another at t = 0.
+template <class Bodies, class Emit>
+void find_crossings(const PairTree<Bodies>& tree, const Triangle& one, const Triangle* others,
+                    const Vec3<Float8> (&at_one)[3], const Vec3<Float8> (&at_others)[3], uint32_t near, Emit&& emit) {
+  const float distance = tree.sweep().start_distance;
+  const bool is_one_body = tree.sweep().is_one_body();
+  // The planes of neighbouring triangles of one surface do not separate them.
+  if (!is_one_body) near &= ~lane_bits(triangles_apart(at_one, at_others, distance, lanes_without(near)));
+  if (near == 0) return;
+  uint32_t lanes[kCrossingBits] = {};
+  for_each_bit(near, [&](int lane) {
+    for_each_bit(represented_crossings(one, others[lane], is_one_body), [&](int bit) { lanes[bit] |= 1u << lane; });
+  });
+  for (int bit = 0; bit < kCrossingBits; ++bit) {
+    if (lanes[bit] == 0) continue;
+    const Mask8 apart = crossing_apart(at_one, at_others, bit, distance, lanes_without(lanes[bit]));
+    for_each_bit(lanes[bit] & ~lane_bits(apart), [&](int lane) { emit(lane, bit); });
+  }
+}
+
 // Triangles of a leaf, one bit each, that may reach into the other leaf's sphere over segment k.
 template <class Bodies>
 uint32_t triangles_reaching(const PairTree<Bodies>& tree, const MovingPoints<3, Float8>& triangles, int count, int side,
@@ -84,7 +110,7 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
   const float distance = tree.sweep().inflation;
   const bool is_one_body = tree.sweep().is_one_body(), is_one_leaf = is_one_body && leaves.first == leaves.second;
   uint32_t meeting[kMaxLeafTriangles][kLanes] = {};
-  bool is_near = false;
+  bool is_near = false, may_start_near = false;
   for (int k = 1; k <= tree.sweep().segment_count; ++k) {
     const MovingPoints<3, Float8> i = moving_triangles<Float8>(tree, 0, first.first, k);
     const uint32_t reaching_i = triangles_reaching(tree, i, first.triangle_count, 0, leaves.second, k);
@@ -93,13 +119,23 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
     const uint32_t reaching_j = triangles_reaching(tree, j, second.triangle_count, 1, leaves.first, k);
     if (reaching_j == 0) continue;
     // On a device this test comes first; on the host it is slower than the tests above.
-    if (!is_near && leaves_free_until<Float8>(tree, leaves) == kNeverMeet) return;
+    if (!is_near) {
+      const float begin = leaves_free_until<Float8>(tree, leaves);
+      if (begin == kNeverMeet) return;
+      may_start_near = !(begin > 0.0f) && tree.sweep().start_distance >= 0.0f;
+    }
     is_near = true;
     for_each_bit(reaching_i, [&](int p) {
       const MovingPoints<3, float> one = one_lane(i, p);
-      const uint32_t apart = lane_bits(triangles_stay_apart(in_all_lanes(one), j, distance));
+      const MovingPoints<3, Float8> same = in_all_lanes(one);
       const uint32_t mirrored = is_one_leaf ? (2u << p) - 1u : 0u;
-      for_each_bit(reaching_j & ~apart & ~mirrored, [&](int lane) {
+      const uint32_t near = reaching_j & ~lane_bits(triangles_stay_apart(same, j, distance)) & ~mirrored;
+      if (k == 1 && may_start_near && near != 0) {
+        find_crossings(tree, first_triangles[p], second_triangles, same.start, j.start, near, [&](int lane, int bit) {
+          emit_crossing(first_triangles[p], second_triangles[lane], bit, is_one_body, emit);
+        });
+      }
+      for_each_bit(near, [&](int lane) {
         const Triangle &first_triangle = first_triangles[p], &second_triangle = second_triangles[lane];
         uint32_t wanted = represented_pairs(first_triangle, second_triangle) & ~meeting[p][lane];
         if (is_one_body) wanted &= pairs_without_common_vertex(first_triangle, second_triangle);

@@ -50,7 +50,7 @@ class LeafVisitor {
       for (bool stored = false; !stored;) {
         stored = filled_ + __popc(kept) <= kSlots;
         if (stored && kept != 0) {
-          if (kept >> lane_ & 1u) store(item, side, row, moving, remembers, kept);
+          if (kept >> lane_ & 1u) store(item, side, row, moving, remembers, k == 1, kept);
           queued_ += list_triangle_pairs(shared_, kept, filled_, queued_, lane_);
           filled_ += __popc(kept);
           __syncwarp();  // the triangles and their pairs are written
@@ -62,7 +62,7 @@ class LeafVisitor {
 
  private:
   __device__ __forceinline__ void store(const LeafPair& item, int side, int row, const MovingPoints<3, float>& moving,
-                                        bool remembers, uint32_t kept) {
+                                        bool remembers, bool is_start, uint32_t kept) {
     const PairTree<Bodies> tree = pairs_.tree(item.pair);
     const int32_t own = side == 0 ? item.leaves.first : item.leaves.second;
     const int slot = filled_ + __popc(kept & lanes_below(lane_));
@@ -73,6 +73,7 @@ class LeafVisitor {
     shared_.pair[slot] = item.pair;
     shared_.lane[slot] = static_cast<uint8_t>(lane_);
     shared_.remembers[slot] = remembers;
+    shared_.may_start_near[slot] = is_start && !(item.begin > 0.0f) && tree.sweep().start_distance >= 0.0f;
     if constexpr (Sweep::may_be_one_body) {
       shared_.is_one_body[slot] = tree.sweep().is_one_body();
       shared_.is_one_leaf[slot] = tree.sweep().is_one_body() && item.leaves.first == item.leaves.second;
@@ -84,6 +85,8 @@ class LeafVisitor {
     for (;;) {
       if (near_ >= kWarp || (all && queued_ == 0 && waiting_ == 0 && near_ > 0)) {
         test_stepwise(smaller(near_, kWarp));
+      } else if (near_at_start_ >= kWarp || (all && queued_ == 0 && near_at_start_ > 0)) {
+        test_start(smaller(near_at_start_, kWarp));
       } else if (waiting_ >= kWarp || (all && queued_ == 0 && waiting_ > 0)) {
         test_plainly(smaller(waiting_, kWarp));
       } else if (queued_ >= kWarp || (all && queued_ > 0)) {
@@ -95,28 +98,38 @@ class LeafVisitor {
     if (all) filled_ = 0;
   }
 
-  // One waiting triangle pair per lane: lists the feature pairs it represents, unless the triangles stay apart.
+  // One waiting triangle pair per lane: lists the feature pairs it represents, and the pair itself if it may be near at
+  // t = 0, unless the triangles stay apart.
   __device__ __forceinline__ void test_triangles(int count) {
     queued_ -= count;
     uint32_t wanted = 0;
+    bool may_cross = false;
     int code = 0;
     if (lane_ < count) {
       code = shared_.triangle_pairs[queued_ + lane_];
       const int i = code / kSlots, j = code % kSlots;
       const Triangle &first = *shared_.triangle[i], &second = *shared_.triangle[j];
       wanted = represented_pairs(first, second);
+      may_cross = shared_.may_start_near[i];
       if constexpr (Sweep::may_be_one_body) {
         if (shared_.is_one_body[i]) wanted &= pairs_without_common_vertex(first, second);
         if (shared_.is_one_leaf[i] && shared_.lane[j] % kMaxLeafTriangles <= shared_.lane[i] % kMaxLeafTriangles) {
           wanted = 0;
+          may_cross = false;
         }
       }
       if (shared_.remembers[i]) wanted &= ~static_cast<uint32_t>(shared_.met[met_place(shared_, i, j)]);
-      if (wanted != 0 &&
+      if ((wanted != 0 || may_cross) &&
           triangles_stay_apart(load_triangle(shared_, i), load_triangle(shared_, j), shared_.distance[i])) {
         wanted = 0;
+        may_cross = false;
       }
     }
+    const uint32_t crossing = __ballot_sync(kAllLanes, may_cross);
+    if (may_cross) {
+      shared_.near_at_start[near_at_start_ + __popc(crossing & lanes_below(lane_))] = static_cast<uint16_t>(code);
+    }
+    near_at_start_ += __popc(crossing);
     int added = 0;
     int at = waiting_ + sum_before(__popc(wanted), lane_, added);
     for (; wanted != 0; wanted &= wanted - 1) {
@@ -144,6 +157,50 @@ class LeafVisitor {
     __syncwarp();  // the list is written
   }
 
+  // One triangle pair near at t = 0 per lane: emits edges and faces that may pass through one another.
+  __device__ __forceinline__ void test_start(int count) {
+    near_at_start_ -= count;
+    const bool is_given = lane_ < count;
+    const int code = is_given ? shared_.near_at_start[near_at_start_ + lane_] : 0;
+    const int i = code / kSlots, j = code % kSlots;
+    const uint32_t wanted = is_given ? crossings_of(i, j) : 0;
+    for (int bit = 0; bit < kCrossingBits; ++bit) {
+      const bool meets = wanted >> bit & 1u;
+      if (!__any_sync(kAllLanes, meets)) continue;
+      Candidate candidate{};
+      if (meets) {
+        emit_crossing(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body(i),
+                      [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
+                        candidate = {shared_.pair[i], static_cast<int32_t>(kind), feature_i, feature_j};
+                      });
+      }
+      writer_.add(meets, candidate, lane_);
+    }
+    __syncwarp();  // the list has been read
+  }
+
+  // Bits of the edges and faces of two triangles that may pass through one another at t = 0.
+  __device__ __forceinline__ uint32_t crossings_of(int i, int j) const {
+    const float distance = pairs_.sweeps[shared_.pair[i]].start_distance;
+    Vec3<float> of_i[3], of_j[3];
+    for (int c = 0; c < 3; ++c) {
+      of_i[c] = corner(shared_, i, c, 0);
+      of_j[c] = corner(shared_, j, c, 0);
+    }
+    // The planes of neighbouring triangles of one surface do not separate them.
+    if (!is_one_body(i) && triangles_apart(of_i, of_j, distance, false)) return 0;
+    uint32_t bits = represented_crossings(*shared_.triangle[i], *shared_.triangle[j], is_one_body(i));
+    PGCCD_KEEP_LOOP
+    for (int bit = 0; bit < kCrossingBits; ++bit) {
+      if ((bits >> bit & 1u) && crossing_apart(of_i, of_j, bit, distance, false)) bits &= ~(1u << bit);
+    }
+    return bits;
+  }
+
+  __device__ __forceinline__ bool is_one_body(int slot) const {
+    return Sweep::may_be_one_body && shared_.is_one_body[slot];
+  }
+
   // One near feature pair per lane: emits those that may meet.
   __device__ __forceinline__ void test_stepwise(int count) {
     near_ -= count;
@@ -153,8 +210,7 @@ class LeafVisitor {
     const bool meets = is_given && !features_of(listed).stepwise_apart(shared_.distance[i]);
     Candidate candidate{};
     if (meets) {
-      const bool is_one_body = Sweep::may_be_one_body && shared_.is_one_body[i];
-      emit_pair(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body,
+      emit_pair(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body(i),
                 [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
                   candidate = {shared_.pair[i], static_cast<int32_t>(kind), feature_i, feature_j};
                 });
@@ -171,10 +227,11 @@ class LeafVisitor {
   LeafShared& shared_;
   CandidateWriter& writer_;
   const int lane_;
-  int filled_ = 0;   // slots
-  int queued_ = 0;   // triangle pairs waiting
-  int waiting_ = 0;  // feature pairs waiting
-  int near_ = 0;     // near feature pairs waiting
+  int filled_ = 0;         // slots
+  int queued_ = 0;         // triangle pairs waiting
+  int waiting_ = 0;        // feature pairs waiting
+  int near_ = 0;           // near feature pairs waiting
+  int near_at_start_ = 0;  // triangle pairs near at t = 0 waiting
 };
 
 template <class Bodies>

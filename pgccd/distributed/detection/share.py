@@ -60,6 +60,7 @@ class Options:
     broad_phase: broad.BroadPhase = "auto"
     #: Whether pairs of own bodies are searched while ghosts are sent. The result does not depend on it.
     overlap: bool = True
+    initial: narrow.Initial = "report"
 
     def check(self) -> None:
         """Raises TypeError or ValueError, naming the option, if one is invalid."""
@@ -73,7 +74,7 @@ class Options:
         """The options of each part."""
         # Rows are not in the order of ids, which breaks ties.
         report: narrow.Report = "first" if self.report == "earliest" else self.report
-        return Query(report, self.min_separation, self.tolerance, self.nonzero_toi)
+        return Query(report, self.min_separation, self.tolerance, self.nonzero_toi, self.initial)
 
 
 @dataclass

@@ -87,6 +87,7 @@ class World:
         min_separation: float = 0.0,
         tolerance: float | None = None,
         nonzero_toi: bool = False,
+        initial: narrow.Initial = "report",
         broad_phase: BroadPhase = "auto",
         path: PathKind = "rigid",
         partition: Literal["auto", "cells", "bisection"] = "auto",
@@ -110,7 +111,7 @@ class World:
             vertex_payload: named tensors (X, ...) with one row per vertex (of the first body, in the order of its mesh,
                 then of the second, ...) that migrate with the bodies: the vertices of deforming bodies.
             comm: between the ranks. Default: one rank.
-            report, min_separation, tolerance, nonzero_toi, broad_phase: as for `pgccd.detect`.
+            report, min_separation, tolerance, nonzero_toi, initial, broad_phase: as for `pgccd.detect`.
             path: of all motions, as for `pgccd.RigidMotion`.
             partition: of space: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`). "auto": bisection, or
                 cells if `axes` or `cells` is not the default or the policy of `balance` is "one-cell".
@@ -122,7 +123,7 @@ class World:
             TypeError, ValueError: naming the argument; on all ranks.
         """
         comm, balance = comm or Alone(), balance or BalanceOptions()
-        options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)
+        options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap, initial)
         optional = {"group": group, "mask": mask, "world": world, "static": static, "margin": margin}
         columns: dict[str, Any] = {"id": id, "mesh_index": mesh_index, "self_collision": self_collision}
         columns |= {"optional": optional, "payload": payload, "vertex_payload": vertex_payload}
@@ -152,6 +153,7 @@ class World:
         min_separation: float = 0.0,
         tolerance: float | None = None,
         nonzero_toi: bool = False,
+        initial: narrow.Initial = "report",
         broad_phase: BroadPhase = "auto",
         path: PathKind = "rigid",
         balance: BalanceOptions | None = None,
@@ -167,7 +169,8 @@ class World:
             folder: as for `save`.
             meshes: equal to those of the saved world.
             device: of the bodies.
-            comm, report, min_separation, tolerance, nonzero_toi, broad_phase, path, balance, overlap: as for `create`.
+            comm, report, min_separation, tolerance, nonzero_toi, initial, broad_phase, path, balance, overlap: as for
+                `create`.
 
         Raises:
             FileNotFoundError: there is no checkpoint; on all ranks.
@@ -179,7 +182,7 @@ class World:
             >>> world = pgccd.distributed.World.load("out/world", [rock], comm=comm)
         """
         comm, balance = comm or Alone(), balance or BalanceOptions()
-        options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap)
+        options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap, initial)
         state = load_state(comm, folder, meshes, device, balance)
         require_alike(comm, state, options, balance, path, ids_given=True)
         return cls._begin(comm, options, balance, path, state)

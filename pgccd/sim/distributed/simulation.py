@@ -32,7 +32,7 @@ from pgccd.sim.distributed.held_exchange import HeldExchange
 from pgccd.sim.distributed.rank_searches import RankSearches, largest_message, padded_state
 from pgccd.sim.distributed.reports import Reports
 from pgccd.sim.model import Model, RobotState
-from pgccd.sim.partners import Partners
+from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.replay import SimulationSteps
 from pgccd.sim.resolution import Resolution, resolve_collisions
 from pgccd.sim.response import respond
@@ -143,8 +143,14 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         Raises:
             RuntimeError: robots are missing or duplicated.
         """
-        # nonzero_toi: robots that separate after a contact may move.
-        options = Options("first", nonzero_toi=True, broad_phase=broad_phase, overlap=overlap)
+        query = FIRST_CONTACTS
+        options = Options(
+            query.report,
+            nonzero_toi=query.nonzero_toi,
+            initial=query.initial,
+            broad_phase=broad_phase,
+            overlap=overlap,
+        )
         graph = can_replay(comm, model.device) if graph is None else graph
         state = RobotState(**take_rows(state.columns, torch.argsort(state.id)))
         expected = Census.of_range(comm, model.config.robots)
