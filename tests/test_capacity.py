@@ -255,7 +255,8 @@ def test_first_toi_alone(device: torch.device) -> None:
     scene, motion = crowd(device)
     bodies, query = pgccd.MovingBodies.of(scene, motion), Query("first", 0.01, None, True)
     pairs = pgccd.broad.sweep(bodies, 0.01)
-    hits, capacity = capacity_for(scene, motion, "first", 0.01, nonzero_toi=True, pairs=pairs)
+    options = {"nonzero_toi": True, "initial": "assume_free"}
+    hits, capacity = capacity_for(scene, motion, "first", 0.01, **options, pairs=pairs)
     assert 0 < len(hits) < len(pairs)
     assert hits.toi is not None
     expected = torch.full((scene.body_count,), torch.inf, dtype=torch.float64, device=device)

@@ -229,7 +229,10 @@ still = torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]] * 2)
 bodies = pgccd.MovingBodies.of(pgccd.Scene([mesh, mesh]), pgccd.RigidMotion(*still, *still))
 torch.set_num_threads(1)
 big = 100_000_000
-for row in ([1, 0, 0, 0], [-1, 0, 0, 0], [0, 3, 0, 0], [0, 0, big, 0], [0, 2, 0, big], [0, 1, -7, 0], [0, 1, 1, 0]):
+for row in (
+    [1, 0, 0, 0], [-1, 0, 0, 0], [0, 5, 0, 0], [0, 0, big, 0], [0, 2, 0, big], [0, 1, -7, 0], [0, 1, 1, 0],
+    [0, -1, 0, 0], [0, 3, 3, 0], [0, 3, 0, 1], [0, 4, 1, 0], [0, 4, 0, 3],
+):
     child = os.fork()
     if child == 0:
         try:

@@ -36,7 +36,10 @@ def test_points_that_cross(device: torch.device, exponent: int) -> None:
     for broad_phase in ("sweep", "grid", "lbvh"):
         assert found(pgccd.detect(scene, motion, "any", broad_phase=broad_phase)) == [[0, 1]]
     candidates, _ = pgccd.traverse.bvtt(bodies, torch.tensor([[0, 1]], device=device))
-    assert len(candidates) == 2 * 12 * 20 + 30**2  # all vertex-face and edge-edge pairs
+    # All vertex-face and edge-edge pairs; and edge-face pairs where the bodies' distance is within rounding at t = 0.
+    kinds = candidates[:, 1]
+    assert int((kinds <= pgccd.EE).sum()) == 2 * 12 * 20 + 30**2
+    assert int((kinds > pgccd.EE).sum()) in (0, 2 * 30 * 20)
 
 
 @pytest.mark.parametrize("far", [1e6, 1e30, 1e38, 1e39, 1e42, 1e45, 1e100, 1e149])

@@ -25,6 +25,8 @@ def everything(bodies: Bodies, pairs: torch.Tensor) -> torch.Tensor:
             (pgccd.VF_AB, len(a.vertices), len(b.faces)),
             (pgccd.VF_BA, len(a.faces), len(b.vertices)),
             (pgccd.EE, len(a.edges), len(b.edges)),
+            (pgccd.EF_AB, len(a.edges), len(b.faces)),
+            (pgccd.EF_BA, len(a.faces), len(b.edges)),
         )
         for kind, first, second in counts:
             grid = torch.cartesian_prod(torch.arange(first), torch.arange(second))
@@ -140,6 +142,6 @@ def test_no_candidates(device: torch.device) -> None:
 
 def test_names_of_the_outcomes() -> None:
     assert (pgccd.FREE, pgccd.TOUCH, pgccd.UNRESOLVED) == (0, 1, 2)
-    assert (pgccd.VF_AB, pgccd.VF_BA, pgccd.EE) == (0, 1, 2)
-    assert [k.name for k in pgccd.Kind] == ["VF_AB", "VF_BA", "EE"]
+    assert (pgccd.VF_AB, pgccd.VF_BA, pgccd.EE, pgccd.EF_AB, pgccd.EF_BA) == (0, 1, 2, 3, 4)
+    assert [k.name for k in pgccd.Kind] == ["VF_AB", "VF_BA", "EE", "EF_AB", "EF_BA"]
     assert [s.name for s in pgccd.Status] == ["FREE", "TOUCH", "UNRESOLVED"]

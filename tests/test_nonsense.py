@@ -75,6 +75,7 @@ def calls(folder: Path) -> dict[str, Call]:
     spins = {"position": motion.position_t0, "orientation": motion.orientation_t0}
     spins |= {"linear_velocity": torch.ones(2, 3), "angular_velocity": torch.ones(2, 3)}
     options = {"min_separation": 0.0, "tolerance": None, "nonzero_toi": False}
+    initial = {"initial": "report"}
     points = {name: torch.rand(3, 4, 3, dtype=torch.float64) for name in ("points_t0", "points_t1")}
     on_bodies = {"bodies": moving, "min_separation": 0.0, "tolerance": None}
     mesh = tetrahedron()
@@ -103,6 +104,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "partition": "auto",
         "self_collision": [False, True],
         **options,
+        **initial,
     }
     all_worlds |= {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}
     return {
@@ -148,6 +150,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "detect": Call(
             pgccd.detect,
             {"scene": scene, "motion": motion, "report": "first", **options, "broad_phase": "auto", "pairs": pairs}
+            | initial
             | {"memory_budget": 1 << 20, "capacity": pgccd.Capacity.guess(9)},
         ),
         "Contacts[]": Call(hits.__getitem__, {"rows": [0]}),
@@ -159,7 +162,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "broad.choose": Call(pgccd.broad.choose, {"bodies": moving, "broad_phase": "grid"}),
         "traverse.bvtt": Call(
             pgccd.traverse.bvtt,
-            on_bodies | {"pairs": pairs, "tolerance": None, "horizon": torch.ones(1).double()},
+            on_bodies | {"pairs": pairs, "tolerance": None, "horizon": torch.ones(1).double(), "initial": "report"},
         ),
         "narrow.contacts": Call(
             pgccd.narrow.contacts,
@@ -185,6 +188,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "distributed.World.load": Call(
             distributed.World.load,
             {"folder": folder / "saved", "meshes": [mesh], "device": "cpu", "report": "first", **options}
+            | initial
             | {"broad_phase": "auto", "path": "rigid", "overlap": True},
         ),
         "distributed.CapturedWorld": Call(

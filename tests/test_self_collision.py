@@ -18,6 +18,7 @@ from support.truth import (
     assert_nothing_missed,
     rows_of,
     self_truth,
+    without_crossings,
 )
 
 import pgccd
@@ -32,21 +33,24 @@ def own_hits(
 
 
 def assert_canonical(mesh: pgccd.Mesh, kinds: torch.Tensor, features: torch.Tensor) -> None:
-    """Asserts only VF_AB, and EE with the smaller edge first; no duplicates, and no features that share a vertex."""
+    """Asserts only VF_AB, EF_AB, and EE with the smaller edge first; no duplicates, and no features that share a
+    vertex.
+    """
     rows = torch.cat([kinds.long()[:, None], features.long()], dim=1).cpu()
     assert len(torch.unique(rows, dim=0)) == len(rows), "listed twice"
-    is_edges = rows[:, 0] == pgccd.EE
-    assert bool((is_edges | (rows[:, 0] == pgccd.VF_AB)).all())
+    is_edges, is_crossing = rows[:, 0] == pgccd.EE, rows[:, 0] == pgccd.EF_AB
+    assert bool((is_edges | is_crossing | (rows[:, 0] == pgccd.VF_AB)).all())
     assert bool((rows[:, 1] < rows[:, 2])[is_edges].all())
     faces, edges = mesh.faces.long(), mesh.edges.long()
-    edge_rows, face_rows = rows[is_edges], rows[~is_edges]
+    edge_rows, face_rows, crossings = rows[is_edges], rows[~is_edges & ~is_crossing], rows[is_crossing]
+    assert not bool((edges[crossings[:, 1]][:, :, None] == faces[crossings[:, 2]][:, None]).any())
     assert not bool((edges[edge_rows[:, 1]][:, :, None] == edges[edge_rows[:, 2]][:, None]).any())
     assert not bool((face_rows[:, 1, None] == faces[face_rows[:, 2]]).any())
 
 
 def check(mesh: pgccd.Mesh, ends: Ends, device: torch.device, separation: float = 0.0, tolerance: float = 1e-7) -> int:
     """Checks one body against brute force; returns the number of contacts."""
-    hits = own_hits(mesh, ends, device, "all", separation, tolerance=tolerance)
+    hits = without_crossings(own_hits(mesh, ends, device, "all", separation, tolerance=tolerance))
     faces = mesh.faces.long().numpy()
     rows, truth = rows_of(hits, 0, 0), self_truth(ends, faces, separation)
     assert len(rows) == len(hits)

@@ -22,6 +22,7 @@ from pgccd.baselines.voxel_boxes import VoxelContents, send_boxes
 from pgccd.baselines.voxel_directory import VoxelDirectory, first_rows, greedy_ranks, voxel_keys
 from pgccd.detection import narrow
 from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.checks import Initial
 from pgccd.detection.contacts import COLUMNS, Contacts, Stats
 from pgccd.detection.query import Query
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
@@ -75,7 +76,7 @@ class PCCCD:
         min_separation: float = 0.0,
         tolerance: float | None = None,
         nonzero_toi: bool = False,
-        initial: narrow.Initial = "report",
+        initial: Initial = "report",
     ) -> PCCCD:
         """Prepares the meshes, and compares the arguments of all ranks.
 

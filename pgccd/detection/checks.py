@@ -2,11 +2,16 @@
 
 from collections.abc import Sequence
 
+from typing import Literal, get_args
+
 import torch
 from torch import Tensor
 
 from pgccd import arguments
 from pgccd.detection.bodies import MovingBodies
+
+#: What to do about surfaces that intersect at t = 0: see `pgccd.detect`.
+Initial = Literal["report", "assume_free"]
 
 #: The default tolerance, relative to the smaller SBV radius of a pair.
 RELATIVE_TOLERANCE = 1e-6
@@ -26,6 +31,12 @@ def check_separation(min_separation: float) -> float:
 def operator_tolerance(tolerance: float | None) -> float:
     """The tolerance for the operators, where a negative value is relative to the smaller radius of each pair."""
     return -RELATIVE_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
+
+
+def tests_start(initial: Initial) -> bool:
+    """The operators' argument of that name."""
+    arguments.choice(initial, "initial", get_args(Initial))
+    return initial == "report"
 
 
 def check_tensor(

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -21,8 +21,6 @@ from pgccd.detection.checks import (
 from pgccd.detection.contacts import ContactRows, take_earliest
 
 Report = Literal["any", "first", "all", "earliest"]
-Initial = Literal["report", "assume_free"]
-INITIALS = get_args(Initial)
 # The operators' numbers; "earliest" selects from the first contacts.
 REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 1}
 

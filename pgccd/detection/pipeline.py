@@ -10,7 +10,7 @@ from pgccd import arguments, ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import EXACTLY, Capacity, check_capacity
-from pgccd.detection.checks import check_pairs
+from pgccd.detection.checks import Initial, check_pairs
 from pgccd.detection.contacts import Contacts, PaddedContacts
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
 from pgccd.detection.padded import Search, search_padded, search_rigid
@@ -30,7 +30,7 @@ class Options(TypedDict, total=False):
 
     tolerance: float | None
     nonzero_toi: bool
-    initial: narrow.Initial
+    initial: Initial
     broad_phase: broad.BroadPhase
     memory_budget: int | None
 
@@ -73,7 +73,7 @@ def detect(
     *,
     tolerance: float | None = None,
     nonzero_toi: bool = False,
-    initial: narrow.Initial = "report",
+    initial: Initial = "report",
     broad_phase: broad.BroadPhase = "auto",
     pairs: Tensor | None = None,
     memory_budget: int | None = None,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from pgccd import arguments
 from pgccd.detection import narrow
-from pgccd.detection.checks import check_separation, operator_tolerance
+from pgccd.detection.checks import Initial, check_separation, operator_tolerance, tests_start
 
 
 @dataclass(frozen=True)
@@ -19,14 +19,14 @@ class Query:
     min_separation: float
     tolerance: float | None
     nonzero_toi: bool
-    initial: narrow.Initial = "report"
+    initial: Initial = "report"
 
     def __post_init__(self) -> None:
         arguments.choice(self.report, "report", narrow.REPORTS)
         check_separation(self.min_separation)
         operator_tolerance(self.tolerance)
         arguments.flag(self.nonzero_toi, "nonzero_toi")
-        arguments.choice(self.initial, "initial", narrow.INITIALS)
+        tests_start(self.initial)
 
     @property
     def settings(self) -> tuple[float, float, bool]:
@@ -36,4 +36,4 @@ class Query:
     @property
     def tests_start(self) -> bool:
         """Whether surfaces that intersect at t = 0 are reported: the operators' argument of that name."""
-        return self.initial == "report"
+        return tests_start(self.initial)

@@ -6,14 +6,15 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.checks import (
+    Initial,
     check_pairs,
     check_separation,
     check_tensor,
     operator_tolerance,
     require,
     require_bodies,
+    tests_start,
 )
-from pgccd.detection.narrow import INITIALS, Initial
 
 
 def bvtt(
@@ -51,6 +52,5 @@ def bvtt(
         check_tensor(horizon, "horizon", torch.float64, pairs.shape[:1], pairs.device)
         arguments.refuse_gradient(horizon, "horizon")
         require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
-    arguments.choice(initial, "initial", INITIALS)
-    settings = (check_separation(min_separation), operator_tolerance(tolerance), initial == "report")
+    settings = (check_separation(min_separation), operator_tolerance(tolerance), tests_start(initial))
     return ops.traverse(bodies.operands, pairs, horizon, *settings)

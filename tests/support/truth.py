@@ -40,6 +40,14 @@ def rows_of(hits: pgccd.Contacts, i: int = 0, j: int = 1) -> Rows:
     return {key: Row(*value) for key, value in zip(keys, values, strict=True)}
 
 
+def without_crossings(hits: pgccd.Contacts) -> pgccd.Contacts:
+    """The vertex-face and edge-edge contacts: the oracles of paths know no edges through faces, which
+    test_intersecting.py covers.
+    """
+    assert hits.kind is not None
+    return hits[hits.kind <= pgccd.EE]
+
+
 def body_motion(bodies: Bodies, body: int) -> rigid.BodyMotion:
     """A body's motion for the rigid oracle."""
     columns = (bodies.position_t0, bodies.orientation_t0, bodies.position_t1, bodies.rotation)

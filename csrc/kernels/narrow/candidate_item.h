@@ -52,29 +52,10 @@ PGCCD_HD SearchSettings<double> search_settings(const Bodies& bodies, const Pair
   return {separation, tolerance, prune_time(latest), settings.nonzero_toi};
 }
 
-// Whether the edge passes through the face at t = 0. Not inlined: rare, and large.
-template <class Bodies, class Pair>
-PGCCD_HD_RARE Crossing crossing_of(const Bodies& bodies, const Pair& pair, const Candidate& candidate, bool exactly) {
-  const CrossingVertices c = crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
-  return passes_through(pair.edge_and_face(bodies, c), exactly);
-}
-
-constexpr Outcome<double> kFreeOutcome{Status::kFree, static_cast<double>(INFINITY), 0.0, 0.0};
-
-template <class Bodies, class Pair>
-PGCCD_HD_RARE Outcome<double> solve_crossing(const Bodies& bodies, const Pair& pair, const Candidate& candidate) {
-  const CrossingVertices c = crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
-  const EdgeAndFace x = pair.edge_and_face(bodies, c);
-  if (passes_through(x, true) != Crossing::kPasses) return kFreeOutcome;
-  const FacePoint at = crossing_point(x);
-  return {Status::kTouch, 0.0, at.u, at.v};
-}
-
 // True if the quick phase certifies that the candidate is free, or touches later than `latest`.
 template <class Bodies, class Pair>
 PGCCD_HD bool is_quickly_free(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
                               const NarrowSettings& settings, double latest, Progress<double>& progress) {
-  if (is_crossing(candidate)) return crossing_of(bodies, pair, candidate, false) == Crossing::kMisses;
   const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
@@ -85,15 +66,10 @@ PGCCD_HD bool is_quickly_free(const Bodies& bodies, const Pair& pair, const Cand
                           [&](const auto& path) { return is_quickly_free<false>(path, search, progress); });
 }
 
-// The outcome of `solve_candidate` if the plain phase finds it, else kOpen: also for edges that pass through faces,
-// whose point takes exact arithmetic.
+// The outcome of `solve_candidate` if the plain phase finds it, else kOpen.
 template <class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_plainly(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
                                        const NarrowSettings& settings, double latest, Progress<double> progress) {
-  if (is_crossing(candidate)) {
-    if (crossing_of(bodies, pair, candidate, false) == Crossing::kMisses) return kFreeOutcome;
-    return {Status::kOpen, 0.0, 0.0, 0.0};
-  }
   const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
@@ -110,13 +86,28 @@ template <class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_candidate(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
                                          const NarrowSettings& settings, double latest,
                                          Progress<double> progress = {}) {
-  if (is_crossing(candidate)) return solve_crossing(bodies, pair, candidate);
   const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
     return solve_features<true>(bodies, pair, f, search, progress);
   }
   return solve_features<false>(bodies, pair, f, search, progress);
+}
+
+// As `passes_through`, for a candidate of that kind.
+template <class Bodies, class Pair>
+PGCCD_HD Crossing crossing_of(const Bodies& bodies, const Pair& pair, const Candidate& candidate, bool exactly) {
+  const CrossingVertices c = crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
+  return passes_through(pair.edge_and_face(bodies, c), exactly);
+}
+
+template <class Bodies, class Pair>
+PGCCD_HD Outcome<double> solve_crossing(const Bodies& bodies, const Pair& pair, const Candidate& candidate) {
+  const CrossingVertices c = crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
+  const EdgeAndFace x = pair.edge_and_face(bodies, c);
+  if (passes_through(x, true) != Crossing::kPasses) return {Status::kFree, static_cast<double>(INFINITY), 0.0, 0.0};
+  const FacePoint at = crossing_point(x);
+  return {Status::kTouch, 0.0, at.u, at.v};
 }
 
 }  // namespace pgccd

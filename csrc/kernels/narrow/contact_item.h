@@ -102,8 +102,8 @@ PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const Featur
 // Where an edge passes through a face at t = 0. The normal is the face's: of two bodies, oriented from centre to
 // centre.
 template <class Bodies, class Pair>
-PGCCD_HD ContactPlace place_crossing(const Bodies& bodies, const Pair& pair, const CrossingVertices& c, double u,
-                                     double v) {
+PGCCD_HD_RARE ContactPlace place_crossing(const Bodies& bodies, const Pair& pair, const CrossingVertices& c, double u,
+                                          double v) {
   const EdgeAndFace x = pair.edge_and_face(bodies, c);
   const Vec3<double> a = x.face[1] - x.face[0], b = x.face[2] - x.face[0];
   const Vec3<double> point = frame_origin(bodies, pair, c.swapped, 0.0) + (x.face[0] + (u * a + v * b));

@@ -47,7 +47,9 @@ void solve_pair(const Bodies& bodies, const PairOf<Bodies>& pair, const NarrowIn
   const Candidate* best = nullptr;  // found at t = 0
   const auto solve = [&](int64_t c) {
     const Candidate& candidate = candidates[c];
-    const Outcome<double> outcome = solve_candidate(bodies, pair, candidate, input.settings, latest());
+    const Outcome<double> outcome = is_crossing(candidate)
+                                        ? solve_crossing(bodies, pair, candidate)
+                                        : solve_candidate(bodies, pair, candidate, input.settings, latest());
     if (!is_contact(outcome.status)) return;
     keep(c, outcome);
     if (outcome.toi > 0.0) return;

@@ -103,7 +103,9 @@ int32_t* sort_all(const DeviceContext& context, int64_t feature_count, const Sea
     return cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, sorted_keys, sorted_order, order, count, 0, pair_bits,
                                            context.stream);
   });
-  for_each_item(context, 1, [=] __device__(int64_t) { search.counters->rows = search.counters->contacts; });
+  for_each_item(context, 1, [=] __device__(int64_t) {
+    search.counters->rows = smaller(search.counters->contacts, search.capacity);
+  });
   return order;
 }
 
@@ -172,10 +174,10 @@ void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const
     search_candidates(context, bodies, search, input.candidates, true);
     const SelectedContacts selected = select_contacts(context, bodies.meshes.feature_count, search);
     const SearchCounters seen = read(context, selected.search.counters);
-    if (seen.open <= selected.search.capacity) {
+    if (seen.needed() <= selected.search.capacity) {
       return write_rows(context, bodies, selected, seen.rows, make_output(seen.rows));
     }
-    capacity = seen.open;
+    capacity = seen.needed();
   }
 }
 
@@ -184,6 +186,7 @@ void search_candidates(const DeviceContext& context, const Bodies& bodies, Searc
                        const CandidateSpan& candidates, bool is_last) {
   if (search.input.pair_count == 0) return;
   search.input.candidates = candidates;
+  if (search.input.has_crossings) launch_crossings(context, bodies, search);
   launch_quickly(context, bodies, search);
   launch_plainly(context, bodies, search);
   is_last ? launch_patiently(context, bodies, search) : end_first_part(context, search);
@@ -195,10 +198,10 @@ void write_contacts(const DeviceContext& context, const Bodies& bodies, const Se
   write_rows(context, bodies, select_contacts(context, bodies.meshes.feature_count, search), most, out);
   const SearchCounters* seen = search.counters;
   for_each_item(context, 1, [=] __device__(int64_t) {
-    counts[kOpenNeeded] = seen->open;
+    counts[kOpenNeeded] = seen->needed();
     counts[kContactsNeeded] = seen->rows;
     counts[kUnresolvedWritten] = seen->unresolved;
-    counts[kContactsOverflow] = seen->open > search.capacity || seen->rows > most;
+    counts[kContactsOverflow] = seen->needed() > search.capacity || seen->rows > most;
     counts[kNarrowEnded] = nanoseconds();
   });
 }

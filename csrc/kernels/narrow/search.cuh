@@ -22,10 +22,13 @@ struct SearchCounters {
   uint32_t open;         // candidates left by the quick phase, including those beyond the capacity
   uint32_t open_before;  // those of them of the first of two parts, once it has ended
   uint32_t patient;      // those of them left by the plain phase
-  uint32_t contacts;     // contacts among them; for first toi only, the number of pairs with a contact
+  uint32_t contacts;     // contacts, including those beyond the capacity; for first toi only, pairs with a contact
   uint32_t unresolved;   // rows with status unresolved
   uint32_t blocks_done;
   int64_t rows;  // number of rows to report
+
+  // Capacity needed: edges that pass through faces are contacts, but were no open candidates.
+  PGCCD_HD uint32_t needed() const { return larger(open, contacts); }
 };
 
 struct OpenCandidate {
@@ -43,7 +46,7 @@ struct Search {
   NarrowInput input;
   OpenCandidate* open;
   uint32_t* patient;             // indices into `open`
-  uint32_t capacity;             // of both
+  uint32_t capacity;             // of these and of `contacts`
   FoundContact* contacts;        // null if no contacts are written; so may be the next four
   unsigned long long* best;      // bits of the toi
   unsigned long long* least;     // bits of the time before which no open candidate of the pair can touch
@@ -74,13 +77,13 @@ __device__ inline Prospect prospect_of(const Search& search, int32_t pair) {
 }
 
 // Searches pruned because their contacts would be later than the pair's best do not change the first contact.
-__device__ inline void report(const Search& search, const OpenCandidate& open, const Outcome<double>& outcome) {
+__device__ inline void report(const Search& search, int32_t row, int32_t pair, const Outcome<double>& outcome) {
   if (outcome.status != Status::kTouch && outcome.status != Status::kUnresolved) return;
-  if (search.best != nullptr) atomicMin(search.best + open.pair, toi_bits(outcome.toi));
+  if (search.best != nullptr) atomicMin(search.best + pair, toi_bits(outcome.toi));
   if (search.contacts == nullptr) return;
-  // There are at most as many contacts as open candidates, so the capacity suffices.
-  search.contacts[warp_append(&search.counters->contacts, 1)] = {open.row, static_cast<int32_t>(outcome.status),
-                                                                 outcome.toi, outcome.u, outcome.v};
+  const uint32_t at = warp_append(&search.counters->contacts, 1);
+  if (at >= search.capacity) return;
+  search.contacts[at] = {row, static_cast<int32_t>(outcome.status), outcome.toi, outcome.u, outcome.v};
 }
 
 }  // namespace pgccd

@@ -28,6 +28,22 @@ __device__ inline void leave_open(const Search& search, int64_t at, const Progre
   if (search.least != nullptr) atomicMin(search.least + pair, toi_bits(progress.t));
 }
 
+// Edges that pass through faces at t = 0, one thread per candidate. They are few, and come first: then most other
+// candidates of their pairs need no search, and the phases below leave them out.
+template <class Bodies>
+__global__ void __launch_bounds__(kBlockThreads) search_crossings(Bodies bodies, Search search) {
+  wait_for_previous_kernels();
+  const CandidateSpan candidates = search.input.candidates;
+  const int64_t count = candidates.count(), stride = int64_t{gridDim.x} * blockDim.x;
+  for (int64_t k = int64_t{blockIdx.x} * blockDim.x + threadIdx.x; k < count; k += stride) {
+    const int64_t c = candidates.place(k);
+    const Candidate candidate = candidates.items[c];
+    if (!is_crossing(candidate) || !prospect_of(search, candidate.pair).is_needed) continue;
+    const auto pair = pair_of(bodies, search.input, candidate);
+    report(search, static_cast<int32_t>(c), candidate.pair, solve_crossing(bodies, pair, candidate));
+  }
+}
+
 // One thread per candidate. The few candidates of a small search are all left to the plain phase.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies, Search search) {
@@ -46,6 +62,7 @@ __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies
   for (int64_t k = thread; k < count; k += stride) {
     const int64_t c = candidates.place(k);
     const Candidate candidate = candidates.items[c];
+    if (is_crossing(candidate)) continue;
     const auto pair = pair_of(bodies, search.input, candidate);
     const Prospect prospect = prospect_of(search, candidate.pair);
     Progress<double> progress;
@@ -63,13 +80,14 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
   const Prospect prospect = prospect_of(search, open.pair);
   if (!prospect.is_needed || open.t > prospect.latest) return;
   const Candidate candidate = search.input.candidates.items[open.row];
+  if (is_crossing(candidate)) return;
   const auto pair = pair_of(bodies, search.input, candidate);
   const Outcome<double> outcome =
       solve_plainly(bodies, pair, candidate, search.input.settings, prospect.latest, open.progress());
   if (outcome.status == Status::kOpen) {
     search.patient[warp_append(&search.counters->patient, 1)] = item;
   } else {
-    report(search, open, outcome);
+    report(search, open.row, open.pair, outcome);
   }
 }
 
@@ -107,9 +125,15 @@ __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies,
     if (!prospect.is_needed) continue;
     const Candidate candidate = search.input.candidates.items[open.row];
     const auto pair = pair_of(bodies, search.input, candidate);
-    report(search, open,
+    report(search, open.row, open.pair,
            solve_candidate(bodies, pair, candidate, search.input.settings, prospect.latest, open.progress()));
   }
+}
+
+template <class Bodies>
+void launch_crossings(const DeviceContext& context, const Bodies& bodies, const Search& search) {
+  launch_kernel(context, search_crossings<Bodies>, resident_blocks_of(context, search_crossings<Bodies>), kBlockThreads,
+                bodies, search);
 }
 
 template <class Bodies>

@@ -81,13 +81,15 @@ PGCCD_HD void emit_crossing(const Triangle& ti, const Triangle& tj, int bit, boo
   emit(FeatureKind::kFaceEdge, ti.face, tj.edge[bit - 3]);
 }
 
-// True where the edge and the face of that bit are certainly apart at t = 0; corners of both triangles.
-template <class T, class Mask>
-PGCCD_HD Mask crossing_apart(const Vec3<T> (&i)[3], const Vec3<T> (&j)[3], int bit, float distance, Mask out) {
-  const bool is_of_i = bit < 3;
-  const int c = is_of_i ? bit : bit - 3, next = c == 2 ? 0 : c + 1;
-  const Vec3<T> edge[2] = {is_of_i ? i[c] : j[c], is_of_i ? i[next] : j[next]};
-  return edge_and_face_apart(edge, is_of_i ? j : i, distance, out);
+// True where the edge and the face of that bit are certainly apart at t = 0. `corner(side, index)`: of both triangles.
+template <class Corner, class Mask>
+PGCCD_HD Mask crossing_apart(Corner&& corner, int bit, float distance, Mask out) {
+  using Point = decltype(corner(0, 0));
+  const int of_edge = bit < 3 ? 0 : 1, of_face = 1 - of_edge;
+  const int c = bit < 3 ? bit : bit - 3, next = c == 2 ? 0 : c + 1;
+  const Point edge[2] = {corner(of_edge, c), corner(of_edge, next)};
+  const Point face[3] = {corner(of_face, 0), corner(of_face, 1), corner(of_face, 2)};
+  return edge_and_face_apart(edge, face, distance, out);
 }
 
 // A feature pair at both ends of a segment.

@@ -29,6 +29,7 @@ struct LeafShared {
   uint16_t features[kWarp * (kFeaturePairBits + 1)];  // waiting: triangle pair * 16 + bit
   uint16_t near[2 * kWarp];                           // likewise: not rejected by `plainly_apart`
   uint16_t near_at_start[2 * kWarp];                  // triangle pairs, waiting
+  uint16_t crossings[kWarp * (kCrossingBits + 1)];    // edges and faces of these, waiting: triangle pair * 16 + bit
   alignas(4) uint16_t met[2 * kTrianglePairs];        // feature pairs emitted so far, if there are many segments
 };
 

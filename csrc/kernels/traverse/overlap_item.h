@@ -54,6 +54,15 @@ PGCCD_HD Range<T> project(const Vec3<T> (&x)[N], Vec3<T> direction) {
   return range;
 }
 
+// The least gap of projections on a direction for which sets are certainly further apart than `distance`. False if the
+// direction has no length.
+template <class T>
+PGCCD_HD auto find_least_gap(Vec3<T> direction, float distance, T& gap) {
+  const T length_squared = norm_squared(direction);
+  gap = square_root(length_squared) * (distance * (1.0f + 8.0f * Precision<float>::unit));
+  return length_squared > 1e-30f;
+}
+
 template <int N, class T>
 PGCCD_HD Vec3<T> sum(const Vec3<T> (&x)[N]) {
   Vec3<T> total = x[0];
@@ -74,13 +83,13 @@ PGCCD_HD Vec3<T> mean_edge(const MovingPoints<N, T>& p, int tip) {
 template <int N, int M, class T>
 PGCCD_HD auto separates(const MovingPoints<N, T>& i, const MovingPoints<M, T>& j, Vec3<T> direction, float distance) {
   using namespace overlap_detail;
-  const T length_squared = norm_squared(direction);
-  const T gap = square_root(length_squared) * (distance * (1.0f + 8.0f * Precision<float>::unit));
+  T gap;
+  const auto has_length = find_least_gap(direction, distance, gap);
   const Range<T> i0 = project(i.start, direction), j0 = project(j.start, direction);
   const Range<T> i1 = project(i.end, direction), j1 = project(j.end, direction);
   const auto j_above = (j0.lower - i0.upper > gap) & (j1.lower - i1.upper > gap);
   const auto i_above = (i0.lower - j0.upper > gap) & (i1.lower - j1.upper > gap);
-  return (length_squared > 1e-30f) & (j_above | i_above);
+  return has_length & (j_above | i_above);
 }
 
 // True where two triangles certainly stay further apart than `distance` over the whole segment.
@@ -113,39 +122,38 @@ PGCCD_HD auto triangles_stay_apart(const MovingPoints<3, T>& i, const MovingPoin
 template <int N, int M, class T>
 PGCCD_HD auto separates(const Vec3<T> (&i)[N], const Vec3<T> (&j)[M], Vec3<T> direction, float distance) {
   using namespace overlap_detail;
-  const T length_squared = norm_squared(direction);
-  const T gap = square_root(length_squared) * (distance * (1.0f + 8.0f * Precision<float>::unit));
+  T gap;
+  const auto has_length = find_least_gap(direction, distance, gap);
   const Range<T> of_i = project(i, direction), of_j = project(j, direction);
-  return (length_squared > 1e-30f) & ((of_j.lower - of_i.upper > gap) | (of_i.lower - of_j.upper > gap));
+  return has_length & ((of_j.lower - of_i.upper > gap) | (of_i.lower - of_j.upper > gap));
 }
 
-// True where two triangles at rest are certainly further apart than `distance`: along both normals, or a direction
-// perpendicular to an edge of each. `out` where the answer is not needed.
+// True where two triangles at rest are certainly further apart than `distance` along the normal of one. `out` where the
+// answer is not needed.
 template <class T, class Mask>
-PGCCD_HD Mask triangles_apart(const Vec3<T> (&i)[3], const Vec3<T> (&j)[3], float distance, Mask out) {
-  const auto edge = [](const Vec3<T>(&x)[3], int k) { return x[k == 2 ? 0 : k + 1] - x[k]; };
+PGCCD_HD Mask planes_separate(const Vec3<T> (&i)[3], const Vec3<T> (&j)[3], float distance, Mask out) {
   out = out | separates(i, j, cross(i[1] - i[0], i[2] - i[0]), distance);
   if (all_lanes(out)) return out;
-  out = out | separates(i, j, cross(j[1] - j[0], j[2] - j[0]), distance);
-  PGCCD_KEEP_LOOP
-  for (int k = 0; k < 9 && !all_lanes(out); ++k) {
-    out = out | separates(i, j, cross(edge(i, k / 3), edge(j, k % 3)), distance);
-  }
-  return out;
+  return out | separates(i, j, cross(j[1] - j[0], j[2] - j[0]), distance);
 }
 
-// The same for an edge and a face. Directions within the face's plane separate coplanar neighbours.
+// True where an edge and a face at rest are certainly further apart than `distance` along the face's normal, a
+// direction perpendicular to the edge and an edge of the face, or one within the face's plane, which separates coplanar
+// neighbours.
 template <class T, class Mask>
 PGCCD_HD Mask edge_and_face_apart(const Vec3<T> (&edge)[2], const Vec3<T> (&face)[3], float distance, Mask out) {
-  const Vec3<T> along = edge[1] - edge[0], normal = cross(face[1] - face[0], face[2] - face[0]);
+  const Vec3<T> along = edge[1] - edge[0];
+  const Vec3<T> side[3] = {face[1] - face[0], face[2] - face[1], face[0] - face[2]};
+  const Vec3<T> normal = cross(side[0], side[1]);
   out = out | separates(edge, face, normal, distance);
-  PGCCD_KEEP_LOOP
-  for (int k = 0; k < 7 && !all_lanes(out); ++k) {
-    const int c = k % 3;
-    const Vec3<T> side = k == 6 ? along : face[c == 2 ? 0 : c + 1] - face[c];
-    out = out | separates(edge, face, cross(k < 3 || k == 6 ? normal : along, side), distance);
+  for (const Vec3<T>& across : {along, normal}) {
+    PGCCD_UNROLL
+    for (int k = 0; k < 3; ++k) {
+      if (all_lanes(out)) return out;
+      out = out | separates(edge, face, cross(across, side[k]), distance);
+    }
   }
-  return out;
+  return out | separates(edge, face, cross(normal, along), distance);
 }
 
 // True if a triangle certainly stays outside of a moving sphere. Cheap, and saves whole rows of triangle tests.

@@ -78,15 +78,16 @@ void find_crossings(const PairTree<Bodies>& tree, const Triangle& one, const Tri
   const float distance = tree.sweep().start_distance;
   const bool is_one_body = tree.sweep().is_one_body();
   // The planes of neighbouring triangles of one surface do not separate them.
-  if (!is_one_body) near &= ~lane_bits(triangles_apart(at_one, at_others, distance, lanes_without(near)));
+  if (!is_one_body) near &= ~lane_bits(planes_separate(at_one, at_others, distance, lanes_without(near)));
   if (near == 0) return;
+  const auto corner = [&](int side, int index) { return side == 0 ? at_one[index] : at_others[index]; };
   uint32_t lanes[kCrossingBits] = {};
   for_each_bit(near, [&](int lane) {
     for_each_bit(represented_crossings(one, others[lane], is_one_body), [&](int bit) { lanes[bit] |= 1u << lane; });
   });
   for (int bit = 0; bit < kCrossingBits; ++bit) {
     if (lanes[bit] == 0) continue;
-    const Mask8 apart = crossing_apart(at_one, at_others, bit, distance, lanes_without(lanes[bit]));
+    const Mask8 apart = crossing_apart(corner, bit, distance, lanes_without(lanes[bit]));
     for_each_bit(lanes[bit] & ~lane_bits(apart), [&](int lane) { emit(lane, bit); });
   }
 }

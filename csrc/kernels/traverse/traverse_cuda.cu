@@ -236,9 +236,9 @@ struct Traversal {
   }
 
   void visit(LeafPairList leaves, CandidateSink out) {
-    launch_kernel(context_, visit_leaves<Bodies>,
-                  blocks_in_waves(context_, visit_leaves<Bodies>, int64_t{kWarp / 2} * leaves.capacity), kBlockThreads,
-                  pairs_, leaves, out);
+    const auto kernel = input_.settings.tests_start ? visit_leaves<Bodies, true> : visit_leaves<Bodies, false>;
+    const unsigned blocks = blocks_in_waves(context_, kernel, int64_t{kWarp / 2} * leaves.capacity);
+    launch_kernel(context_, kernel, blocks, kBlockThreads, pairs_, leaves, out);
   }
 
   const DeviceContext& context_;

@@ -7,7 +7,8 @@
 
 namespace pgccd {
 
-template <class Bodies>
+// `kTestsStart`: whether edges and faces are tested that may pass through one another at t = 0.
+template <class Bodies, bool kTestsStart>
 class LeafVisitor {
   using Sweep = SweepOf<Bodies>;
 
@@ -73,7 +74,7 @@ class LeafVisitor {
     shared_.pair[slot] = item.pair;
     shared_.lane[slot] = static_cast<uint8_t>(lane_);
     shared_.remembers[slot] = remembers;
-    shared_.may_start_near[slot] = is_start && !(item.begin > 0.0f) && tree.sweep().start_distance >= 0.0f;
+    if constexpr (kTestsStart) shared_.may_start_near[slot] = is_start && !(item.begin > 0.0f);
     if constexpr (Sweep::may_be_one_body) {
       shared_.is_one_body[slot] = tree.sweep().is_one_body();
       shared_.is_one_leaf[slot] = tree.sweep().is_one_body() && item.leaves.first == item.leaves.second;
@@ -85,8 +86,11 @@ class LeafVisitor {
     for (;;) {
       if (near_ >= kWarp || (all && queued_ == 0 && waiting_ == 0 && near_ > 0)) {
         test_stepwise(smaller(near_, kWarp));
-      } else if (near_at_start_ >= kWarp || (all && queued_ == 0 && near_at_start_ > 0)) {
-        test_start(smaller(near_at_start_, kWarp));
+      } else if (kTestsStart &&
+                 (crossings_ >= kWarp || (all && queued_ == 0 && near_at_start_ == 0 && crossings_ > 0))) {
+        test_crossings(smaller(crossings_, kWarp));
+      } else if (kTestsStart && (near_at_start_ >= kWarp || (all && queued_ == 0 && near_at_start_ > 0))) {
+        test_planes(smaller(near_at_start_, kWarp));
       } else if (waiting_ >= kWarp || (all && queued_ == 0 && waiting_ > 0)) {
         test_plainly(smaller(waiting_, kWarp));
       } else if (queued_ >= kWarp || (all && queued_ > 0)) {
@@ -110,7 +114,7 @@ class LeafVisitor {
       const int i = code / kSlots, j = code % kSlots;
       const Triangle &first = *shared_.triangle[i], &second = *shared_.triangle[j];
       wanted = represented_pairs(first, second);
-      may_cross = shared_.may_start_near[i];
+      if constexpr (kTestsStart) may_cross = shared_.may_start_near[i];
       if constexpr (Sweep::may_be_one_body) {
         if (shared_.is_one_body[i]) wanted &= pairs_without_common_vertex(first, second);
         if (shared_.is_one_leaf[i] && shared_.lane[j] % kMaxLeafTriangles <= shared_.lane[i] % kMaxLeafTriangles) {
@@ -125,11 +129,13 @@ class LeafVisitor {
         may_cross = false;
       }
     }
-    const uint32_t crossing = __ballot_sync(kAllLanes, may_cross);
-    if (may_cross) {
-      shared_.near_at_start[near_at_start_ + __popc(crossing & lanes_below(lane_))] = static_cast<uint16_t>(code);
+    if constexpr (kTestsStart) {
+      const uint32_t lanes = __ballot_sync(kAllLanes, may_cross);
+      if (may_cross) {
+        shared_.near_at_start[near_at_start_ + __popc(lanes & lanes_below(lane_))] = static_cast<uint16_t>(code);
+      }
+      near_at_start_ += __popc(lanes);
     }
-    near_at_start_ += __popc(crossing);
     int added = 0;
     int at = waiting_ + sum_before(__popc(wanted), lane_, added);
     for (; wanted != 0; wanted &= wanted - 1) {
@@ -157,46 +163,56 @@ class LeafVisitor {
     __syncwarp();  // the list is written
   }
 
-  // One triangle pair near at t = 0 per lane: emits edges and faces that may pass through one another.
-  __device__ __forceinline__ void test_start(int count) {
+  // One triangle pair near at t = 0 per lane: lists the edges and faces it represents, unless a plane separates them.
+  __device__ __forceinline__ void test_planes(int count) {
     near_at_start_ -= count;
     const bool is_given = lane_ < count;
     const int code = is_given ? shared_.near_at_start[near_at_start_ + lane_] : 0;
     const int i = code / kSlots, j = code % kSlots;
-    const uint32_t wanted = is_given ? crossings_of(i, j) : 0;
-    for (int bit = 0; bit < kCrossingBits; ++bit) {
-      const bool meets = wanted >> bit & 1u;
-      if (!__any_sync(kAllLanes, meets)) continue;
-      Candidate candidate{};
-      if (meets) {
-        emit_crossing(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body(i),
-                      [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
-                        candidate = {shared_.pair[i], static_cast<int32_t>(kind), feature_i, feature_j};
-                      });
+    uint32_t wanted = 0;
+    if (is_given) {
+      const auto at_start = [&](int slot, Vec3<float>(&x)[3]) {
+        for (int c = 0; c < 3; ++c) x[c] = corner(shared_, slot, c, 0);
+      };
+      Vec3<float> of_i[3], of_j[3];
+      at_start(i, of_i);
+      at_start(j, of_j);
+      // The planes of neighbouring triangles of one surface do not separate them.
+      if (is_one_body(i) || !planes_separate(of_i, of_j, start_distance(i), false)) {
+        wanted = represented_crossings(*shared_.triangle[i], *shared_.triangle[j], is_one_body(i));
       }
-      writer_.add(meets, candidate, lane_);
     }
+    int added = 0;
+    int at = crossings_ + sum_before(__popc(wanted), lane_, added);
+    for (; wanted != 0; wanted &= wanted - 1) {
+      shared_.crossings[at++] = static_cast<uint16_t>(code * 16 + __ffs(static_cast<int>(wanted)) - 1);
+    }
+    crossings_ += added;
+    __syncwarp();  // the list is written
+  }
+
+  // One edge and face per lane: emits those that may pass through one another at t = 0.
+  __device__ __forceinline__ void test_crossings(int count) {
+    crossings_ -= count;
+    const bool is_given = lane_ < count;
+    const int listed = is_given ? shared_.crossings[crossings_ + lane_] : 0;
+    const int bit = listed % 16, i = listed / 16 / kSlots, j = listed / 16 % kSlots;
+    const auto corner_of = [&](int side, int index) { return corner(shared_, side == 0 ? i : j, index, 0); };
+    const bool meets = is_given && !crossing_apart(corner_of, bit, start_distance(i), false);
+    Candidate candidate{};
+    if (meets) {
+      emit_crossing(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body(i),
+                    [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
+                      candidate = {shared_.pair[i], static_cast<int32_t>(kind), feature_i, feature_j};
+                    });
+    }
+    if (__any_sync(kAllLanes, meets)) writer_.add(meets, candidate, lane_);
     __syncwarp();  // the list has been read
   }
 
-  // Bits of the edges and faces of two triangles that may pass through one another at t = 0.
-  __device__ __forceinline__ uint32_t crossings_of(int i, int j) const {
-    const float distance = pairs_.sweeps[shared_.pair[i]].start_distance;
-    Vec3<float> of_i[3], of_j[3];
-    for (int c = 0; c < 3; ++c) {
-      of_i[c] = corner(shared_, i, c, 0);
-      of_j[c] = corner(shared_, j, c, 0);
-    }
-    // The planes of neighbouring triangles of one surface do not separate them.
-    if (!is_one_body(i) && triangles_apart(of_i, of_j, distance, false)) return 0;
-    uint32_t bits = represented_crossings(*shared_.triangle[i], *shared_.triangle[j], is_one_body(i));
-    PGCCD_KEEP_LOOP
-    for (int bit = 0; bit < kCrossingBits; ++bit) {
-      if ((bits >> bit & 1u) && crossing_apart(of_i, of_j, bit, distance, false)) bits &= ~(1u << bit);
-    }
-    return bits;
+  __device__ __forceinline__ float start_distance(int slot) const {
+    return pairs_.sweeps[shared_.pair[slot]].start_distance;
   }
-
   __device__ __forceinline__ bool is_one_body(int slot) const {
     return Sweep::may_be_one_body && shared_.is_one_body[slot];
   }
@@ -232,16 +248,17 @@ class LeafVisitor {
   int waiting_ = 0;        // feature pairs waiting
   int near_ = 0;           // near feature pairs waiting
   int near_at_start_ = 0;  // triangle pairs near at t = 0 waiting
+  int crossings_ = 0;      // edges and faces of these waiting
 };
 
-template <class Bodies>
+template <class Bodies, bool kTestsStart>
 __global__ void __launch_bounds__(kBlockThreads)
     visit_leaves(Pairs<Bodies> pairs, LeafPairList leaves, CandidateSink out) {
   wait_for_previous_kernels();
   __shared__ LeafShared shared[kWarpsPerBlock];
   __shared__ CandidateBuffers buffers[kWarpsPerBlock];
   CandidateWriter writer(buffers[threadIdx.x / kWarp], out);
-  LeafVisitor<Bodies> visitor(pairs, shared[threadIdx.x / kWarp], writer);
+  LeafVisitor<Bodies, kTestsStart> visitor(pairs, shared[threadIdx.x / kWarp], writer);
   const uint32_t count = leaves.size(), warps = gridDim.x * kWarpsPerBlock;
   uint32_t item = 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp);
   for (bool is_last = false; !is_last; item += 2 * warps) {

@@ -18,7 +18,7 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.checks import check_separation, operator_tolerance
+from pgccd.detection.checks import Initial, check_separation, operator_tolerance
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.parts import Part, find_part, first_contacts_of, pairs_of_step
 from pgccd.detection.query import Query
@@ -60,7 +60,7 @@ class Options:
     broad_phase: broad.BroadPhase = "auto"
     #: Whether pairs of own bodies are searched while ghosts are sent. The result does not depend on it.
     overlap: bool = True
-    initial: narrow.Initial = "report"
+    initial: Initial = "report"
 
     def check(self) -> None:
         """Raises TypeError or ValueError, naming the option, if one is invalid."""

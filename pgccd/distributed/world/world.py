@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pgccd.detection import narrow
 from pgccd.detection.broad import BroadPhase
+from pgccd.detection.checks import Initial
 from pgccd.detection.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
@@ -87,7 +88,7 @@ class World:
         min_separation: float = 0.0,
         tolerance: float | None = None,
         nonzero_toi: bool = False,
-        initial: narrow.Initial = "report",
+        initial: Initial = "report",
         broad_phase: BroadPhase = "auto",
         path: PathKind = "rigid",
         partition: Literal["auto", "cells", "bisection"] = "auto",
@@ -153,7 +154,7 @@ class World:
         min_separation: float = 0.0,
         tolerance: float | None = None,
         nonzero_toi: bool = False,
-        initial: narrow.Initial = "report",
+        initial: Initial = "report",
         broad_phase: BroadPhase = "auto",
         path: PathKind = "rigid",
         balance: BalanceOptions | None = None,
