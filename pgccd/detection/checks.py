@@ -1,7 +1,6 @@
 """Argument checks shared by several stages."""
 
 from collections.abc import Sequence
-
 from typing import Literal, get_args
 
 import torch

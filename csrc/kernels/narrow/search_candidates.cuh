@@ -28,20 +28,23 @@ __device__ inline void leave_open(const Search& search, int64_t at, const Progre
   if (search.least != nullptr) atomicMin(search.least + pair, toi_bits(progress.t));
 }
 
-// Edges that pass through faces at t = 0, one thread per candidate. They are few, and come first: then most other
+// Edges that pass through faces at t = 0. They are few, so warps collect them; and come first: then most other
 // candidates of their pairs need no search, and the phases below leave them out.
 template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads) search_crossings(Bodies bodies, Search search) {
+__global__ void __launch_bounds__(kSolveThreads) search_crossings(Bodies bodies, Search search) {
   wait_for_previous_kernels();
+  __shared__ WaitingItems waiting[kSolveThreads / kWarp];
   const CandidateSpan candidates = search.input.candidates;
-  const int64_t count = candidates.count(), stride = int64_t{gridDim.x} * blockDim.x;
-  for (int64_t k = int64_t{blockIdx.x} * blockDim.x + threadIdx.x; k < count; k += stride) {
-    const int64_t c = candidates.place(k);
-    const Candidate candidate = candidates.items[c];
-    if (!is_crossing(candidate) || !prospect_of(search, candidate.pair).is_needed) continue;
-    const auto pair = pair_of(bodies, search.input, candidate);
-    report(search, static_cast<int32_t>(c), candidate.pair, solve_crossing(bodies, pair, candidate));
-  }
+  const auto candidate = [&](uint32_t item) { return candidates.items[candidates.place(item)]; };
+  const auto solve = [&](uint32_t item) {
+    const Candidate c = candidate(item);
+    if (!prospect_of(search, c.pair).is_needed) return;
+    const auto pair = pair_of(bodies, search.input, c);
+    report(search, static_cast<int32_t>(candidates.place(item)), c.pair, solve_crossing(bodies, pair, c));
+  };
+  for_each_selected(
+      0, static_cast<uint32_t>(candidates.count()), waiting[threadIdx.x / kWarp],
+      [&](uint32_t item) { return is_crossing(candidate(item)); }, solve);
 }
 
 // One thread per candidate. The few candidates of a small search are all left to the plain phase.
@@ -132,8 +135,8 @@ __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies,
 
 template <class Bodies>
 void launch_crossings(const DeviceContext& context, const Bodies& bodies, const Search& search) {
-  launch_kernel(context, search_crossings<Bodies>, resident_blocks_of(context, search_crossings<Bodies>), kBlockThreads,
-                bodies, search);
+  launch_kernel(context, search_crossings<Bodies>, resident_blocks_of(context, search_crossings<Bodies>, kSolveThreads),
+                kSolveThreads, bodies, search);
 }
 
 template <class Bodies>

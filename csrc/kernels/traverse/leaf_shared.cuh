@@ -23,14 +23,11 @@ struct LeafShared {
   int32_t pair[kSlots];
   uint8_t lane[kSlots];                           // that loaded it: leaf pair, side, row
   bool remembers[kSlots];                         // many segments, in which the same feature pair may meet
-  bool may_start_near[kSlots];                    // at t = 0, where starts are tested
   bool is_one_body[kSlots], is_one_leaf[kSlots];  // both sides are; written where a body may be tested against itself
   uint16_t triangle_pairs[5 * kWarp];             // waiting: slot of i * kSlots + slot of j
   uint16_t features[kWarp * (kFeaturePairBits + 1)];  // waiting: triangle pair * 16 + bit
-  uint16_t near[2 * kWarp];                           // likewise: not rejected by `plainly_apart`
-  uint16_t near_at_start[2 * kWarp];                  // triangle pairs, waiting
-  uint16_t crossings[kWarp * (kCrossingBits + 1)];    // edges and faces of these, waiting: triangle pair * 16 + bit
-  alignas(4) uint16_t met[2 * kTrianglePairs];        // feature pairs emitted so far, if there are many segments
+  uint16_t near[2 * kWarp];                     // likewise: not rejected by `plainly_apart`; at t = 0, triangle pairs
+  alignas(4) uint16_t met[2 * kTrianglePairs];  // feature pairs emitted so far, if there are many segments
 };
 
 // Position of two triangles in `met`, by the lanes that loaded them.

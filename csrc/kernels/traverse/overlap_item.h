@@ -137,6 +137,20 @@ PGCCD_HD Mask planes_separate(const Vec3<T> (&i)[3], const Vec3<T> (&j)[3], floa
   return out | separates(i, j, cross(j[1] - j[0], j[2] - j[0]), distance);
 }
 
+// The same along a direction perpendicular to an edge of each.
+template <class T, class Mask>
+PGCCD_HD Mask edges_separate(const Vec3<T> (&i)[3], const Vec3<T> (&j)[3], float distance, Mask out) {
+  const Vec3<T> side_i[3] = {i[1] - i[0], i[2] - i[1], i[0] - i[2]},
+                side_j[3] = {j[1] - j[0], j[2] - j[1], j[0] - j[2]};
+  for (const Vec3<T>& a : side_i) {
+    for (const Vec3<T>& b : side_j) {
+      if (all_lanes(out)) return out;
+      out = out | separates(i, j, cross(a, b), distance);
+    }
+  }
+  return out;
+}
+
 // True where an edge and a face at rest are certainly further apart than `distance` along the face's normal, a
 // direction perpendicular to the edge and an edge of the face, or one within the face's plane, which separates coplanar
 // neighbours.
@@ -144,7 +158,7 @@ template <class T, class Mask>
 PGCCD_HD Mask edge_and_face_apart(const Vec3<T> (&edge)[2], const Vec3<T> (&face)[3], float distance, Mask out) {
   const Vec3<T> along = edge[1] - edge[0];
   const Vec3<T> side[3] = {face[1] - face[0], face[2] - face[1], face[0] - face[2]};
-  const Vec3<T> normal = cross(side[0], side[1]);
+  const Vec3<T> normal = cross(face[1] - face[0], face[2] - face[0]);
   out = out | separates(edge, face, normal, distance);
   for (const Vec3<T>& across : {along, normal}) {
     PGCCD_UNROLL

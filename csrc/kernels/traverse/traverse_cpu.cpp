@@ -78,7 +78,10 @@ void find_crossings(const PairTree<Bodies>& tree, const Triangle& one, const Tri
   const float distance = tree.sweep().start_distance;
   const bool is_one_body = tree.sweep().is_one_body();
   // The planes of neighbouring triangles of one surface do not separate them.
-  if (!is_one_body) near &= ~lane_bits(planes_separate(at_one, at_others, distance, lanes_without(near)));
+  if (!is_one_body) {
+    near &= ~lane_bits(planes_separate(at_one, at_others, distance, lanes_without(near)));
+    if (near != 0) near &= ~lane_bits(edges_separate(at_one, at_others, distance, lanes_without(near)));
+  }
   if (near == 0) return;
   const auto corner = [&](int side, int index) { return side == 0 ? at_one[index] : at_others[index]; };
   uint32_t lanes[kCrossingBits] = {};

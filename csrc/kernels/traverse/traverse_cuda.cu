@@ -98,7 +98,9 @@ struct Traversal {
     if (search) {
       visit_in_order(leaves, out, search);
     } else {
-      visit(cull(leaves, new_list(&counters_->meeting_leaves, leaves), {}), out);
+      const LeafPairList meeting = cull(leaves, new_list(&counters_->meeting_leaves, leaves), {});
+      visit_at_start(meeting, out);
+      visit(meeting, out);
     }
     return out;
   }
@@ -113,6 +115,7 @@ struct Traversal {
     const LeafPairList first{leaves.items, &counters_->first_leaves, leaves.capacity};  // in memory no longer needed
     const LeafPairList later = new_list(&counters_->later_leaves, leaves);
     split_by_begin(context_, meeting, earliest, first, later);
+    visit_at_start(first, out);
     visit(first, out);
     TraverseCounters* counters = counters_;
     for_each_item(context_, 1, [=] __device__(int64_t) { counters->search_time = -nanoseconds(); });
@@ -235,10 +238,17 @@ struct Traversal {
     return meeting;
   }
 
-  void visit(LeafPairList leaves, CandidateSink out) {
-    const auto kernel = input_.settings.tests_start ? visit_leaves<Bodies, true> : visit_leaves<Bodies, false>;
-    const unsigned blocks = blocks_in_waves(context_, kernel, int64_t{kWarp / 2} * leaves.capacity);
-    launch_kernel(context_, kernel, blocks, kBlockThreads, pairs_, leaves, out);
+  void visit(LeafPairList leaves, CandidateSink out) { launch_visit(visit_leaves<Bodies, false>, leaves, out); }
+
+  // Leaf pairs that may be near at t = 0; the first to be visited, if not all are visited at once.
+  void visit_at_start(LeafPairList leaves, CandidateSink out) {
+    if (input_.settings.tests_start) launch_visit(visit_leaves<Bodies, true>, leaves, out);
+  }
+
+  template <class Kernel>
+  void launch_visit(Kernel kernel, LeafPairList leaves, CandidateSink out) {
+    launch_kernel(context_, kernel, blocks_in_waves(context_, kernel, int64_t{kWarp / 2} * leaves.capacity),
+                  kBlockThreads, pairs_, leaves, out);
   }
 
   const DeviceContext& context_;

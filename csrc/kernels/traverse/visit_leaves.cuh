@@ -1,5 +1,6 @@
-// From pairs of leaves to candidates. A warp loads the triangles of two leaf pairs at a time. Triangle pairs, and then
-// feature pairs, are collected in lists until all lanes have one: on average a leaf pair has nine and five.
+// From pairs of leaves to candidates of feature pairs, and of edges that may pass through faces at t = 0. A warp loads
+// the triangles of two leaf pairs at a time. Triangle pairs, and then feature pairs, are collected in lists until all
+// lanes have one: on average a leaf pair has nine and five.
 #pragma once
 
 #include "kernels/launch.cuh"
@@ -7,8 +8,10 @@
 
 namespace pgccd {
 
-// `kTestsStart`: whether edges and faces are tested that may pass through one another at t = 0.
-template <class Bodies, bool kTestsStart>
+// Two searches of the same leaf pairs: for feature pairs over the whole motion, and for edges and faces at t = 0
+// (`kAtStart`). The second is one of its own, since the first must empty its lists after every segment of a motion that
+// turns, with few lanes at work.
+template <class Bodies, bool kAtStart>
 class LeafVisitor {
   using Sweep = SweepOf<Bodies>;
 
@@ -20,12 +23,13 @@ class LeafVisitor {
   __device__ __forceinline__ void visit(const LeafPair* given, int count) {
     const int half = lane_ / kHalf;
     const int side = lane_ % kHalf / kMaxLeafTriangles, row = lane_ % kMaxLeafTriangles;
-    const bool has_pair = half < count;
+    bool has_pair = half < count;
     const LeafPair item = has_pair ? given[half] : LeafPair{};
+    if constexpr (kAtStart) has_pair &= !(item.begin > 0.0f);  // else certainly apart at t = 0
     int own_segments = 0, triangle_count = 0;
     if (has_pair) {
       const PairTree<Bodies> tree = pairs_.tree(item.pair);
-      own_segments = tree.sweep().segment_count;
+      own_segments = kAtStart ? 1 : tree.sweep().segment_count;
       triangle_count = tree.link(side, side == 0 ? item.leaves.first : item.leaves.second).triangle_count;
     }
     const int segments = larger(__reduce_max_sync(kAllLanes, own_segments), 1);
@@ -51,7 +55,7 @@ class LeafVisitor {
       for (bool stored = false; !stored;) {
         stored = filled_ + __popc(kept) <= kSlots;
         if (stored && kept != 0) {
-          if (kept >> lane_ & 1u) store(item, side, row, moving, remembers, k == 1, kept);
+          if (kept >> lane_ & 1u) store(item, side, row, moving, remembers, kept);
           queued_ += list_triangle_pairs(shared_, kept, filled_, queued_, lane_);
           filled_ += __popc(kept);
           __syncwarp();  // the triangles and their pairs are written
@@ -63,7 +67,7 @@ class LeafVisitor {
 
  private:
   __device__ __forceinline__ void store(const LeafPair& item, int side, int row, const MovingPoints<3, float>& moving,
-                                        bool remembers, bool is_start, uint32_t kept) {
+                                        bool remembers, uint32_t kept) {
     const PairTree<Bodies> tree = pairs_.tree(item.pair);
     const int32_t own = side == 0 ? item.leaves.first : item.leaves.second;
     const int slot = filled_ + __popc(kept & lanes_below(lane_));
@@ -74,7 +78,6 @@ class LeafVisitor {
     shared_.pair[slot] = item.pair;
     shared_.lane[slot] = static_cast<uint8_t>(lane_);
     shared_.remembers[slot] = remembers;
-    if constexpr (kTestsStart) shared_.may_start_near[slot] = is_start && !(item.begin > 0.0f);
     if constexpr (Sweep::may_be_one_body) {
       shared_.is_one_body[slot] = tree.sweep().is_one_body();
       shared_.is_one_leaf[slot] = tree.sweep().is_one_body() && item.leaves.first == item.leaves.second;
@@ -85,12 +88,9 @@ class LeafVisitor {
   __device__ __forceinline__ void work(bool all) {
     for (;;) {
       if (near_ >= kWarp || (all && queued_ == 0 && waiting_ == 0 && near_ > 0)) {
-        test_stepwise(smaller(near_, kWarp));
-      } else if (kTestsStart &&
-                 (crossings_ >= kWarp || (all && queued_ == 0 && near_at_start_ == 0 && crossings_ > 0))) {
-        test_crossings(smaller(crossings_, kWarp));
-      } else if (kTestsStart && (near_at_start_ >= kWarp || (all && queued_ == 0 && near_at_start_ > 0))) {
-        test_planes(smaller(near_at_start_, kWarp));
+        kAtStart ? test_edges(smaller(near_, kWarp)) : test_stepwise(smaller(near_, kWarp));
+      } else if (kAtStart && (queued_ >= kWarp || (all && queued_ > 0))) {
+        test_planes(smaller(queued_, kWarp));
       } else if (waiting_ >= kWarp || (all && queued_ == 0 && waiting_ > 0)) {
         test_plainly(smaller(waiting_, kWarp));
       } else if (queued_ >= kWarp || (all && queued_ > 0)) {
@@ -102,39 +102,94 @@ class LeafVisitor {
     if (all) filled_ = 0;
   }
 
-  // One waiting triangle pair per lane: lists the feature pairs it represents, and the pair itself if it may be near at
-  // t = 0, unless the triangles stay apart.
+  // One waiting triangle pair per lane: lists it, unless the plane of one separates the triangles at t = 0.
+  __device__ __forceinline__ void test_planes(int count) {
+    queued_ -= count;
+    bool is_near = lane_ < count;
+    const int code = is_near ? shared_.triangle_pairs[queued_ + lane_] : 0;
+    const int i = code / kSlots, j = code % kSlots;
+    if (is_near && is_one_body(i)) {
+      // The planes of neighbouring triangles of one surface do not separate them. Of mirror images one is tested.
+      is_near = !shared_.is_one_leaf[i] || shared_.lane[j] % kMaxLeafTriangles > shared_.lane[i] % kMaxLeafTriangles;
+    } else if (is_near) {
+      Vec3<float> of_i[3], of_j[3];
+      at_start(i, of_i);
+      at_start(j, of_j);
+      is_near = !planes_separate(of_i, of_j, start_distance(i), false);
+    }
+    const uint32_t lanes = __ballot_sync(kAllLanes, is_near);
+    if (is_near) shared_.near[near_ + __popc(lanes & lanes_below(lane_))] = static_cast<uint16_t>(code);
+    near_ += __popc(lanes);
+    __syncwarp();  // the list is written
+  }
+
+  // One triangle pair per lane: emits its edges and faces that may pass through one another at t = 0.
+  __device__ __forceinline__ void test_edges(int count) {
+    near_ -= count;
+    const bool is_given = lane_ < count;
+    const int code = is_given ? shared_.near[near_ + lane_] : 0;
+    const int i = code / kSlots, j = code % kSlots;
+    uint32_t bits = 0;
+    if (is_given) {
+      Vec3<float> of_i[3], of_j[3];
+      at_start(i, of_i);
+      at_start(j, of_j);
+      if (is_one_body(i) || !edges_separate(of_i, of_j, start_distance(i), false)) {
+        bits = represented_crossings(*shared_.triangle[i], *shared_.triangle[j], is_one_body(i));
+      }
+    }
+    const auto corner_of = [&](int side, int index) { return corner(shared_, side == 0 ? i : j, index, 0); };
+    PGCCD_KEEP_LOOP
+    while (__any_sync(kAllLanes, bits != 0)) {
+      const int bit = __ffs(static_cast<int>(bits)) - 1;
+      const bool meets = bits != 0 && !crossing_apart(corner_of, bit, start_distance(i), false);
+      bits &= bits - 1;
+      Candidate candidate{};
+      if (meets) {
+        emit_crossing(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body(i),
+                      [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
+                        candidate = {shared_.pair[i], static_cast<int32_t>(kind), feature_i, feature_j};
+                      });
+      }
+      if (__any_sync(kAllLanes, meets)) writer_.add(meets, candidate, lane_);
+    }
+    __syncwarp();  // the list has been read
+  }
+
+  __device__ __forceinline__ void at_start(int slot, Vec3<float> (&x)[3]) const {
+    PGCCD_UNROLL
+    for (int c = 0; c < 3; ++c) x[c] = corner(shared_, slot, c, 0);
+  }
+
+  __device__ __forceinline__ float start_distance(int slot) const {
+    return pairs_.sweeps[shared_.pair[slot]].start_distance;
+  }
+
+  __device__ __forceinline__ bool is_one_body(int slot) const {
+    return Sweep::may_be_one_body && shared_.is_one_body[slot];
+  }
+
+  // One waiting triangle pair per lane: lists the feature pairs it represents, unless the triangles stay apart.
   __device__ __forceinline__ void test_triangles(int count) {
     queued_ -= count;
     uint32_t wanted = 0;
-    bool may_cross = false;
     int code = 0;
     if (lane_ < count) {
       code = shared_.triangle_pairs[queued_ + lane_];
       const int i = code / kSlots, j = code % kSlots;
       const Triangle &first = *shared_.triangle[i], &second = *shared_.triangle[j];
       wanted = represented_pairs(first, second);
-      if constexpr (kTestsStart) may_cross = shared_.may_start_near[i];
       if constexpr (Sweep::may_be_one_body) {
         if (shared_.is_one_body[i]) wanted &= pairs_without_common_vertex(first, second);
         if (shared_.is_one_leaf[i] && shared_.lane[j] % kMaxLeafTriangles <= shared_.lane[i] % kMaxLeafTriangles) {
           wanted = 0;
-          may_cross = false;
         }
       }
       if (shared_.remembers[i]) wanted &= ~static_cast<uint32_t>(shared_.met[met_place(shared_, i, j)]);
-      if ((wanted != 0 || may_cross) &&
+      if (wanted != 0 &&
           triangles_stay_apart(load_triangle(shared_, i), load_triangle(shared_, j), shared_.distance[i])) {
         wanted = 0;
-        may_cross = false;
       }
-    }
-    if constexpr (kTestsStart) {
-      const uint32_t lanes = __ballot_sync(kAllLanes, may_cross);
-      if (may_cross) {
-        shared_.near_at_start[near_at_start_ + __popc(lanes & lanes_below(lane_))] = static_cast<uint16_t>(code);
-      }
-      near_at_start_ += __popc(lanes);
     }
     int added = 0;
     int at = waiting_ + sum_before(__popc(wanted), lane_, added);
@@ -163,60 +218,6 @@ class LeafVisitor {
     __syncwarp();  // the list is written
   }
 
-  // One triangle pair near at t = 0 per lane: lists the edges and faces it represents, unless a plane separates them.
-  __device__ __forceinline__ void test_planes(int count) {
-    near_at_start_ -= count;
-    const bool is_given = lane_ < count;
-    const int code = is_given ? shared_.near_at_start[near_at_start_ + lane_] : 0;
-    const int i = code / kSlots, j = code % kSlots;
-    uint32_t wanted = 0;
-    if (is_given) {
-      const auto at_start = [&](int slot, Vec3<float>(&x)[3]) {
-        for (int c = 0; c < 3; ++c) x[c] = corner(shared_, slot, c, 0);
-      };
-      Vec3<float> of_i[3], of_j[3];
-      at_start(i, of_i);
-      at_start(j, of_j);
-      // The planes of neighbouring triangles of one surface do not separate them.
-      if (is_one_body(i) || !planes_separate(of_i, of_j, start_distance(i), false)) {
-        wanted = represented_crossings(*shared_.triangle[i], *shared_.triangle[j], is_one_body(i));
-      }
-    }
-    int added = 0;
-    int at = crossings_ + sum_before(__popc(wanted), lane_, added);
-    for (; wanted != 0; wanted &= wanted - 1) {
-      shared_.crossings[at++] = static_cast<uint16_t>(code * 16 + __ffs(static_cast<int>(wanted)) - 1);
-    }
-    crossings_ += added;
-    __syncwarp();  // the list is written
-  }
-
-  // One edge and face per lane: emits those that may pass through one another at t = 0.
-  __device__ __forceinline__ void test_crossings(int count) {
-    crossings_ -= count;
-    const bool is_given = lane_ < count;
-    const int listed = is_given ? shared_.crossings[crossings_ + lane_] : 0;
-    const int bit = listed % 16, i = listed / 16 / kSlots, j = listed / 16 % kSlots;
-    const auto corner_of = [&](int side, int index) { return corner(shared_, side == 0 ? i : j, index, 0); };
-    const bool meets = is_given && !crossing_apart(corner_of, bit, start_distance(i), false);
-    Candidate candidate{};
-    if (meets) {
-      emit_crossing(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body(i),
-                    [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
-                      candidate = {shared_.pair[i], static_cast<int32_t>(kind), feature_i, feature_j};
-                    });
-    }
-    if (__any_sync(kAllLanes, meets)) writer_.add(meets, candidate, lane_);
-    __syncwarp();  // the list has been read
-  }
-
-  __device__ __forceinline__ float start_distance(int slot) const {
-    return pairs_.sweeps[shared_.pair[slot]].start_distance;
-  }
-  __device__ __forceinline__ bool is_one_body(int slot) const {
-    return Sweep::may_be_one_body && shared_.is_one_body[slot];
-  }
-
   // One near feature pair per lane: emits those that may meet.
   __device__ __forceinline__ void test_stepwise(int count) {
     near_ -= count;
@@ -243,22 +244,20 @@ class LeafVisitor {
   LeafShared& shared_;
   CandidateWriter& writer_;
   const int lane_;
-  int filled_ = 0;         // slots
-  int queued_ = 0;         // triangle pairs waiting
-  int waiting_ = 0;        // feature pairs waiting
-  int near_ = 0;           // near feature pairs waiting
-  int near_at_start_ = 0;  // triangle pairs near at t = 0 waiting
-  int crossings_ = 0;      // edges and faces of these waiting
+  int filled_ = 0;   // slots
+  int queued_ = 0;   // triangle pairs waiting
+  int waiting_ = 0;  // feature pairs waiting
+  int near_ = 0;     // near feature pairs waiting; at t = 0, triangle pairs
 };
 
-template <class Bodies, bool kTestsStart>
+template <class Bodies, bool kAtStart>
 __global__ void __launch_bounds__(kBlockThreads)
     visit_leaves(Pairs<Bodies> pairs, LeafPairList leaves, CandidateSink out) {
   wait_for_previous_kernels();
   __shared__ LeafShared shared[kWarpsPerBlock];
   __shared__ CandidateBuffers buffers[kWarpsPerBlock];
   CandidateWriter writer(buffers[threadIdx.x / kWarp], out);
-  LeafVisitor<Bodies, kTestsStart> visitor(pairs, shared[threadIdx.x / kWarp], writer);
+  LeafVisitor<Bodies, kAtStart> visitor(pairs, shared[threadIdx.x / kWarp], writer);
   const uint32_t count = leaves.size(), warps = gridDim.x * kWarpsPerBlock;
   uint32_t item = 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp);
   for (bool is_last = false; !is_last; item += 2 * warps) {
