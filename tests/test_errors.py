@@ -105,6 +105,11 @@ for _value in (NAN, INF, -0.1):
     case(f"dt {_value}", spinning(dt=_value), "dt")
 case("turn overflows", lambda: detect_spinning(1e300, 1e200), "angular_velocity")
 case("turn is beyond counting", lambda: detect_spinning(1e120, 1.0), "angular_velocity")
+for _value in (NAN, INF):
+    bad = one_bad(3, _value)
+    case(f"rest at {_value}", lambda x=bad: pgccd.RigidMotion.at_rest(x, poses()["orientation_t0"]), "position", "body 1")
+case("rest turned", lambda: pgccd.RigidMotion.at_rest(torch.zeros(3, 3), one_bad(4, 0.05)), "orientation", "body 1")
+case("rest shape", lambda: pgccd.RigidMotion.at_rest(torch.zeros(3, 3), torch.ones(2, 4)), "orientation", "3, 4")
 for _name in ("x_t0", "x_t1"):
     for _value in (NAN, INF):
         case(f"{_name} {_value}", deforming(**{_name: one_bad(3, _value, 2)}), _name, "vertex 2")
