@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -11,6 +12,7 @@ import torch
 from oracle import distance, intersection
 from oracle.intersection import as_integers, crossings_of_meshes, crossings_within, have_common_point
 from support import intersecting, solids
+from support.deforming import COLUMNS, assert_same
 from support.intersecting import EF_AB, EF_BA, integer_pairs
 from support.shapes import bumpy, tensors, turned, unit_quaternions
 
@@ -94,8 +96,41 @@ def test_initial_state_assumed_free(device: torch.device) -> None:
         assert len(assumed) > 0 and (report == "any" or int(assumed.kind.max()) < EF_AB)
         if report == "all":
             rest = reported[reported.kind < EF_AB]
-            for column in ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status"):
-                assert torch.equal(getattr(assumed, column), getattr(rest, column)), column
+            assert_same(assumed, rest)
+
+
+@pytest.mark.parametrize("report", REPORTS)
+@pytest.mark.parametrize("kind", ["deforming", "rigid"])
+def test_other_ways_of_searching(device: torch.device, kind: str, report: narrow.Report) -> None:
+    """Given pairs, chunks, a fixed capacity, captured steps and trajectories report the same contacts."""
+    rng = np.random.default_rng([14, len(kind)])
+    a, b = integer_pairs(rng, 150, degenerate=False)
+    if kind == "deforming":
+        scene, motion = intersecting.deforming_scene(rng, a, b, device, True)
+        path = pgccd.Trajectory(torch.stack([motion.x_t0, motion.x_t1, motion.x_t0]))
+    else:
+        scene, rigid = intersecting.rigid_scene(rng, a, b, device, "rigid")
+        motion = pgccd.RigidMotion(*rigid.at(0.0), *rigid.at(1.0))  # a trajectory turns the shorter way
+        ends = [rigid.at(t) for t in (0.0, 1.0, 0.0)]
+        path = pgccd.Trajectory(*(torch.stack([end[k] for end in ends]) for k in range(2)))
+    expected = pgccd.detect(scene, motion, report)
+    pairs = torch.arange(2 * len(a), device=device).view(-1, 2)
+    assert_same(pgccd.detect(scene, motion, report, pairs=pairs), expected)
+    assert_same(pgccd.detect(scene, motion, report, memory_budget=20_000), expected)
+    capacity = replace(pgccd.Capacity.guess(2 * len(a)), candidates=100_000, contacts=100_000)
+    assert_same(pgccd.detect(scene, motion, report, capacity=capacity).trim(), expected)
+    captured = pgccd.CapturedDetection(scene, motion, report)
+    for _ in range(2):
+        assert_same(captured(motion).trim(), expected)
+    along = pgccd.detect(scene, path, report)
+    if report == "any":
+        assert torch.isin(expected.pairs, along.pairs).all()
+        return
+    for k in range(2 if report == "all" else 1):
+        of_segment = pgccd.detect(scene, path.segment(k), report)
+        for column in COLUMNS:
+            assert torch.equal(getattr(along, column)[along.segment == k], getattr(of_segment, column)), column
+    assert report != "all" or int((along.kind[along.segment == 1] >= EF_AB).sum()) > 10
 
 
 def test_place_of_a_crossing(device: torch.device) -> None:
@@ -123,6 +158,7 @@ def test_place_of_a_crossing(device: torch.device) -> None:
         normal, full = hits.normal[row].numpy(), np.cross(s - r, t - r)
         assert abs(np.linalg.norm(normal) - 1) < 1e-14
         assert np.abs(np.cross(full / np.linalg.norm(full), normal)).max() < 1e-13
+        assert np.dot(normal, x[j].mean(axis=0) - x[i].mean(axis=0)) > -1e-13 * size
 
 
 def _world(scene: pgccd.Scene, motion: pgccd.RigidMotion) -> list[np.ndarray]:

@@ -18,6 +18,8 @@ from pgccd.geometry.solids import opening, vertices_of_components, winding_numbe
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 
+# Rows at a time, to bound memory.
+_ROWS = 1 << 16
 # Error of a rigid body's point in the frame of another body, in units of the reach of each: see docs/exactness.md.
 _POINT_ERROR = 2.0**-45
 
@@ -56,7 +58,8 @@ def enclosed(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> T
     pairs = broad.find_pairs(bodies, tolerance=0.0).cpu().numpy()
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     surfaces = _Surfaces(scene, still)
-    rows = _in_boxes(surfaces, np.concatenate([pairs, pairs[:, ::-1]]))
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    rows = np.concatenate([_in_boxes(surfaces, part) for part in np.array_split(both, 1 + len(both) // _ROWS)])
     rows = rows[~_meet(scene, still, rows)]
     # Closer to a surface than the error of their points: these few are decided exactly.
     is_near = _meet(scene, still, rows, surfaces.error)
@@ -105,14 +108,15 @@ class _Surfaces:
             self.error = _POINT_ERROR * np.array([mesh.reach for mesh in self.meshes])[self.mesh]
             self.poses = motion.position_t0.cpu().numpy(), motion.orientation_t0.cpu().numpy()
         self.vertices, self.begin = vertices.cpu().numpy(), begin.cpu().numpy()
+        #: (surfaces, 3) lower and upper ends of boxes around the surfaces.
+        self.low = np.minimum.reduceat(self.vertices, self.begin)
+        self.high = np.maximum.reduceat(self.vertices, self.begin)
+        #: (meshes, 6) vertices on the sides of a box around the mesh.
+        self.extreme = np.stack([_extreme_vertices(mesh) for mesh in self.meshes])
 
     def corners(self, body: int) -> np.ndarray:
         """(F, 3, 3) corners of the body's triangles in its frame."""
         return self.vertices[self.begin[self.number[body]] + self.meshes[self.mesh[body]].faces.long().numpy()]
-
-    def boxes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper ends (surfaces, 3) of boxes around the surfaces."""
-        return np.minimum.reduceat(self.vertices, self.begin), np.maximum.reduceat(self.vertices, self.begin)
 
     def seen_from(self, outer: np.ndarray, inner: np.ndarray, vertex: np.ndarray, exactly: bool = False) -> np.ndarray:
         """(n, 3) vertices (n,) of inner bodies (n,) in the frames of outer ones (n,); if `exactly`, as fractions."""
@@ -140,18 +144,15 @@ def _matrices(quaternions: np.ndarray) -> np.ndarray:
 
 def _in_boxes(surfaces: _Surfaces, rows: np.ndarray) -> np.ndarray:
     """The rows (inner, outer) of which some vertices of the inner body are in the box around the outer one."""
-    low, high = surfaces.boxes()
-    samples = np.stack([_extreme_vertices(mesh) for mesh in surfaces.meshes])
-    for k in range(samples.shape[1]):
+    for k in range(surfaces.extreme.shape[1]):
         inner, outer = rows.T
-        x = surfaces.seen_from(outer, inner, samples[surfaces.mesh[inner], k])
+        x = surfaces.seen_from(outer, inner, surfaces.extreme[surfaces.mesh[inner], k])
         error, number = (surfaces.error[inner] + surfaces.error[outer])[:, None], surfaces.number[outer]
-        rows = rows[((low[number] - error <= x) & (x <= high[number] + error)).all(axis=1)]
+        rows = rows[((surfaces.low[number] - error <= x) & (x <= surfaces.high[number] + error)).all(axis=1)]
     return rows
 
 
 def _extreme_vertices(mesh: Mesh) -> np.ndarray:
-    """(6,) vertices on the sides of the mesh's box."""
     used = np.unique(mesh.faces.numpy())
     x = mesh.vertices.numpy()[used]
     return used[np.concatenate([x.argmin(axis=0), x.argmax(axis=0)])]
@@ -162,6 +163,7 @@ def _meet(
 ) -> np.ndarray:
     """(n,) bool: whether the surfaces of the bodies in rows (n, 2), thickened by a margin (N,), meet."""
     thick = copy.copy(scene)
+    thick.capacity_estimates = {}
     thick.margin = None if margin is None else torch.from_numpy(margin).to(scene.device)
     ascending = np.sort(rows, axis=1)
     pairs = torch.from_numpy(np.unique(ascending, axis=0)).to(scene.device)
@@ -172,12 +174,13 @@ def _meet(
 
 def _inside(surfaces: _Surfaces, rows: np.ndarray, exactly: bool = False) -> np.ndarray:
     """The rows (inner, outer), of bodies that do not meet, whose outer surface winds about the whole inner one."""
-    # A connected surface that does not meet another one is on one side of it.
-    vertices = [vertices_of_components(mesh.faces.numpy()) for mesh in surfaces.meshes]
-    of_row = [vertices[mesh] for mesh in surfaces.mesh[rows[:, 0]]]
-    row = np.repeat(np.arange(len(rows)), [len(v) for v in of_row])
-    if not len(row):
+    if not len(rows):
         return rows
+    # A connected surface that does not meet another one is on one side of it.
+    mesh_of_row = surfaces.mesh[rows[:, 0]]
+    vertices = {mesh: vertices_of_components(surfaces.meshes[mesh].faces.numpy()) for mesh in np.unique(mesh_of_row)}
+    of_row = [vertices[mesh] for mesh in mesh_of_row]
+    row = np.repeat(np.arange(len(rows)), [len(v) for v in of_row])
     inner, outer = rows[row].T
     x = surfaces.seen_from(outer, inner, np.concatenate(of_row), exactly)
     is_inside = np.ones(len(rows), dtype=bool)

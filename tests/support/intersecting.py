@@ -10,6 +10,7 @@ import torch
 from oracle.intersection import crossings, have_common_point
 
 import pgccd
+from support.deforming import assert_same
 from support.shapes import tensors
 
 #: Corners have integer coordinates up to this magnitude. Triangles that have no common point are then further apart
@@ -218,8 +219,7 @@ def check_reports(
     order = order[torch.argsort(everything.pairs[order, 0], stable=True)]
     count = torch.unique_consecutive(everything.pairs[:, 0], return_counts=True)[1]
     least = order[count.cumsum(0) - count]
-    for column in ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status"):
-        assert torch.equal(getattr(first, column), getattr(everything, column)[least]), column
+    assert_same(first, everything[least])
     earliest = pgccd.detect(scene, motion, "earliest", **options)
     assert len(earliest) == 1 and float(earliest.toi) == 0.0
     assert earliest.pairs.tolist() == at_start.pairs[:1].tolist()
