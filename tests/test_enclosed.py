@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from oracle.intersection import as_integers, sign, volume
 from support import solids
 from support.shapes import tensors, unit_quaternions
 from support.solids import Surface
@@ -81,21 +82,24 @@ def test_rays_through_vertices_and_along_edges_and_faces(shear: Any) -> None:
         assert np.array_equal(winding_numbers(points @ np.array(shear), (vertices @ np.array(shear))[faces]), expected)
 
 
-def test_undecided_signs_are_exact() -> None:
-    """Points one unit of rounding off a slanted face, far from the origin."""
-    vertices, faces = solids.box([0, 0, 0], [3, 5, 7])
-    vertices = vertices @ [[1, 2, 3], [0, 1, 1], [5, 0, 1]] + 2.0**40  # mirrored
-    corners = vertices[faces[:, ::-1]]
-    middle = corners.mean(axis=1)
-    unit = 2.0**-12  # of numbers near 2^40
-    points = (np.rint(middle / unit)[:, None] + np.argwhere(np.ones((5, 5, 5)))[None] - 2).reshape(-1, 3) * unit
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    offset = points.reshape(len(faces), -1, 3) - corners[:, :1]
-    # Numerators of the distances: integers, whose products are exact in double precision.
-    distance = ((offset / unit) * normal[:, None]).sum(axis=2).ravel()
-    off = distance != 0
-    assert np.array_equal(winding_numbers(points[off], corners) != 0, distance[off] < 0)
-    assert 0 < (distance < 0).mean() < 1
+@pytest.mark.parametrize(("offset", "scale"), [(0.0, 1.0), (10.0, 1.0), (1e6, 1.0), (0.0, 1e-107), (0.0, 1e120)])
+def test_undecided_signs_are_exact(offset: float, scale: float) -> None:
+    """Points a few units of rounding off the faces of tetrahedra; and where products underflow or overflow."""
+    rng = np.random.default_rng(5)
+    faces = SPECK[1]
+    near = 0
+    for vertices in scale * rng.normal(size=(40, 4, 3)) + offset:
+        middle = np.einsum("fk,fkd->fd", rng.dirichlet(np.full(3, 5.0), 4), vertices[faces])
+        points = middle[:, None] + np.spacing(middle)[:, None] * rng.integers(-2, 3, (4, 20, 3))
+        whole = as_integers(np.concatenate([vertices, points.reshape(-1, 3)]))
+        corners = np.repeat(whole[:4][faces], 20, axis=0)
+        side = sign(volume(*np.moveaxis(corners, 1, 0), whole[4:]))
+        turn = sign(volume(*whole[:4, None]))[0]  # whether the faces face outwards
+        off = side != 0
+        found = winding_numbers(points.reshape(-1, 3)[off], vertices[faces])
+        assert np.array_equal(found, np.where(side[off] == -turn, turn, 0))
+        near += off.sum()
+    assert near > 2000
 
 
 def test_tiny_and_huge() -> None:

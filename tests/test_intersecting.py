@@ -130,7 +130,8 @@ def test_other_ways_of_searching(device: torch.device, kind: str, report: narrow
         of_segment = pgccd.detect(scene, path.segment(k), report)
         for column in COLUMNS:
             assert torch.equal(getattr(along, column)[along.segment == k], getattr(of_segment, column)), column
-    assert report != "all" or int((along.kind[along.segment == 1] >= EF_AB).sum()) > 10
+    if report == "all" and kind == "deforming":  # rigid ones no longer intersect
+        assert int((along.kind[along.segment == 1] >= EF_AB).sum()) > 10
 
 
 def test_place_of_a_crossing(device: torch.device) -> None:

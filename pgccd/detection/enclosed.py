@@ -38,7 +38,7 @@ def enclosed(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> T
 
     Args:
         scene: the bodies. The mesh of each must be watertight: each edge is shared by exactly two triangles, in
-            opposite directions. It may be in several pieces.
+            opposite directions. It may be in several pieces. Bodies that are not watertight cannot be in this scene.
         motion: their paths, of which only the start counts; see `RigidMotion.at_rest`. Of a `Trajectory`, the first
             waypoint.
 
