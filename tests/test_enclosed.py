@@ -178,6 +178,24 @@ def test_touching_bodies_are_contacts(device: torch.device, deforms: bool) -> No
         assert pgccd.detect(scene, motion, "any").pairs.tolist() == [[0, 1]]
 
 
+def test_no_pair_falls_between(device: torch.device, deforms: bool) -> None:
+    """However near to the wall from inside, a body is enclosed or in contact."""
+    gaps = 10.0 ** -np.arange(1.0, 18.0)
+    inner = [solids.box([1, 1, 1], [2, 2, 2 - gap]) for gap in gaps]
+    outer = [solids.box([0, 0, 0], [3, 3, 2])] * len(gaps)
+    surfaces = [s for pair in zip(outer, inner, strict=True) for s in pair]
+    world = np.repeat(np.arange(len(gaps)), 2).tolist()
+    scene, motion = still(surfaces, device, deforms, world=world)
+    if not deforms:
+        q = unit_quaternions(np.random.default_rng(6), 1).repeat(2 * len(gaps), axis=0)
+        motion = pgccd.RigidMotion.at_rest(motion.position_t0, *tensors(q, device=device))
+    within = pgccd.enclosed(scene, motion)[:, 1].tolist()
+    touching = pgccd.detect(scene, motion, "any", tolerance=0.0).pairs[:, 0].tolist()
+    assert sorted(within + touching) == list(range(0, 2 * len(gaps), 2))
+    # 2 - 1e-16 is 2; points of rigid bodies have errors of some 1e-13.
+    assert (len(within) == 15) if deforms else (11 <= len(within) <= 15)
+
+
 @pytest.mark.parametrize("offset", [0.0, 1e6, 1e12])
 def test_far_from_the_origin(device: torch.device, deforms: bool, offset: float) -> None:
     """Bodies near one another; only where they are relative to each other counts."""
