@@ -187,7 +187,7 @@ def test_no_pair_falls_between(device: torch.device, deforms: bool) -> None:
     world = np.repeat(np.arange(len(gaps)), 2).tolist()
     scene, motion = still(surfaces, device, deforms, world=world)
     if not deforms:
-        q = unit_quaternions(np.random.default_rng(6), 1).repeat(2 * len(gaps), axis=0)
+        q = (1 + 5e-4) * unit_quaternions(np.random.default_rng(6), 1).repeat(2 * len(gaps), axis=0)
         motion = pgccd.RigidMotion.at_rest(motion.position_t0, *tensors(q, device=device))
     within = pgccd.enclosed(scene, motion)[:, 1].tolist()
     touching = pgccd.detect(scene, motion, "any", tolerance=0.0).pairs[:, 0].tolist()
