@@ -10,6 +10,7 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import Capacity, CapacityError
 from pgccd.detection.captured import CapturedDetection
 from pgccd.detection.contacts import Contacts, PaddedContacts, Stats
+from pgccd.detection.enclosed import enclosed
 from pgccd.detection.narrow import Kind, Status
 from pgccd.detection.pipeline import detect
 from pgccd.detection.trajectories import TrajectoryContacts
@@ -61,6 +62,7 @@ __all__ = [
     "broad",
     "detect",
     "distributed",
+    "enclosed",
     "files",
     "integrate_orientation",
     "narrow",

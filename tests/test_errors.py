@@ -77,6 +77,11 @@ def spinning(**changed: Any) -> Callable[[], Any]:
     return lambda: pgccd.RigidMotion.from_velocity(**velocities(**changed))
 
 
+def resting(position: torch.Tensor, orientation: torch.Tensor) -> Callable[[], Any]:
+    """RigidMotion.at_rest."""
+    return lambda: pgccd.RigidMotion.at_rest(position, orientation)
+
+
 def deforming(**changed: Any) -> Callable[[], Any]:
     """VertexMotion with some arguments changed."""
     return lambda: pgccd.VertexMotion(**({"x_t0": torch.ones(3, 3), "x_t1": torch.ones(3, 3)} | changed))
@@ -105,6 +110,10 @@ for _value in (NAN, INF, -0.1):
     case(f"dt {_value}", spinning(dt=_value), "dt")
 case("turn overflows", lambda: detect_spinning(1e300, 1e200), "angular_velocity")
 case("turn is beyond counting", lambda: detect_spinning(1e120, 1.0), "angular_velocity")
+for _value in (NAN, INF):
+    case(f"rest at {_value}", resting(one_bad(3, _value), poses()["orientation_t0"]), "position", "body 1")
+case("rest turned", resting(torch.zeros(3, 3), one_bad(4, 0.05)), "orientation", "body 1", "unit")
+case("rest shape", resting(torch.zeros(3, 3), torch.ones(2, 4)), "orientation", "3, 4")
 for _name in ("x_t0", "x_t1"):
     for _value in (NAN, INF):
         case(f"{_name} {_value}", deforming(**{_name: one_bad(3, _value, 2)}), _name, "vertex 2")

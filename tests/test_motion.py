@@ -180,3 +180,14 @@ def test_from_velocity(step: strategies.PoseMotion, dt: float) -> None:
     assert np.allclose(motion.position_t1.numpy()[0], step.end.position, rtol=1e-12, atol=1e-12)
     assert np.allclose(motion.rotation.numpy()[0], step.rotation, rtol=1e-15, atol=1e-300)
     assert motion.body_count == 1 and motion.path == "rigid"
+
+
+def test_at_rest(device: torch.device) -> None:
+    rng = np.random.default_rng(12)
+    x, q = tensors(1e6 * rng.normal(size=(500, 3)), unit_quaternions(rng, 500) * (1 + 5e-4), device=device)
+    motion = pgccd.RigidMotion.at_rest(x.float(), q)
+    assert motion.body_count == 500 and motion.path == "rigid" and motion.device == x.device
+    assert torch.equal(motion.position_t0, x.float().double()) and torch.equal(motion.position_t1, motion.position_t0)
+    assert torch.equal(motion.orientation_t0, q) and not bool(motion.rotation.any())
+    ends = [motion.at(t) for t in (0.0, 1.0)]
+    assert all(torch.equal(start, end) for start, end in zip(*ends, strict=True))

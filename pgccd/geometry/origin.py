@@ -7,6 +7,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.geometry.solids import opening
 
 #: A point (3,) in the coordinates of the vertices, or the name of such a point.
 Origin = npt.ArrayLike | Tensor | Literal["centroid", "center_of_mass"]
@@ -55,17 +56,10 @@ def checked_origin(origin: Origin) -> np.ndarray | str:
 
 def _center_of_mass(points: np.ndarray, faces: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Centre of mass of the solid bounded by the surface, as a sum over tetrahedra with apex `centre`."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    directed = edges[:, 0] * len(points) + edges[:, 1]
-    names, counts = np.unique(directed, return_counts=True)
-    advice = 'origin="center_of_mass" needs a closed, consistently oriented surface'
-    if (counts > 1).any():
-        a, b = divmod(int(names[np.argmax(counts > 1)]), len(points))
-        raise ValueError(f"origin: {advice}, but more than one triangle passes from vertex {a} to vertex {b}")
-    is_open = ~np.isin(edges[:, 1] * len(points) + edges[:, 0], directed)
-    if is_open.any():
-        a, b = edges[np.argmax(is_open)].tolist()
-        raise ValueError(f"origin: {advice}, but no triangle passes from vertex {b} to vertex {a}")
+    fault = opening(faces)
+    if fault is not None:
+        advice = 'origin="center_of_mass" needs a closed, consistently oriented surface'
+        raise ValueError(f"origin: {advice}, but {fault}")
     corners = points[faces] - centre
     volumes = np.einsum("fk,fk->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
     total = float(volumes.sum())

@@ -6,6 +6,7 @@ import copy
 from collections.abc import Sequence
 from typing import Literal, get_args
 
+import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
@@ -101,6 +102,26 @@ class RigidMotion(MovingColumns):
         }
         origins = {"position": start, "orientation": motion.orientation_t0}
         motion._check_early(origins | {"linear_velocity": velocity, "angular_velocity": motion.rotation})
+        return motion
+
+    @classmethod
+    def at_rest(cls, position: Tensor, orientation: Tensor) -> RigidMotion:
+        """Bodies that do not move. Contacts of such a step are those at its start, with toi 0.
+
+        Args:
+            position, orientation: (N, 3) and (N, 4), as for the constructor.
+
+        Example:
+            >>> touching = pgccd.detect(scene, pgccd.RigidMotion.at_rest(x, q), "any").pairs
+        """
+        start = real_rows(position, "position", None, 3, None)
+        orientation = real_rows(orientation, "orientation", start.shape[0], 4, start.device)
+        motion = cls.__new__(cls)
+        motion._set(start, orientation, start, "rigid")
+        # Zero by definition, not by cancellation.
+        motion.rotation = torch.zeros_like(start)
+        motion._sources = {"position_t0": "position", "position_t1": "position", "orientation_t0": "orientation"}
+        motion._check_early({"position": start, "orientation": motion.orientation_t0})
         return motion
 
     @classmethod

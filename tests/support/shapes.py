@@ -15,7 +15,7 @@ from pgccd import RigidMotion
 
 
 @cache
-def _icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
+def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     g = (1 + 5**0.5) / 2
     corners = [(-1.0, g, 0.0), (1.0, g, 0.0), (-1.0, -g, 0.0), (1.0, -g, 0.0)]
     vertices = [np.roll(c, k) / np.hypot(1, g) for k in range(3) for c in corners]
@@ -43,7 +43,7 @@ def _icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
 
 def bumpy(rng: np.random.Generator, subdivisions: int = 1, height: float = 0.25, size: float = 1.0) -> pgccd.Mesh:
     """A closed mesh of 20, 80, 320 ... faces: a sphere with bumps."""
-    vertices, faces = _icosphere(subdivisions)
+    vertices, faces = icosphere(subdivisions)
     return pgccd.Mesh(size * vertices * (1 + height * rng.uniform(-1, 1, (len(vertices), 1))), faces)
 
 
