@@ -33,4 +33,5 @@ for step in range(20):
     sign = torch.where(first < 2.0 * fraction, -1.0, 1.0)[:, None]
     velocity, spin = sign * velocity, sign * spin
     time += dt * float(fraction)
-    print(f"step {step:2d}: {hits.stats.pcs} pairs, {len(hits)} contacts, {int((sign < 0).sum())} turn; time {time:.4f}")
+    turned = int((sign < 0.0).sum())
+    print(f"step {step:2d}: {hits.stats.pcs} pairs, {len(hits)} contacts, {turned} bodies turn; time {time:.4f}")

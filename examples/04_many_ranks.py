@@ -50,6 +50,6 @@ with distributed.connect(sys.argv[1] if len(sys.argv) > 1 else "cpu") as comm:
         sign = torch.where(first < 2.0 * fraction, -1.0, 1.0)[:, None]
         world.move(position, orientation=orientation, velocity=sign * mine["velocity"], spin=sign * mine["spin"])
         time += dt * float(fraction)
-        turned = int(comm.sum((sign < 0).sum()[None]))
+        turned = int(comm.sum((sign < 0.0).sum()[None]))
         if comm.rank == 0:
             print(f"step {step:2d}: {turned} bodies turn; time {time:.4f}; rank 0 owns {len(world.id)}")
