@@ -256,6 +256,21 @@ def test_columns_of_the_state_under_other_names(device: torch.device) -> None:
         assert torch.equal(column, found[1][name]), name
 
 
+@pytest.mark.parametrize("graph", [False, True])
+def test_columns_that_are_not_contiguous(device: torch.device, graph: bool) -> None:
+    def strided(bodies: Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
+        new = response(bodies, motion, first_toi)
+        return {name: torch.stack([column, column], dim=1)[:, 0] for name, column in new.items()}
+
+    expected, _ = plain_loop(9)
+    with graphs_on(device if graph else "none"):
+        world = spread(Alone(), device, "none", "cells")
+        steps = CapturedWorld(world, motion, strided, graph).run(9)
+    assert any(step.replayed for step in steps) == graph
+    for name, column in {"position": world.position, **world.payload}.items():
+        assert torch.equal(column.cpu(), expected[name]), name
+
+
 def test_a_step_of_invalid_poses_is_an_error(device: torch.device) -> None:
     """Detected by the graph; the step repeated launch by launch names the body."""
     with graphs_on(device):

@@ -253,7 +253,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
             part.begin()
         new = _with_position(self._response(bodies, motion, _first_toi(share, comm.peer_messages)))
         is_body = id >= 0
-        leaving = count_leaving(self.decomposition, new["position"], id)
+        leaving = count_leaving(self.decomposition, new["position"].contiguous(), id)
         is_valid = ((new["position"].abs() <= LARGEST_COORDINATE).all(dim=1) | ~is_body).all()
         counts = [part.counts() for part in share.parts]
         overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
