@@ -31,6 +31,16 @@ def test_documents(name: str, capsys: pytest.CaptureFixture[str]) -> None:
         check_loop(name, steps, names)
 
 
+@pytest.mark.cuda
+@pytest.mark.parametrize("name", [name for name in LOOPS if name.endswith(".py")])
+def test_examples_on_a_gpu(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", [name, "cuda"])
+    with steps_recorded() as steps:
+        names = run_document(DOCUMENTS[name])
+    assert steps[0].device.type == "cuda"
+    check_loop(name, steps, names)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LOOPS)
 def test_loops_go_on(name: str) -> None:

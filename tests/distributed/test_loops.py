@@ -16,7 +16,7 @@ from support.graphs import graphs_on
 from support.ranks import RankPool, to_all
 
 from pgccd import distributed
-from pgccd.distributed import Comm
+from pgccd.distributed import Alone, Comm
 from pgccd.distributed.world import captured as captured_world
 
 PAGE = ROOT / "docs" / "cluster.md"
@@ -40,6 +40,13 @@ def follow(comm: Comm, document: Path, folder: str, graph: bool = False, device:
     columns = [world.id[:, None], world.position, *(world.payload[name] for name in sorted(world.payload))]
     rows = torch.cat([column.double() for column in columns], dim=1).tolist()
     return sorted(sum(to_all(comm, rows), [])), sum(step.replayed for step in names.get("steps", []))
+
+
+def test_on_one_device(device: torch.device, tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    expected, _ = follow(Alone(), PAGE, str(tmp_path))
+    found, replayed = follow(Alone(), PAGE, str(tmp_path), True, str(device))
+    assert found == expected and replayed > 10
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

@@ -66,8 +66,8 @@ def steps_recorded() -> Iterator[list[pgccd.RigidMotion]]:
 def last_poses(names: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     """Positions and orientations after a loop, from its namespace."""
     if "world" in names:
-        return names["world"].position.numpy(), names["world"].payload["orientation"].numpy()
-    return names["position"].numpy(), names["orientation"].numpy()
+        names = {"position": names["world"].position, **names["world"].payload}
+    return names["position"].cpu().numpy(), names["orientation"].cpu().numpy()
 
 
 def check_loop(document: str, steps: list[pgccd.RigidMotion], names: dict[str, Any]) -> None:
@@ -82,7 +82,8 @@ def check_loop(document: str, steps: list[pgccd.RigidMotion], names: dict[str, A
     steps, box = steps[before:], names[mesh]
     half = box.vertices.abs().amax(dim=0).numpy()
     assert (box.vertices.abs().numpy() > half - 1e-9).all(axis=1).sum() == 8, "the mesh is not a box about its origin"
-    states = [(step.position_t0.numpy(), step.orientation_t0.numpy()) for step in steps] + [last_poses(names)]
+    poses = [(step.position_t0, step.orientation_t0) for step in steps]
+    states = [(x.cpu().numpy(), q.cpu().numpy()) for x, q in poses] + [last_poses(names)]
     gaps = np.array([least_gap(*state, half) for state in states])
     overlapping = np.flatnonzero(gaps < -_ROUNDING).tolist()
     assert overlapping == [], f"bodies overlap after steps {overlapping}, by up to {-gaps.min()}"

@@ -288,15 +288,8 @@ class World:
     def first_toi(self, hits: Contacts) -> Tensor:
         """(N,) float64: the first toi of each own body, or the first `time` of a trajectory; inf without a contact.
 
-        All bodies may move until the smallest of all ranks. A body may not move until its own toi alone: others, tested
-        against its whole path, may then collide with it where it stops.
-
         Args:
             hits: as returned by `step`.
-
-        Example:
-            >>> first = world.first_toi(hits)
-            >>> safe = world.comm.min(torch.cat([first, first.new_ones(1)]).amin()[None])  # (1,), the same on all ranks
         """
         return first_toi_of(self.id, hits)
 
