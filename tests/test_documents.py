@@ -50,6 +50,20 @@ def test_loops_go_on(name: str) -> None:
     check_loop(name, steps, names)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("motion.at(fraction)", "motion.at(first.clamp(max=1.0))", "bodies overlap"),  # each stops at its own toi
+        ("sign * velocity, sign * spin", "velocity, spin", "the loop stands still"),  # they do not respond
+    ],
+)
+def test_wrong_loops_are_noticed(old: str, new: str, problem: str) -> None:
+    with steps_recorded() as steps:
+        names = run_document(ROOT / "README.md", old, new)
+    with pytest.raises(AssertionError, match=problem):
+        check_loop("README.md", steps, names)
+
+
 def test_all_documents_are_found() -> None:
     assert {page.name for page in PAGES} >= {"README.md", "cluster.md"} and len(EXAMPLES) >= 5
     assert sum(len(blocks(page)) for page in PAGES) >= 6
