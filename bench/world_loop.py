@@ -1,6 +1,6 @@
 """Time of a step of a user's own loop with `pgccd.distributed.World`: as replays of one CUDA graph per rank
-(`CapturedWorld`), and with separate launches. Robots of 700 triangles fly straight and turn; those that collide stop
-just before the contact and fly back. Both must end in the same state.
+(`CapturedWorld`), and with separate launches. Robots of 700 triangles fly straight and turn; all move until just before
+the first contact of the scene, and those that would touch soon then fly back. Both must end in the same state.
 
     python bench/world_loop.py
     torchrun --nproc-per-node 2 bench/world_loop.py --device cuda
@@ -9,6 +9,7 @@ just before the contact and fly back. Both must end in the same state.
 from __future__ import annotations
 
 import argparse
+import functools
 import time
 from typing import Any
 
@@ -46,12 +47,12 @@ def motion(bodies: distributed.Bodies) -> pgccd.RigidMotion:
     return pgccd.RigidMotion.from_velocity(bodies.position, at["orientation"], at["velocity"], at["spin"], dt=1.0)
 
 
-def response(bodies: distributed.Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
-    """Reverses the robots that collide."""
-    position, orientation = motion.at(0.99 * first_toi.clamp(max=1.0))
-    collides = (first_toi <= 1.0)[:, None]
-    velocity, spin = (bodies.payload[name] for name in ("velocity", "spin"))
-    turned = {"velocity": torch.where(collides, -velocity, velocity), "spin": torch.where(collides, -spin, spin)}
+def response(comm: Comm, bodies: distributed.Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
+    """Moves all robots until just before the first contact of the scene, and reverses those that would touch soon."""
+    fraction = comm.min(torch.cat([0.9 * first_toi, first_toi.new_ones(1)]).amin()[None])
+    position, orientation = motion.at(fraction)
+    sign = torch.where(first_toi < 2.0 * fraction, -1.0, 1.0)[:, None]
+    turned = {name: sign * bodies.payload[name] for name in ("velocity", "spin")}
     return {"position": position, "orientation": orientation, **turned}
 
 
@@ -66,7 +67,7 @@ def measure(
     box = (-x, -y, -z), (x, y, z)
     given: dict[str, Any] = {"id": planned.id, "payload": payload, "comm": comm, "nonzero_toi": True}
     world = distributed.World.create(model.meshes.meshes, *box, planned.position, **given)
-    loop = distributed.CapturedWorld(world, motion, response, graph)
+    loop = distributed.CapturedWorld(world, motion, functools.partial(response, comm), graph)
     loop.run(20)
     comm.barrier()
     start = time.perf_counter()

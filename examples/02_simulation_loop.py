@@ -19,13 +19,19 @@ orientation = torch.nn.functional.normalize(torch.randn(count, 4, dtype=torch.fl
 velocity = torch.randn(count, 3, dtype=torch.float64).to(device)
 spin = torch.randn(count, 3, dtype=torch.float64).to(device)
 
+dt, time = 0.1, 0.0
 for step in range(20):
-    motion = pgccd.RigidMotion.from_velocity(position, orientation, velocity, spin, dt=0.1)
+    motion = pgccd.RigidMotion.from_velocity(position, orientation, velocity, spin, dt)
+    # nonzero_toi: of bodies that come very close, too, the toi is not 0, so that the loop goes on.
     hits = pgccd.detect(scene, motion, nonzero_toi=True)
-    # All bodies move until the first contact of the scene; those that touch then reverse.
-    toi = hits.toi.min() if len(hits) else torch.ones((), dtype=torch.float64, device=device)
-    position = position + toi * (motion.position_t1 - position)
-    orientation = pgccd.integrate_orientation(orientation, toi * motion.rotation)
-    touching = hits.pairs[hits.toi <= toi].flatten()
-    velocity[touching] *= -1
-    print(f"step {step:2d}: {hits.stats.pcs} pairs, {len(hits)} contacts, all free until t = {float(toi):.4f}")
+    # All bodies move by the same fraction of the step: until just before the first contact of the scene. A body that
+    # stopped at its own toi, while others went on, would be in the way of some of them.
+    first = hits.first_toi("body")
+    fraction = (0.9 * first.min()).clamp(max=1.0)
+    position, orientation = motion.at(fraction)
+    # Bodies that would touch soon go back the way they came: their gap grows at first.
+    sign = torch.where(first < 2.0 * fraction, -1.0, 1.0)[:, None]
+    velocity, spin = sign * velocity, sign * spin
+    time += dt * float(fraction)
+    turned = int((sign < 0.0).sum())
+    print(f"step {step:2d}: {hits.stats.pcs} pairs, {len(hits)} contacts, {turned} bodies turn; time {time:.4f}")

@@ -37,20 +37,19 @@ with distributed.connect(sys.argv[1] if len(sys.argv) > 1 else "cpu") as comm:
         comm=comm,
         nonzero_toi=True,
     )
+    dt, time = 0.1, 0.0
     for step in range(20):
         mine = world.payload  # of the bodies that this rank now owns
         motion = pgccd.RigidMotion.from_velocity(
-            world.position, mine["orientation"], mine["velocity"], mine["spin"], dt=0.1
+            world.position, mine["orientation"], mine["velocity"], mine["spin"], dt
         )
-        toi = world.first_toi(world.step(motion))
-        # Bodies that touch keep their pose and reverse; all others complete the step.
-        free = torch.isinf(toi)[:, None]
-        turned = pgccd.integrate_orientation(mine["orientation"], motion.rotation)
-        world.move(
-            torch.where(free, motion.position_t1, world.position),
-            orientation=torch.where(free, turned, mine["orientation"]),
-            velocity=torch.where(free, mine["velocity"], -mine["velocity"]),
-        )
-        stopped = int(comm.sum((~free).sum()[None]))
+        first = world.first_toi(world.step(motion))
+        # As in 02_simulation_loop.py, all bodies move by the same fraction of the step, here the least of all ranks.
+        fraction = comm.min(torch.cat([0.9 * first, first.new_ones(1)]).amin()[None])
+        position, orientation = motion.at(fraction)
+        sign = torch.where(first < 2.0 * fraction, -1.0, 1.0)[:, None]
+        world.move(position, orientation=orientation, velocity=sign * mine["velocity"], spin=sign * mine["spin"])
+        time += dt * float(fraction)
+        turned = int(comm.sum((sign < 0.0).sum()[None]))
         if comm.rank == 0:
-            print(f"step {step:2d}: {stopped} bodies stopped; rank 0 owns {len(world.id)}")
+            print(f"step {step:2d}: {turned} bodies turn; time {time:.4f}; rank 0 owns {len(world.id)}")

@@ -133,6 +133,9 @@ class ContactColumns:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
         largest world index), or (N,) per "body". Does not synchronise; contacts missing after an overflow are ignored.
 
+        All bodies of the scene, or of a world, may move until its first toi. A body may not move until its own toi
+        alone: others, tested against its whole path, may then collide with it where it stops.
+
         Raises:
             ValueError: the report was "any", or `by` is unknown or needs a scene.
 

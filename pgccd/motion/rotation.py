@@ -22,7 +22,7 @@ def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
 
     Example:
         >>> motion = pgccd.RigidMotion.from_velocity(x, q, v, omega, dt=1e-3)
-        >>> x, q = motion.position_t1, pgccd.integrate_orientation(q, motion.rotation)
+        >>> x, q = motion.position_t1, pgccd.integrate_orientation(q, motion.rotation)  # if nothing collides
     """
     start = real_rows(orientation, "orientation", None, 4, None)
     turn = real_rows(rotation, "rotation", len(start), 3, start.device)

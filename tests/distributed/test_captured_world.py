@@ -56,7 +56,7 @@ def start() -> dict[str, Tensor]:
         "q": torch.nn.functional.normalize(orientation),
         "v": torch.randn((COUNT, 3), generator=generator, dtype=torch.float64),
         "w": torch.randn((COUNT, 3), generator=generator, dtype=torch.float64),
-        "hits": torch.zeros(COUNT, dtype=torch.int64),
+        "free": torch.zeros(COUNT, dtype=torch.float64),
     }
 
 
@@ -68,17 +68,19 @@ def motion(bodies: Bodies) -> pgccd.RigidMotion:
 
 
 def response(bodies: Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
-    position, orientation = motion.at(0.9 * first_toi.clamp(max=1.0))
-    collides = first_toi <= 1.0
+    """Bodies pass through each other, since they overlap at the start; "free" depends on every bit of `first_toi`."""
+    position, orientation = motion.at(1.0)
     outside = (position < 0.0) | (position > BOX)
-    velocity = torch.where(collides[:, None] | outside, -bodies.payload["v"], bodies.payload["v"])
-    return {"position": position, "q": orientation, "v": velocity, "hits": bodies.payload["hits"] + collides}
+    turns = (first_toi <= 1.0)[:, None] | outside
+    velocity = torch.where(turns, -bodies.payload["v"], bodies.payload["v"])
+    free = bodies.payload["free"] + first_toi.clamp(max=1.0)
+    return {"position": position, "q": orientation, "v": velocity, "free": free}
 
 
 def spread(comm: Comm, device: torch.device, policy: str, partition: str) -> World:
     mine = torch.arange(comm.rank, COUNT, comm.size)
     columns = {name: column[mine].to(device) for name, column in start().items()}
-    payload = {name: columns.pop(name) for name in ("q", "v", "w", "hits")}
+    payload = {name: columns.pop(name) for name in ("q", "v", "w", "free")}
     balance = BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0, every=3)
     options: dict[str, Any] = {"id": 3 * mine.to(device) + 1, "payload": payload, "partition": partition}
     options |= {"comm": comm, "cells": 4, "balance": balance, "nonzero_toi": True, "min_separation": 1e-3}
@@ -92,7 +94,7 @@ def plain_loop(steps: int) -> tuple[dict[str, Tensor], list[tuple[int, int]]]:
     scene = pgccd.Scene(meshes(), now["mesh_index"], margin=now["margin"], static=now["static"])
     counts = []
     for step in range(steps):
-        payload = {name: now[name] for name in ("q", "v", "w", "hits")}
+        payload = {name: now[name] for name in ("q", "v", "w", "free")}
         ids = 3 * torch.arange(COUNT) + 1
         bodies = Bodies(ids, now["position"], now["mesh_index"], payload, torch.tensor([step]))
         moving = motion(bodies)
@@ -172,7 +174,7 @@ def start_empty(comm: Comm) -> int:
     with graphs_on("cpu"):
         count = 12 if comm.rank == comm.size - 1 else 0
         columns = {name: column[:count] for name, column in start().items()}
-        payload = {name: columns.pop(name) for name in ("q", "v", "w", "hits")}
+        payload = {name: columns.pop(name) for name in ("q", "v", "w", "free")}
         position = torch.tensor([BOX, BOX, BOX]) - 0.1 * columns.pop("position")
         options: dict[str, Any] = {"id": torch.arange(count), "balance": BalanceOptions("none"), "comm": comm}
         world = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, position, **columns, payload=payload, **options)
@@ -245,7 +247,7 @@ def test_columns_of_the_state_under_other_names(device: torch.device) -> None:
     found = []
     for graph in (False, True):
         with graphs_on(device if graph else "none"):
-            start_columns = {name: start()[name].to(device) for name in ("q", "v", "w", "hits", "position")}
+            start_columns = {name: start()[name].to(device) for name in ("q", "v", "w", "free", "position")}
             position = start_columns.pop("position")
             payload = start_columns | {"last": position}
             world = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, position, payload=payload, nonzero_toi=True)
@@ -254,6 +256,21 @@ def test_columns_of_the_state_under_other_names(device: torch.device) -> None:
             found.append({"position": world.position, **world.payload})
     for name, column in found[0].items():
         assert torch.equal(column, found[1][name]), name
+
+
+@pytest.mark.parametrize("graph", [False, True])
+def test_columns_that_are_not_contiguous(device: torch.device, graph: bool) -> None:
+    def strided(bodies: Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
+        new = response(bodies, motion, first_toi)
+        return {name: torch.stack([column, column], dim=1)[:, 0] for name, column in new.items()}
+
+    expected, _ = plain_loop(9)
+    with graphs_on(device if graph else "none"):
+        world = spread(Alone(), device, "none", "cells")
+        steps = CapturedWorld(world, motion, strided, graph).run(9)
+    assert any(step.replayed for step in steps) == graph
+    for name, column in {"position": world.position, **world.payload}.items():
+        assert torch.equal(column.cpu(), expected[name]), name
 
 
 def test_a_step_of_invalid_poses_is_an_error(device: torch.device) -> None:

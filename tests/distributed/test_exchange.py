@@ -125,6 +125,9 @@ def reduce_values(comm: Comm) -> None:
     # Sums wrap modulo 2^64, as hashes require.
     assert int(comm.sum(big)[0]) % 2**64 == sum(2**62 + rank for rank in range(comm.size)) % 2**64
     assert float(comm.sum(torch.tensor([0.5], dtype=torch.float64))) == 0.5 * comm.size
+    assert comm.min(torch.tensor([2**62 + comm.rank, -comm.rank])).tolist() == [2**62, 1 - comm.size]
+    least = comm.min(torch.tensor([0.1 / (1 + comm.rank), torch.inf], dtype=torch.float64))
+    assert least.dtype == torch.float64 and least.tolist() == [0.1 / comm.size, torch.inf]
     assert comm.any(comm.rank == comm.size - 1) and not comm.any(False)
     of_ranks = [{"rank": rank} for rank in range(comm.size)]
     assert comm.gather_objects({"rank": comm.rank}) == (of_ranks if comm.rank == 0 else [])

@@ -5,12 +5,20 @@ worlds of robots are simulated, and "peers" if GPUs shall write small messages t
 from __future__ import annotations
 
 import sys
+import tempfile
 import warnings
 
 import torch
-from distributed import test_captured_world, test_detection, test_distributed_simulation, test_exchange, test_motions
+from distributed import (
+    test_captured_world,
+    test_detection,
+    test_distributed_simulation,
+    test_exchange,
+    test_loops,
+    test_motions,
+)
 
-from pgccd.distributed import Comm, choose_device, connect
+from pgccd.distributed import Alone, Comm, choose_device, connect
 from support.crowds import crowds
 
 
@@ -27,6 +35,11 @@ def test_scenes(comm: Comm, device: torch.device) -> None:
         test_motions.follow(comm, report, False, device)
     for partition in ("cells", "bisection"):
         assert test_captured_world.follow(comm, "cost", partition, True, str(device), False)["replayed"] > 6
+    with tempfile.TemporaryDirectory() as folder:
+        expected, _ = test_loops.follow(Alone(), test_loops.PAGE, folder)
+        found, replayed = test_loops.follow(comm, test_loops.PAGE, comm.broadcast_object(folder), True, "cuda")
+        comm.barrier()  # rank 0 removes the folder of all
+    assert found == expected and replayed > 10
 
 
 def test_robots(comm: Comm, device: torch.device, steps: int) -> None:

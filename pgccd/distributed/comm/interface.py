@@ -112,7 +112,7 @@ class Comm(ABC):
 
     @abstractmethod
     def min(self, values: Tensor) -> Tensor:
-        """The minimum over the ranks of each of the values (k,) int64."""
+        """The minimum over the ranks of each of the values (k,) int64 or float64."""
 
     def any(self, flag: bool) -> bool:
         """True if the flag is set on any rank."""

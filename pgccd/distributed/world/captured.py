@@ -89,7 +89,8 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         world: with report="first".
         motion: called with the rank's `Bodies`. On a GPU it may only enqueue work, see `torch.cuda.graph`.
         response: called with the `Bodies`, the motion, and the first toi of each (N,) float64; returns new values by
-            name: "position" (N, 3) and any payload. It may only enqueue work, too.
+            name: "position" (N, 3) and any payload. It may only enqueue work, too. All ranks call it in each step, so
+            it may reduce values over them.
         graph: whether steps are replayed, the same on all ranks. Default: if possible.
 
     Raises:
@@ -100,9 +101,12 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         ...     return pgccd.RigidMotion.from_velocity(
         ...         bodies.position, bodies.payload["q"], bodies.payload["v"], bodies.payload["w"], dt=0.1
         ...     )
-        >>> def response(bodies, motion, first_toi):
-        ...     position, orientation = motion.at(0.99 * first_toi.clamp(max=1.0))
-        ...     return {"position": position, "q": orientation}
+        >>> def response(bodies, motion, first_toi):  # all bodies stop short of the first contact of the scene
+        ...     fraction = comm.min(torch.cat([0.9 * first_toi, first_toi.new_ones(1)]).amin()[None])
+        ...     position, orientation = motion.at(fraction)
+        ...     sign = torch.where(first_toi < 2.0 * fraction, -1.0, 1.0)[:, None]
+        ...     at = bodies.payload
+        ...     return {"position": position, "q": orientation, "v": sign * at["v"], "w": sign * at["w"]}
         >>> steps = pgccd.distributed.CapturedWorld(world, motion, response).run(100)
     """
 
@@ -249,7 +253,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
             part.begin()
         new = _with_position(self._response(bodies, motion, _first_toi(share, comm.peer_messages)))
         is_body = id >= 0
-        leaving = count_leaving(self.decomposition, new["position"], id)
+        leaving = count_leaving(self.decomposition, new["position"].contiguous(), id)
         is_valid = ((new["position"].abs() <= LARGEST_COORDINATE).all(dim=1) | ~is_body).all()
         counts = [part.counts() for part in share.parts]
         overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]

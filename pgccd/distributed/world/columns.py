@@ -158,7 +158,7 @@ def new_values(new: Mapping[str, Tensor], columns: Columns, vertices: Columns) -
         if values.shape != former.shape or values.dtype != former.dtype or values.device != former.device:
             expected = f"{tuple(former.shape)} {former.dtype} on {former.device}"
             raise ValueError(f"{name}: expected {expected}, got {tuple(values.shape)} {values.dtype}")
-        (of_bodies if key in columns else of_vertices)[key] = values.detach()
+        (of_bodies if key in columns else of_vertices)[key] = values.detach().contiguous()
     if not bool((new["position"].abs() <= LARGEST_COORDINATE).all()):
         raise ValueError(f"position: expected finite numbers up to {LARGEST_COORDINATE:g}")
     return of_bodies, of_vertices

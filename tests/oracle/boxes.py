@@ -1,0 +1,43 @@
+"""Gaps between equal oriented boxes, by separating axes."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+# Edges whose unit directions have a smaller cross product count as parallel: the axes of faces then suffice.
+_PARALLEL = 1e-9
+
+
+def axes_of(orientation: np.ndarray) -> np.ndarray:
+    """Unit quaternions (w, x, y, z) (N, 4) -> (N, 3, 3): the axes of each box, as rows."""
+    w, x, y, z = orientation.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def least_gap(position: np.ndarray, orientation: np.ndarray, half: np.ndarray) -> float:
+    """The smallest gap of any pair of boxes: the largest distance along one of 15 axes by which a plane separates the
+    two. Negative: a pair overlaps, by that much; inf: all pairs are further apart than their diagonals.
+
+    Args:
+        position: (N, 3) centres.
+        orientation: (N, 4) unit quaternions (w, x, y, z).
+        half: (3,) half the edges.
+    """
+    i, j = cKDTree(position).query_pairs(2.0 * float(np.linalg.norm(half)), output_type="ndarray").T
+    if len(i) == 0:
+        return np.inf
+    axes = axes_of(orientation)
+    a, b = axes[i], axes[j]
+    edges = np.cross(a[:, :, None], b[:, None]).reshape(-1, 9, 3)
+    length = np.linalg.norm(edges, axis=2, keepdims=True)
+    is_axis = np.concatenate([np.ones((len(i), 6), dtype=bool), length[..., 0] > _PARALLEL], axis=1)
+    candidates = np.concatenate([a, b, edges / np.maximum(length, _PARALLEL)], axis=1)  # (pairs, 15, 3)
+    distance = np.abs(np.einsum("pkc,pc->pk", candidates, position[j] - position[i]))
+    reach = sum(np.abs(np.einsum("pkc,pmc->pkm", candidates, box)) @ half for box in (a, b))
+    return float(np.where(is_axis, distance - reach, -np.inf).max(axis=1).min())

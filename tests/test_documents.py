@@ -1,0 +1,76 @@
+"""Every example and every Python block of the pages runs as written; bodies of their loops never overlap."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from support.documents import EXAMPLES, LOOPS, PAGES, ROOT, blocks, check_loop, run_document, steps_recorded
+
+DOCUMENTS = {path.name: path for path in (*PAGES, *EXAMPLES)}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The working directory, without arguments of a command line; random numbers are the same in every run."""
+    pytest.importorskip("trimesh")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["example.py"])
+    torch.manual_seed(0)
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_documents(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with steps_recorded() as steps:
+        names = run_document(DOCUMENTS[name])
+    assert name.endswith(".md") or capsys.readouterr().out
+    assert (name in LOOPS) == (len(steps) > 1), "LOOPS: it has a loop that moves bodies, or none"
+    if name in LOOPS:
+        check_loop(name, steps, names)
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("name", [name for name in LOOPS if name.endswith(".py")])
+def test_examples_on_a_gpu(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", [name, "cuda"])
+    with steps_recorded() as steps:
+        names = run_document(DOCUMENTS[name])
+    assert steps[0].device.type == "cuda"
+    check_loop(name, steps, names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LOOPS)
+def test_loops_go_on(name: str) -> None:
+    with steps_recorded() as steps:
+        names = run_document(DOCUMENTS[name], "range(20)", "range(200)")
+    assert len(steps) >= 200
+    check_loop(name, steps, names)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("motion.at(fraction)", "motion.at(first.clamp(max=1.0))", "bodies overlap"),  # each stops at its own toi
+        ("sign * velocity, sign * spin", "velocity, spin", "the loop stands still"),  # they do not respond
+    ],
+)
+def test_wrong_loops_are_noticed(old: str, new: str, problem: str) -> None:
+    with steps_recorded() as steps:
+        names = run_document(ROOT / "README.md", old, new)
+    with pytest.raises(AssertionError, match=problem):
+        check_loop("README.md", steps, names)
+
+
+def test_all_documents_are_found() -> None:
+    assert {page.name for page in PAGES} >= {"README.md", "cluster.md"} and len(EXAMPLES) >= 5
+    assert sum(len(blocks(page)) for page in PAGES) >= 6
+
+
+@pytest.mark.parametrize("spacing", ["2.1", "210.0"], ids=["contacts", "no contact"])
+def test_readme(spacing: str) -> None:
+    names = run_document(ROOT / "README.md", "2.1 *", f"{spacing} *")
+    assert torch.equal(names["contacts"].toi, names["hits"].trim().toi)
+    assert (len(names["contacts"]) > 0) == (spacing == "2.1")
