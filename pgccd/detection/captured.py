@@ -1,27 +1,51 @@
 """Detection as one CUDA graph, for loops that must not be limited by kernel launches from the host."""
 
+from dataclasses import dataclass, fields
 from typing import Unpack
+
+import torch
 
 from pgccd import arguments
 from pgccd.detection import broad, narrow
 from pgccd.detection.capacity import Capacity, CapacityError, check_capacity
-from pgccd.detection.contacts import Contacts, PaddedContacts
+from pgccd.detection.contacts import Contacts, PaddedContacts, checked_counts
 from pgccd.detection.pipeline import Options, detect
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import Scene
+from pgccd.motion.faults import Faults
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.runtime.graph import Graph, capture
+from pgccd.runtime.host_copy import HostCopy
 
 # Initial capacity, relative to what the first motion needs.
 _SLACK = 1.5
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What the host reads of a replay, two calls later."""
+
+    counts: HostCopy  #: of `PaddedContacts.counts`
+    capacity: Capacity
+    faults: Faults
+
+    def check(self) -> None:
+        """Waits for the replay. Raises CapacityError or ValueError if its result is incomplete."""
+        checked_counts(self.counts.numpy().tolist(), self.capacity, self.faults, later=True)
 
 
 class CapturedDetection:
     """`pgccd.detect` for the steps of a loop: poses are loaded into fixed memory, one CUDA graph is replayed, and
     contacts are read from fixed memory. The result is bitwise equal to that of `detect`.
 
-    The graph is captured by the first replay, which takes longer and synchronises. On a CPU there is none: each replay
-    calls `detect` with the same capacity (`is_graph` is False).
+    The graph is captured by the first call, which takes longer and synchronises. On a CPU there is none: each call runs
+    `detect` with the same capacity (`is_graph` is False).
+
+    Each call of `__call__` or `replay` first reads the counts of the call before the last, which a GPU has usually
+    finished. If that exceeded a capacity, the graph is captured again with a larger one; if a pose was invalid, a
+    ValueError names body and column. So this happens at the same call in every run, on every device. Until then an
+    incomplete result reads as contact at the start of the step, see `PaddedContacts`: a loop that moves bodies by
+    `first_toi` stands still for such a step, and goes on once the capacity suffices.
 
     Args:
         scene: the bodies. Its columns are read at each replay and may be changed in place.
@@ -35,7 +59,7 @@ class CapturedDetection:
 
     Example:
         >>> captured = pgccd.CapturedDetection(scene, motion)
-        >>> hits = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedContacts; does not synchronise
+        >>> hits = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedContacts
         >>> safe = hits.first_toi().clamp(max=1.0)
         >>> contacts = captured.contacts()  # trimmed copy; synchronises
     """
@@ -67,6 +91,9 @@ class CapturedDetection:
         self.motion = _copy_of(motion)
         self._graph: Graph | None = None
         self._found: PaddedContacts | None = None
+        # Calls so far, the one that made the result, and the records of the last two by number.
+        self._calls = self._call_of_found = 0
+        self._records: dict[int, _Record] = {}
 
     def load(self, motion: RigidMotion | VertexMotion) -> None:
         """Copies a motion into `self.motion`. Does not synchronise.
@@ -88,42 +115,38 @@ class CapturedDetection:
             column.copy_(given[name])
 
     def replay(self) -> PaddedContacts:
-        """Detects the collisions of the loaded motion. Does not synchronise, except the first time; the next replay
-        overwrites the result.
+        """Detects the collisions of the loaded motion. Waits for the call before the last, and synchronises to capture
+        the graph. The next call overwrites the result, or returns one in new memory.
 
         Raises:
-            ValueError: the first time: the motion is invalid, or the step does not fit in memory in one pass.
+            ValueError: a pose was invalid in the call before the last or, without a given capacity, is in the first;
+                or the first step does not fit in memory in one pass.
+            CapacityError: the call before the last needs more than the largest capacity.
         """
-        if self._found is None:
-            self.capacity = self.capacity or self._estimate()
-            self._capture()
-        if self._graph is None:
-            self._found = self._detect()
-        else:
-            self._graph.replay()
-        assert self._found is not None
-        return self._found
+        self._begin_call()
+        return self._replay()
 
     def __call__(self, motion: RigidMotion | VertexMotion) -> PaddedContacts:
-        """`load`, then `replay`."""
+        """`load`, then `replay`; raises before the motion is loaded."""
+        self._begin_call()
         self.load(motion)
-        return self.replay()
+        return self._replay()
 
     def contacts(self) -> Contacts:
-        """A copy of the contacts of the last replay; replays first if there was none. Synchronises. If a capacity was
+        """A copy of the contacts of the last call; replays first if there was none. Synchronises. If a capacity was
         exceeded, the step is captured again with a larger one, and replayed.
 
         Raises:
             ValueError: the motion is invalid.
         """
         padded = self.replay() if self._found is None else self._found
+        self._records.pop(self._call_of_found, None)  # read now instead of two calls later
         while True:
             try:
                 found = padded.trim()
             except CapacityError as error:
-                self.capacity = error.capacity.grown(error.needed)
-                self._capture()
-                padded = self.replay()
+                self._grow(error)
+                padded = self._run()
             else:
                 return found.clone() if self.is_graph else found
 
@@ -131,6 +154,51 @@ class CapturedDetection:
     def is_graph(self) -> bool:
         """Whether replays use a CUDA graph."""
         return self.scene.device.type == "cuda"
+
+    def _begin_call(self) -> None:
+        """Counts a call, and reads the record of the call before the last."""
+        self._calls += 1
+        record = self._records.pop(self._calls - 2, None)
+        if record is None:
+            return
+        try:
+            record.check()
+        except CapacityError as error:
+            self._grow(error)
+        except ValueError as error:
+            raise ValueError(f"{error} (in the call before the last)") from None
+
+    def _replay(self) -> PaddedContacts:
+        found = self._run()
+        self._call_of_found = self._calls
+        self._records[self._calls] = _Record(HostCopy.start(found.counts), found.capacity, found.faults)
+        return found
+
+    def _run(self) -> PaddedContacts:
+        self.capacity = self.capacity or self._estimate()
+        if not self.is_graph:
+            self._found = self._detect()
+        else:
+            if self._graph is None:
+                self._graph, self._found = capture(self._detect, self.scene.device)
+            self._graph.replay()
+        assert self._found is not None
+        return self._found
+
+    def _grow(self, error: CapacityError) -> None:
+        """Chooses a capacity for a step that exceeded one; the graph is captured again with it."""
+        assert self.capacity is not None
+        names = [field.name for field in fields(Capacity)]
+        if error.capacity is not self.capacity and all(
+            getattr(error.needed, name) <= getattr(self.capacity, name) for name in names
+        ):
+            return  # it has grown since then
+        larger = self.capacity.grown(error.needed)
+        if larger == self.capacity:
+            raise error
+        if self.is_graph:
+            torch.cuda.synchronize(self.scene.device)  # the graph to be freed may be running
+        self.capacity, self._graph = larger, None
 
     def _estimate(self) -> Capacity:
         given = self.scene, self.motion, self._report, self._min_separation
@@ -143,11 +211,6 @@ class CapturedDetection:
         assert self.capacity is not None
         given = self.scene, self.motion, self._report, self._min_separation
         return detect(*given, capacity=self.capacity, **self._options)
-
-    def _capture(self) -> None:
-        if self.is_graph:
-            self._graph = None
-            self._graph, self._found = capture(self._detect, self.scene.device)
 
     def __repr__(self) -> str:
         return f"CapturedDetection(bodies={self.scene.body_count}, graph={self.is_graph}, device={self.scene.device})"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -81,20 +81,43 @@ class Stats:
 
 #: The grouping of first times.
 By = Literal["scene", "world", "body"]
+_BY = get_args(By)
 
 
-def first_time(pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By) -> Tensor:
-    """The smallest `time` (K,) of rows of `pairs` (K, 2), which may be padded with -1; see `Contacts.first_toi`."""
-    if by not in ("scene", "world", "body"):
-        raise ValueError(f'by: expected "scene", "world" or "body", got {by!r}')
+def first_time(
+    pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By, incomplete: Tensor | None = None
+) -> Tensor:
+    """The smallest `time` (K,) of rows of `pairs` (K, 2), which may be padded with -1; see `Contacts.first_toi`. 0 if
+    `incomplete` (1,) bool.
+    """
+    arguments.choice(by, "by", _BY)
     if time is None:
-        raise ValueError('report: "any" gives no times; ask for "first" or "earliest"')
+        raise ValueError('report: "any" gives no times; ask for "first" or "earliest", or see `may_collide`')
     if by == "scene":
-        return torch.cat([time, time.new_full((1,), torch.inf)]).min()
+        found = torch.cat([time, time.new_full((1,), torch.inf)]).min()
+    else:
+        owner, count = _owners(pairs, scene, by)
+        first = time.new_full((count + 1,), torch.inf)
+        found = first.scatter_reduce(0, owner, time.repeat_interleave(2), "amin")[:count]
+    return found if incomplete is None else found.masked_fill(incomplete.reshape(()), 0.0)
+
+
+def any_contact(pairs: Tensor, scene: Scene | None, by: By) -> Tensor:
+    """Whether there are rows of `pairs` (K, 2), which may be padded with -1; see `Contacts.may_collide`."""
+    arguments.choice(by, "by", _BY)
+    if by == "scene":
+        return (pairs[:, 0] >= 0).any()
+    owner, count = _owners(pairs, scene, by)
+    return pairs.new_zeros((count + 1,), dtype=torch.bool).index_fill(0, owner, True)[:count]
+
+
+def _owners(pairs: Tensor, scene: Scene | None, by: By) -> tuple[Tensor, int]:
+    """For both bodies of each row of `pairs` (K, 2) the body or its world, (2 K,), and their number, which stands for
+    padding.
+    """
     if scene is None:
         raise ValueError(f"by: {by!r} needs the result of `pgccd.detect`; on many ranks see `World.first_toi`")
     count = scene.body_count
-    # One extra row for padding.
     owner = torch.where(pairs < 0, count, pairs).reshape(-1)
     if by == "world":
         count = scene.world_count
@@ -102,8 +125,7 @@ def first_time(pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By) 
             owner = (owner == scene.body_count).long()
         else:
             owner = torch.cat([scene.world.long(), scene.world.new_full((1,), count, dtype=torch.int64)])[owner]
-    first = time.new_full((count + 1,), torch.inf)
-    return first.scatter_reduce(0, owner, time.repeat_interleave(2), "amin")[:count]
+    return owner, count
 
 
 @dataclass
@@ -129,9 +151,15 @@ class ContactColumns:
         columns = {name: getattr(self, name) for name in COLUMNS}
         return {name: column for name, column in columns.items() if column is not None}
 
+    @property
+    def _incomplete(self) -> Tensor | None:
+        """(1,) bool: whether contacts may be missing; None: they are not."""
+        return None
+
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
-        largest world index), or (N,) per "body". Does not synchronise; contacts missing after an overflow are ignored.
+        largest world index), or (N,) per "body". 0 throughout if the result is incomplete, see `PaddedContacts`. Does
+        not synchronise.
 
         Raises:
             ValueError: the report was "any", or `by` is unknown or needs a scene.
@@ -139,7 +167,20 @@ class ContactColumns:
         Example:
             >>> x0 + hits.first_toi("scene").clamp(max=1.0) * (x1 - x0)  # the collision-free part of the step
         """
-        return first_time(self.pairs, self.toi, self.scene, by)
+        return first_time(self.pairs, self.toi, self.scene, by, self._incomplete)
+
+    def may_collide(self, by: By = "scene") -> Tensor:
+        """Whether there is a contact, bool: () for the "scene", (W,) per "world", or (N,) per "body"; for every report.
+        True throughout if the result is incomplete, see `PaddedContacts`. Does not synchronise.
+
+        Raises:
+            ValueError: `by` is unknown or needs a scene.
+
+        Example:
+            >>> velocity[hits.may_collide("body")] = 0.0
+        """
+        found, incomplete = any_contact(self.pairs, self.scene, by), self._incomplete
+        return found if incomplete is None else found | incomplete.reshape(())
 
 
 @dataclass
@@ -199,16 +240,29 @@ class PaddedContacts(ContactColumns):
 
     The first `count` rows are contacts as in `Contacts`. The rest is padding: pairs and features -1, toi inf, status
     FREE, all else 0, so `toi.min()` needs no mask.
+
+    The result is incomplete if a capacity was exceeded or a pose of any world is invalid. It then reads as contact at
+    the start of the step, whatever was found: toi is 0 in every row, padding included, `first_toi` is 0 and
+    `may_collide` True for the scene, each world and each body. A loop that reads only these stands still until the
+    host has read the counts: by `trim` after `detect(capacity=...)`, two calls later with a `CapturedDetection`.
     """
 
-    count: Tensor  #: (1,) int64: number of contacts
-    #: (1,) bool: a capacity was exceeded or the input is invalid, so contacts may be missing. `trim` raises the error.
-    overflow: Tensor
+    count: Tensor  #: (1,) int64: number of contacts found
+    overflow: Tensor  #: (1,) bool: the result is incomplete. `trim` raises the error
     counts: Tensor  #: (21 + F,) int64: `pgccd.detection.capacity.Counts`, then `pgccd.MovingBodies.first_faults`
     capacity: Capacity
     broad_phase: str  #: as in `Stats`
     bodies: int  #: number of bodies
     faults: Faults  #: meaning of the last values of `counts`
+
+    @property
+    def invalid(self) -> Tensor:
+        """(1,) bool: a pose is invalid. Where `overflow` is set and this is not, a capacity was exceeded."""
+        return self.counts[-1:] != 0
+
+    @property
+    def _incomplete(self) -> Tensor:
+        return self.overflow
 
     def trim(self) -> Contacts:
         """The contacts without padding, with stats. Synchronises.
@@ -220,11 +274,7 @@ class PaddedContacts(ContactColumns):
         Example:
             >>> hits = pgccd.detect(scene, motion, capacity=capacity).trim()
         """
-        values = self.counts.tolist()
-        self.faults.raise_from(values[len(COUNT_ROWS) :])
-        counts = Counts.of(values[: len(COUNT_ROWS)])
-        if counts.overflow:
-            raise CapacityError(self.capacity, counts.needed(self.capacity))
+        counts = checked_counts(self.counts.tolist(), self.capacity, self.faults)
         count = min(counts.contacts, len(self.pairs))  # "earliest" has one row
         columns = all_columns({name: column[:count] for name, column in self.columns.items()})
         stats = stats_of(counts, self.capacity, self.bodies, count, self.broad_phase, waits=int(self.counts.is_cuda))
@@ -234,6 +284,20 @@ class PaddedContacts(ContactColumns):
 
     def __repr__(self) -> str:
         return f"PaddedContacts(capacity={len(self.pairs)}, device={self.pairs.device})"
+
+
+def checked_counts(values: Sequence[int], capacity: Capacity, faults: Faults, later: bool = False) -> Counts:
+    """The counts of a padded step, from the values of `PaddedContacts.counts`; faults, later: see `Faults.raise_from`.
+
+    Raises:
+        CapacityError: a capacity was exceeded.
+        ValueError: the input is invalid.
+    """
+    faults.raise_from(values[len(COUNT_ROWS) :], later)
+    counts = Counts.of(values[: len(COUNT_ROWS)])
+    if counts.overflow:
+        raise CapacityError(capacity, counts.needed(capacity))
+    return counts
 
 
 def stats_of(counts: Counts, capacity: Capacity, bodies: int, contacts: int, broad_phase: str, waits: int) -> Stats:

@@ -9,7 +9,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts
+from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts, overflow_flags
 from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, named_columns, stats_of, take_earliest
 from pgccd.detection.query import Query
 
@@ -48,15 +48,18 @@ class Search:
         return Contacts(**named_columns(rows, self.query.report), stats=stats)
 
     def padded(self) -> PaddedContacts:
-        """The padded contacts, without reading the counts."""
-        rows, count = self.rows, self._count("contacts")
+        """The padded contacts, without reading the counts. Sets every toi to 0 if they are incomplete."""
+        rows, count = self.rows, self.counts[COUNT_ROWS["contacts"]].reshape(1)
         if self.query.report == "earliest":
             rows, count = take_earliest(rows), count.clamp(max=1)
-        lost = sum(self._count(f"{stage}_overflow") for stage in ("pairs", "traverse", "contacts"))
+        incomplete = torch.cat([*overflow_flags(self.counts), self.counts[-1:]]).any().reshape(1)
+        columns = named_columns(rows, self.query.report)
+        if columns["toi"] is not None:
+            columns["toi"].masked_fill_(incomplete, 0.0)
         padded = PaddedContacts(
-            **named_columns(rows, self.query.report),
+            **columns,
             count=count,
-            overflow=lost + self.counts[-1:] > 0,
+            overflow=incomplete,
             counts=self.counts,
             capacity=self.capacity,
             broad_phase=self.broad_phase,
@@ -65,9 +68,6 @@ class Search:
         )
         padded.scene = self.bodies.scene
         return padded
-
-    def _count(self, name: str) -> Tensor:
-        return self.counts[COUNT_ROWS[name]].reshape(1)
 
 
 def counts_of_given(pairs: Tensor, count: Tensor | None = None) -> Tensor:
