@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.detection.capacity import COUNT_ROWS, Capacity, CapacityError, Counts
+from pgccd.detection.capacity import COUNT_ROWS, Capacity, CapacityError, Counts, overflow_flags
 from pgccd.motion.faults import Faults
 from pgccd.ops import ContactRows
 
@@ -158,8 +158,8 @@ class ContactColumns:
 
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
-        largest world index), or (N,) per "body". 0 throughout if the result is incomplete, see `PaddedContacts`. Does
-        not synchronise.
+        largest world index), or (N,) per "body". 0 where the result is incomplete, see `PaddedContacts`. Does not
+        synchronise.
 
         Raises:
             ValueError: the report was "any", or `by` is unknown or needs a scene.
@@ -171,7 +171,7 @@ class ContactColumns:
 
     def may_collide(self, by: By = "scene") -> Tensor:
         """Whether there is a contact, bool: () for the "scene", (W,) per "world", or (N,) per "body"; for every report.
-        True throughout if the result is incomplete, see `PaddedContacts`. Does not synchronise.
+        True where the result is incomplete, see `PaddedContacts`. Does not synchronise.
 
         Raises:
             ValueError: `by` is unknown or needs a scene.
@@ -241,10 +241,11 @@ class PaddedContacts(ContactColumns):
     The first `count` rows are contacts as in `Contacts`. The rest is padding: pairs and features -1, toi inf, status
     FREE, all else 0, so `toi.min()` needs no mask.
 
-    The result is incomplete if a capacity was exceeded or a pose of any world is invalid. It then reads as contact at
-    the start of the step, whatever was found: toi is 0 in every row, padding included, `first_toi` is 0 and
-    `may_collide` True for the scene, each world and each body. A loop that reads only these stands still until the
-    host has read the counts: by `trim` after `detect(capacity=...)`, two calls later with a `CapturedDetection`.
+    The result is incomplete if a capacity was exceeded or a pose is invalid. It then reads as contact at the start of
+    the step, whatever was found: toi is 0 in every row, padding included, and `first_toi` is 0 and `may_collide` True
+    for the scene, each world and each body. Only where rigid poses are invalid, and no pairs were given, worlds without
+    an invalid body keep their result in `first_toi` and `may_collide`. A loop that reads only these stands still until
+    the host has read the counts: by `trim` after `detect(capacity=...)`, two calls later with a `CapturedDetection`.
     """
 
     count: Tensor  #: (1,) int64: number of contacts found
@@ -254,6 +255,9 @@ class PaddedContacts(ContactColumns):
     broad_phase: str  #: as in `Stats`
     bodies: int  #: number of bodies
     faults: Faults  #: meaning of the last values of `counts`
+    # The toi that were found, where those of an incomplete result are 0; and `Search.reach`.
+    _found_toi: Tensor | None = field(default=None, init=False, repr=False, compare=False)
+    _reach: Tensor | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
     def invalid(self) -> Tensor:
@@ -263,6 +267,29 @@ class PaddedContacts(ContactColumns):
     @property
     def _incomplete(self) -> Tensor:
         return self.overflow
+
+    def first_toi(self, by: By = "scene") -> Tensor:
+        if by == "scene" or self._reach is None:
+            return super().first_toi(by)
+        lost = torch.cat(overflow_flags(self.counts)).any()
+        found = first_time(self.pairs, self._found_toi, self.scene, by, lost)
+        return found.masked_fill(self._in_invalid_worlds(self._reach, by), 0.0)
+
+    def may_collide(self, by: By = "scene") -> Tensor:
+        if by == "scene" or self._reach is None:
+            return super().may_collide(by)
+        lost = torch.cat(overflow_flags(self.counts)).any()
+        return any_contact(self.pairs, self.scene, by) | lost | self._in_invalid_worlds(self._reach, by)
+
+    def _in_invalid_worlds(self, reach: Tensor, by: By) -> Tensor:
+        """Which worlds (W,) have an invalid body, or which bodies (N,) are in these."""
+        assert self.scene is not None
+        rows = torch.arange(len(reach), device=reach.device)
+        invalid = torch.where(reach < 0.0, rows, -1)[:, None].expand(-1, 2)
+        of_world, world = any_contact(invalid, self.scene, "world"), self.scene.world
+        if by == "world":
+            return of_world
+        return of_world.expand(len(reach)) if world is None else of_world[world.long()]
 
     def trim(self) -> Contacts:
         """The contacts without padding, with stats. Synchronises.

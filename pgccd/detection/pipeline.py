@@ -142,7 +142,7 @@ def detect(
     if pairs is not None:
         pairs = check_pairs(pairs, bodies, ascending=True)
     if capacity is not None:
-        return search_padded(bodies, query, capacity, broad_phase, pairs).padded()
+        return search_padded(bodies, query, capacity, broad_phase, pairs, marks_invalid=True).padded()
     found = find_contacts(bodies, query, broad_phase, pairs, memory_budget)
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
     found.scene = scene
