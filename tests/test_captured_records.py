@@ -13,6 +13,7 @@ from support.deforming import crumpled, motion_of
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
+from pgccd.detection import captured as captured_module
 from pgccd.detection.capacity import Capacity
 
 REPORTS = ("any", "first", "all", "earliest")
@@ -178,3 +179,50 @@ def test_deforming_bodies(device: torch.device) -> None:
     with pytest.raises(ValueError, match=r"^motion: body 0 has an SBV radius out of range; it must lie in "):
         captured(motion)
     assert not bool(captured(motion).overflow)
+
+
+class Recorded:
+    """A graph whose replay repeats the work."""
+
+    def __init__(self, work: Any) -> None:
+        self.replay = work
+
+
+def test_captured_again_when_inputs_are_replaced(device: torch.device) -> None:
+    """A graph reads the memory that it was captured with."""
+    scene = pgccd.Scene([bumpy(np.random.default_rng(4), 1, size=s) for s in (1.0, 1.3)], [0] * 27, device, margin=0.0)
+    motion, captures = at_spacing(2.2, device), 0
+
+    def capture(work: Any, _: torch.device) -> tuple[Any, Any]:
+        nonlocal captures
+        captures += 1
+        return real(work, device) if device.type == "cuda" else (Recorded(work), work())
+
+    with pytest.MonkeyPatch.context() as patch:
+        real = captured_module.capture
+        patch.setattr(captured_module, "capture", capture)
+        patch.setattr(pgccd.CapturedDetection, "is_graph", True)
+        patch.setattr(torch.cuda, "synchronize", lambda _: None)
+        captured = pgccd.CapturedDetection(scene, motion, capacity=Capacity.guess(1000))
+        seen = set()
+
+        def check(expected_captures: int) -> None:
+            hits = captured.replay()
+            assert captures == expected_captures
+            if device.type == "cuda":
+                assert torch.equal(hits.trim().pairs, pgccd.detect(scene, captured.motion).pairs)
+            seen.add(len(pgccd.detect(scene, captured.motion)))
+
+        check(1)
+        check(1)
+        scene.margin = torch.full((27,), 0.05, dtype=torch.float64, device=device)
+        check(2)
+        scene.margin.fill_(0.1)
+        check(2)
+        scene.mesh_index[::2] = 1
+        check(3)
+        captured.motion.position_t1 = at_spacing(2.5, device).position_t1  # type: ignore[union-attr]
+        check(4)
+        captured(motion)
+        check(4)
+        assert captures == 4 and len(seen) >= 4

@@ -11,7 +11,7 @@ from pgccd.detection.capacity import Capacity, CapacityError, check_capacity
 from pgccd.detection.contacts import Contacts, PaddedContacts, checked_counts
 from pgccd.detection.pipeline import Options, detect
 from pgccd.detection.query import Query
-from pgccd.geometry.scene import Scene
+from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.faults import Faults
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.runtime.graph import Graph, capture
@@ -48,7 +48,8 @@ class CapturedDetection:
     `first_toi` stands still for such a step, and goes on once the capacity suffices.
 
     Args:
-        scene: the bodies. Its columns are read at each replay and may be changed in place.
+        scene: the bodies. Its columns are read at each call and may be changed in place. If columns of the scene or of
+            `motion` are replaced, or `mesh_index` is changed in place, the graph is captured again.
         motion: a step of the same kind as later ones, with the same number of bodies or vertices.
         report, min_separation: as for `detect`.
         capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
@@ -90,6 +91,7 @@ class CapturedDetection:
         #: The motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
         self.motion = _copy_of(motion)
         self._graph: Graph | None = None
+        self._read: list[object] = []  # inputs of the graph
         self._found: PaddedContacts | None = None
         # Calls so far, the one that made the result, and the records of the last two by number.
         self._calls = self._call_of_found = 0
@@ -179,8 +181,12 @@ class CapturedDetection:
         if not self.is_graph:
             self._found = self._detect()
         else:
+            inputs = self._inputs()
+            if self._graph is not None and not _are_same(inputs, self._read):
+                self._drop_graph()
             if self._graph is None:
                 self._graph, self._found = capture(self._detect, self.scene.device)
+                self._read = inputs
             self._graph.replay()
         assert self._found is not None
         return self._found
@@ -196,9 +202,21 @@ class CapturedDetection:
         larger = self.capacity.grown(error.needed)
         if larger == self.capacity:
             raise error
-        if self.is_graph:
-            torch.cuda.synchronize(self.scene.device)  # the graph to be freed may be running
-        self.capacity, self._graph = larger, None
+        self.capacity = larger
+        self._drop_graph()
+
+    def _drop_graph(self) -> None:
+        """Lets the next replay capture a graph."""
+        if self._graph is not None:
+            torch.cuda.synchronize(self.scene.device)  # the graph may be running
+            self._graph = None
+
+    def _inputs(self) -> list[object]:
+        """What a graph has captured for good. The radii are copies, made when `mesh_index` was written."""
+        scene, motion = self.scene, self.motion
+        columns = [getattr(scene, name) for name in ("mesh_index", "self_collision", *OPTIONAL_COLUMNS)]
+        written = None if scene.mesh_index.is_inference() else scene.mesh_index._version
+        return [*columns, *(getattr(motion, name) for name in motion.columns()), written]
 
     def _estimate(self) -> Capacity:
         given = self.scene, self.motion, self._report, self._min_separation
@@ -221,3 +239,8 @@ def _copy_of(motion: RigidMotion | VertexMotion) -> RigidMotion | VertexMotion:
     if isinstance(motion, VertexMotion):
         return VertexMotion(**columns)
     return RigidMotion.from_rotation(**columns, path=motion.path)
+
+
+def _are_same(one: list[object], other: list[object]) -> bool:
+    """Whether both have the same tensors and equal numbers."""
+    return all(a is b or (isinstance(a, int) and a == b) for a, b in zip(one, other, strict=True))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments
 from pgccd.detection.capacity import COUNT_ROWS, Capacity, CapacityError, Counts, overflow_flags
+from pgccd.detection.grouping import By, any_contact, first_time
 from pgccd.motion.faults import Faults
 from pgccd.ops import ContactRows
 
@@ -79,55 +80,6 @@ class Stats:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-#: The grouping of first times.
-By = Literal["scene", "world", "body"]
-_BY = get_args(By)
-
-
-def first_time(
-    pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By, incomplete: Tensor | None = None
-) -> Tensor:
-    """The smallest `time` (K,) of rows of `pairs` (K, 2), which may be padded with -1; see `Contacts.first_toi`. 0 if
-    `incomplete` (1,) bool.
-    """
-    arguments.choice(by, "by", _BY)
-    if time is None:
-        raise ValueError('report: "any" gives no times; ask for "first" or "earliest", or see `may_collide`')
-    if by == "scene":
-        found = torch.cat([time, time.new_full((1,), torch.inf)]).min()
-    else:
-        owner, count = _owners(pairs, scene, by)
-        first = time.new_full((count + 1,), torch.inf)
-        found = first.scatter_reduce(0, owner, time.repeat_interleave(2), "amin")[:count]
-    return found if incomplete is None else found.masked_fill(incomplete.reshape(()), 0.0)
-
-
-def any_contact(pairs: Tensor, scene: Scene | None, by: By) -> Tensor:
-    """Whether there are rows of `pairs` (K, 2), which may be padded with -1; see `Contacts.may_collide`."""
-    arguments.choice(by, "by", _BY)
-    if by == "scene":
-        return (pairs[:, 0] >= 0).any()
-    owner, count = _owners(pairs, scene, by)
-    return pairs.new_zeros((count + 1,), dtype=torch.bool).index_fill(0, owner, True)[:count]
-
-
-def _owners(pairs: Tensor, scene: Scene | None, by: By) -> tuple[Tensor, int]:
-    """For both bodies of each row of `pairs` (K, 2) the body or its world, (2 K,), and their number, which stands for
-    padding.
-    """
-    if scene is None:
-        raise ValueError(f"by: {by!r} needs the result of `pgccd.detect`; on many ranks see `World.first_toi`")
-    count = scene.body_count
-    owner = torch.where(pairs < 0, count, pairs).reshape(-1)
-    if by == "world":
-        count = scene.world_count
-        if scene.world is None:
-            owner = (owner == scene.body_count).long()
-        else:
-            owner = torch.cat([scene.world.long(), scene.world.new_full((1,), count, dtype=torch.int64)])[owner]
-    return owner, count
-
-
 @dataclass
 class ContactColumns:
     """One row per contact. With report="any" only `pairs` is meaningful and all other columns are None."""
@@ -158,8 +110,8 @@ class ContactColumns:
 
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
-        largest world index), or (N,) per "body". 0 where the result is incomplete, see `PaddedContacts`. Does not
-        synchronise.
+        largest world index), or (N,) per "body". 0 where the result is incomplete, see `PaddedContacts`. With
+        report="earliest" only that of the "scene" is the first of all contacts. Does not synchronise.
 
         Raises:
             ValueError: the report was "any", or `by` is unknown or needs a scene.
@@ -171,7 +123,8 @@ class ContactColumns:
 
     def may_collide(self, by: By = "scene") -> Tensor:
         """Whether there is a contact, bool: () for the "scene", (W,) per "world", or (N,) per "body"; for every report.
-        True where the result is incomplete, see `PaddedContacts`. Does not synchronise.
+        True where the result is incomplete, see `PaddedContacts`. With report="earliest" only the "scene" has all
+        contacts. Does not synchronise.
 
         Raises:
             ValueError: `by` is unknown or needs a scene.
