@@ -128,6 +128,27 @@ def test_an_invalid_pose_raises_two_calls_later(device: torch.device, column: st
         assert torch.equal(captured.contacts().toi, expected.toi)
 
 
+def test_an_invalid_end_orientation(device: torch.device) -> None:
+    """It is not a column: a GPU checks it when the motion is made, and leaves the result on the device."""
+    scene, motion = lattice(device), at_spacing(1.9, device)
+    captured = pgccd.CapturedDetection(scene, motion)
+    end = motion.orientation_t0.clone()
+    end[20] *= 1.1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torch.compiler, "is_compiling", lambda: True)
+        wrong = pgccd.RigidMotion(motion.position_t0, motion.orientation_t0, motion.position_t1, end)
+        valid = pgccd.RigidMotion(motion.position_t0, motion.orientation_t0, motion.position_t1, motion.orientation_t0)
+    assert not bool(captured(valid).overflow)
+    hits = captured(wrong)
+    assert bool(hits.invalid) and bool(hits.may_collide("body").all()) and float(hits.first_toi()) == 0.0
+    assert not bool(captured(valid).overflow)
+    with pytest.raises(ValueError, match="^rotation: body 20: expected"):
+        captured(valid)
+    assert torch.equal(captured(valid).trim().toi, pgccd.detect(scene, valid).toi)
+    first = pgccd.CapturedDetection(scene, wrong, capacity=captured.capacity).replay()
+    assert bool(first.invalid) and float(first.first_toi()) == 0.0
+
+
 def test_a_call_that_raises_loads_nothing(device: torch.device) -> None:
     scene, motion, other = lattice(device), at_spacing(1.9, device), at_spacing(3.0, device)
     captured = pgccd.CapturedDetection(scene, motion, capacity=needs(scene, motion, "first").times(1.5))

@@ -115,6 +115,7 @@ class CapturedDetection:
                     f"motion: {name}: expected {expected}, got {tuple(given[name].shape)} on {given[name].device}"
                 )
             column.copy_(given[name])
+        _mark_given_faults(self.motion, motion)
 
     def replay(self) -> PaddedContacts:
         """Detects the collisions of the loaded motion. Waits for the call before the last, and synchronises to capture
@@ -238,7 +239,19 @@ def _copy_of(motion: RigidMotion | VertexMotion) -> RigidMotion | VertexMotion:
     columns = {name: column.clone() for name, column in motion.columns().items()}
     if isinstance(motion, VertexMotion):
         return VertexMotion(**columns)
-    return RigidMotion.from_rotation(**columns, path=motion.path)
+    copied = RigidMotion.from_rotation(**columns, path=motion.path)
+    _mark_given_faults(copied, motion)
+    return copied
+
+
+def _mark_given_faults(copied: RigidMotion | VertexMotion, motion: RigidMotion | VertexMotion) -> None:
+    """Makes rotations of a copy of a motion invalid from its first invalid end orientation on. These are not columns,
+    and only the first one is known.
+    """
+    first = motion.first_given_fault
+    if first is not None and isinstance(copied, RigidMotion):
+        rows = torch.arange(copied.body_count, device=first.device)
+        copied.rotation.masked_fill_((rows >= first)[:, None], torch.nan)
 
 
 def _are_same(one: list[object], other: list[object]) -> bool:
