@@ -34,6 +34,17 @@ def crowd(device: torch.device) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
     return pgccd.Scene(bodies.meshes, bodies.mesh_index, device, world=world), motion
 
 
+def shells(device: torch.device) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
+    """A body of 5,120 triangles that moves against the inside of another."""
+    rng = np.random.default_rng(2)
+    meshes = [bumpy(rng, 4, height=0.02, size=size) for size in (1.0, 1.1)]
+    x = torch.zeros(2, 3, dtype=torch.float64, device=device)
+    q = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64, device=device)
+    moved = x.clone()
+    moved[0, 0] = 0.15
+    return pgccd.Scene(meshes, device=device), pgccd.RigidMotion(x, q, moved, q)
+
+
 def worlds(device: torch.device, **columns: Any) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
     """Twelve bodies in each of four worlds, in turn; in the last world nothing collides. One mesh is off centre."""
     rng = np.random.default_rng(7)
@@ -79,14 +90,15 @@ def test_overflow(device: torch.device, part: str, report: Any) -> None:
         pytest.skip("a CPU takes the memory it needs")
     scene, motion = crowd(device)
     if part == "tasks":  # the launches for small bodies leave none behind
-        mesh = bumpy(np.random.default_rng(2), 4)
-        x = torch.tensor([[0.0, 0.0, 0.0], [1.9, 0.0, 0.0]], dtype=torch.float64, device=device)
-        q = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64, device=device)
-        scene, motion = pgccd.Scene([mesh, mesh], device=device), pgccd.RigidMotion(x, q, 0.99 * x, q)
+        scene, motion = shells(device)
     expected = pgccd.detect(scene, motion, report, broad_phase="grid")
     needed = expected.stats.needed
-    assert needed is not None and getattr(needed, part) > 0 and len(expected) > 0
-    sizes = {0, getattr(needed, part) - 1} if part in ("pairs", "contacts") else {0, getattr(needed, part) // 2}
+    assert needed is not None and len(expected) > 0
+    if getattr(needed, part) == 0 and report != "all":
+        pytest.skip("not needed for this report")
+    sizes = {0}
+    if report != "earliest":  # how much is skipped depends on the order of threads
+        sizes.add(getattr(needed, part) - 1 if part in ("pairs", "contacts") else getattr(needed, part) // 2)
     for size in sizes:  # all rows of contacts may be used: then there is no padding
         tight = replace(needed.times(1.5), **{part: size})
         hits = pgccd.detect(scene, motion, report, broad_phase="grid", capacity=tight)
@@ -105,7 +117,7 @@ def test_complete_results_read_as_found(device: torch.device, report: Any) -> No
     assert expected.stats.needed is not None
     capacity = expected.stats.needed.times(1.5)
     exact = replace(capacity, contacts=expected.stats.needed.contacts)
-    for given in (capacity, exact):
+    for given in (capacity,) if report == "earliest" else (capacity, exact):
         hits = pgccd.detect(scene, motion, report, capacity=given)
         assert not bool(hits.overflow) and not bool(hits.invalid)
         for by in GROUPINGS:
@@ -231,7 +243,7 @@ def test_deforming_bodies(device: torch.device, own: bool, report: Any) -> None:
         if value is None:
             count = len(shapes[0].vertices)
             for each in (motion.x_t0, motion.x_t1):
-                each[:count] = 1e-40 * torch.rand(count, 3, device=device)
+                each[:count] = 1e-40 * torch.rand(count, 3, dtype=torch.float64).to(device)
         else:
             getattr(motion, column)[2, 1] = value
         hits = pgccd.detect(scene, motion, report, capacity=capacity)

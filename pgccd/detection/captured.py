@@ -174,7 +174,8 @@ class CapturedDetection:
     def _replay(self) -> PaddedContacts:
         found = self._run()
         self._call_of_found = self._calls
-        self._records[self._calls] = _Record(HostCopy.start(found.counts), found.capacity, found.faults)
+        with torch.cuda.device_of(found.counts):  # the event that is waited for belongs to the current device
+            self._records[self._calls] = _Record(HostCopy.start(found.counts), found.capacity, found.faults)
         return found
 
     def _run(self) -> PaddedContacts:
