@@ -25,6 +25,11 @@ template <class Backend>
 struct DetectOps {
   static Tensor first_faults(const TensorList& columns, const std::vector<int64_t>& checks,
                              const std::vector<double>& limits) {
+    return find_faults(columns, checks, limits, {});
+  }
+
+  static Tensor find_faults(const TensorList& columns, const std::vector<int64_t>& checks,
+                            const std::vector<double>& limits, const SoundRadii& radii) {
     STD_TORCH_CHECK(!columns.empty() && checks.size() == columns.size() && limits.size() == columns.size(),
                     "columns: expected equal numbers of checks and limits, at least one");
     std::vector<RowColumn> views;
@@ -36,7 +41,7 @@ struct DetectOps {
       views.push_back({values, columns[k].size(0), width, static_cast<RowCheck>(checks[k]), limits[k]});
     }
     Tensor first = new_tensor<int64_t>(columns[0], {static_cast<int64_t>(columns.size()) + 1});
-    Backend(columns[0]).first_faults(views, data<int64_t>(first));
+    Backend(columns[0]).first_faults(views, radii, data<int64_t>(first));
     return first;
   }
 

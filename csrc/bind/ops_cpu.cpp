@@ -53,8 +53,8 @@ class CpuBackend {
   void begin_counts(const CountSpan& first, const CountSpan& second, int64_t* time) const {
     begin_counts_cpu(first, second, time);
   }
-  void first_faults(const std::vector<RowColumn>& columns, int64_t* first) const {
-    first_faults_cpu(executor_, columns, first);
+  void first_faults(const std::vector<RowColumn>& columns, const SoundRadii& radii, int64_t* first) const {
+    first_faults_cpu(executor_, columns, radii, first);
   }
   void pairs_padded(const BroadBodies& bodies, const BroadPhaseChoice& choice, const PaddedPairs& out) const {
     find_pairs_padded_cpu(executor_, bodies, choice, out);

@@ -58,8 +58,8 @@ class CudaBackend {
   void begin_counts(const CountSpan& first, const CountSpan& second, int64_t* time) const {
     begin_counts_cuda(session_.context(), first, second, time);
   }
-  void first_faults(const std::vector<RowColumn>& columns, int64_t* first) const {
-    first_faults_cuda(session_.context(), columns, first);
+  void first_faults(const std::vector<RowColumn>& columns, const SoundRadii& radii, int64_t* first) const {
+    first_faults_cuda(session_.context(), columns, radii, first);
   }
   void require_owners(const int64_t* owners, const int64_t* given, int64_t most, int64_t limit) const {
     require_owners_cuda(session_.context(), owners, given, most, limit);

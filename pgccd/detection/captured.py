@@ -1,30 +1,55 @@
 """Detection as one CUDA graph, for loops that must not be limited by kernel launches from the host."""
 
+from dataclasses import dataclass, fields
 from typing import Unpack
+
+import torch
 
 from pgccd import arguments
 from pgccd.detection import broad, narrow
 from pgccd.detection.capacity import Capacity, CapacityError, check_capacity
-from pgccd.detection.contacts import Contacts, PaddedContacts
+from pgccd.detection.contacts import Contacts, PaddedContacts, checked_counts
 from pgccd.detection.pipeline import Options, detect
 from pgccd.detection.query import Query
-from pgccd.geometry.scene import Scene
+from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.motion.faults import Faults
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.runtime.graph import Graph, capture
+from pgccd.runtime.host_copy import HostCopy
 
 # Initial capacity, relative to what the first motion needs.
 _SLACK = 1.5
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What the host reads of a replay, two calls later."""
+
+    counts: HostCopy  #: of `PaddedContacts.counts`
+    capacity: Capacity
+    faults: Faults
+
+    def check(self) -> None:
+        """Waits for the replay. Raises CapacityError or ValueError if its result is incomplete."""
+        checked_counts(self.counts.numpy().tolist(), self.capacity, self.faults, later=True)
 
 
 class CapturedDetection:
     """`pgccd.detect` for the steps of a loop: poses are loaded into fixed memory, one CUDA graph is replayed, and
     contacts are read from fixed memory. The result is bitwise equal to that of `detect`.
 
-    The graph is captured by the first replay, which takes longer and synchronises. On a CPU there is none: each replay
-    calls `detect` with the same capacity (`is_graph` is False).
+    The graph is captured by the first call, which takes longer and synchronises. On a CPU there is none: each call runs
+    `detect` with the same capacity (`is_graph` is False).
+
+    Each call of `__call__` or `replay` first reads the counts of the call before the last, which a GPU has usually
+    finished. If that exceeded a capacity, the graph is captured again with a larger one; if a pose was invalid, a
+    ValueError names body and column. So this happens at the same call in every run, on every device. Until then an
+    incomplete result reads as contact at the start of the step, see `PaddedContacts`: a loop that moves bodies by
+    `first_toi` stands still for such a step, and goes on once the capacity suffices.
 
     Args:
-        scene: the bodies. Its columns are read at each replay and may be changed in place.
+        scene: the bodies. Its columns are read at each call and may be changed in place. If columns of the scene or of
+            `motion` are replaced, or `mesh_index` is changed in place, the graph is captured again.
         motion: a step of the same kind as later ones, with the same number of bodies or vertices.
         report, min_separation: as for `detect`.
         capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
@@ -35,7 +60,7 @@ class CapturedDetection:
 
     Example:
         >>> captured = pgccd.CapturedDetection(scene, motion)
-        >>> hits = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedContacts; does not synchronise
+        >>> hits = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedContacts
         >>> safe = hits.first_toi().clamp(max=1.0)
         >>> contacts = captured.contacts()  # trimmed copy; synchronises
     """
@@ -67,7 +92,11 @@ class CapturedDetection:
         #: The motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
         self.motion = _copy_of(motion)
         self._graph: Graph | None = None
+        self._read: list[object] = []  # inputs of the graph
         self._found: PaddedContacts | None = None
+        # Calls so far, the one that made the result, and the records of the last two by number.
+        self._calls = self._call_of_found = 0
+        self._records: dict[int, _Record] = {}
 
     def load(self, motion: RigidMotion | VertexMotion) -> None:
         """Copies a motion into `self.motion`. Does not synchronise.
@@ -87,44 +116,41 @@ class CapturedDetection:
                     f"motion: {name}: expected {expected}, got {tuple(given[name].shape)} on {given[name].device}"
                 )
             column.copy_(given[name])
+        _mark_given_faults(self.motion, motion)
 
     def replay(self) -> PaddedContacts:
-        """Detects the collisions of the loaded motion. Does not synchronise, except the first time; the next replay
-        overwrites the result.
+        """Detects the collisions of the loaded motion. Waits for the call before the last, and synchronises to capture
+        the graph. The next call overwrites the result, or returns one in new memory.
 
         Raises:
-            ValueError: the first time: the motion is invalid, or the step does not fit in memory in one pass.
+            ValueError: a pose was invalid in the call before the last or, without a given capacity, is in the first;
+                or the first step does not fit in memory in one pass.
+            CapacityError: the call before the last needs more than the largest capacity.
         """
-        if self._found is None:
-            self.capacity = self.capacity or self._estimate()
-            self._capture()
-        if self._graph is None:
-            self._found = self._detect()
-        else:
-            self._graph.replay()
-        assert self._found is not None
-        return self._found
+        self._begin_call()
+        return self._replay()
 
     def __call__(self, motion: RigidMotion | VertexMotion) -> PaddedContacts:
-        """`load`, then `replay`."""
+        """`load`, then `replay`; raises before the motion is loaded."""
+        self._begin_call()
         self.load(motion)
-        return self.replay()
+        return self._replay()
 
     def contacts(self) -> Contacts:
-        """A copy of the contacts of the last replay; replays first if there was none. Synchronises. If a capacity was
+        """A copy of the contacts of the last call; replays first if there was none. Synchronises. If a capacity was
         exceeded, the step is captured again with a larger one, and replayed.
 
         Raises:
             ValueError: the motion is invalid.
         """
         padded = self.replay() if self._found is None else self._found
+        self._records.pop(self._call_of_found, None)  # read now instead of two calls later
         while True:
             try:
                 found = padded.trim()
             except CapacityError as error:
-                self.capacity = error.capacity.grown(error.needed)
-                self._capture()
-                padded = self.replay()
+                self._grow(error)
+                padded = self._run()
             else:
                 return found.clone() if self.is_graph else found
 
@@ -132,6 +158,68 @@ class CapturedDetection:
     def is_graph(self) -> bool:
         """Whether replays use a CUDA graph."""
         return self.scene.device.type == "cuda"
+
+    def _begin_call(self) -> None:
+        """Counts a call, and reads the record of the call before the last."""
+        self._calls += 1
+        record = self._records.pop(self._calls - 2, None)
+        if record is None:
+            return
+        try:
+            record.check()
+        except CapacityError as error:
+            self._grow(error)
+        except ValueError as error:
+            raise ValueError(f"{error} (in the call before the last)") from None
+
+    def _replay(self) -> PaddedContacts:
+        found = self._run()
+        self._call_of_found = self._calls
+        with torch.cuda.device_of(found.counts):  # the event that is waited for belongs to the current device
+            self._records[self._calls] = _Record(HostCopy.start(found.counts), found.capacity, found.faults)
+        return found
+
+    def _run(self) -> PaddedContacts:
+        self.capacity = self.capacity or self._estimate()
+        if not self.is_graph:
+            self._found = self._detect()
+        else:
+            inputs = self._inputs()
+            if self._graph is not None and not _are_same(inputs, self._read):
+                self._drop_graph()
+            if self._graph is None:
+                self._graph, self._found = capture(self._detect, self.scene.device)
+                self._read = inputs
+            self._graph.replay()
+        assert self._found is not None
+        return self._found
+
+    def _grow(self, error: CapacityError) -> None:
+        """Chooses a capacity for a step that exceeded one; the graph is captured again with it."""
+        assert self.capacity is not None
+        names = [field.name for field in fields(Capacity)]
+        if error.capacity is not self.capacity and all(
+            getattr(error.needed, name) <= getattr(self.capacity, name) for name in names
+        ):
+            return  # it has grown since then
+        larger = self.capacity.grown(error.needed)
+        if larger == self.capacity:
+            raise error
+        self.capacity = larger
+        self._drop_graph()
+
+    def _drop_graph(self) -> None:
+        """Lets the next replay capture a graph."""
+        if self._graph is not None:
+            torch.cuda.synchronize(self.scene.device)  # the graph may be running
+            self._graph = None
+
+    def _inputs(self) -> list[object]:
+        """What a graph has captured for good. The radii are copies, made when `mesh_index` was written."""
+        scene, motion = self.scene, self.motion
+        columns = [getattr(scene, name) for name in ("mesh_index", "self_collision", *OPTIONAL_COLUMNS)]
+        written = None if scene.mesh_index.is_inference() else scene.mesh_index._version
+        return [*columns, *(getattr(motion, name) for name in motion.columns()), written]
 
     def _estimate(self) -> Capacity:
         given = self.scene, self.motion, self._report, self._min_separation
@@ -145,11 +233,6 @@ class CapturedDetection:
         given = self.scene, self.motion, self._report, self._min_separation
         return detect(*given, capacity=self.capacity, **self._options)
 
-    def _capture(self) -> None:
-        if self.is_graph:
-            self._graph = None
-            self._graph, self._found = capture(self._detect, self.scene.device)
-
     def __repr__(self) -> str:
         return f"CapturedDetection(bodies={self.scene.body_count}, graph={self.is_graph}, device={self.scene.device})"
 
@@ -158,4 +241,21 @@ def _copy_of(motion: RigidMotion | VertexMotion) -> RigidMotion | VertexMotion:
     columns = {name: column.clone() for name, column in motion.columns().items()}
     if isinstance(motion, VertexMotion):
         return VertexMotion(**columns)
-    return RigidMotion.from_rotation(**columns, path=motion.path)
+    copied = RigidMotion.from_rotation(**columns, path=motion.path)
+    _mark_given_faults(copied, motion)
+    return copied
+
+
+def _mark_given_faults(copied: RigidMotion | VertexMotion, motion: RigidMotion | VertexMotion) -> None:
+    """Makes rotations of a copy of a motion invalid from its first invalid end orientation on. These are not columns,
+    and only the first one is known.
+    """
+    first = motion.first_given_fault
+    if first is not None and isinstance(copied, RigidMotion):
+        rows = torch.arange(copied.body_count, device=first.device)
+        copied.rotation.masked_fill_((rows >= first)[:, None], torch.nan)
+
+
+def _are_same(one: list[object], other: list[object]) -> bool:
+    """Whether both have the same tensors and equal numbers."""
+    return all(a is b or (isinstance(a, int) and a == b) for a, b in zip(one, other, strict=True))

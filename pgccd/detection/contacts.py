@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.detection.capacity import COUNT_ROWS, Capacity, CapacityError, Counts
+from pgccd.detection.capacity import COUNT_ROWS, Capacity, CapacityError, Counts, overflow_flags
+from pgccd.detection.grouping import By, any_contact, first_time
 from pgccd.motion.faults import Faults
 from pgccd.ops import ContactRows
 
@@ -79,33 +80,6 @@ class Stats:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-#: The grouping of first times.
-By = Literal["scene", "world", "body"]
-
-
-def first_time(pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By) -> Tensor:
-    """The smallest `time` (K,) of rows of `pairs` (K, 2), which may be padded with -1; see `Contacts.first_toi`."""
-    if by not in ("scene", "world", "body"):
-        raise ValueError(f'by: expected "scene", "world" or "body", got {by!r}')
-    if time is None:
-        raise ValueError('report: "any" gives no times; ask for "first" or "earliest"')
-    if by == "scene":
-        return torch.cat([time, time.new_full((1,), torch.inf)]).min()
-    if scene is None:
-        raise ValueError(f"by: {by!r} needs the result of `pgccd.detect`; on many ranks see `World.first_toi`")
-    count = scene.body_count
-    # One extra row for padding.
-    owner = torch.where(pairs < 0, count, pairs).reshape(-1)
-    if by == "world":
-        count = scene.world_count
-        if scene.world is None:
-            owner = (owner == scene.body_count).long()
-        else:
-            owner = torch.cat([scene.world.long(), scene.world.new_full((1,), count, dtype=torch.int64)])[owner]
-    first = time.new_full((count + 1,), torch.inf)
-    return first.scatter_reduce(0, owner, time.repeat_interleave(2), "amin")[:count]
-
-
 @dataclass
 class ContactColumns:
     """One row per contact. With report="any" only `pairs` is meaningful and all other columns are None."""
@@ -129,9 +103,15 @@ class ContactColumns:
         columns = {name: getattr(self, name) for name in COLUMNS}
         return {name: column for name, column in columns.items() if column is not None}
 
+    @property
+    def _incomplete(self) -> Tensor | None:
+        """(1,) bool: whether contacts may be missing; None: they are not."""
+        return None
+
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
-        largest world index), or (N,) per "body". Does not synchronise; contacts missing after an overflow are ignored.
+        largest world index), or (N,) per "body". 0 where the result is incomplete, see `PaddedContacts`. With
+        report="earliest" only that of the "scene" is the first of all contacts. Does not synchronise.
 
         All bodies of the scene, or of a world, may move until its first toi. A body may not move until its own toi
         alone: others, tested against its whole path, may then collide with it where it stops.
@@ -142,7 +122,21 @@ class ContactColumns:
         Example:
             >>> x0 + hits.first_toi("scene").clamp(max=1.0) * (x1 - x0)  # the collision-free part of the step
         """
-        return first_time(self.pairs, self.toi, self.scene, by)
+        return first_time(self.pairs, self.toi, self.scene, by, self._incomplete)
+
+    def may_collide(self, by: By = "scene") -> Tensor:
+        """Whether there is a contact, bool: () for the "scene", (W,) per "world", or (N,) per "body"; for every report.
+        True where the result is incomplete, see `PaddedContacts`. With report="earliest" only the "scene" has all
+        contacts. Does not synchronise.
+
+        Raises:
+            ValueError: `by` is unknown or needs a scene.
+
+        Example:
+            >>> velocity[hits.may_collide("body")] = 0.0
+        """
+        found, incomplete = any_contact(self.pairs, self.scene, by), self._incomplete
+        return found if incomplete is None else found | incomplete.reshape(())
 
 
 @dataclass
@@ -202,16 +196,56 @@ class PaddedContacts(ContactColumns):
 
     The first `count` rows are contacts as in `Contacts`. The rest is padding: pairs and features -1, toi inf, status
     FREE, all else 0, so `toi.min()` needs no mask.
+
+    The result is incomplete if a capacity was exceeded or a pose is invalid. It then reads as contact at the start of
+    the step, whatever was found: toi is 0 in every row, padding included, and `first_toi` is 0 and `may_collide` True
+    for the scene, each world and each body. Only where rigid poses are invalid, and no pairs were given, worlds without
+    an invalid body keep their result in `first_toi` and `may_collide`. A loop that reads only these stands still until
+    the host has read the counts: by `trim` after `detect(capacity=...)`, two calls later with a `CapturedDetection`.
     """
 
-    count: Tensor  #: (1,) int64: number of contacts
-    #: (1,) bool: a capacity was exceeded or the input is invalid, so contacts may be missing. `trim` raises the error.
-    overflow: Tensor
+    count: Tensor  #: (1,) int64: number of contacts found
+    overflow: Tensor  #: (1,) bool: the result is incomplete. `trim` raises the error
     counts: Tensor  #: (21 + F,) int64: `pgccd.detection.capacity.Counts`, then `pgccd.MovingBodies.first_faults`
     capacity: Capacity
     broad_phase: str  #: as in `Stats`
     bodies: int  #: number of bodies
     faults: Faults  #: meaning of the last values of `counts`
+    # The toi that were found, where those of an incomplete result are 0; and `Search.reach`.
+    _found_toi: Tensor | None = field(default=None, init=False, repr=False, compare=False)
+    _reach: Tensor | None = field(default=None, init=False, repr=False, compare=False)
+
+    @property
+    def invalid(self) -> Tensor:
+        """(1,) bool: a pose is invalid. Where `overflow` is set and this is not, a capacity was exceeded."""
+        return self.counts[-1:] != 0
+
+    @property
+    def _incomplete(self) -> Tensor:
+        return self.overflow
+
+    def first_toi(self, by: By = "scene") -> Tensor:
+        if by == "scene" or self._reach is None:
+            return super().first_toi(by)
+        lost = torch.cat(overflow_flags(self.counts)).any()
+        found = first_time(self.pairs, self._found_toi, self.scene, by, lost)
+        return found.masked_fill(self._in_invalid_worlds(self._reach, by), 0.0)
+
+    def may_collide(self, by: By = "scene") -> Tensor:
+        if by == "scene" or self._reach is None:
+            return super().may_collide(by)
+        lost = torch.cat(overflow_flags(self.counts)).any()
+        return any_contact(self.pairs, self.scene, by) | lost | self._in_invalid_worlds(self._reach, by)
+
+    def _in_invalid_worlds(self, reach: Tensor, by: By) -> Tensor:
+        """Which worlds (W,) have an invalid body, or which bodies (N,) are in these."""
+        assert self.scene is not None
+        rows = torch.arange(len(reach), device=reach.device)
+        invalid = torch.where(reach < 0.0, rows, -1)[:, None].expand(-1, 2)
+        of_world, world = any_contact(invalid, self.scene, "world"), self.scene.world
+        if by == "world":
+            return of_world
+        return of_world.expand(len(reach)) if world is None else of_world[world.long()]
 
     def trim(self) -> Contacts:
         """The contacts without padding, with stats. Synchronises.
@@ -223,11 +257,7 @@ class PaddedContacts(ContactColumns):
         Example:
             >>> hits = pgccd.detect(scene, motion, capacity=capacity).trim()
         """
-        values = self.counts.tolist()
-        self.faults.raise_from(values[len(COUNT_ROWS) :])
-        counts = Counts.of(values[: len(COUNT_ROWS)])
-        if counts.overflow:
-            raise CapacityError(self.capacity, counts.needed(self.capacity))
+        counts = checked_counts(self.counts.tolist(), self.capacity, self.faults)
         count = min(counts.contacts, len(self.pairs))  # "earliest" has one row
         columns = all_columns({name: column[:count] for name, column in self.columns.items()})
         stats = stats_of(counts, self.capacity, self.bodies, count, self.broad_phase, waits=int(self.counts.is_cuda))
@@ -237,6 +267,20 @@ class PaddedContacts(ContactColumns):
 
     def __repr__(self) -> str:
         return f"PaddedContacts(capacity={len(self.pairs)}, device={self.pairs.device})"
+
+
+def checked_counts(values: Sequence[int], capacity: Capacity, faults: Faults, later: bool = False) -> Counts:
+    """The counts of a padded step, from the values of `PaddedContacts.counts`; faults, later: see `Faults.raise_from`.
+
+    Raises:
+        CapacityError: a capacity was exceeded.
+        ValueError: the input is invalid.
+    """
+    faults.raise_from(values[len(COUNT_ROWS) :], later)
+    counts = Counts.of(values[: len(COUNT_ROWS)])
+    if counts.overflow:
+        raise CapacityError(capacity, counts.needed(capacity))
+    return counts
 
 
 def stats_of(counts: Counts, capacity: Capacity, bodies: int, contacts: int, broad_phase: str, waits: int) -> Stats:

@@ -9,7 +9,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts
+from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts, overflow_flags
 from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, named_columns, stats_of, take_earliest
 from pgccd.detection.query import Query
 
@@ -24,6 +24,9 @@ class Search:
     broad_phase: str
     rows: ContactRows  #: padded; the first column is body pairs (., 2)
     counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies.first_faults`
+    #: (N,) float64, negative for bodies whose pose is invalid: those of the others were searched. None: if a pose is
+    #: invalid, nothing was.
+    reach: Tensor | None = None
 
     def read(self) -> Counts:
         """Reads the counts. Synchronises.
@@ -48,26 +51,27 @@ class Search:
         return Contacts(**named_columns(rows, self.query.report), stats=stats)
 
     def padded(self) -> PaddedContacts:
-        """The padded contacts, without reading the counts."""
-        rows, count = self.rows, self._count("contacts")
+        """The padded contacts, without reading the counts. Sets every toi to 0 if they are incomplete."""
+        rows, count = self.rows, self.counts[COUNT_ROWS["contacts"]].reshape(1)
         if self.query.report == "earliest":
             rows, count = take_earliest(rows), count.clamp(max=1)
-        lost = sum(self._count(f"{stage}_overflow") for stage in ("pairs", "traverse", "contacts"))
+        incomplete = torch.cat([*overflow_flags(self.counts), self.counts[-1:]]).any().reshape(1)
+        columns = named_columns(rows, self.query.report)
+        found_toi = columns["toi"]
+        if found_toi is not None:
+            columns["toi"] = found_toi.masked_fill(incomplete, 0.0)
         padded = PaddedContacts(
-            **named_columns(rows, self.query.report),
+            **columns,
             count=count,
-            overflow=lost + self.counts[-1:] > 0,
+            overflow=incomplete,
             counts=self.counts,
             capacity=self.capacity,
             broad_phase=self.broad_phase,
             bodies=self.bodies.scene.body_count,
             faults=self.bodies.faults,
         )
-        padded.scene = self.bodies.scene
+        padded.scene, padded._found_toi, padded._reach = self.bodies.scene, found_toi, self.reach
         return padded
-
-    def _count(self, name: str) -> Tensor:
-        return self.counts[COUNT_ROWS[name]].reshape(1)
 
 
 def counts_of_given(pairs: Tensor, count: Tensor | None = None) -> Tensor:
@@ -94,6 +98,7 @@ def search_padded(
     broad_phase: broad.BroadPhase,
     pairs: Tensor | None,
     pair_counts: Tensor | None = None,
+    marks_invalid: bool = False,
 ) -> Search:
     """Starts a step.
 
@@ -104,9 +109,10 @@ def search_padded(
         broad_phase: how the PCS is found.
         pairs: (P, 2) int64, instead of a broad phase.
         pair_counts: (7,) int64 on the device: the broad phase's counts, if the number of pairs is not P.
+        marks_invalid: whether to search the other bodies if a pose is invalid, where `search_rigid` can.
     """
     if pairs is None and not bodies.deforming:
-        return search_rigid(bodies, query, capacity, broad_phase, capacity.of_pairs)
+        return search_rigid(bodies, query, capacity, broad_phase, capacity.of_pairs, marks_invalid)
     faults = bodies.first_faults()
     if pairs is None:
         chosen = broad.choose(bodies, broad_phase)
@@ -129,6 +135,7 @@ def search_rigid(
     capacity: Capacity,
     broad_phase: broad.BroadPhase,
     pair_capacity: Sequence[int],
+    marks_invalid: bool = False,
 ) -> Search:
     """A step of rigid bodies by one operator, which also checks the poses, unless their faults are known.
 
@@ -136,7 +143,11 @@ def search_rigid(
         bodies, query, capacity, broad_phase: as for `search_padded`.
         pair_capacity: of the PCS, see `ops.pairs_padded`. If `capacity` is EXACTLY and there are more pairs, no
             contacts are searched, and the overflow is counted.
+        marks_invalid: whether to search the other bodies if a pose is invalid, unless faults are known: see
+            `Search.reach`.
     """
+    faults = bodies.known_faults()
+    reach = torch.empty_like(bodies.reach) if marks_invalid and faults is None else None
     chosen = broad.choose(bodies, broad_phase)
     min_separation, tolerance, nonzero_toi = query.settings
     *rows, counts = ops.detect_rigid(
@@ -145,7 +156,8 @@ def search_rigid(
         bodies.linear_path,
         [] if bodies.reach is bodies.radius else [bodies.centre_t0, bodies.centre_t1, bodies.reach],
         *broad.filters(bodies),
-        bodies.known_faults(),
+        faults,
+        reach,
         *bodies.motion.checks,
         min_separation,
         tolerance,
@@ -156,7 +168,7 @@ def search_rigid(
         pair_capacity,
         capacity.of_contacts,
     )
-    return Search(bodies, query, capacity, chosen, tuple(rows), counts)  # type: ignore[arg-type]
+    return Search(bodies, query, capacity, chosen, tuple(rows), counts, reach)  # type: ignore[arg-type]
 
 
 def lower_first_toi(

@@ -110,8 +110,9 @@ def detect(
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB,
             or a quarter of what is free on a GPU if that is more. The result does not depend on it.
         capacity: of the result and of all intermediate lists. Then sizes are fixed and the call does not synchronise,
-            so that it can be captured by `torch.cuda.graph` and compiled by `torch.compile(fullgraph=True)`; `overflow`
-            of the result is set if a capacity was exceeded. (For deforming bodies, call it once before capturing.)
+            so that it can be captured by `torch.cuda.graph` and compiled by `torch.compile(fullgraph=True)`. If a
+            capacity was exceeded or a pose is invalid, the result reads as contact at the start of the step, until
+            `trim` raises: see `PaddedContacts`. (For deforming bodies, call it once before capturing.)
 
     Returns:
         Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts for a trajectory. On
@@ -149,7 +150,7 @@ def detect(
     if pairs is not None:
         pairs = check_pairs(pairs, bodies, ascending=True)
     if capacity is not None:
-        return search_padded(bodies, query, capacity, broad_phase, pairs).padded()
+        return search_padded(bodies, query, capacity, broad_phase, pairs, marks_invalid=True).padded()
     found = find_contacts(bodies, query, broad_phase, pairs, memory_budget)
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
     found.scene = scene

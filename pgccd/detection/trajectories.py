@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from pgccd.detection import narrow
-from pgccd.detection.contacts import By, Contacts, all_columns, earliest_row, first_time
+from pgccd.detection.contacts import Contacts, all_columns, earliest_row
+from pgccd.detection.grouping import By, first_time
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion

@@ -85,6 +85,13 @@ class MovingColumns:
         """Whether `first_faults` is known, or includes faults that are not in the columns."""
         return self.is_trusted or self._given_faults is not None
 
+    @property
+    def first_given_fault(self) -> Tensor | None:
+        """(1,) int64 on the device: the first row that is faulty in an argument not stored as a column, or the number
+        of rows; None if all were valid.
+        """
+        return None if self._given_faults is None else self._given_faults[:-1].min().reshape(1)
+
     def check(self) -> None:
         """Raises ValueError naming the first row with a number that is not finite or too large, or a quaternion that is
         not unit.

@@ -71,18 +71,22 @@ class Faults:
     sources: Mapping[str, str]
     radius: Tensor | None = None
 
-    def raise_from(self, first: Sequence[int]) -> None:
-        """Raises ValueError for the first fault, if there is one."""
+    def raise_from(self, first: Sequence[int], later: bool = False) -> None:
+        """Raises ValueError for the first fault, if there is one.
+
+        Args:
+            first: values of `first_faults`.
+            later: whether columns may hold other values by now; the message then states none.
+        """
         of_columns = first if self.radius is None else first[1:]
         for name, index in zip(self.names, of_columns, strict=False):
             if index < self.count:
                 source = f" (it follows from {self.sources[name]})" if name in self.sources else ""
                 raise ValueError(f"{name}: {self.row} {index}: expected {expected(name)}{source}")
         if self.radius is not None and first[0] < len(self.radius):
-            raise ValueError(
-                f"motion: body {first[0]} has SBV radius {float(self.radius[first[0]]):g}; "
-                f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
-            )
+            radius = "an SBV radius" if later else f"SBV radius {float(self.radius[first[0]]):g}"
+            limits = f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
+            raise ValueError(f"motion: body {first[0]} has {radius} out of range; {limits}")
 
 
 def first_faulty_radius(radius: Tensor) -> Tensor:

@@ -38,7 +38,16 @@ PGCCD_HD bool is_faulty(const RowColumn& column, int64_t row) {
   return !((column.check == RowCheck::kUnitLength ? std::fabs(length - 1.0) : length) <= column.limit);
 }
 
+// A copy of radii of bodies, one a row of each column, with -infinity for bodies with a faulty row: these are absent
+// from broad phases.
+struct SoundRadii {
+  const double* radius = nullptr;  // (count,)
+  double* copy = nullptr;          // (count,) or null: none is made
+  int64_t count = 0;
+};
+
 // Writes to `first` the first faulty row of each column, or its number of rows; then 1 if any row is faulty, else 0.
-void first_faults_cpu(const Executor& executor, const std::vector<RowColumn>& columns, int64_t* first);
+void first_faults_cpu(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                      int64_t* first);
 
 }  // namespace pgccd

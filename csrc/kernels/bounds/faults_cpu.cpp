@@ -1,12 +1,15 @@
 #include <algorithm>
 #include <atomic>
+#include <limits>
 
 #include "kernels/bounds/faults.h"
 
 namespace pgccd {
 
-void first_faults_cpu(const Executor& executor, const std::vector<RowColumn>& columns, int64_t* first) {
+void first_faults_cpu(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                      int64_t* first) {
   constexpr int64_t kGrain = 4096;
+  std::copy_n(radii.radius, radii.count, radii.copy);
   bool any = false;
   for (size_t k = 0; k < columns.size(); ++k) {
     const RowColumn& column = columns[k];
@@ -17,7 +20,8 @@ void first_faults_cpu(const Executor& executor, const std::vector<RowColumn>& co
         int64_t seen = least.load();
         while (row < seen && !least.compare_exchange_weak(seen, row)) {
         }
-        return;
+        if (radii.copy == nullptr) return;
+        radii.copy[row] = -std::numeric_limits<double>::infinity();
       }
     });
     first[k] = least;

@@ -11,7 +11,7 @@ struct Columns {
   int count;
 };
 
-__global__ void __launch_bounds__(kBlockThreads) find_faults(Columns columns, int64_t* first) {
+__global__ void __launch_bounds__(kBlockThreads) find_faults(Columns columns, double* sound, int64_t* first) {
   wait_for_previous_kernels();
   const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
   for (int c = 0; c < columns.count; ++c) {
@@ -20,13 +20,15 @@ __global__ void __launch_bounds__(kBlockThreads) find_faults(Columns columns, in
       if (!is_faulty(column, row)) continue;
       atomicMin(reinterpret_cast<unsigned long long*>(first) + c, static_cast<unsigned long long>(row));
       first[columns.count] = 1;
+      if (sound != nullptr) sound[row] = -INFINITY;
     }
   }
 }
 
 }  // namespace
 
-void first_faults_cuda(const DeviceContext& context, const std::vector<RowColumn>& columns, int64_t* first) {
+void first_faults_cuda(const DeviceContext& context, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                       int64_t* first) {
   if (columns.size() > kMostColumns) throw std::runtime_error("first_faults: too many columns");
   Columns all{};
   all.count = static_cast<int>(columns.size());
@@ -35,10 +37,12 @@ void first_faults_cuda(const DeviceContext& context, const std::vector<RowColumn
     all.column[c] = columns[c];
     most = larger(most, columns[c].rows);
   }
-  for_each_item(context, all.count + 1,
-                [=] __device__(int64_t c) { first[c] = c < all.count ? all.column[c].rows : 0; });
+  for_each_item(context, larger<int64_t>(all.count + 1, radii.count), [=] __device__(int64_t k) {
+    if (k <= all.count) first[k] = k < all.count ? all.column[k].rows : 0;
+    if (k < radii.count) radii.copy[k] = radii.radius[k];
+  });
   if (most == 0) return;
-  launch_kernel(context, find_faults, looping_blocks_for(context, most), kBlockThreads, all, first);
+  launch_kernel(context, find_faults, looping_blocks_for(context, most), kBlockThreads, all, radii.copy, first);
 }
 
 }  // namespace pgccd

@@ -15,7 +15,7 @@ from pgccd.detection.capacity import COUNT_ROWS, busy_nanoseconds, overflow_flag
 from pgccd.detection.parts import first_contacts_of
 from pgccd.distributed.comm.exchange import Columns, first_row
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.comm.peer_memory import PeerMessages, RowsOfRanks
+from pgccd.distributed.comm.peer_memory import RowsOfRanks
 from pgccd.distributed.detection.padded_share import (
     PaddedShare,
     ShareCapacity,
@@ -53,8 +53,9 @@ class Bodies:
 
 #: The motion of the next step.
 Motion = Callable[[Bodies], RigidMotion]
-#: From the bodies at t0, their motion, and the first toi of each (N,), inf without a contact: the position at the end
-#: of the step as "position", and other values of the payload by name.
+#: From the bodies at t0, their motion, and the first toi of each (N,), inf without a contact, 0 throughout if the
+#: search of any rank was incomplete: the position at the end of the step as "position", and other values of the payload
+#: by name.
 Response = Callable[[Bodies, RigidMotion, Tensor], Columns]
 
 
@@ -83,7 +84,9 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
     On GPUs (over NCCL, if there are several) a step is the replay of one CUDA graph per rank, with messages and both
     functions, and the host waits only for the record of the previous step. A step that exceeds a capacity changes
     nothing, and is repeated launch by launch; so are the last step of `run` and steps in which bodies migrate.
-    Elsewhere all steps run launch by launch. The results are bitwise equal.
+    Elsewhere all steps run launch by launch. The results are bitwise equal. In a step that will be repeated, or for
+    which an error will be raised, contacts may be missing on any rank: `response` is then passed a first toi of 0 for
+    every body of every rank.
 
     Args:
         world: with report="first".
@@ -251,14 +254,15 @@ class _WorldGraph(TransactionGraph[_Committed]):
         share = search_padded_share(self.decomposition, own, *asked, of_held=lambda *held: None)
         for part in share.parts:
             part.begin()
-        new = _with_position(self._response(bodies, motion, _first_toi(share, comm.peer_messages)))
+        counts = [part.counts() for part in share.parts]
+        overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
+        incomplete = torch.cat([self._failed, share.failed, motion.first_faults()[-1:], *overflow]).sum().reshape(1)
+        first, incomplete = _first_toi(share, comm, incomplete)
+        new = _with_position(self._response(bodies, motion, first))
         is_body = id >= 0
         leaving = count_leaving(self.decomposition, new["position"].contiguous(), id)
         is_valid = ((new["position"].abs() <= LARGEST_COORDINATE).all(dim=1) | ~is_body).all()
-        counts = [part.counts() for part in share.parts]
-        overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
-        faults = [motion.first_faults()[-1:], (~is_valid).to(torch.int64)[None], *overflow]
-        failed = torch.cat([self._failed, share.failed, *faults]).sum().reshape(1)
+        failed = incomplete | ~is_valid
         owned, ghosts = is_body.sum()[None], (share.held.ghosts["id"] >= 0).sum()[None]
         mine = torch.cat([failed, owned, ghosts, leaving, *counts])
         record = comm.all_gather(mine) if comm.peer_messages is None else comm.peer_messages.gather(mine)
@@ -285,9 +289,16 @@ class _WorldGraph(TransactionGraph[_Committed]):
         return _Committed(found, loads, int(leaving.sum()), int(ghosts.sum()))
 
 
-def _first_toi(share: PaddedShare[None], peers: PeerMessages | None) -> Tensor:
-    """(N,) float64: the first toi of each own body, over all ranks that hold it."""
-    held, own_count = share.held, share.held.own_count
+def _first_toi(share: PaddedShare[None], comm: Comm, incomplete: Tensor) -> tuple[Tensor, Tensor]:
+    """The first toi of each own body, (N,) float64, over all ranks that hold it; and whether the search of any rank was
+    incomplete, (1,) int64 0 or 1. All toi are 0 then: contacts lost on one rank may be those of others' bodies.
+
+    Args:
+        share: of this rank.
+        comm: between the ranks.
+        incomplete: (1,) int64, nonzero if the search of this rank may have missed contacts.
+    """
+    held, own_count, peers = share.held, share.held.own_count, comm.peer_messages
     pairs, toi = first_contacts_of(share.parts)
     first = toi.new_full((len(held) + 1,), torch.inf)  # the last row is for padding
     _lower(first, pairs.reshape(-1), toi.repeat_interleave(2))
@@ -296,11 +307,14 @@ def _first_toi(share: PaddedShare[None], peers: PeerMessages | None) -> Tensor:
         ghosts = torch.arange(own_count, len(held), device=first.device)
         sent = RowsOfRanks(ghosts, neighbours.counts_of_ranks(held.route.received))
         received = RowsOfRanks(held.route.rows, neighbours.counts_of_ranks(held.route.sent))
-        peers.lower(first, sent, received)
-    elif neighbours.comm.size > 1:
-        answer = held.route.back({"toi": first[own_count:-1]}).wait()["toi"]
-        _lower(first, held.route.rows, answer)
-    return first[:own_count]
+        anywhere = torch.zeros_like(incomplete)
+        peers.lower(first, sent, received, incomplete, anywhere)
+    else:
+        if neighbours.comm.size > 1:
+            answer = held.route.back({"toi": first[own_count:-1]}).wait()["toi"]
+            _lower(first, held.route.rows, answer)
+        anywhere = comm.all_gather(incomplete).amax(dim=0).clamp(max=1)
+    return first[:own_count].masked_fill(anywhere != 0, 0.0), anywhere
 
 
 def _lower(first: Tensor, rows: Tensor, toi: Tensor) -> None:
