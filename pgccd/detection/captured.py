@@ -1,5 +1,6 @@
 """Detection as one CUDA graph, for loops that must not be limited by kernel launches from the host."""
 
+import operator
 from typing import Unpack
 
 from pgccd import arguments
@@ -8,7 +9,7 @@ from pgccd.detection.capacity import Capacity, CapacityError, check_capacity
 from pgccd.detection.contacts import Contacts, PaddedContacts
 from pgccd.detection.pipeline import Options, detect
 from pgccd.detection.query import Query
-from pgccd.geometry.scene import Scene
+from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.runtime.graph import Graph, capture
 
@@ -24,7 +25,8 @@ class CapturedDetection:
     calls `detect` with the same capacity (`is_graph` is False).
 
     Args:
-        scene: the bodies. Its columns are read at each replay and may be changed in place.
+        scene: the bodies. Its columns are read at each replay and may be written; if one is replaced, the next replay
+            captures the graph again. The `mesh_index` of bodies that deform is fixed.
         motion: a step of the same kind as later ones, with the same number of bodies or vertices.
         report, min_separation: as for `detect`.
         capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
@@ -66,6 +68,7 @@ class CapturedDetection:
         #: The motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
         self.motion = _copy_of(motion)
         self._graph: Graph | None = None
+        self._captured: list[object] = []
         self._found: PaddedContacts | None = None
 
     def load(self, motion: RigidMotion | VertexMotion) -> None:
@@ -96,6 +99,8 @@ class CapturedDetection:
         """
         if self._found is None:
             self.capacity = self.capacity or self._estimate()
+            self._capture()
+        elif self.is_graph and not all(map(operator.is_, self._captured, self._read())):
             self._capture()
         if self._graph is None:
             self._found = self._detect()
@@ -144,9 +149,14 @@ class CapturedDetection:
         given = self.scene, self.motion, self._report, self._min_separation
         return detect(*given, capacity=self.capacity, **self._options)
 
+    def _read(self) -> list[object]:
+        """What the graph reads: it is captured again if one of these was replaced."""
+        of_motion = [*self.motion.columns().values(), getattr(self.motion, "path", None)]
+        return [self.scene.mesh_index, *(getattr(self.scene, name) for name in OPTIONAL_COLUMNS), *of_motion]
+
     def _capture(self) -> None:
         if self.is_graph:
-            self._graph = None
+            self._graph, self._captured = None, self._read()
             self._graph, self._found = capture(self._detect, self.scene.device)
 
     def __repr__(self) -> str:

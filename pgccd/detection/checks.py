@@ -1,5 +1,6 @@
 """Argument checks shared by several stages."""
 
+import warnings
 from collections.abc import Sequence
 
 import torch
@@ -7,6 +8,9 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.detection.bodies import MovingBodies
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.trajectory import Trajectory
 
 #: The default tolerance, relative to the smaller SBV radius of a pair.
 RELATIVE_TOLERANCE = 1e-6
@@ -16,6 +20,19 @@ def require_bodies(bodies: MovingBodies) -> None:
     """Raises TypeError unless `bodies` is a MovingBodies."""
     if not isinstance(bodies, MovingBodies):
         raise TypeError(f"bodies: expected a pgccd.MovingBodies, got {arguments.describe(bodies)}")
+
+
+def warn_of_only_body(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> None:
+    """Warns that the only body of a user's scene can have no contact, if it is not tested against itself."""
+    deforms = isinstance(motion, VertexMotion) or (isinstance(motion, Trajectory) and motion.orientation is None)
+    if scene.is_trusted or torch.compiler.is_compiling() or (deforms and len(scene.self_colliding)):
+        return
+    advice = "add the bodies that it may meet"
+    if deforms:
+        advice += ", or pass self_collision=True to test it against itself"
+    elif scene.self_collision is not None:
+        advice += "; self_collision applies to bodies that deform (VertexMotion)"
+    warnings.warn(f"scene: it has one body, so no contact can be found: {advice}", UserWarning, stacklevel=3)
 
 
 def check_separation(min_separation: float) -> float:

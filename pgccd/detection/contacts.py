@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, Self
 
 import torch
 from torch import Tensor
@@ -106,7 +106,7 @@ def first_time(pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By) 
     return first.scatter_reduce(0, owner, time.repeat_interleave(2), "amin")[:count]
 
 
-@dataclass
+@dataclass(eq=False)
 class ContactColumns:
     """One row per contact. With report="any" only `pairs` is meaningful and all other columns are None."""
 
@@ -129,6 +129,16 @@ class ContactColumns:
         columns = {name: getattr(self, name) for name in COLUMNS}
         return {name: column for name, column in columns.items() if column is not None}
 
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        mine, theirs = self.columns, other.columns
+        return mine.keys() == theirs.keys() and all(
+            column.device == theirs[name].device and torch.equal(column, theirs[name]) for name, column in mine.items()
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
         largest world index), or (N,) per "body". Does not synchronise; contacts missing after an overflow are ignored.
@@ -142,31 +152,39 @@ class ContactColumns:
         return first_time(self.pairs, self.toi, self.scene, by)
 
 
-@dataclass
+@dataclass(eq=False)
 class Contacts(ContactColumns):
-    """K contacts, sorted by pair, then kind and features."""
+    """K contacts, sorted by pair, then kind and features. Equal (`==`) if all columns are, bit by bit."""
 
     stats: Stats
+
+    def __iter__(self) -> NoReturn:
+        raise TypeError(
+            "Contacts: not iterable: loop over columns, such as zip(hits.pairs.tolist(), hits.toi.tolist()), or over "
+            "single rows, hits[k : k + 1]"
+        )
 
     def __len__(self) -> int:
         return self.pairs.shape[0]
 
-    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Contacts:
+    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Self:
         """A subset of the contacts: a mask (K,), row numbers or a slice. `stats` remain those of the whole call.
 
         Example:
             >>> early = hits[hits.toi < 0.5]
         """
+        if isinstance(rows, int) and not isinstance(rows, bool):
+            raise TypeError(f"rows: expected a mask, row numbers or a slice, got {rows}: write hits[[{rows}]]")
         picked = arguments.rows(rows, "rows", len(self))
         return self._map(lambda column: column[picked])
 
-    def earliest(self, *ties: Tensor) -> Contacts:
+    def earliest(self, *ties: Tensor) -> Self:
         """The contact with the smallest toi (see `earliest_row` for ties), or none if there are no contacts."""
         assert self.toi is not None
         found = self[earliest_row(self.toi, *ties)]
         return replace(found, stats=replace(found.stats, contacts=len(found)))
 
-    def to(self, device: torch.device | str) -> Contacts:
+    def to(self, device: torch.device | str) -> Self:
         """A copy on another device.
 
         Example:
@@ -175,7 +193,7 @@ class Contacts(ContactColumns):
         device = arguments.device(device)
         return self._map(lambda column: column.to(device))
 
-    def clone(self) -> Contacts:
+    def clone(self) -> Self:
         """A copy of all columns.
 
         Example:
@@ -183,7 +201,7 @@ class Contacts(ContactColumns):
         """
         return self._map(Tensor.clone)
 
-    def _map(self, change: Callable[[Tensor], Tensor]) -> Contacts:
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
         changed = replace(self, **columns)
         changed.scene = self.scene
@@ -193,7 +211,7 @@ class Contacts(ContactColumns):
         return f"Contacts(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
 
 
-@dataclass
+@dataclass(eq=False)
 class PaddedContacts(ContactColumns):
     """Contacts in a fixed number of rows, from `detect(capacity=...)`: the host has not synchronised yet.
 

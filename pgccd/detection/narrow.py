@@ -44,7 +44,7 @@ class Status(IntEnum):
     UNRESOLVED = 2  #: iteration budget spent; counts as a contact
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ElementaryResult:
     """Results of elementary tests; `toi` and `coordinates` have the dtype of the points."""
 

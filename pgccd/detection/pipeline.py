@@ -10,7 +10,7 @@ from pgccd import arguments, ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import EXACTLY, Capacity, check_capacity
-from pgccd.detection.checks import check_pairs
+from pgccd.detection.checks import check_pairs, warn_of_only_body
 from pgccd.detection.contacts import Contacts, PaddedContacts
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
 from pgccd.detection.padded import Search, search_padded, search_rigid
@@ -124,6 +124,13 @@ def detect(
         memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
     if capacity is not None:
         check_capacity(capacity)
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
+        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
+        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    if scene.body_count == 1:
+        warn_of_only_body(scene, motion)
     if isinstance(motion, Trajectory):
         for name, value in (("pairs", pairs), ("capacity", capacity)):
             if value is not None:
@@ -132,7 +139,7 @@ def detect(
         options: Options = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "broad_phase": broad_phase}
         options["memory_budget"] = memory_budget
         return detect_trajectory(scene, motion, query, partial(detect, min_separation=min_separation, **options))
-    on_cpu = isinstance(scene, Scene) and scene.device.type == "cpu"
+    on_cpu = scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
     # An operator for the whole step also checks the poses.
     at_once = pairs is None and isinstance(motion, RigidMotion)

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from pgccd.detection import narrow
+from pgccd.detection.bodies import check_scene
 from pgccd.detection.contacts import By, Contacts, all_columns, earliest_row, first_time
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
@@ -16,7 +17,7 @@ from pgccd.motion.trajectory import Trajectory
 _MOST_ROWS = 2**31
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class TrajectoryContacts(Contacts):
     """Contacts along a trajectory; `toi` is within the segment.
 
@@ -34,6 +35,15 @@ class TrajectoryContacts(Contacts):
         """As `Contacts.first_toi`, for `time` along the whole trajectory."""
         return first_time(self.pairs, self.time, self.scene, by)
 
+    @property
+    def columns(self) -> dict[str, Tensor]:
+        """The columns that are not None, by name."""
+        more = {"segment": self.segment, "time": self.time}
+        return super().columns | {name: column for name, column in more.items() if column is not None}
+
+    def __repr__(self) -> str:
+        return f"Trajectory{super().__repr__()}"
+
 
 #: Finds the contacts of one step.
 DetectStep = Callable[[Scene, RigidMotion | VertexMotion, narrow.Report], Contacts]
@@ -50,6 +60,7 @@ def detect_trajectory(
     segments, count = trajectory.segment_count, scene.body_count
     if scene.device != trajectory.device:
         raise ValueError(f"motion: is on {trajectory.device}, the scene on {scene.device}")
+    check_scene(scene)
     rows, expected = trajectory.position.shape[1], count
     if trajectory.orientation is None:
         expected = scene.layout.vertex_count
@@ -100,8 +111,8 @@ def repeated(scene: Scene, times: int) -> Scene:
     first = torch.arange(times, dtype=torch.int32, device=scene.device) * max(1, scene.world_count)
     columns["world"] = (first[:, None] + world).reshape(-1)
     own = None if scene.self_collision is None else scene.self_collision.repeat(times)
-    many = Scene.of_checked(scene.meshes, scene.mesh_index.repeat(times), own, **columns)
-    many.radius = scene.radius.repeat(times)
+    radius = scene.current_radius().repeat(times)
+    many = Scene.of_checked(scene.meshes, scene.mesh_index.repeat(times), own, radius, **columns)
     many.capacity_estimates = scene.capacity_estimates
     return many
 
