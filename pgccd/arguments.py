@@ -151,8 +151,8 @@ def refuse_vmap(values: Tensor, name: str) -> None:
     """Raises for a tensor whose samples `torch.vmap` hides."""
     if not torch.compiler.is_compiling() and torch._C._functorch.is_batchedtensor(values):
         raise TypeError(
-            f"{name}: torch.vmap is not supported: pass the bodies of all samples as one scene, each sample in a "
-            "`world` of its own"
+            f"{name}: torch.vmap is not supported: pass all samples in one call (bodies as one scene, each sample in a "
+            "`world` of its own; queries as rows)"
         )
 
 

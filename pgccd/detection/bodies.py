@@ -193,7 +193,7 @@ def _rigid(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
     position_t0, position_t1, orientation_t0, rotation = columns.values()
     if position_t0.shape[0] != scene.body_count:
         raise ValueError(f"motion: has {position_t0.shape[0]} bodies, the scene {scene.body_count}")
-    return [scene.mesh_index, position_t0, position_t1, scene.current_radius(), orientation_t0, rotation]
+    return [scene.sound_index(), position_t0, position_t1, scene.current_radius(), orientation_t0, rotation]
 
 
 def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:

@@ -71,19 +71,21 @@ def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) ->
     if own is not None and len(bodies.self_colliding):
         in_order |= (i == j) & (i >= 0) & (j < count) & own[i.clamp(0, count - 1)]
         expected += ", or (i, i) of a body that collides with itself"
-    require(in_order, expected)
+    require(in_order, expected, pairs)
     if ascending:
         rises = (i[1:] > i[:-1]) | ((i[1:] == i[:-1]) & (j[1:] > j[:-1]))
-        require(rises, "pairs: expected rows sorted by i, then j, each once (torch.unique(pairs, dim=0) makes them so)")
+        hint = "torch.unique(pairs, dim=0) makes them so"
+        require(rises, f"pairs: expected rows sorted by i, then j, each once ({hint})", pairs[1:])
     return pairs.contiguous()
 
 
-def require(valid: Tensor, message: str) -> None:
-    """Raises ValueError unless all of `valid` is true.
+def require(valid: Tensor, message: str, values: Tensor) -> None:
+    """Raises ValueError, with the first row of `values` (rows, ...) that is not valid (rows,), unless all are.
 
     On a GPU the assertion is asynchronous: it does not stall the stream.
     """
     if valid.device.type != "cpu" or torch.compiler.is_compiling():
         torch._assert_async(valid.all(), message)
     elif not bool(valid.all()):
-        raise ValueError(message)
+        row = int((~valid).long().argmax())
+        raise ValueError(f"{message}; row {row} is {values[row].tolist()}")

@@ -144,6 +144,7 @@ def contacts(
     require(
         _names_features(bodies, pairs, candidates),
         "candidates: a row refers to a missing pair, kind or feature",
+        candidates,
     )
     arguments.choice(report, "report", REPORTS)
     settings = (check_separation(min_separation), operator_tolerance(tolerance))

@@ -57,6 +57,7 @@ def detect_trajectory(
     All segments run as one step of a scene with one copy of each body per segment; the copies of different segments are
     in different worlds, so no broad phase pairs them.
     """
+    steps = trajectory.steps()
     segments, count = trajectory.segment_count, scene.body_count
     if scene.device != trajectory.device:
         raise ValueError(f"motion: is on {trajectory.device}, the scene on {scene.device}")
@@ -69,7 +70,7 @@ def detect_trajectory(
         raise ValueError(f"motion: has {rows} {what}, the scene {expected}")
     # "earliest" selects from the first contacts of all segments.
     report: narrow.Report = "first" if query.report == "earliest" else query.report
-    found = detect_step(repeated(scene, segments), trajectory.steps(), report)
+    found = detect_step(repeated(scene, segments), steps, report)
     of_pairs = found.pairs
     segment = torch.div(of_pairs[:, 0], max(1, count), rounding_mode="floor")
     pairs = of_pairs - segment[:, None] * count

@@ -195,15 +195,14 @@ class Scene:
         return self.current_radius().clone()
 
     def current_radius(self) -> Tensor:
-        """As `radius`, not a copy. On a GPU this does not synchronise: the radius of a body whose mesh is out of range
-        is that of another mesh, and `must_check_index` is true.
+        """As `radius`, not a copy; of the meshes of `sound_index`.
 
         Raises:
             ValueError: on a CPU, if a mesh is out of range.
         """
         if self._given_radius is not None:
             return self._given_radius
-        if self._must_derive():
+        if self._is_recorded() and (self._radius is None or len(self.meshes) > 1):
             return self._radius_of_meshes()
         if self._radius is None or not self._radius.is_of(self.mesh_index):
             if self.device.type == "cpu" and not self.is_trusted:
@@ -216,26 +215,27 @@ class Scene:
         self._given_radius = torch.where(is_padding, -torch.inf, self.current_radius())
 
     def _radius_of_meshes(self) -> Tensor:
-        index = self.mesh_index
-        if self.must_check_index:
-            index = index.clamp(0, len(self.meshes) - 1)
-        return self.meshes.radius[index.long()]
+        return self.meshes.radius.index_select(0, self.sound_index())
 
-    def _must_derive(self) -> bool:
-        """Whether work is being recorded for values that are not known yet: nothing derived may be cached."""
-        if torch.compiler.is_compiling():
-            return True
-        return self.device.type == "cuda" and torch.cuda.is_current_stream_capturing()
+    def sound_index(self) -> Tensor:
+        """`mesh_index`; where `must_check_index` is true, numbers out of range are replaced by others."""
+        return self.mesh_index.clamp(0, len(self.meshes) - 1) if self.must_check_index else self.mesh_index
 
     @property
     def must_check_index(self) -> bool:
-        """Whether the values of `mesh_index` may be invalid: they have been written since they were validated, or will
-        be between replays of a graph.
+        """Whether the values of `mesh_index` may be invalid, and only the device can tell: they have been written since
+        they were validated, or will be between replays of a graph.
         """
-        if self.is_trusted or self._must_derive():
-            return not self.is_trusted
+        if self.is_trusted or self._is_recorded():
+            return not self.is_trusted and len(self.meshes) > 1
         known = self._validated_index
         return self.device.type != "cpu" and not (known is not None and known.is_of(self.mesh_index))
+
+    def _is_recorded(self) -> bool:
+        """Whether work is being recorded for later values of the columns, from which nothing can be derived yet."""
+        if torch.compiler.is_compiling():
+            return True
+        return self.device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
     @property
     def layout(self) -> VertexLayout:

@@ -72,6 +72,7 @@ class Trajectory:
 
         Raises:
             IndexError: the index is out of range.
+            TypeError, ValueError: a column has been replaced or written, and is invalid there.
 
         Example:
             >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))
@@ -79,14 +80,19 @@ class Trajectory:
         """
         if not 0 <= index < self.segment_count:
             raise IndexError(f"index: expected a segment in [0, {self.segment_count}), got {index}")
+        self._check(slice(index, index + 2))
         return self._motion(slice(index, index + 1))
 
     def steps(self) -> RigidMotion | VertexMotion:
-        """All segments as one step: the bodies of segment k follow those of segment k - 1."""
+        """All segments as one step: the bodies of segment k follow those of segment k - 1.
+
+        Raises:
+            TypeError, ValueError: a column has been replaced or written, and is invalid.
+        """
+        self._check(slice(0, None))
         return self._motion(slice(0, self.segment_count))
 
     def _motion(self, segments: slice) -> RigidMotion | VertexMotion:
-        self._check(slice(segments.start, segments.stop + 1))  # they may have been written
         ends = slice(segments.start + 1, segments.stop + 1)
         start, end = (self.position[rows].reshape(-1, 3) for rows in (segments, ends))
         if self.orientation is None:
