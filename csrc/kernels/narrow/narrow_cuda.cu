@@ -50,7 +50,7 @@ __global__ void __launch_bounds__(kBlockThreads) lower_owners(Search search, Fir
   counts[kNarrowEnded] = nanoseconds();
 }
 
-// A type, not a lambda: the library asks for the type of the result on the host, where a device lambda has none.
+// A type, not a lambda: the library asks on the host for the type of the result, which a device lambda does not tell.
 struct HasWinner {
   __host__ __device__ bool operator()(int32_t winner) const { return winner >= 0; }
 };
