@@ -318,6 +318,19 @@ def test_what_is_written_to_the_radius_has_no_effect() -> None:
         scene.radius = torch.zeros(2)  # type: ignore[misc]
 
 
+def test_what_collides_with_itself_is_fixed(device: torch.device) -> None:
+    b, (_, motion) = bodies(), moving("deforming", device)
+    none, some = (pgccd.Scene(b.meshes, device=device, self_collision=own) for own in (False, [True, False]))
+    pgccd.detect(none, motion)
+    pgccd.detect(some.to(device), motion)
+    none.self_collision = torch.tensor([True, True], device=device)
+    assert some.self_collision is not None
+    some.self_collision[1] = True
+    for scene in (none, some):
+        with pytest.raises(ValueError, match="^self_collision: it is fixed, but was written or replaced"):
+            pgccd.detect(scene, motion)
+
+
 def test_a_path_replaced_by_something_else() -> None:
     scene, motion = moving("rigid")
     motion.path = "Linear"

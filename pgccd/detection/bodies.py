@@ -41,7 +41,8 @@ class MovingBodies:
         #: (N, 3), (N, 3), (N,): the swept spheres that broad phases test. At every t the body and its margin are within
         #: `reach` of the point at fraction t of the way from `centre_t0` to `centre_t1`, its SBV centres at t0 and t1.
         self.centre_t0, self.centre_t1, self.reach = swept_spheres
-        self._of_scene = scene_columns(scene)
+        # Columns of the scene that are checked.
+        self._of_scene: list[Checked] = []
         #: Whether poses and columns have been validated.
         self.checked = False
         self._faults: Tensor | None = None
@@ -67,7 +68,7 @@ class MovingBodies:
         scene.check_columns()
         if scene.device != motion.device:
             raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
-        if isinstance(motion, RigidMotion):
+        if isinstance(motion, RigidMotion) and motion.path not in PATHS:
             arguments.choice(motion.path, "path", PATHS)
         of_scene = scene_columns(scene)
         checks = wait and (bool(of_scene) or not motion.is_trusted)
@@ -75,10 +76,12 @@ class MovingBodies:
         if of_columns is not None and (first := of_columns.tolist())[-1]:
             Faults([*motion.faults.columns, *of_scene]).raise_from(first)
         tensors = (_deforming if isinstance(motion, VertexMotion) else _rigid)(scene, columns)
+        if of_scene:
+            tensors[0] = scene.sound_index()
         if scene.margin is not None:
             tensors.append(scene.margin)
         bodies = cls(scene, motion, columns, tensors, _swept_spheres(scene, motion, tensors))
-        bodies.checked = wait
+        bodies.checked, bodies._of_scene = wait, of_scene
         if of_columns is not None:
             bodies._faults = bodies._with_radius(of_columns)
             if bodies.deforming:
@@ -193,7 +196,7 @@ def _rigid(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
     position_t0, position_t1, orientation_t0, rotation = columns.values()
     if position_t0.shape[0] != scene.body_count:
         raise ValueError(f"motion: has {position_t0.shape[0]} bodies, the scene {scene.body_count}")
-    return [scene.sound_index(), position_t0, position_t1, scene.current_radius(), orientation_t0, rotation]
+    return [scene.mesh_index, position_t0, position_t1, scene.current_radius(), orientation_t0, rotation]
 
 
 def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
@@ -203,6 +206,6 @@ def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
         expected = f"the scene's bodies have {layout.vertex_count}"
         raise ValueError(f"motion: x_t0 has {len(vertices[0])} vertices, {expected}")
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
-        scene.meshes.tensors, scene.mesh_index, vertices[0], vertices[1], *begins, layout.block_count
+        scene.meshes.tensors, scene.sound_index(), vertices[0], vertices[1], *begins, layout.block_count
     )
     return [scene.mesh_index, position_t0, position_t1, radius, *vertices, blocks_t0, blocks_t1, *begins]

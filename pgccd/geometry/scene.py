@@ -122,7 +122,7 @@ class Scene:
         if self.self_collision is not None and self.static is not None:
             self.self_collision &= self.static == 0
         self._count_self_colliding()
-        self._validated_index = Derived(self.mesh_index, None)
+        self._remember()
 
     #: Whether the columns come from a validated scene and are not checked again.
     is_trusted: bool = False
@@ -186,8 +186,13 @@ class Scene:
     _radius: Derived | None = None
     _layout: Derived | None = None
     _world_count: Derived | None = None
-    # The `mesh_index` whose values have been validated.
+    # The `mesh_index` whose values have been validated, and the `self_collision` that `self_colliding` follows.
     _validated_index: Derived | None = None
+    _fixed: Derived | None = None
+
+    def _remember(self) -> None:
+        self._validated_index = Derived(self.mesh_index, None)
+        self._fixed = None if self.self_collision is None else Derived(self.self_collision, None)
 
     @property
     def radius(self) -> Tensor:
@@ -226,8 +231,10 @@ class Scene:
         """Whether the values of `mesh_index` may be invalid, and only the device can tell: they have been written since
         they were validated, or will be between replays of a graph.
         """
-        if self.is_trusted or self._is_recorded():
-            return not self.is_trusted and len(self.meshes) > 1
+        if self.is_trusted:
+            return False
+        if self._is_recorded():
+            return len(self.meshes) > 1
         known = self._validated_index
         return self.device.type != "cpu" and not (known is not None and known.is_of(self.mesh_index))
 
@@ -284,6 +291,11 @@ class Scene:
                 raise ValueError(f"{name}: expected {expected}, got {tuple(column.shape)} on {column.device}")
             if not column.is_contiguous():
                 raise ValueError(f"{name}: expected a contiguous tensor")
+        fixed, given = self._fixed, self.self_collision
+        if self.is_trusted or (fixed is None and given is None):
+            return
+        if fixed is None or not isinstance(given, Tensor) or not fixed.is_of(given):
+            raise ValueError("self_collision: it is fixed, but was written or replaced: make a new Scene")
 
     def to(self, device: torch.device | str) -> Scene:
         """A copy on another device, meshes included.
@@ -301,7 +313,7 @@ class Scene:
                 setattr(moved, name, column.to(meshes.device))
         if not self.is_trusted:
             require_meshes(moved.mesh_index, len(meshes))
-            moved._validated_index = Derived(moved.mesh_index, None)
+            moved._remember()
         return moved
 
     def __repr__(self) -> str:
