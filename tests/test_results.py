@@ -159,7 +159,7 @@ def test_a_rank_with_one_body_does_not_warn() -> None:
 
 def test_worlds_name_row_and_value() -> None:
     x = torch.zeros(2, 3, dtype=torch.float64)
-    world = distributed.World.create([tetrahedron()], (-9, -9, -9), (9, 9, 9), x, margin=0.3)  # type: ignore[arg-type]
+    world = distributed.World.create([tetrahedron()], (-9, -9, -9), (9, 9, 9), x, margin=0.3)
     assert world.columns["margin"].tolist() == [0.3, 0.3]
     with pytest.raises(ValueError, match=r"^position: row 1: expected finite .*, got \[0.0, 0.0, nan\]"):
         world.move(torch.tensor([[0.0, 0, 0], [0, 0, float("nan")]], dtype=torch.float64))

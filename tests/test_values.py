@@ -217,9 +217,12 @@ def test_captured_loops_validate_margins(kind: str, device: torch.device) -> Non
         captured.contacts()
     scene.margin[0] = 0.0
     assert captured(motion).trim() == expected
+    captured = pgccd.CapturedDetection(scene, motion)
+    assert captured(motion).trim() == expected
     scene.margin = torch.tensor([0.0, NAN], dtype=torch.float64, device=device)  # another tensor: captured again
     with pytest.raises(ValueError, match="^margin: body 1: .*, got nan"):
         captured(motion).trim()
+    captured = pgccd.CapturedDetection(scene, motion, capacity=Capacity.guess(9))
     scene.margin = None
     assert len(captured(motion).trim()) == 1
 

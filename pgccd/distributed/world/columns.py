@@ -109,7 +109,9 @@ def payload_columns(payload: dict[str, Tensor], argument: str, count: int, devic
         if isinstance(values, Tensor):
             arguments.refuse_gradient(values, f"{argument}[{name!r}]")
         if not isinstance(values, Tensor) or values.shape[:1] != (count,) or values.device != device:
-            raise ValueError(f"{argument}[{name!r}]: expected a tensor ({count}, ...) on {device}")
+            expected = f"a tensor ({count}, ...) on {device}"
+            where = f" on {values.device}" if isinstance(values, Tensor) else ""
+            raise ValueError(f"{argument}[{name!r}]: expected {expected}, got {arguments.describe(values)}{where}")
         if values.layout != torch.strided or values.is_quantized:
             raise ValueError(f"{argument}[{name!r}]: expected a dense tensor, not a sparse or quantized one")
         if name in _RESERVED:
