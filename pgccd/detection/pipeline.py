@@ -112,7 +112,8 @@ def detect(
         the last one.
 
     Raises:
-        ValueError, TypeError: naming the argument; also if an input requires grad: there are no gradients yet.
+        ValueError, TypeError: naming the argument; also if an input requires grad: there are no gradients yet. A
+            UserWarning names a scene whose only body is not tested against itself.
 
     Example:
         >>> hits = pgccd.detect(scene, pgccd.RigidMotion(x0, q0, x1, q1), report="earliest")
@@ -129,9 +130,9 @@ def detect(
     if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
         kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
         raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
-    if scene.body_count == 1:
-        warn_of_only_body(scene, motion)
     if isinstance(motion, Trajectory):
+        if scene.body_count == 1:
+            warn_of_only_body(scene, motion)
         for name, value in (("pairs", pairs), ("capacity", capacity)):
             if value is not None:
                 raise ValueError(f"{name}: cannot be given with a Trajectory, whose segments are found in one call")
@@ -144,6 +145,8 @@ def detect(
     # An operator for the whole step also checks the poses.
     at_once = pairs is None and isinstance(motion, RigidMotion)
     bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not at_once)
+    if scene.body_count == 1:
+        warn_of_only_body(scene, motion)
     seconds = time.perf_counter() - start if capacity is None else 0.0
     broad.choose(bodies, broad_phase)  # raises for an unknown name
     if pairs is not None:
