@@ -13,6 +13,8 @@ from torch import Tensor
 def number(value: Any, name: str, expected: str = "a number") -> float:
     """The value as a float. Accepts a Python or NumPy number or a tensor with one element, but not a bool."""
     if isinstance(value, Tensor) and value.dim() == 0 and not value.dtype.is_complex and value.dtype != torch.bool:
+        refuse_gradient(value, name)
+        refuse_meta(value, name)
         value = value.item()
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.floating, np.integer)):
         raise TypeError(f"{name}: expected {expected}, got {describe(value)}")
@@ -20,15 +22,16 @@ def number(value: Any, name: str, expected: str = "a number") -> float:
 
 
 # Squares of larger lengths overflow.
-_LONGEST = 1e150
+LONGEST = 1e150
+#: The values of a length, in words.
+LENGTH = f"a finite length >= 0, at most {LONGEST:g}"
 
 
 def length(value: Any, name: str) -> float:
     """The value as a float, if it is a length in [0, 1e150]."""
-    expected = "a finite length >= 0, at most 1e150"  # a constant, for torch.compile
-    result = number(value, name, expected)
-    if not 0.0 <= result <= _LONGEST:
-        raise ValueError(f"{name}: expected {expected}, got {value}")
+    result = number(value, name, LENGTH)
+    if not 0.0 <= result <= LONGEST:
+        raise ValueError(f"{name}: expected {LENGTH}, got {value}")
     return result
 
 
@@ -119,6 +122,40 @@ def rows(value: Any, name: str, count: int) -> Any:
     return picked
 
 
+def real_numbers(values: Any, name: str, expected: str) -> Tensor:
+    """Numbers (float32, float64 or integers: one, a list, an array or a tensor) as a float64 tensor on their device. A
+    Python float keeps all its digits. Memory of float64 is shared.
+    """
+    try:
+        dtype = torch.as_tensor(values).dtype
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise TypeError(f"{name}: expected {expected}, got {describe(values)}") from error
+    if dtype.is_complex or dtype == torch.bool or (dtype.is_floating_point and dtype.itemsize < 4):
+        raise TypeError(f"{name}: expected {expected}, got {dtype_name(dtype)}")
+    numbers = torch.as_tensor(values, dtype=torch.float64)  # without the dtype, lists of floats would be float32
+    if numbers.layout != torch.strided:
+        raise TypeError(f"{name}: expected a dense tensor, got {numbers.layout}")
+    refuse_meta(numbers, name)
+    refuse_gradient(numbers, name)
+    refuse_vmap(numbers, name)
+    return numbers.detach()
+
+
+def refuse_meta(values: Tensor, name: str) -> None:
+    """Raises for a tensor without values."""
+    if values.is_meta:
+        raise TypeError(f"{name}: expected values, got a tensor on the device meta")
+
+
+def refuse_vmap(values: Tensor, name: str) -> None:
+    """Raises for a tensor whose samples `torch.vmap` hides."""
+    if not torch.compiler.is_compiling() and torch._C._functorch.is_batchedtensor(values):
+        raise TypeError(
+            f"{name}: torch.vmap is not supported: pass all samples in one call (bodies as one scene, each sample in a "
+            "`world` of its own; queries as rows)"
+        )
+
+
 def refuse_gradient(values: Tensor, name: str) -> None:
     """Raises if the values require grad while gradients are enabled."""
     if values.requires_grad and torch.is_grad_enabled():
@@ -131,7 +168,10 @@ def refuse_gradient(values: Tensor, name: str) -> None:
 def real_tensor(values: Any, name: str) -> None:
     """Raises unless the values are a dense float32 or float64 tensor without a required gradient."""
     if not isinstance(values, Tensor):
-        raise TypeError(f"{name}: expected a float32 or float64 tensor, got {describe(values)}")
+        hint = ": pass torch.tensor(values, dtype=torch.float64)" if isinstance(values, (list, tuple)) else ""
+        hint = ": pass torch.from_numpy(values)" if isinstance(values, np.ndarray) else hint
+        raise TypeError(f"{name}: expected a float32 or float64 tensor, got {describe(values)}{hint}")
+    refuse_vmap(values, name)
     if values.dtype not in (torch.float32, torch.float64):
         raise TypeError(f"{name}: expected float32 or float64, got {values.dtype}")
     if values.layout != torch.strided:

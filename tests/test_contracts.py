@@ -10,6 +10,7 @@ import pytest
 
 from pgccd import broad, narrow, sim
 from pgccd.detection.capacity import COUNTS_OF_PAIRS, Counts
+from pgccd.motion.faults import CHECK_NUMBERS
 from pgccd.sim import model
 
 CSRC = Path(__file__).resolve().parents[1] / "csrc"
@@ -34,6 +35,7 @@ def enumerators(header: str, name: str) -> dict[str, int]:
     [
         ("kernels/broad/broad_phase.h", "BroadPhase", broad.BROAD_PHASE_NUMBERS),
         ("kernels/narrow/narrow.h", "Report", {name: k for name, k in narrow.REPORTS.items() if name != "earliest"}),
+        ("kernels/bounds/faults.h", "RowCheck", CHECK_NUMBERS),
         ("kernels/narrow/search_state.h", "Status", {each.name.lower(): each.value for each in narrow.Status}),
         (
             "core/candidate.h",

@@ -71,6 +71,19 @@ def test_layers_include_only_what_they_may() -> None:
     assert wrong == []
 
 
+def test_library_calls_take_types_of_functions() -> None:
+    """CUB asks on the host for the type of a function's result, which a lambda for the device does not tell."""
+    calls = 0
+    for path in sources():
+        text = path.read_text()
+        lambdas = re.findall(r"auto (\w+) = \[[^\]]*\] *__device__", text)
+        for call in re.findall(r"cub::Device\w+::[^;]*;", text):
+            calls += 1
+            wrong = [name for name in ("__device__", *lambdas) if re.search(rf"\b{name}\b", call)]
+            assert wrong == [], f"{path.relative_to(ROOT)}: {call[:60]}: {wrong}"
+    assert calls > 8
+
+
 def test_kernels_wait_for_previous_ones() -> None:
     """A launch may begin before the previous kernel has ended: each kernel first waits for it."""
     kernels = 0

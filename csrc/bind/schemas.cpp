@@ -27,7 +27,8 @@
 #include "bind/scratch_peak.h"
 
 STABLE_TORCH_LIBRARY(pgccd, library) {
-  // Checks of columns (., width): 0 magnitude of each number, 1 |length - 1| within the limit, 2 length.
+  // Checks of columns (., width): 0 magnitude of each number, 1 |length - 1| within the limit, 2 length, 3 each number
+  // from 0 to the limit.
   library.def("first_faults(Tensor[] columns, int[] checks, float[] limits) -> Tensor");
   library.def("rotations_between(Tensor orientation_t0, Tensor orientation_t1) -> Tensor");
   library.def(

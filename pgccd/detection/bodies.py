@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
+from pgccd.geometry.columns import mesh_expected
 from pgccd.geometry.scene import Scene
-from pgccd.motion.faults import Faults, first_faulty_radius
-from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.faults import MARGIN, Check, Checked, Faults, first_faults, first_faulty_radius, joined
+from pgccd.motion.paths import PATHS, RigidMotion, VertexMotion
 
 
 class MovingBodies:
@@ -40,7 +41,9 @@ class MovingBodies:
         #: (N, 3), (N, 3), (N,): the swept spheres that broad phases test. At every t the body and its margin are within
         #: `reach` of the point at fraction t of the way from `centre_t0` to `centre_t1`, its SBV centres at t0 and t1.
         self.centre_t0, self.centre_t1, self.reach = swept_spheres
-        #: Whether the poses have been validated.
+        # Columns of the scene that are checked.
+        self._of_scene: list[Checked] = []
+        #: Whether poses and columns have been validated.
         self.checked = False
         self._faults: Tensor | None = None
 
@@ -65,16 +68,22 @@ class MovingBodies:
         scene.check_columns()
         if scene.device != motion.device:
             raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
-        of_motion = motion.first_faults(columns) if wait and not motion.is_trusted else None
-        if of_motion is not None:
-            motion.raise_faults(of_motion.tolist())
+        if isinstance(motion, RigidMotion) and motion.path not in PATHS:
+            arguments.choice(motion.path, "path", PATHS)
+        of_scene = scene_columns(scene)
+        checks = wait and (bool(of_scene) or not motion.is_trusted)
+        of_columns = motion.first_faults(columns, of_scene) if checks else None
+        if of_columns is not None and (first := of_columns.tolist())[-1]:
+            Faults([*motion.faults.columns, *of_scene]).raise_from(first)
         tensors = (_deforming if isinstance(motion, VertexMotion) else _rigid)(scene, columns)
+        if of_scene:
+            tensors[0] = scene.sound_index()
         if scene.margin is not None:
             tensors.append(scene.margin)
         bodies = cls(scene, motion, columns, tensors, _swept_spheres(scene, motion, tensors))
-        bodies.checked = wait
-        if of_motion is not None:
-            bodies._faults = bodies._look(of_motion)
+        bodies.checked, bodies._of_scene = wait, of_scene
+        if of_columns is not None:
+            bodies._faults = bodies._with_radius(of_columns)
             if bodies.deforming:
                 bodies.raise_faults(bodies._faults.tolist())
         return bodies
@@ -84,34 +93,34 @@ class MovingBodies:
         else 0. Computed once and cached.
         """
         if self._faults is None:
-            self._faults = self._look(self.motion.first_faults(self._columns))
+            self._faults = self._find_faults()
         return self._faults
 
     def known_faults(self) -> Tensor | None:
-        """`first_faults`, or None if an operator finds them from the columns alone."""
-        return self.first_faults() if self.motion.has_verdict else self._faults
+        """`first_faults`, or None if an operator finds them from the columns of the motion alone."""
+        return self.first_faults() if self.motion.has_verdict or self._of_scene else self._faults
 
     def check(self) -> None:
-        """Validates the poses again, for a stage called alone: columns may have changed. Synchronises with a GPU.
+        """Validates poses and columns again, for a stage called alone: they may have changed. Synchronises with a GPU.
 
         Raises:
-            ValueError: a pose is invalid.
+            ValueError: naming the column, the row and the value.
         """
-        if not self.motion.is_trusted and not torch.compiler.is_compiling():
-            self.raise_faults(self._look(self.motion.first_faults(self._columns)).tolist())
+        self._of_scene = scene_columns(self.scene)
+        if (self._of_scene or not self.motion.is_trusted) and not torch.compiler.is_compiling():
+            self.raise_faults(self._find_faults().tolist())
 
-    def _look(self, of_motion: Tensor) -> Tensor:
-        if not self.deforming:
-            return of_motion
-        body = first_faulty_radius(self.radius)
-        return torch.cat([body[:1], of_motion[:-1], torch.maximum(of_motion[-1:], body[1:])])
+    def _find_faults(self) -> Tensor:
+        return self._with_radius(self.motion.first_faults(self._columns, self._of_scene))
+
+    def _with_radius(self, faults: Tensor) -> Tensor:
+        return joined(faults, first_faulty_radius(self.radius)) if self.deforming else faults
 
     @property
     def faults(self) -> Faults:
         """The meaning of the values of `first_faults`."""
-        faults = self.motion.faults
-        faults.radius = self.radius if self.deforming else None
-        return faults
+        columns = [*self.motion.faults.columns, *self._of_scene]
+        return Faults(columns, self.radius if self.deforming else None)
 
     def raise_faults(self, first: Sequence[int]) -> None:
         """Raises ValueError if the values of `first_faults` include a faulty row."""
@@ -154,6 +163,24 @@ class MovingBodies:
         return rows if self.deforming else rows[:0]
 
 
+def scene_columns(scene: Scene) -> list[Checked]:
+    """The columns of a scene whose values are validated at each use; none of a validated scene."""
+    columns = []
+    if scene.must_check_index:
+        count = len(scene.meshes)
+        columns = [Checked("mesh_index", scene.mesh_index, Check("range", count - 1.0, mesh_expected(count)), "body")]
+    if scene.margin is not None and not scene.is_trusted:
+        columns.append(Checked("margin", scene.margin, MARGIN, "body"))
+    return columns
+
+
+def check_scene(scene: Scene) -> None:
+    """Raises ValueError if a value of a column of a scene is invalid. Synchronises with a GPU if one may be."""
+    scene.check_columns()
+    if columns := scene_columns(scene):
+        Faults(columns).raise_from(first_faults(columns).tolist())
+
+
 def _swept_spheres(
     scene: Scene, motion: RigidMotion | VertexMotion, tensors: list[Tensor]
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -169,7 +196,7 @@ def _rigid(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
     position_t0, position_t1, orientation_t0, rotation = columns.values()
     if position_t0.shape[0] != scene.body_count:
         raise ValueError(f"motion: has {position_t0.shape[0]} bodies, the scene {scene.body_count}")
-    return [scene.mesh_index, position_t0, position_t1, scene.radius, orientation_t0, rotation]
+    return [scene.mesh_index, position_t0, position_t1, scene.current_radius(), orientation_t0, rotation]
 
 
 def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
@@ -179,6 +206,6 @@ def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
         expected = f"the scene's bodies have {layout.vertex_count}"
         raise ValueError(f"motion: x_t0 has {len(vertices[0])} vertices, {expected}")
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
-        scene.meshes.tensors, scene.mesh_index, vertices[0], vertices[1], *begins, layout.block_count
+        scene.meshes.tensors, scene.sound_index(), vertices[0], vertices[1], *begins, layout.block_count
     )
     return [scene.mesh_index, position_t0, position_t1, radius, *vertices, blocks_t0, blocks_t1, *begins]

@@ -48,8 +48,9 @@ class CapturedDetection:
     `first_toi` stands still for such a step, and goes on once the capacity suffices.
 
     Args:
-        scene: the bodies. Its columns are read at each call and may be changed in place. If columns of the scene or of
-            `motion` are replaced, or `mesh_index` is changed in place, the graph is captured again.
+        scene: the bodies. Its columns are read at each call and may be written. If columns of the scene or of `motion`
+            are replaced, or `mesh_index` is written, the graph is captured again. The `mesh_index` of bodies that
+            deform is fixed.
         motion: a step of the same kind as later ones, with the same number of bodies or vertices.
         report, min_separation: as for `detect`.
         capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
@@ -219,7 +220,8 @@ class CapturedDetection:
         scene, motion = self.scene, self.motion
         columns = [getattr(scene, name) for name in ("mesh_index", "self_collision", *OPTIONAL_COLUMNS)]
         written = None if scene.mesh_index.is_inference() else scene.mesh_index._version
-        return [*columns, *(getattr(motion, name) for name in motion.columns()), written]
+        of_motion = [*motion.columns().values(), getattr(motion, "path", None)]
+        return [*columns, *of_motion, written]
 
     def _estimate(self) -> Capacity:
         given = self.scene, self.motion, self._report, self._min_separation
@@ -258,4 +260,4 @@ def _mark_given_faults(copied: RigidMotion | VertexMotion, motion: RigidMotion |
 
 def _are_same(one: list[object], other: list[object]) -> bool:
     """Whether both have the same tensors and equal numbers."""
-    return all(a is b or (isinstance(a, int) and a == b) for a, b in zip(one, other, strict=True))
+    return all(a is b or (isinstance(a, (int, str)) and a == b) for a, b in zip(one, other, strict=True))

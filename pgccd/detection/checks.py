@@ -1,5 +1,6 @@
 """Argument checks shared by several stages."""
 
+import warnings
 from collections.abc import Sequence
 from typing import Literal, get_args
 
@@ -8,6 +9,9 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.detection.bodies import MovingBodies
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.trajectory import Trajectory
 
 #: What to do about surfaces that intersect at t = 0: see `pgccd.detect`.
 Initial = Literal["report", "assume_free"]
@@ -20,6 +24,19 @@ def require_bodies(bodies: MovingBodies) -> None:
     """Raises TypeError unless `bodies` is a MovingBodies."""
     if not isinstance(bodies, MovingBodies):
         raise TypeError(f"bodies: expected a pgccd.MovingBodies, got {arguments.describe(bodies)}")
+
+
+def warn_of_only_body(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> None:
+    """Warns that the only body of a user's scene can have no contact, if it is not tested against itself."""
+    deforms = isinstance(motion, VertexMotion) or (isinstance(motion, Trajectory) and motion.orientation is None)
+    if scene.is_trusted or torch.compiler.is_compiling() or (deforms and len(scene.self_colliding)):
+        return
+    advice = "add the bodies that it may meet"
+    if deforms:
+        advice += ", or pass self_collision=True to test it against itself"
+    elif scene.self_collision is not None:
+        advice += "; self_collision applies to bodies that deform (VertexMotion)"
+    warnings.warn(f"scene: it has one body, so no contact can be found: {advice}", UserWarning, stacklevel=3)
 
 
 def check_separation(min_separation: float) -> float:
@@ -64,19 +81,21 @@ def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) ->
     if own is not None and len(bodies.self_colliding):
         in_order |= (i == j) & (i >= 0) & (j < count) & own[i.clamp(0, count - 1)]
         expected += ", or (i, i) of a body that collides with itself"
-    require(in_order, expected)
+    require(in_order, expected, pairs)
     if ascending:
         rises = (i[1:] > i[:-1]) | ((i[1:] == i[:-1]) & (j[1:] > j[:-1]))
-        require(rises, "pairs: expected rows sorted by i, then j, each once (torch.unique(pairs, dim=0) makes them so)")
+        hint = "torch.unique(pairs, dim=0) makes them so"
+        require(rises, f"pairs: expected rows sorted by i, then j, each once ({hint})", pairs[1:])
     return pairs.contiguous()
 
 
-def require(valid: Tensor, message: str) -> None:
-    """Raises ValueError unless all of `valid` is true.
+def require(valid: Tensor, message: str, values: Tensor) -> None:
+    """Raises ValueError, with the first row of `values` (rows, ...) that is not valid (rows,), unless all are.
 
     On a GPU the assertion is asynchronous: it does not stall the stream.
     """
     if valid.device.type != "cpu" or torch.compiler.is_compiling():
         torch._assert_async(valid.all(), message)
     elif not bool(valid.all()):
-        raise ValueError(message)
+        row = int((~valid).long().argmax())
+        raise ValueError(f"{message}; row {row} is {values[row].tolist()}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import torch
 from torch import Tensor
@@ -80,7 +80,7 @@ class Stats:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass
+@dataclass(eq=False)
 class ContactColumns:
     """One row per contact. With report="any" only `pairs` is meaningful and all other columns are None."""
 
@@ -107,6 +107,16 @@ class ContactColumns:
     def _incomplete(self) -> Tensor | None:
         """(1,) bool: whether contacts may be missing; None: they are not."""
         return None
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        mine, theirs = self.columns, other.columns
+        return mine.keys() == theirs.keys() and all(
+            column.device == theirs[name].device and torch.equal(column, theirs[name]) for name, column in mine.items()
+        )
+
+    __hash__ = None  # type: ignore[assignment]
 
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
@@ -139,31 +149,39 @@ class ContactColumns:
         return found if incomplete is None else found | incomplete.reshape(())
 
 
-@dataclass
+@dataclass(eq=False)
 class Contacts(ContactColumns):
-    """K contacts, sorted by pair, then kind and features."""
+    """K contacts, sorted by pair, then kind and features. Equal (`==`) if all columns are, bit by bit."""
 
     stats: Stats
+
+    def __iter__(self) -> NoReturn:
+        raise TypeError(
+            "Contacts: not iterable: loop over columns, such as zip(hits.pairs.tolist(), hits.toi.tolist()), or over "
+            "single rows, hits[k : k + 1]"
+        )
 
     def __len__(self) -> int:
         return self.pairs.shape[0]
 
-    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Contacts:
+    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Self:
         """A subset of the contacts: a mask (K,), row numbers or a slice. `stats` remain those of the whole call.
 
         Example:
             >>> early = hits[hits.toi < 0.5]
         """
+        if isinstance(rows, int) and not isinstance(rows, bool):
+            raise TypeError(f"rows: expected a mask, row numbers or a slice, got {rows}: write hits[[{rows}]]")
         picked = arguments.rows(rows, "rows", len(self))
         return self._map(lambda column: column[picked])
 
-    def earliest(self, *ties: Tensor) -> Contacts:
+    def earliest(self, *ties: Tensor) -> Self:
         """The contact with the smallest toi (see `earliest_row` for ties), or none if there are no contacts."""
         assert self.toi is not None
         found = self[earliest_row(self.toi, *ties)]
         return replace(found, stats=replace(found.stats, contacts=len(found)))
 
-    def to(self, device: torch.device | str) -> Contacts:
+    def to(self, device: torch.device | str) -> Self:
         """A copy on another device.
 
         Example:
@@ -172,7 +190,7 @@ class Contacts(ContactColumns):
         device = arguments.device(device)
         return self._map(lambda column: column.to(device))
 
-    def clone(self) -> Contacts:
+    def clone(self) -> Self:
         """A copy of all columns.
 
         Example:
@@ -180,7 +198,7 @@ class Contacts(ContactColumns):
         """
         return self._map(Tensor.clone)
 
-    def _map(self, change: Callable[[Tensor], Tensor]) -> Contacts:
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
         changed = replace(self, **columns)
         changed.scene = self.scene
@@ -190,7 +208,7 @@ class Contacts(ContactColumns):
         return f"Contacts(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
 
 
-@dataclass
+@dataclass(eq=False)
 class PaddedContacts(ContactColumns):
     """Contacts in a fixed number of rows, from `detect(capacity=...)`: the host has not synchronised yet.
 

@@ -46,7 +46,7 @@ class Status(IntEnum):
     UNRESOLVED = 2  #: iteration budget spent; counts as a contact
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ElementaryResult:
     """Results of elementary tests; `toi` and `coordinates` have the dtype of the points."""
 
@@ -146,6 +146,7 @@ def contacts(
     require(
         _names_features(bodies, pairs, candidates),
         "candidates: a row refers to a missing pair, kind or feature",
+        candidates,
     )
     arguments.choice(report, "report", REPORTS)
     settings = (check_separation(min_separation), operator_tolerance(tolerance))

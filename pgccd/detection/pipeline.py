@@ -10,7 +10,7 @@ from pgccd import arguments, ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import EXACTLY, Capacity, check_capacity
-from pgccd.detection.checks import Initial, check_pairs
+from pgccd.detection.checks import Initial, check_pairs, warn_of_only_body
 from pgccd.detection.contacts import Contacts, PaddedContacts
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
 from pgccd.detection.padded import Search, search_padded, search_rigid
@@ -120,7 +120,8 @@ def detect(
         the last one.
 
     Raises:
-        ValueError, TypeError: naming the argument; also if an input requires grad: there are no gradients yet.
+        ValueError, TypeError: naming the argument; also if an input requires grad: there are no gradients yet. A
+            UserWarning names a scene whose only body is not tested against itself.
 
     Example:
         >>> hits = pgccd.detect(scene, pgccd.RigidMotion(x0, q0, x1, q1), report="earliest")
@@ -132,7 +133,14 @@ def detect(
         memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
     if capacity is not None:
         check_capacity(capacity)
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
+        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
+        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
     if isinstance(motion, Trajectory):
+        if scene.body_count == 1:
+            warn_of_only_body(scene, motion)
         for name, value in (("pairs", pairs), ("capacity", capacity)):
             if value is not None:
                 raise ValueError(f"{name}: cannot be given with a Trajectory, whose segments are found in one call")
@@ -140,11 +148,13 @@ def detect(
         options: Options = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial}
         options |= {"broad_phase": broad_phase, "memory_budget": memory_budget}
         return detect_trajectory(scene, motion, query, partial(detect, min_separation=min_separation, **options))
-    on_cpu = isinstance(scene, Scene) and scene.device.type == "cpu"
+    on_cpu = scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
     # An operator for the whole step also checks the poses.
     at_once = pairs is None and isinstance(motion, RigidMotion)
     bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not at_once)
+    if scene.body_count == 1:
+        warn_of_only_body(scene, motion)
     seconds = time.perf_counter() - start if capacity is None else 0.0
     broad.choose(bodies, broad_phase)  # raises for an unknown name
     if pairs is not None:

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from pgccd.detection import narrow
+from pgccd.detection.bodies import check_scene
 from pgccd.detection.contacts import Contacts, all_columns, earliest_row
 from pgccd.detection.grouping import By, first_time
 from pgccd.detection.query import Query
@@ -17,7 +18,7 @@ from pgccd.motion.trajectory import Trajectory
 _MOST_ROWS = 2**31
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class TrajectoryContacts(Contacts):
     """Contacts along a trajectory; `toi` is within the segment.
 
@@ -35,6 +36,15 @@ class TrajectoryContacts(Contacts):
         """As `Contacts.first_toi`, for `time` along the whole trajectory."""
         return first_time(self.pairs, self.time, self.scene, by)
 
+    @property
+    def columns(self) -> dict[str, Tensor]:
+        """The columns that are not None, by name."""
+        more = {"segment": self.segment, "time": self.time}
+        return super().columns | {name: column for name, column in more.items() if column is not None}
+
+    def __repr__(self) -> str:
+        return f"Trajectory{super().__repr__()}"
+
 
 #: Finds the contacts of one step.
 DetectStep = Callable[[Scene, RigidMotion | VertexMotion, narrow.Report], Contacts]
@@ -48,9 +58,11 @@ def detect_trajectory(
     All segments run as one step of a scene with one copy of each body per segment; the copies of different segments are
     in different worlds, so no broad phase pairs them.
     """
+    steps = trajectory.steps()
     segments, count = trajectory.segment_count, scene.body_count
     if scene.device != trajectory.device:
         raise ValueError(f"motion: is on {trajectory.device}, the scene on {scene.device}")
+    check_scene(scene)
     rows, expected = trajectory.position.shape[1], count
     if trajectory.orientation is None:
         expected = scene.layout.vertex_count
@@ -59,7 +71,7 @@ def detect_trajectory(
         raise ValueError(f"motion: has {rows} {what}, the scene {expected}")
     # "earliest" selects from the first contacts of all segments.
     report: narrow.Report = "first" if query.report == "earliest" else query.report
-    found = detect_step(repeated(scene, segments), trajectory.steps(), report)
+    found = detect_step(repeated(scene, segments), steps, report)
     of_pairs = found.pairs
     segment = torch.div(of_pairs[:, 0], max(1, count), rounding_mode="floor")
     pairs = of_pairs - segment[:, None] * count
@@ -101,8 +113,8 @@ def repeated(scene: Scene, times: int) -> Scene:
     first = torch.arange(times, dtype=torch.int32, device=scene.device) * max(1, scene.world_count)
     columns["world"] = (first[:, None] + world).reshape(-1)
     own = None if scene.self_collision is None else scene.self_collision.repeat(times)
-    many = Scene.of_checked(scene.meshes, scene.mesh_index.repeat(times), own, **columns)
-    many.radius = scene.radius.repeat(times)
+    radius = scene.current_radius().repeat(times)
+    many = Scene.of_checked(scene.meshes, scene.mesh_index.repeat(times), own, radius, **columns)
     many.capacity_estimates = scene.capacity_estimates
     return many
 

@@ -51,6 +51,6 @@ def bvtt(
     if horizon is not None:
         check_tensor(horizon, "horizon", torch.float64, pairs.shape[:1], pairs.device)
         arguments.refuse_gradient(horizon, "horizon")
-        require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]")
+        require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]", horizon)
     settings = (check_separation(min_separation), operator_tolerance(tolerance), tests_start(initial))
     return ops.traverse(bodies.operands, pairs, horizon, *settings)

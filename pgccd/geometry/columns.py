@@ -9,12 +9,30 @@ from torch import Tensor
 from pgccd import arguments
 
 
+def mesh_expected(count: int) -> str:
+    """The values of `mesh_index` in words."""
+    return f"a mesh from 0 to {count - 1} (of {count} meshes)"
+
+
 def require_meshes(mesh_index: Tensor, count: int) -> None:
     """Raises ValueError unless every value (N,) is in [0, count)."""
-    if len(mesh_index):
-        low, high = (int(x) for x in torch.aminmax(mesh_index))
-        if low < 0 or high >= count:
-            raise ValueError(f"mesh_index: values in [{low}, {high}], but there are {count} meshes")
+    _require((mesh_index >= 0) & (mesh_index < count), mesh_index, "mesh_index", mesh_expected(count))
+
+
+def require_worlds(world: Tensor) -> None:
+    """Raises ValueError unless every value (N,) is a world."""
+    _require((world >= 0) & (world <= 2**31 - 1), world, "world", "an id in [0, 2^31)")
+
+
+def require_margins(margin: Tensor) -> None:
+    """Raises ValueError unless every value (N,) is a length."""
+    _require((margin >= 0.0) & (margin <= arguments.LONGEST), margin, "margin", arguments.LENGTH)
+
+
+def _require(sound: Tensor, values: Tensor, name: str, expected: str) -> None:
+    if not bool(sound.all()):
+        body = int((~sound).long().argmax())
+        raise ValueError(f"{name}: body {body}: expected {expected}, got {values[body].item()}")
 
 
 def _column(values: Any, name: str, expected: str) -> Tensor:
@@ -45,8 +63,7 @@ def integer_column(values: Tensor | Sequence[int], name: str, count: int | None,
 def world_column(values: Tensor | Sequence[int], count: int, device: torch.device) -> Tensor:
     """Worlds as (count,) int32 on the device."""
     column = integer_column(values, "world", count, device)
-    if count and (int(column.min()) < 0 or int(column.max()) >= 2**31):
-        raise ValueError("world: ids must lie in [0, 2^31)")
+    require_worlds(column)
     return column.to(torch.int32)
 
 
@@ -62,24 +79,12 @@ def bool_column(values: Tensor | Sequence[bool], name: str, count: int, device: 
 
 def margin_column(values: Tensor | Sequence[float] | float, count: int, device: torch.device) -> Tensor:
     """Lengths >= 0, a single one or one per body, as (count,) float64 on the device."""
-    try:
-        column = torch.as_tensor(values)
-        is_meta = column.is_meta
-    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
-        raise TypeError(f"margin: expected lengths, got {arguments.describe(values)}") from error
-    if is_meta or column.is_complex() or column.dtype in (torch.bool, torch.float16, torch.bfloat16):
-        raise TypeError(f"margin: expected lengths, got {column.dtype}")
-    arguments.refuse_gradient(column, "margin")
-    column = column.detach().to(device=device, dtype=torch.float64)
+    column = arguments.real_numbers(values, "margin", "a length, or one per body").to(device)
     if column.dim() == 0:
         column = column.expand(count)
     if column.shape != (count,):
         raise ValueError(f"margin: expected a number or shape ({count},), got {tuple(column.shape)}")
-    if count:
-        faulty = ~((column >= 0.0) & (column < torch.inf))
-        if bool(faulty.any()):
-            body = int(faulty.long().argmax())
-            raise ValueError(f"margin: body {body}: expected a finite length >= 0, got {float(column[body])}")
+    require_margins(column)
     return column.contiguous()
 
 

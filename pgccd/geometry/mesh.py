@@ -14,6 +14,7 @@ from torch import Tensor
 from pgccd import _host, arguments
 from pgccd.geometry import mesh_files
 from pgccd.geometry.origin import Origin, checked_origin, origin_point
+from pgccd.geometry.rounding import is_float32, warn_of_rounding
 
 # Maximum number of triangles per leaf of the hierarchy: one per lane of a vector unit.
 LEAF_SIZE = 8
@@ -36,7 +37,8 @@ class Mesh:
     Beyond that no contact is missed, but bodies a few such errors apart are reported as touching.
 
     Args:
-        vertices: (V, 3) array or tensor of finite numbers, in scene length units.
+        vertices: (V, 3) array or tensor of finite numbers, in scene length units. Lists are float64. A UserWarning
+            names faces that float32 has rounded away, far from the origin of the coordinates.
         faces: (F, 3) integers, three different rows of `vertices` per face. Meshes may be open, non-manifold or in
             several components, and faces may have no area.
         origin: a point (3,) in the coordinates of `vertices`, for example a joint; "centroid", the SBV centre: the mean
@@ -61,6 +63,8 @@ class Mesh:
         points = _as_array(vertices, np.float64, "vertices")
         triangles = _as_array(faces, np.int64, "faces")
         _check_faces(points, triangles)
+        if str(getattr(vertices, "dtype", "")).endswith("float32"):
+            warn_of_rounding(points, triangles)
 
         corners = points[triangles]
         # Relative to the first corner, so that a mesh far from the origin keeps its digits.
@@ -142,9 +146,9 @@ class Mesh:
 
         Raises:
             FileNotFoundError: no such file.
-            ValueError: the file cannot be read as a mesh, contains no triangles, or contains something other than a
-                mesh, such as a point cloud.
-            ImportError: trimesh is not installed.
+            ValueError: the file cannot be read as a mesh, holds less than it declares (a truncated STL, PLY or OFF
+                file), contains no triangles, or contains something other than a mesh, such as a point cloud.
+            ImportError: trimesh, or a package that it needs for this kind of file, is not installed.
 
         Example:
             >>> rock = pgccd.Mesh.load("rock.ply")
@@ -182,6 +186,8 @@ class Mesh:
     @classmethod
     def _of_geometry(cls, geometry: mesh_files.Geometry, origin: Origin, weld: bool) -> Mesh:
         cleaned, source_vertex, source_face = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
+        if is_float32(geometry.vertices):  # before welding, which joins vertices that have become equal
+            warn_of_rounding(geometry.vertices, geometry.faces, stacklevel=4)
         mesh = cls(cleaned.vertices, cleaned.faces, origin)
         mesh.name = geometry.name
         mesh.welded_vertices = len(geometry.vertices) - len(cleaned.vertices)

@@ -1,5 +1,6 @@
 """Triangles from files and from trimesh: extraction, placement and welding."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from os import PathLike, fspath
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pgccd import arguments
+from pgccd.geometry.file_checks import declared_triangles
 
 
 @dataclass(frozen=True)
@@ -41,13 +43,26 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
     if apart and Path(path).suffix.lower() == ".obj":
         options = {"split_objects": True, "split_groups": True}
     try:
+        declared = declared_triangles(Path(path))
         loaded = trimesh.load(fspath(path), process=False, **options)
         # Some files are decoded only on access.
         if not any(len(getattr(each, "vertices", ())) for _, each, _ in _parts(loaded)):
             raise ValueError("it holds no triangles")
+        read = sum(len(getattr(each, "faces", ())) for _, each, _ in _parts(loaded))
+        if declared is not None and read < declared:
+            raise ValueError(f"of its {declared} triangles trimesh reads {read}")
     except Exception as error:
+        if package := _missing_package(error):
+            raise ImportError(f"path: {path} cannot be read without {package}: pip install {package}") from error
         raise ValueError(f"path: {path} cannot be read as a mesh: {error}") from error
     return loaded
+
+
+def _missing_package(error: Exception) -> str | None:
+    """The optional package that trimesh asks for, if that is what the error says."""
+    found = re.search(r"No module named '(\w+)|pip install ([\w-]+)", str(error))
+    name = None if found is None else found[1] or found[2]
+    return None if name is None else name.replace("_", "-")
 
 
 def placed_geometry(loaded: Any) -> list[Geometry]:

@@ -35,22 +35,16 @@ def checked_origin(origin: Origin) -> np.ndarray | str:
     """Validates `origin`: returns the point (3,) or the name.
 
     Raises:
-        ValueError: `origin` is neither a finite point nor a known name.
+        TypeError, ValueError: `origin` is neither a finite point nor a known name.
     """
     if isinstance(origin, str) and origin in ("centroid", "center_of_mass"):
         return origin
-    expected = 'origin: expected a point (3 numbers), "centroid" or "center_of_mass"'
-    try:
-        raw = origin.detach().cpu().double().numpy() if isinstance(origin, Tensor) else np.asarray(origin)
-        if raw.dtype.kind not in "iuf":
-            raise TypeError(f"numbers of type {raw.dtype}")
-        point = np.array(raw, dtype=np.float64)
-    except (TypeError, ValueError, RuntimeError, OverflowError) as error:  # from meta tensors, for example
-        raise ValueError(f"{expected}, got {arguments.describe(origin)}") from error
+    expected = 'a point (3 numbers), "centroid" or "center_of_mass"'
+    point = arguments.real_numbers(origin, "origin", expected).cpu().numpy().copy()
     if point.shape != (3,):
-        raise ValueError(f"{expected}, got shape {point.shape}")
+        raise ValueError(f"origin: expected {expected}, got shape {point.shape}")
     if not np.isfinite(point).all():
-        raise ValueError(f"{expected}, got {point.tolist()}")
+        raise ValueError(f"origin: expected {expected}, got {point.tolist()}")
     return point
 
 

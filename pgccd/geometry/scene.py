@@ -17,9 +17,11 @@ from pgccd.geometry.columns import (
     integer_column,
     margin_column,
     require_meshes,
+    require_worlds,
     self_column,
     world_column,
 )
+from pgccd.geometry.derived import Derived
 from pgccd.geometry.mesh import Mesh, MeshSet
 
 #: Columns of a scene that filter pairs.
@@ -54,13 +56,14 @@ class Scene:
         self_collision: bool, or (N,) bool: which bodies are also tested against themselves, as pairs (i, i), while they
             deform (`VertexMotion`); default none. Feature pairs that share a vertex are not tested. group, mask and
             world do not affect these tests; static bodies are not tested.
-        margin: thickness of bodies, a number or (N,), scene length units, finite and >= 0: a pair is tested with the
+        margin: thickness of bodies, a number or (N,), scene length units, from 0 to 1e150: a pair is tested with the
             separation min_separation + margin_i + margin_j, and a body against itself with min_separation + 2 margin_i.
             Default none. If a body's true path never deviates from the tested one by more than its margin, no contact
             of the true path is missed.
 
-    `mesh_index`, `group`, `mask`, `world`, `static` and `margin` may be written to or replaced later; the bodies that
-    are tested against themselves are fixed.
+    `mesh_index`, `group`, `mask`, `world`, `static` and `margin` may be written to or replaced later, and are validated
+    at each use, as the poses of a motion are; the bodies that are tested against themselves are fixed. A margin given
+    as a Python number or list is float64; a float64 tensor or array is shared, not copied.
 
     Raises:
         ValueError, TypeError: naming the argument.
@@ -119,6 +122,10 @@ class Scene:
         if self.self_collision is not None and self.static is not None:
             self.self_collision &= self.static == 0
         self._count_self_colliding()
+        self._remember()
+
+    #: Whether the columns come from a validated scene and are not checked again.
+    is_trusted: bool = False
 
     # Capacity estimates by kind of step, managed by `pgccd.detection.memory`. They change how often a step is repeated
     # on a GPU, never its result.
@@ -137,20 +144,28 @@ class Scene:
 
     @classmethod
     def of_checked(
-        cls, meshes: MeshSet, mesh_index: Tensor, self_collision: Tensor | None = None, **columns: Tensor
+        cls,
+        meshes: MeshSet,
+        mesh_index: Tensor,
+        self_collision: Tensor | None = None,
+        radius: Tensor | None = None,
+        **columns: Tensor,
     ) -> Scene:
         """From columns of a scene that has been validated: rows of its `mesh_index`, `group`, `margin` and so on.
-        Nothing is checked.
+        Nothing is checked, now or later.
+
+        Args:
+            radius: (N,) of the bodies' SBVs. Default: those of the meshes.
 
         Example:
             >>> part = pgccd.Scene.of_checked(scene.meshes, scene.mesh_index[rows])
         """
         scene = cls.__new__(cls)
-        scene.meshes, scene.device = meshes, meshes.device
+        scene.meshes, scene.device, scene.is_trusted = meshes, meshes.device, True
         scene.mesh_index, scene.body_count = mesh_index, mesh_index.shape[0]
         for name in OPTIONAL_COLUMNS:
             setattr(scene, name, columns.get(name))
-        scene.self_collision = self_collision
+        scene.self_collision, scene._given_radius = self_collision, radius
         scene._count_self_colliding()
         return scene
 
@@ -166,31 +181,74 @@ class Scene:
             meshes = self.mesh_index[self.self_colliding].cpu().long()
             self.self_colliding_vertices = int((begin[1:] - begin[:-1])[meshes].sum())
 
-    # Cached values derived from `mesh_index` and `world`.
-    _radius: _Derived | None = None
-    _layout: _Derived | None = None
-    _world_count: _Derived | None = None
+    # The radius given to `of_checked`, and cached values derived from `mesh_index` and `world`.
+    _given_radius: Tensor | None = None
+    _radius: Derived | None = None
+    _layout: Derived | None = None
+    _world_count: Derived | None = None
+    # The `mesh_index` whose values have been validated, and the `self_collision` that `self_colliding` follows.
+    _validated_index: Derived | None = None
+    _fixed: Derived | None = None
+
+    def _remember(self) -> None:
+        self._validated_index = Derived(self.mesh_index, None)
+        self._fixed = None if self.self_collision is None else Derived(self.self_collision, None)
 
     @property
     def radius(self) -> Tensor:
-        """SBV radius of each body's mesh, (N,) float64."""
+        """SBV radius of each body's mesh, (N,) float64; a copy."""
+        return self.current_radius().clone()
+
+    def current_radius(self) -> Tensor:
+        """As `radius`, not a copy; of the meshes of `sound_index`.
+
+        Raises:
+            ValueError: on a CPU, if a mesh is out of range.
+        """
+        if self._given_radius is not None:
+            return self._given_radius
+        if self._is_recorded() and (self._radius is None or len(self.meshes) > 1):
+            return self._radius_of_meshes()
         if self._radius is None or not self._radius.is_of(self.mesh_index):
-            if torch.compiler.is_compiling():  # values are not available while compiling
-                return self.meshes.radius[self.mesh_index.long()]
-            if self._radius is not None and self.device.type == "cpu":
+            if self.device.type == "cpu" and not self.is_trusted:
                 require_meshes(self.mesh_index, len(self.meshes))
-            self._radius = _Derived(self.mesh_index, self.meshes.radius[self.mesh_index.long()])
+            self._radius = Derived(self.mesh_index, self._radius_of_meshes())
         return self._radius.value
 
-    @radius.setter
-    def radius(self, radius: Tensor) -> None:
-        self._radius = _Derived(self.mesh_index, radius)
+    def leave_out(self, is_padding: Tensor) -> None:
+        """Gives the bodies marked by (N,) bool a negative radius, so that no pair contains them."""
+        self._given_radius = torch.where(is_padding, -torch.inf, self.current_radius())
+
+    def _radius_of_meshes(self) -> Tensor:
+        return self.meshes.radius.index_select(0, self.sound_index())
+
+    def sound_index(self) -> Tensor:
+        """`mesh_index`; where `must_check_index` is true, numbers out of range are replaced by others."""
+        return self.mesh_index.clamp(0, len(self.meshes) - 1) if self.must_check_index else self.mesh_index
+
+    @property
+    def must_check_index(self) -> bool:
+        """Whether the values of `mesh_index` may be invalid, and only the device can tell: they have been written since
+        they were validated, or will be between replays of a graph.
+        """
+        if self.is_trusted:
+            return False
+        if self._is_recorded():
+            return len(self.meshes) > 1
+        known = self._validated_index
+        return self.device.type != "cpu" and not (known is not None and known.is_of(self.mesh_index))
+
+    def _is_recorded(self) -> bool:
+        """Whether work is being recorded for later values of the columns, from which nothing can be derived yet."""
+        if torch.compiler.is_compiling():
+            return True
+        return self.device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
     @property
     def layout(self) -> VertexLayout:
         """First rows of each body's vertices and node blocks, for bodies that deform."""
         if self._layout is None or not self._layout.is_of(self.mesh_index):
-            self._layout = _Derived(self.mesh_index, self._find_layout())
+            self._layout = Derived(self.mesh_index, self._find_layout())
         return self._layout.value
 
     def _find_layout(self) -> VertexLayout:
@@ -204,11 +262,16 @@ class Scene:
 
     @property
     def world_count(self) -> int:
-        """One more than the largest `world`; 1 without worlds."""
+        """One more than the largest `world`; 1 without worlds.
+
+        Raises:
+            ValueError: a world is negative.
+        """
         if self.world is None:
             return 1
         if self._world_count is None or not self._world_count.is_of(self.world):
-            self._world_count = _Derived(self.world, 1 + int(self.world.max()) if self.body_count else 0)
+            require_worlds(self.world)
+            self._world_count = Derived(self.world, 1 + int(self.world.max()) if self.body_count else 0)
         return self._world_count.value
 
     def check_columns(self) -> None:
@@ -228,6 +291,11 @@ class Scene:
                 raise ValueError(f"{name}: expected {expected}, got {tuple(column.shape)} on {column.device}")
             if not column.is_contiguous():
                 raise ValueError(f"{name}: expected a contiguous tensor")
+        fixed, given = self._fixed, self.self_collision
+        if self.is_trusted or (fixed is None and given is None):
+            return
+        if fixed is None or not isinstance(given, Tensor) or not fixed.is_of(given):
+            raise ValueError("self_collision: it is fixed, but was written or replaced: make a new Scene")
 
     def to(self, device: torch.device | str) -> Scene:
         """A copy on another device, meshes included.
@@ -239,35 +307,17 @@ class Scene:
         moved = copy.copy(self)
         moved.meshes, moved.device = meshes, meshes.device
         moved._radius = moved._layout = moved._world_count = moved._capacity_estimates = None
-        for name in (*_DTYPES, "self_collision", "self_colliding"):
+        for name in (*_DTYPES, "self_collision", "self_colliding", "_given_radius"):
             column = getattr(self, name)
             if column is not None:
                 setattr(moved, name, column.to(meshes.device))
+        if not self.is_trusted:
+            require_meshes(moved.mesh_index, len(meshes))
+            moved._remember()
         return moved
 
     def __repr__(self) -> str:
         return f"Scene(bodies={self.body_count}, meshes={len(self.meshes)}, device={self.device})"
-
-
-@dataclass
-class _Derived:
-    """A value derived from a column, with that column and its version."""
-
-    column: Tensor
-    value: Any
-    version: int | None = None
-
-    def __post_init__(self) -> None:
-        self.version = _version(self.column)
-
-    def is_of(self, column: Tensor) -> bool:
-        """Whether the value was derived from this column, unmodified since."""
-        return self.column is column and (torch.compiler.is_compiling() or self.version == _version(column) is not None)
-
-
-def _version(column: Tensor) -> int | None:
-    """Counter of in-place writes to the column; None where torch does not track it."""
-    return None if torch.compiler.is_compiling() or column.is_inference() else column._version
 
 
 # Dtypes of the columns, as the operators expect them.

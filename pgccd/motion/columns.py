@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.arguments import real_rows
-from pgccd.motion.faults import Faults, first_faults, joined
+from pgccd.motion.faults import Checked, Faults, columns_checked, first_faults, joined
 
 _Self = TypeVar("_Self", bound="MovingColumns")
 
@@ -23,7 +23,7 @@ class MovingColumns:
     #: `checks` and `limits` of these columns, for `ops.detect_rigid`.
     checks: tuple[list[int], list[float]] = ([], [])
     # Arguments that are not stored as a column, and their faults.
-    _given: tuple[str, ...] = ()
+    _given: Mapping[str, Tensor] = {}
     _given_faults: Tensor | None = None
     # For a column, the argument that it is computed from.
     _sources: Mapping[str, str] = {}
@@ -61,24 +61,33 @@ class MovingColumns:
             self._sound = given
         return columns
 
-    def first_faults(self, columns: Mapping[str, Tensor] | None = None) -> Tensor:
+    def first_faults(self, columns: Mapping[str, Tensor] | None = None, more: Sequence[Checked] = ()) -> Tensor:
         """(F + 1,) int64 on the motion's device: the first faulty row of each argument, or the number of rows; then 1
         if any row is faulty, else 0. Computed at each call.
 
         Args:
             columns: as returned by `columns()`. Default: the current ones.
+            more: columns of the scene, checked after those of the motion.
         """
-        if self.is_trusted:
-            if self._no_faults is None:
-                self._no_faults = torch.zeros(1, dtype=torch.int64, device=self.device)
-            return self._no_faults
-        return joined(self._given_faults, first_faults(self.columns() if columns is None else columns))
+        if not self.is_trusted:
+            columns = self.columns() if columns is None else columns
+            return joined(self._given_faults, first_faults([*self._checked(columns), *more]))
+        if more:
+            return first_faults(more)
+        if self._no_faults is None:
+            self._no_faults = torch.zeros(1, dtype=torch.int64, device=self.device)
+        return self._no_faults
 
     @property
     def faults(self) -> Faults:
         """The meaning of the values of `first_faults`."""
-        names = () if self.is_trusted else (*self._given, *self._names)
-        return Faults(names, self._row, getattr(self, self._names[0]).shape[0], self._sources)
+        if self.is_trusted:
+            return Faults([])
+        columns = {name: getattr(self, name) for name in self._names}
+        return Faults([*self._checked(self._given), *self._checked(columns)])
+
+    def _checked(self, columns: Mapping[str, Tensor]) -> list[Checked]:
+        return columns_checked(columns, self._row, self._sources)
 
     @property
     def has_verdict(self) -> bool:
@@ -107,7 +116,7 @@ class MovingColumns:
         """Raises ValueError if an argument that is not stored as a column was invalid. May synchronise with a GPU."""
         if self._given_faults is not None:
             self.check()
-            self._given, self._given_faults = (), None
+            self._given, self._given_faults = {}, None
 
     def to(self: _Self, device: torch.device | str) -> _Self:
         """A copy on another device.
@@ -121,6 +130,7 @@ class MovingColumns:
             column = getattr(self, name)
             if column is not None:
                 setattr(moved, name, column.to(device))
+        moved._given = {name: column.to(device) for name, column in self._given.items()}
         return moved
 
     def _check_early(
@@ -135,13 +145,13 @@ class MovingColumns:
         given = given or {}
         if self.device.type != "cpu" or torch.compiler.is_compiling():
             if given:
-                self._given, self._given_faults = tuple(given), first_faults(given)
+                self._given, self._given_faults = given, first_faults(self._checked(given))
             return
-        columns = {**given, **self.columns()}
+        columns = self._checked({**given, **self.columns()})
         first = first_faults(columns).tolist()
         if not first[-1]:
             return
-        count = getattr(self, self._names[0]).shape[0]
         if origins:
-            Faults((*origins,), self._row, count, {}).raise_from(first_faults(origins).tolist())
-        Faults(tuple(columns), self._row, count, self._sources).raise_from(first)
+            of_origins = columns_checked(origins, self._row)
+            Faults(of_origins).raise_from(first_faults(of_origins).tolist())
+        Faults(columns).raise_from(first)

@@ -1,24 +1,67 @@
-"""Invalid numbers in motions: `ops.first_faults` finds them; errors name the column and the row."""
+"""Invalid numbers in the columns of motions and scenes: `ops.first_faults` finds them; errors name the column and the
+row, and give the value.
+"""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from pgccd import ops
+from pgccd import arguments, ops
 from pgccd.geometry.mesh import LARGEST_RADIUS, SMALLEST_RADIUS
 
 # Maximum deviation of a quaternion from unit length; smaller deviations are normalised.
 UNIT_TOLERANCE = 1e-3
 # Squares of larger coordinates overflow.
-LARGEST_COORDINATE = 1e150
+LARGEST_COORDINATE = arguments.LONGEST
 # Error bounds of sine and cosine are proven up to this angle.
 _LARGEST_TURN = 1e6
-# Checks of `ops.first_faults`, their limits, and the expected values.
-_FINITE = (0, LARGEST_COORDINATE, f"finite numbers up to {LARGEST_COORDINATE:g}")
-_UNIT = (1, UNIT_TOLERANCE, "a unit quaternion (w, x, y, z)")
-_TURN = (2, _LARGEST_TURN, f"a turn of at most {_LARGEST_TURN:g} radians in the step")
+# The operator's numbers (enum RowCheck of csrc/kernels/bounds/faults.h).
+CHECK_NUMBERS = {"magnitude": 0, "unit_length": 1, "length": 2, "range": 3}
+
+
+@dataclass
+class Check:
+    """A condition on the rows of a column.
+
+    Args:
+        kind: a key of `CHECK_NUMBERS`.
+        limit: see `ops.first_faults`.
+        expected: the condition in words.
+    """
+
+    kind: str
+    limit: float
+    expected: str
+
+    def is_faulty(self, row: Sequence[float]) -> bool:
+        """Whether the values of a row violate the condition."""
+        length = math.hypot(*row)
+        if self.kind == "unit_length":
+            return not abs(length - 1.0) <= self.limit
+        if self.kind == "length":
+            return not length <= self.limit
+        least = 0.0 if self.kind == "range" else -self.limit
+        return not all(least <= value <= self.limit for value in row)
+
+    def found(self, values: Tensor) -> str:
+        """The values of a faulty row in words; empty if they have been overwritten by valid ones since."""
+        given = values.tolist()
+        row = given if isinstance(given, list) else [given]
+        if not self.is_faulty(row):
+            return ""
+        length = math.hypot(*row)
+        of = {"unit_length": f" of norm {length:.6g}", "length": f" of length {length:.6g}"}.get(self.kind, "")
+        return f", got {given}{of}"
+
+
+_FINITE = Check("magnitude", LARGEST_COORDINATE, f"finite numbers up to {LARGEST_COORDINATE:g}")
+_UNIT = Check("unit_length", UNIT_TOLERANCE, "a unit quaternion (w, x, y, z)")
+_TURN = Check("length", _LARGEST_TURN, f"a turn of at most {_LARGEST_TURN:g} radians in the step")
+MARGIN = Check("range", LARGEST_COORDINATE, arguments.LENGTH)
+# By name of a column of a motion.
 _CHECKS = {
     "orientation": _UNIT,
     "orientation_t0": _UNIT,
@@ -28,22 +71,58 @@ _CHECKS = {
 }
 
 
-def first_faults(columns: Mapping[str, Tensor]) -> Tensor:
-    """(F + 1,) int64 on the columns' device: the first faulty row of each of the F columns, or the number of rows; then
-    1 if any row is faulty, else 0. Does not synchronise.
+@dataclass
+class Checked:
+    """A column whose rows are checked, and how errors name them.
+
+    Args:
+        values: (rows, ...).
+        check: of each row.
+        row: the meaning of a row, "body" or "vertex".
+        source: the argument that the column is computed from.
     """
-    return ops.first_faults(list(columns.values()), *checks_of(columns))
+
+    name: str
+    values: Tensor
+    check: Check
+    row: str
+    source: str | None = None
+
+    def problem(self, index: int, number: int | None = None, later: bool = False) -> str:
+        """What is wrong with a row, whose number in the error is `number`, by default its index; without its values if
+        they may be others by now (`later`).
+        """
+        follows = "" if self.source is None else f" (it follows from {self.source})"
+        found = "" if later else self.check.found(self.values[index])
+        where = f"{self.row} {index if number is None else number}"
+        return f"{self.name}: {where}: expected {self.check.expected}{found}{follows}"
+
+
+def check_of(name: str) -> Check:
+    """The check of a column of a motion, by its name."""
+    return _CHECKS.get(name, _FINITE)
 
 
 def checks_of(names: Iterable[str]) -> tuple[list[int], list[float]]:
     """The `checks` and `limits` of `ops.first_faults` for columns of these names."""
-    checks = [_CHECKS.get(name, _FINITE) for name in names]
-    return [check[0] for check in checks], [check[1] for check in checks]
+    checks = [check_of(name) for name in names]
+    return [CHECK_NUMBERS[check.kind] for check in checks], [check.limit for check in checks]
 
 
-def expected(name: str) -> str:
-    """The values that a column of this name should have."""
-    return _CHECKS.get(name, _FINITE)[2]
+def columns_checked(columns: Mapping[str, Tensor], row: str, sources: Mapping[str, str] | None = None) -> list[Checked]:
+    """The columns of a motion, by name, with their checks."""
+    source = sources or {}
+    return [Checked(name, values, check_of(name), row, source=source.get(name)) for name, values in columns.items()]
+
+
+def first_faults(columns: Sequence[Checked]) -> Tensor:
+    """(F + 1,) int64 on the columns' device: the first faulty row of each of the F columns, or the number of rows; then
+    1 if any row is faulty, else 0. Does not synchronise.
+    """
+    values = [each.values.to(torch.float64) for each in columns]
+    values = [column[:, None] if column.dim() == 1 else column for column in values]
+    checks = [CHECK_NUMBERS[each.check.kind] for each in columns]
+    return ops.first_faults(values, checks, [each.check.limit for each in columns])
 
 
 def joined(first: Tensor | None, more: Tensor) -> Tensor:
@@ -58,17 +137,11 @@ class Faults:
     """The meaning of the values of `first_faults`.
 
     Args:
-        names: of the columns.
-        row: the meaning of a row, "body" or "vertex".
-        count: number of rows.
-        sources: by name of a column, the argument it is computed from.
-        radius: (N,) SBV radii of deforming bodies, whose check then precedes those of the columns.
+        columns: those checked, in order.
+        radius: (N,) SBV radii of deforming bodies, which follow the columns.
     """
 
-    names: tuple[str, ...]
-    row: str
-    count: int
-    sources: Mapping[str, str]
+    columns: list[Checked]
     radius: Tensor | None = None
 
     def raise_from(self, first: Sequence[int], later: bool = False) -> None:
@@ -78,15 +151,13 @@ class Faults:
             first: values of `first_faults`.
             later: whether columns may hold other values by now; the message then states none.
         """
-        of_columns = first if self.radius is None else first[1:]
-        for name, index in zip(self.names, of_columns, strict=False):
-            if index < self.count:
-                source = f" (it follows from {self.sources[name]})" if name in self.sources else ""
-                raise ValueError(f"{name}: {self.row} {index}: expected {expected(name)}{source}")
-        if self.radius is not None and first[0] < len(self.radius):
-            radius = "an SBV radius" if later else f"SBV radius {float(self.radius[first[0]]):g}"
+        for column, index in zip(self.columns, first, strict=False):
+            if index < len(column.values):
+                raise ValueError(column.problem(index, later=later))
+        if self.radius is not None and (body := first[len(self.columns)]) < len(self.radius):
+            radius = "an SBV radius" if later else f"SBV radius {float(self.radius[body]):g}"
             limits = f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
-            raise ValueError(f"motion: body {first[0]} has {radius} out of range; {limits}")
+            raise ValueError(f"motion: body {body} has {radius} out of range; {limits}")
 
 
 def first_faulty_radius(radius: Tensor) -> Tensor:

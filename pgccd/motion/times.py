@@ -12,11 +12,7 @@ def broadcast_times(t: Tensor | float, count: int, device: torch.device) -> Tens
     Raises:
         TypeError, ValueError: `t` is not real, has the wrong shape, or is outside of [0, 1].
     """
-    time = t if isinstance(t, Tensor) else torch.tensor(t, dtype=torch.float64)
-    if time.is_complex() or time.dtype == torch.bool:
-        raise TypeError(f"t: expected times, got {time.dtype}")
-    arguments.refuse_gradient(time, "t")
-    time = time.detach().to(device=device, dtype=torch.float64)
+    time = arguments.real_numbers(t, "t", "times in [0, 1]").to(device)
     try:
         shape = torch.broadcast_shapes(time.shape, (count,))
     except RuntimeError:
@@ -24,10 +20,9 @@ def broadcast_times(t: Tensor | float, count: int, device: torch.device) -> Tens
     if shape[-1:] != (count,):
         expected = f"a number, ({count},), (T, 1) or (T, {count})"
         raise ValueError(f"t: expected {expected}, got {tuple(time.shape)}; for T times of all, pass t[:, None]")
-    is_inside = ((time >= 0.0) & (time <= 1.0)).all()
-    message = "t: expected times in [0, 1]"
+    is_inside = (time >= 0.0) & (time <= 1.0)
     if time.device.type != "cpu":
-        torch._assert_async(is_inside, message)
-    elif not bool(is_inside):
-        raise ValueError(message)
+        torch._assert_async(is_inside.all(), "t: expected times in [0, 1]")
+    elif not bool(is_inside.all()):
+        raise ValueError(f"t: expected times in [0, 1], got {float(time[~is_inside][0])}")
     return time.expand(shape)

@@ -4,12 +4,17 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.motion.faults import expected, first_faults
+from pgccd.motion.faults import columns_checked, first_faults
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 
 
 class Trajectory:
     """Paths through T waypoints: T - 1 segments, each a step like `RigidMotion` or `VertexMotion`.
+
+    Two waypoints of a robot's link do not follow the path of its joint. Between them the link's origin moves on a
+    straight line, while a link whose joint is elsewhere swings on an arc, so contacts of the true path may be missed.
+    Give so many waypoints that the deviation is small, and bodies a margin (see `Scene`) of at least the deviation; or
+    put the mesh's origin at the joint, if the joint itself moves on a straight line.
 
     Args:
         position: (T, N, 3) positions of the meshes' origins, world frame, scene length units; or, without
@@ -32,18 +37,25 @@ class Trajectory:
     def __init__(self, position: Tensor, orientation: Tensor | None = None, path: PathKind = "rigid") -> None:
         arguments.choice(path, "path", PATHS)
         self.path: PathKind = path
-        self.position = _waypoints(position, "position", 3, None)
+        #: (T, N, 3) float64.
+        self.position = position
         #: (T, N, 4) float64, or None for deforming bodies.
-        self.orientation: Tensor | None = None
-        columns = {"position": self.position}
-        if orientation is not None:
-            columns["orientation"] = self.orientation = _waypoints(orientation, "orientation", 4, self.position)
-        first = first_faults({name: column.flatten(0, 1) for name, column in columns.items()}).tolist()
-        _, count, _ = self.position.shape
-        for name, fault in zip(columns, first, strict=False):
-            if fault < self.position.shape[0] * count:
-                row = f"waypoint {fault // count}, {'vertex' if orientation is None else 'body'} {fault % count}"
-                raise ValueError(f"{name}: {row}: expected {expected(name)}")
+        self.orientation = orientation
+        self._check(slice(0, None))
+
+    def _check(self, waypoints: slice) -> None:
+        """Raises TypeError or ValueError naming the column, and the first invalid row of these waypoints."""
+        self.position = _waypoints(self.position, "position", 3, None)
+        columns, row = {"position": self.position[waypoints]}, "vertex"
+        if self.orientation is not None:
+            self.orientation, row = _waypoints(self.orientation, "orientation", 4, self.position), "body"
+            columns["orientation"] = self.orientation[waypoints]
+        count = self.position.shape[1]
+        checked = columns_checked({name: column.flatten(0, 1) for name, column in columns.items()}, row)
+        for column, fault in zip(checked, first_faults(checked).tolist(), strict=False):
+            if fault < len(column.values):
+                column.row = f"waypoint {waypoints.start + fault // count}, {row}"
+                raise ValueError(column.problem(fault, fault % count))
 
     @property
     def device(self) -> torch.device:
@@ -60,6 +72,7 @@ class Trajectory:
 
         Raises:
             IndexError: the index is out of range.
+            TypeError, ValueError: a column has been replaced or written, and is invalid there.
 
         Example:
             >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))
@@ -67,10 +80,16 @@ class Trajectory:
         """
         if not 0 <= index < self.segment_count:
             raise IndexError(f"index: expected a segment in [0, {self.segment_count}), got {index}")
+        self._check(slice(index, index + 2))
         return self._motion(slice(index, index + 1))
 
     def steps(self) -> RigidMotion | VertexMotion:
-        """All segments as one step: the bodies of segment k follow those of segment k - 1."""
+        """All segments as one step: the bodies of segment k follow those of segment k - 1.
+
+        Raises:
+            TypeError, ValueError: a column has been replaced or written, and is invalid.
+        """
+        self._check(slice(0, None))
         return self._motion(slice(0, self.segment_count))
 
     def _motion(self, segments: slice) -> RigidMotion | VertexMotion:

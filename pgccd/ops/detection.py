@@ -18,7 +18,8 @@ def first_faults(columns: Sequence[Tensor], checks: Sequence[int], limits: Seque
     """(n + 1,): first faulty row of each column (rows, width), or its number of rows; then 1 if any row is faulty, else
     0.
 
-    Checks: 0, magnitude of each number <= limit; 1, |length of the row - 1| <= limit; 2, length of the row <= limit.
+    Checks: 0, magnitude of each number <= limit; 1, |length of the row - 1| <= limit; 2, length of the row <= limit;
+    3, each number from 0 to the limit.
     """
     return int64(columns[0], len(columns) + 1)
 

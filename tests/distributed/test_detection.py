@@ -285,10 +285,10 @@ WRONG: dict[str, dict[str, Any]] = {
     "nonzero_toi: expected True or False": {"nonzero_toi": "yes"},
     "overlap: expected True or False": {"overlap": "x"},
     "balance: expected BalanceOptions": {"balance": "cost"},
-    "position: row 1: expected numbers up to 1e+150, got [0.0, nan, 0.0]": {
+    "position: row 1: expected finite numbers up to 1e+150, got [0.0, nan, 0.0]": {
         "position": torch.tensor([[0.0, 0.0, 0.0], [0.0, torch.nan, 0.0]]).double()
     },
-    "position: row 0: expected numbers up to 1e+150": {"position": torch.full((2, 3), 1e200, dtype=torch.float64)},
+    "position: row 0: expected finite numbers": {"position": torch.full((2, 3), 1e200, dtype=torch.float64)},
     "payload['s']: expected a dense tensor": {"payload": {"s": torch.eye(2).to_sparse()}},
     "payload['position']: this name is reserved": {"payload": {"position": torch.zeros(2)}},
     "vertex_payload['a']: payload has a tensor of this name": {

@@ -200,7 +200,7 @@ def test_an_index_that_was_planted(tmp_path: Path, change: str) -> None:
         ("id", lambda c: c - 100, "id: expected numbers >= 0"),
         ("mesh_index", lambda c: c + 1000, "mesh_index: "),
         ("position", lambda c: c[:, :2].contiguous(), "position: expected shape"),
-        ("world", lambda c: c - 5, "world: ids must lie in"),
+        ("world", lambda c: c - 5, "world: body 0: expected an id in"),
     ],
 )
 def test_columns_that_were_planted(

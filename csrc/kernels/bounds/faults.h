@@ -14,6 +14,7 @@ enum class RowCheck : int32_t {
   kMagnitude = 0,   // of each number: at most the limit
   kUnitLength = 1,  // differs from 1 by at most the limit
   kLength = 2,      // at most the limit
+  kRange = 3,       // of each number: from 0 to the limit
 };
 
 struct RowColumn {
@@ -28,12 +29,14 @@ struct RowColumn {
 PGCCD_HD bool is_faulty(const RowColumn& column, int64_t row) {
   const double* values = column.values + row * column.width;
   double squared = 0.0;
-  bool small = true;
+  bool small = true, positive = true;
   for (int k = 0; k < column.width; ++k) {
     small &= std::fabs(values[k]) <= column.limit;
+    positive &= values[k] >= 0.0;
     squared += values[k] * values[k];
   }
   if (column.check == RowCheck::kMagnitude) return !small;
+  if (column.check == RowCheck::kRange) return !(small && positive);
   const double length = std::sqrt(squared);
   return !((column.check == RowCheck::kUnitLength ? std::fabs(length - 1.0) : length) <= column.limit);
 }

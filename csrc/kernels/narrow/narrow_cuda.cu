@@ -52,6 +52,11 @@ __global__ void __launch_bounds__(kBlockThreads) lower_owners(Search search, Fir
   counts[kNarrowEnded] = nanoseconds();
 }
 
+// A type, not a lambda: the library asks on the host for the type of the result, which a device lambda does not tell.
+struct HasWinner {
+  __host__ __device__ bool operator()(int32_t winner) const { return winner >= 0; }
+};
+
 // The contacts to report in canonical order, one per pair.
 int32_t* select_first(const DeviceContext& context, const Search& search) {
   const int64_t pair_count = search.input.pair_count;
@@ -66,10 +71,9 @@ int32_t* select_first(const DeviceContext& context, const Search& search) {
     }
   });
   int32_t* selected = context.allocate<int32_t>(pair_count);
-  const auto has_winner = [] __device__(int32_t k) { return k >= 0; };
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceSelect::If(scratch, bytes, search.winner, selected, &search.counters->rows, pair_count,
-                                 has_winner, context.stream);
+                                 HasWinner{}, context.stream);
   });
   return selected;
 }

@@ -99,7 +99,7 @@ struct AddedId {
 };
 
 struct Ascending {
-  __device__ bool operator()(int64_t a, int64_t b) const { return a < b; }
+  __host__ __device__ bool operator()(int64_t a, int64_t b) const { return a < b; }
 };
 
 }  // namespace

@@ -19,8 +19,8 @@ _MOTION = ("position_t0", "orientation_t0", "position_t1", "rotation")
 def columns_of(bodies: MovingBodies) -> Columns:
     """All per-body columns of a scene and a rigid motion; for deforming bodies, all except their vertices."""
     columns = {} if bodies.deforming else {name: getattr(bodies.motion, name) for name in _MOTION}
-    names = ("mesh_index", *(() if bodies.deforming else ("radius",)), *OPTIONAL_COLUMNS)
-    columns |= {name: getattr(bodies.scene, name) for name in names}
+    columns |= {} if bodies.deforming else {"radius": bodies.radius}
+    columns |= {name: getattr(bodies.scene, name) for name in ("mesh_index", *OPTIONAL_COLUMNS)}
     return {name: column for name, column in columns.items() if column is not None}
 
 
@@ -33,10 +33,9 @@ def bodies_of(like: MovingBodies, columns: Columns, vertices: Vertices | None = 
         vertices: of bodies that deform.
     """
     optional = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
-    scene = Scene.of_checked(like.scene.meshes, columns["mesh_index"], **optional)
+    scene = Scene.of_checked(like.scene.meshes, columns["mesh_index"], radius=columns.get("radius"), **optional)
     if vertices is not None:
         return MovingBodies.of(scene, VertexMotion.of_checked(**vertices.columns))
-    scene.radius = columns["radius"]
     position_t0, orientation, position_t1, rotation = (columns[name] for name in _MOTION)
     path = cast(RigidMotion, like.motion).path
     return MovingBodies.of(scene, RigidMotion.of_checked(position_t0, orientation, position_t1, rotation, path))

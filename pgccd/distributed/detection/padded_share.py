@@ -148,7 +148,7 @@ def _build_padded(build: Build, columns: Columns) -> tuple[Scene, RigidMotion]:
     """Scene and motion; padding gets a negative radius, so no pair contains it."""
     scene, motion = build(columns)
     assert isinstance(motion, RigidMotion)
-    scene.radius = torch.where(columns["id"] < 0, -torch.inf, scene.radius)
+    scene.leave_out(columns["id"] < 0)
     return scene, motion
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from pgccd.detection import narrow
 from pgccd.detection.contacts import Contacts
@@ -75,7 +74,7 @@ class Segments:
         is_first = torch.ones(len(pairs), dtype=torch.bool, device=pairs.device)
         is_first[1:] = (pairs[1:] != pairs[:-1]).any(dim=1)
         chosen = order[is_first]
-        return _rows_of(contacts, chosen)
+        return contacts[chosen]
 
     def _of(self, contacts: Contacts) -> TrajectoryContacts:
         """From contacts of the bodies of all segments."""
@@ -86,8 +85,3 @@ class Segments:
         if contacts.toi is None:
             return TrajectoryContacts(**columns)
         return TrajectoryContacts(**columns, segment=segment, time=(segment + contacts.toi) / self.count)
-
-
-def _rows_of(contacts: TrajectoryContacts, rows: Tensor) -> TrajectoryContacts:
-    columns: dict[str, Any] = {name: value[rows] for name, value in vars(contacts).items() if isinstance(value, Tensor)}
-    return replace(contacts, **columns)

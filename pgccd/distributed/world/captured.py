@@ -38,7 +38,7 @@ from pgccd.runtime.transaction import Replay, TransactionGraph
 _MOST_AWAY = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bodies:
     """The own bodies of one rank, as passed to user functions. In a graph, rows with negative ids are padding; their
     values have no effect.

@@ -91,7 +91,7 @@ def ids_given(id: Tensor | None, count: int, device: torch.device) -> Tensor:
     if not isinstance(id, Tensor) or id.dtype != torch.int64 or id.shape != (count,):
         raise ValueError(f"id: expected ({count},) int64, got {getattr(id, 'shape', id)} {getattr(id, 'dtype', '')}")
     if count and int(id.min()) < 0:
-        raise ValueError("id: expected numbers >= 0")
+        raise ValueError(f"id: expected numbers >= 0, got {int(id.min())}")
     return id.to(device)
 
 
@@ -109,7 +109,9 @@ def payload_columns(payload: dict[str, Tensor], argument: str, count: int, devic
         if isinstance(values, Tensor):
             arguments.refuse_gradient(values, f"{argument}[{name!r}]")
         if not isinstance(values, Tensor) or values.shape[:1] != (count,) or values.device != device:
-            raise ValueError(f"{argument}[{name!r}]: expected a tensor ({count}, ...) on {device}")
+            expected = f"a tensor ({count}, ...) on {device}"
+            where = f" on {values.device}" if isinstance(values, Tensor) else ""
+            raise ValueError(f"{argument}[{name!r}]: expected {expected}, got {arguments.describe(values)}{where}")
         if values.layout != torch.strided or values.is_quantized:
             raise ValueError(f"{argument}[{name!r}]: expected a dense tensor, not a sparse or quantized one")
         if name in _RESERVED:
@@ -159,6 +161,14 @@ def new_values(new: Mapping[str, Tensor], columns: Columns, vertices: Columns) -
             expected = f"{tuple(former.shape)} {former.dtype} on {former.device}"
             raise ValueError(f"{name}: expected {expected}, got {tuple(values.shape)} {values.dtype}")
         (of_bodies if key in columns else of_vertices)[key] = values.detach().contiguous()
-    if not bool((new["position"].abs() <= LARGEST_COORDINATE).all()):
-        raise ValueError(f"position: expected finite numbers up to {LARGEST_COORDINATE:g}")
+    require_positions(new["position"])
     return of_bodies, of_vertices
+
+
+def require_positions(position: Tensor) -> None:
+    """Raises ValueError naming the first of positions (N, 3) that is not finite, or too large."""
+    wrong = torch.nonzero(~(position.abs() <= LARGEST_COORDINATE).all(dim=1))
+    if len(wrong):
+        row = int(wrong[0])
+        expected = f"finite numbers up to {LARGEST_COORDINATE:g}"
+        raise ValueError(f"position: row {row}: expected {expected}, got {position[row].tolist()}")

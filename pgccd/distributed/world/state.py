@@ -20,11 +20,10 @@ from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.cut import Cut
 from pgccd.distributed.partition.interface import Partition
-from pgccd.distributed.world.columns import ids_given, payload_columns, require_unique
+from pgccd.distributed.world.columns import ids_given, payload_columns, require_positions, require_unique
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
-from pgccd.motion.faults import LARGEST_COORDINATE
 from pgccd.motion.paths import PATHS
 
 
@@ -80,12 +79,7 @@ def state_given(
     arguments.real_tensor(position, "position")
     if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
         raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
-    wrong = torch.nonzero(~(position.abs() <= LARGEST_COORDINATE).all(dim=1))
-    if len(wrong):
-        row = int(wrong[0])
-        raise ValueError(
-            f"position: row {row}: expected numbers up to {LARGEST_COORDINATE:g}, got {position[row].tolist()}"
-        )
+    require_positions(position)
     mesh_set = MeshSet(meshes, position.device)
     partition = cut.uniform(ranks, position.device, balance)
     index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index

@@ -79,7 +79,7 @@ class World:
         mask: Tensor | None = None,
         world: Tensor | None = None,
         static: Tensor | None = None,
-        margin: Tensor | None = None,
+        margin: Tensor | float | None = None,
         self_collision: Tensor | bool = False,
         payload: dict[str, Tensor] | None = None,
         vertex_payload: dict[str, Tensor] | None = None,
@@ -125,7 +125,7 @@ class World:
         """
         comm, balance = comm or Alone(), balance or BalanceOptions()
         options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap, initial)
-        optional = {"group": group, "mask": mask, "world": world, "static": static, "margin": margin}
+        optional: dict[str, Any] = {"group": group, "mask": mask, "world": world, "static": static, "margin": margin}
         columns: dict[str, Any] = {"id": id, "mesh_index": mesh_index, "self_collision": self_collision}
         columns |= {"optional": optional, "payload": payload, "vertex_payload": vertex_payload}
         cut = Cut(partition, lower, upper, axes, cells)

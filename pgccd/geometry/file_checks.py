@@ -1,0 +1,224 @@
+"""What mesh files declare, compared with what they hold: readers drop rows that are missing or that they do not
+understand, and the surface would have holes.
+"""
+
+import itertools
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+# Scalar types of PLY files.
+_PLY_TYPES = {
+    **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2"},
+    **{"uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4"},
+    **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
+}
+
+
+def declared_triangles(path: Path) -> int | None:
+    """Number of triangles that a file describes, a polygon of n corners as n - 2; None for other kinds of files.
+
+    Raises:
+        ValueError: it holds less or more than it declares, or names vertices that are not there.
+    """
+    count = _COUNTERS.get(path.suffix.lower())
+    return None if count is None else count(path.read_bytes())
+
+
+def _stl(data: bytes) -> int | None:
+    size = len(data) - 84
+    count = int.from_bytes(data[80:84], "little")
+    if size >= 0 and size == 50 * count:
+        return count
+    if data.lstrip().startswith(b"solid") and b"\0" not in data:
+        return _stl_text(data)
+    if size < 0:
+        return None
+    raise ValueError(
+        f"a binary STL file, whose header declares {count} triangles of 50 bytes, but {size} bytes follow it: the file "
+        "is truncated, or the number is wrong"
+    )
+
+
+def _stl_text(data: bytes) -> int:
+    words = re.findall(rb"(?m)^[ \t]*(solid|facet|vertex|endfacet|endsolid)\b", data.lower())
+    count = {word: words.count(word) for word in (b"solid", b"facet", b"vertex", b"endfacet", b"endsolid")}
+    facets = count[b"facet"]
+    if count[b"endfacet"] != facets or count[b"vertex"] != 3 * facets or count[b"endsolid"] != count[b"solid"]:
+        found = f"{facets} facets with {count[b'vertex']} vertices, {count[b'endfacet']} of them ended"
+        solids = f"{count[b'endsolid']} of {count[b'solid']} solids"
+        raise ValueError(f"an STL file of {found}, and {solids}: the file is truncated")
+    return facets
+
+
+def _obj(data: bytes) -> int:
+    text = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    vertices = [match.start() for match in re.finditer(rb"(?m)^[ \t]*v[ \t]", text)]
+    triangles = 0
+    for number, match in enumerate(re.finditer(rb"(?m)^[ \t]*f[ \t]+([^\r\n#]*)", text)):
+        corners = [corner.split(b"/", 1)[0] for corner in match[1].split()]
+        named = f"face {number}: {match[1].decode('ascii', 'replace').strip()!r}"
+        try:
+            rows = [int(corner) for corner in corners]
+        except ValueError as error:
+            raise ValueError(f"{named}: expected vertex indices") from error
+        if len(rows) < 3:
+            raise ValueError(f"{named}: expected three corners or more")
+        if 0 in rows:
+            raise ValueError(f"{named}: vertices of an OBJ file are numbered from 1, or backwards from -1")
+        if max(map(abs, rows)) > len(vertices):
+            raise ValueError(f"{named}: there are {len(vertices)} vertices")
+        if min(rows) < 0 and vertices[-1] > match.start():
+            raise ValueError(f"{named}: it counts backwards from the middle of the vertices, which cannot be read")
+        triangles += len(rows) - 2
+    return triangles
+
+
+def _off(data: bytes) -> int:
+    parts = re.split(rb"OFF", re.sub(rb"#[^\n]*", b"", data), maxsplit=1)
+    lines = [line.split() for line in parts[-1].splitlines() if line.strip()]
+    try:
+        vertex_count, face_count = (int(word) for word in lines[0][:2])
+    except (IndexError, ValueError) as error:
+        raise ValueError("an OFF file without the numbers of vertices and faces") from error
+    vertices, faces = lines[1 : 1 + vertex_count], lines[1 + vertex_count : 1 + vertex_count + face_count]
+    _require_rows("an OFF file", "vertices", vertex_count, sum(len(row) >= 3 for row in vertices))
+    sizes = [int(row[0]) for row in faces if len(row) > int(row[0])]
+    _require_rows("an OFF file", "faces", face_count, len(sizes))
+    if len(lines) > 1 + vertex_count + face_count:
+        raise ValueError("an OFF file that holds more rows than it declares")
+    return sum(max(0, size - 2) for size in sizes)
+
+
+@dataclass
+class _Property:
+    """A property of the rows of a PLY element: a number, or a list with its length."""
+
+    values: np.dtype
+    length: np.dtype | None
+    has_corners: bool  #: whether it lists the vertices of a face
+
+
+def _ply(data: bytes) -> int | None:
+    header, end, body = data.partition(b"end_header")
+    if not data.startswith(b"ply") or not end:
+        return None
+    body = body[body.find(b"\n") + 1 :]
+    kind, elements = "", []
+    for line in header.decode("latin-1").splitlines():
+        words = line.split()
+        if words[:1] == ["format"]:
+            kind = words[1]
+        elif words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), list[_Property]()))
+        elif words[:1] == ["property"] and elements:
+            order = ">" if "big" in kind else "<"
+            types = [np.dtype(order + _PLY_TYPES[name]) for name in words[1 + (words[1] == "list") : -1]]
+            length = types[0] if len(types) == 2 else None
+            elements[-1][2].append(_Property(types[-1], length, words[-1] in ("vertex_indices", "vertex_index")))
+    read = _text_rows(body) if kind == "ascii" else _binary_rows(body)
+    triangles = 0
+    for name, count, properties in elements:
+        corners = read(count, properties)
+        _require_rows("a PLY file", f"element {name}", count, len(corners))
+        if kind != "ascii" and len(corners) and np.min(corners) != np.max(corners):
+            raise ValueError("a binary PLY file with faces of different numbers of corners, which trimesh cannot read")
+        triangles += int(np.maximum(np.asarray(corners) - 2, 0).sum())
+    if kind == "ascii" and len(read(1, [])):
+        raise ValueError("a PLY file that holds more rows than it declares")
+    return triangles
+
+
+#: Reads so many rows of such properties, or as many as there are whole ones: the number of corners of each, else 0.
+_Read = Callable[[int, Sequence[_Property]], Sequence[int] | np.ndarray]
+
+
+def _text_rows(body: bytes) -> _Read:
+    lines = (line.split() for line in body.splitlines() if line.strip())
+
+    def read(count: int, properties: Sequence[_Property]) -> list[int]:
+        corners: list[int] = []
+        for row in itertools.islice(lines, count):
+            at, here = 0, 0
+            for each in properties:
+                if each.length is not None and at < len(row):
+                    if not row[at].isdigit():
+                        raise ValueError(f"a PLY file with {row[at].decode('latin-1')!r} as the length of a list")
+                    size = int(row[at])
+                    here = size if each.has_corners else here
+                    at += size
+                at += 1
+            if at > len(row):
+                break
+            corners.append(here)
+        return corners
+
+    return read
+
+
+def _binary_rows(body: bytes) -> _Read:
+    begin = 0
+
+    def equal_rows(count: int, properties: Sequence[_Property]) -> np.ndarray | None:
+        """The corners, if all rows have the size of the first; None if they do not, or some are missing."""
+        nonlocal begin
+        sizes = [0 if each.length is None else _list_size(body, begin, each.length) for each in properties]
+        if sum(each.length is not None for each in properties) > 1 or (any(sizes) and properties[0].length is None):
+            return None
+        fields: list[Any] = []
+        for k, (each, size) in enumerate(zip(properties, sizes, strict=True)):
+            fields += [] if each.length is None else [(f"length{k}", each.length)]
+            fields.append((f"values{k}", each.values, () if each.length is None else (size,)))
+        row = np.dtype(fields)
+        if len(body) - begin < count * row.itemsize:
+            return None
+        rows = np.frombuffer(body, row, count, begin)
+        corners = np.zeros(count, dtype=np.int64)
+        for k, (each, size) in enumerate(zip(properties, sizes, strict=True)):
+            if each.length is not None and (rows[f"length{k}"] != size).any():
+                return None
+            if each.has_corners:
+                corners[:] = size
+        begin += count * row.itemsize
+        return corners
+
+    def read(count: int, properties: Sequence[_Property]) -> Sequence[int] | np.ndarray:
+        nonlocal begin
+        if not count or not properties:
+            return np.zeros(count, dtype=np.int64)
+        equal = equal_rows(count, properties)
+        if equal is not None:
+            return equal
+        corners: list[int] = []
+        for _ in range(count):
+            at, here = begin, 0
+            for each in properties:
+                size = 1
+                if each.length is not None:
+                    size = _list_size(body, at, each.length)
+                    at += each.length.itemsize
+                    here = size if each.has_corners else here
+                at += size * each.values.itemsize
+            if at > len(body):
+                break
+            begin = at
+            corners.append(here)
+        return corners
+
+    return read
+
+
+def _list_size(body: bytes, at: int, kind: np.dtype) -> int:
+    return int(np.frombuffer(body, kind, 1, at)[0]) if at + kind.itemsize <= len(body) else 0
+
+
+def _require_rows(kind: str, what: str, declared: int, found: int) -> None:
+    if found < declared:
+        raise ValueError(f"{kind} that declares {declared} rows of {what}, but holds {found} whole ones")
+
+
+_COUNTERS: dict[str, Callable[[bytes], int | None]] = {".stl": _stl, ".obj": _obj, ".off": _off, ".ply": _ply}

@@ -1,0 +1,231 @@
+"""Mesh files that hold less or more than they declare, that name vertices which are not there, or whose reader is not
+installed.
+"""
+
+from __future__ import annotations
+
+import builtins
+import struct
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import pgccd
+from pgccd.geometry.file_checks import declared_triangles
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 1]])
+FACES = [[0, 1, 2], [0, 2, 3], [0, 1, 4], [1, 2, 4]]
+QUAD = struct.pack("<B4i", 4, 0, 1, 2, 3)
+TRIANGLE = struct.pack("<B3i", 3, 0, 1, 4)
+
+
+def stl_binary(declared: int = 4, records: int = 4) -> bytes:
+    rows = [struct.pack("<12fH", 0, 0, 1, *CORNERS[face].ravel(), 0) for face in FACES[:records]]
+    return b"solid or not".ljust(80) + struct.pack("<I", declared) + b"".join(rows)
+
+
+def stl_text(name: str = "part") -> str:
+    rows = []
+    for face in FACES:
+        corners = "".join(f"  vertex {x} {y} {z}\n" for x, y, z in CORNERS[face])
+        rows.append(f"facet normal 0 0 1\n outer loop\n{corners} endloop\nendfacet\n")
+    return f"solid {name}\n{''.join(rows)}endsolid {name}\n"
+
+
+def ply_header(kind: str, vertices: int, faces: int, properties: str = "list uchar int vertex_indices") -> str:
+    of_faces = "".join(f"property {each}\n" for each in properties.split(";"))
+    of_vertices = "property float x\nproperty float y\nproperty float z\n"
+    rows = f"element vertex {vertices}\n{of_vertices}element face {faces}\n{of_faces}"
+    return f"ply\nformat {kind} 1.0\ncomment some rows\n{rows}end_header\n"
+
+
+def ply_text(vertices: int = 5, faces: int = 4) -> str:
+    rows = [" ".join(map(str, row)) for row in CORNERS.tolist()] + [f"3 {i} {j} {k}" for i, j, k in FACES]
+    return ply_header("ascii", vertices, faces) + "\n".join(rows) + "\n"
+
+
+def ply_binary(rows: list[bytes], vertices: int = 5, faces: int | None = None, **options: str) -> bytes:
+    points = CORNERS.astype("<f4").tobytes()
+    count = len(rows) if faces is None else faces
+    return ply_header("binary_little_endian", vertices, count, **options).encode() + points + b"".join(rows)
+
+
+def off(vertices: int = 5, faces: int = 4) -> str:
+    rows = [" ".join(map(str, row)) for row in CORNERS.tolist()] + [f"3 {i} {j} {k}" for i, j, k in FACES]
+    return f"OFF\n{vertices} {faces} 0\n" + "\n".join(rows) + "\n"
+
+
+def obj(*faces: str) -> str:
+    return "".join(f"v {x} {y} {z}\n" for x, y, z in CORNERS) + "".join(f"f {face}\n" for face in faces)
+
+
+WHOLE: dict[str, tuple[bytes | str, int]] = {
+    "binary.stl": (stl_binary(), 4),
+    "text.stl": (stl_text(), 4),
+    "text.ply": (ply_text(), 4),
+    "windows.ply": (ply_text().replace("\n", "\r\n"), 4),
+    "binary.ply": (ply_binary([TRIANGLE] * 3), 3),
+    "quads.ply": (ply_binary([QUAD] * 3), 6),
+    "flags.ply": (ply_binary([b"\1" + TRIANGLE] * 2, properties="uchar flag;list uchar int vertex_indices"), 2),
+    "after.ply": (ply_binary([TRIANGLE + b"\1"] * 2, properties="list uchar int vertex_index;uchar flag"), 2),
+    "uv.ply": (
+        ply_binary(
+            [TRIANGLE + struct.pack("<B6f", 6, *[0.0] * 6)] * 2,
+            properties="list uchar int vertex_indices;list uchar float texcoord",
+        ),
+        2,
+    ),
+    "plain.off": (off(), 4),
+    "comment.off": (off().replace("OFF\n", "OFF # a comment\n# another\n"), 4),
+    "colours.off": (off().replace("3 1 2 4", "4 0 1 2 3 255 0 0"), 5),
+    "plain.obj": (obj("1 2 3", "1/1/1 3//1 4/1"), 2),
+    "polygon.obj": (obj("1 2 3 4 5", "1 2 5"), 4),
+    "continued.obj": (obj("1 2 \\\n3"), 1),
+    "backwards.obj": (obj("-5 -4 -3"), 1),
+}
+
+BROKEN: dict[str, tuple[bytes | str, str]] = {
+    "truncated.stl": (stl_binary()[:-50], "declares 4 triangles of 50 bytes, but 150 bytes follow"),
+    "cut.stl": (stl_binary()[:-7], "declares 4 triangles of 50 bytes, but 193 bytes follow"),
+    "more.stl": (stl_binary(9), "declares 9 triangles of 50 bytes, but 200 bytes follow"),
+    "fewer.stl": (stl_binary(2), "declares 2 triangles of 50 bytes, but 200 bytes follow"),
+    "header.stl": (stl_binary()[:84], "declares 4 triangles of 50 bytes, but 0 bytes follow"),
+    "text.stl": (stl_text()[:-120], "3 of them ended.* the file is truncated"),
+    "second.stl": (stl_text() + stl_text("other")[:-120], "1 of 2 solids: the file is truncated"),
+    "rows.ply": (ply_text().rsplit("\n", 3)[0], "declares 4 rows of element face, but holds 2 whole"),
+    "word.ply": (ply_text().strip().rsplit(" ", 1)[0], "declares 4 rows of element face, but holds 3 whole"),
+    "faces.ply": (ply_text(faces=7), "declares 7 rows of element face, but holds 4 whole"),
+    "vertices.ply": (ply_text(vertices=6), "declares 4 rows of element face, but holds 3 whole"),
+    "beyond.ply": (ply_text(faces=2), "more rows than it declares"),
+    "shifted.ply": (ply_text(vertices=4), "'0.5' as the length of a list"),
+    "cut.ply": (ply_binary([TRIANGLE] * 3)[:-3], "declares 3 rows of element face, but holds 2 whole"),
+    "no_faces.ply": (ply_binary([], faces=3), "declares 3 rows of element face, but holds 0 whole"),
+    "no_points.ply": (ply_binary([])[:-30], "declares 5 rows of element vertex, but holds 2 whole"),
+    "uv.ply": (WHOLE["uv.ply"][0][:-4], "declares 2 rows of element face, but holds 1 whole"),
+    "mixed.ply": (ply_binary([TRIANGLE, QUAD]), "faces of different numbers of corners"),
+    "rows.off": (off().rsplit("\n", 3)[0], "declares 4 rows of faces, but holds 2 whole"),
+    "word.off": (off().strip().rsplit(" ", 1)[0], "declares 4 rows of faces, but holds 3 whole"),
+    "vertices.off": (off(vertices=11), "declares 11 rows of vertices, but holds 9 whole"),
+    "beyond.off": (off(faces=3), "more rows than it declares"),
+    "numbers.off": ("OFF\nmany few\n", "without the numbers of vertices and faces"),
+    "zero.obj": (obj("1 2 3", "0 1 2"), "face 1: '0 1 2': vertices of an OBJ file are numbered from 1"),
+    "zero_uv.obj": (obj("1 2 3", "2/1 3/1 0/1"), "face 1: '2/1 3/1 0/1': vertices of an OBJ file are numbered"),
+    "range.obj": (obj("1 2 6"), "face 0: '1 2 6': there are 5 vertices"),
+    "below.obj": (obj("-1 -2 -6"), "face 0: '-1 -2 -6': there are 5 vertices"),
+    "cut.obj": (obj("1 2 3", "1 2"), "face 1: '1 2': expected three corners or more"),
+    "word.obj": (obj("1 2 x"), "face 0: '1 2 x': expected vertex indices"),
+    "amid.obj": (obj("-3 -2 -1") + obj("-3 -2 -1"), "face 0: .* counts backwards from the middle of the vertices"),
+    "indented.obj": (obj("1 2 3") + "  f 1 2 4\n", "of its 2 triangles trimesh reads 1"),
+}
+
+
+def written(folder: Path, name: str, content: bytes | str) -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_whole_files_are_read(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("trimesh")
+    content, triangles = WHOLE[name]
+    path = written(tmp_path, name, content)
+    assert declared_triangles(path) == triangles
+    assert len(pgccd.Mesh.load(path).faces) == triangles
+    assert sum(len(mesh.faces) for mesh in pgccd.Mesh.load_all(path)) == triangles
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_nothing_is_dropped_silently(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("trimesh")
+    content, message = BROKEN[name]
+    path = written(tmp_path, name, content)
+    for load in (pgccd.Mesh.load, pgccd.Mesh.load_all):
+        with pytest.raises(ValueError, match=f"^path: .*{name} cannot be read as a mesh: .*{message}"):
+            load(path)
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "obj", "off", "glb"])
+def test_every_truncation_is_refused(tmp_path: Path, suffix: str) -> None:
+    """At any byte but those of trailing white space; a number cut in its digits cannot be seen in text."""
+    trimesh = pytest.importorskip("trimesh")
+    content = trimesh.creation.icosahedron().export(file_type=suffix)
+    content = content if isinstance(content, bytes) else content.encode()
+    is_text = suffix in ("obj", "off")
+    cuts = range(1, len(content), 7) if not is_text else np.flatnonzero(np.frombuffer(content, np.uint8) == ord(" "))
+    for cut in cuts:
+        try:
+            mesh = pgccd.Mesh.load(written(tmp_path, f"cut.{suffix}", content[:cut]))
+        except (ValueError, ImportError):
+            continue
+        # An OBJ file does not declare its rows: whole rows of faces may be missing.
+        assert suffix == "obj" and content[:cut].rstrip().endswith(b"\nf"), (cut, mesh)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "package"),
+    [
+        ("part.3mf", b"PK\3\4", "lxml"),
+        ("part.dae", b"<COLLADA/>", "pycollada"),
+        ("latin.obj", "# größe\n".encode("latin-1") + obj("1 2 3").encode(), "charset-normalizer"),
+    ],
+)
+def test_readers_that_are_not_installed_are_named(
+    tmp_path: Path, name: str, content: bytes, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("trimesh")
+    module = {"pycollada": "collada"}.get(package, package.replace("-", "_"))
+    try:
+        __import__(module)
+    except ImportError:
+        pass
+    else:
+        if package != "charset-normalizer":  # trimesh has looked for the others when it was imported
+            pytest.skip(f"{package} is installed")
+        import_module = builtins.__import__
+
+        def without(wanted: str, *rest: Any) -> Any:
+            if wanted == module:
+                raise ModuleNotFoundError(f"No module named {wanted!r}")
+            return import_module(wanted, *rest)
+
+        monkeypatch.setattr(builtins, "__import__", without)
+    path = written(tmp_path, name, content)
+    with pytest.raises(ImportError, match=f"^path: .*{name} cannot be read without {package}: pip install {package}"):
+        pgccd.Mesh.load(path)
+
+
+def far_away(features: float) -> tuple[np.ndarray, np.ndarray]:
+    """A pyramid of size 1 and a small one, at a distance of 10^7."""
+    points = np.concatenate([CORNERS, features * CORNERS]) + 1e7
+    return points, np.concatenate([FACES, np.array(FACES) + 5])
+
+
+@pytest.mark.parametrize("kind", ["array", "tensor", "file"])
+def test_coordinates_rounded_away_by_float32(tmp_path: Path, kind: str) -> None:
+    def make(points: np.ndarray, faces: np.ndarray) -> pgccd.Mesh:
+        if kind == "array":
+            return pgccd.Mesh(points.astype(np.float32), faces)
+        if kind == "tensor":
+            return pgccd.Mesh(torch.tensor(points, dtype=torch.float32), faces)
+        rows = [struct.pack("<12fH", 0, 0, 1, *points[face].ravel(), 0) for face in faces]
+        content = bytes(80) + struct.pack("<I", len(rows)) + b"".join(rows)
+        return pgccd.Mesh.load(written(tmp_path, "far.stl", content))
+
+    if kind == "file":
+        pytest.importorskip("trimesh")
+    points, faces = far_away(1e-3)
+    points[:5] = 100.0 * CORNERS + 1e7  # a hundred times the rounding
+    with pytest.warns(
+        UserWarning, match="^vertices: float32 has rounded away 4 of 8 faces: the edges of face 4 .* multiples of 1\\."
+    ):
+        make(points, faces)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        make(points - 1e7, faces)
+        pgccd.Mesh(points, faces)
+        pgccd.Mesh(points.tolist(), faces)
