@@ -675,8 +675,8 @@ _CERTIFICATES = [
     Mutant(
         "arc-extent-zero",
         NARROW + "paths.h",
-        "6.0 * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)))",
-        "0.0 * reach",
+        "T(6) * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)))",
+        "T(0) * reach",
         ON_NARROW,
         equivalent="256 units of each radius, and 8 of the offset, are more than the roundings of the projected gap",
     ),
@@ -704,8 +704,8 @@ _CERTIFICATES = [
     Mutant(
         "centre-error-zero",
         NARROW + "pair_points.h",
-        "8.0 * Precision<double>::unit * larger(max_abs(centre.at_t0), max_abs(centre.at_t1))",
-        "0.0",
+        "T(8) * T(Precision<T>::unit) * larger(max_abs(centre.at_t0), max_abs(centre.at_t1))",
+        "T(0)",
         ON_NARROW,
         equivalent="4 units of the offset, which is at most the extent and both radii: " + _SPARE,
     ),
@@ -719,7 +719,7 @@ _CERTIFICATES = [
     Mutant(
         "noise-zero",
         NARROW + "advancement.h",
-        "T(4) * error.point + T(64) * unit * error.extent",
+        "T(4) * error.point + T(64) * T(Precision<T>::unit) * error.extent",
         "T(0)",
         ("test_narrow_elementary.py::test_tight_tolerance_is_resolved", *ON_NARROW),
     ),
@@ -947,15 +947,15 @@ _PATIENT = [
     Mutant(
         "spin-deviation-of-the-other-zero",
         NARROW + "whole_turns.h",
-        "threshold + bend * duration * duration * 0.125 * (1.0 + 16.0 * u)",
+        "threshold + bend * duration * duration * T(0.125) * (T(1) + T(16) * u)",
         "threshold",
         ON_SPIN,
     ),
     Mutant(
         "spin-separation-0.999",
         NARROW + "whole_turns.h",
-        "separation * (1.0 + 16.0 * u)",
-        "0.999 * separation * (1.0 + 16.0 * u)",
+        "separation * (T(1) + T(16) * u)",
+        "T(0.999) * separation * (T(1) + T(16) * u)",
         ON_SPIN,
     ),
     Mutant(
@@ -986,8 +986,8 @@ _CORE = [
     Mutant(
         "quaternion-not-divided",
         CORE + "rotation.h",
-        "2.0 / (q.w * q.w + norm_squared(q.v))",
-        "2.0",
+        "T(2.0) / (w * w + norm_squared(v))",
+        "T(2.0)",
         ON_CORE,
     ),
     Mutant(

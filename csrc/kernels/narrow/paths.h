@@ -2,8 +2,6 @@
 // deviation from the chord between two times.
 #pragma once
 
-#include <type_traits>
-
 #include "core/bodies.h"
 #include "kernels/narrow/certificates.h"
 
@@ -81,27 +79,23 @@ class ArcPath {
 
   PGCCD_HD ArcPath(const Vec3<T> bases[4], const Spin& first, const Spin& second, const RelativeCentreIn<T>& centre,
                    T point_error)
-      : first_angle_(first.angle), second_angle_(second.angle) {
-    T reach(0);
-    for (int k = 0; k < 4; ++k) reach = larger(reach, T(3) * max_abs(bases[k]));
-    const T size = T(6) * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)));
-    // As for straight paths; the low parts of products underflow first.
-    if constexpr (kIsScaled) scale_ = size > T(0) ? T(inverse_power_of_two(static_cast<double>(size))) : T(1);
-    centre_ = {scaled(centre.at_t0), scaled(centre.at_t1)};
-    error_ = {scaled(point_error), scaled(size)};
+      : first_angle_(first.angle), second_angle_(second.angle), centre_(centre) {
     T first_radius(0), second_radius(0);
     for (int k = 0; k < 4; ++k) {
       const bool is_first = k < PointSplit<kEdgeEdge>::first_count;
-      points_[k] = arc_point(is_first ? first : second, scaled(bases[k]));
+      points_[k] = arc_point(is_first ? first : second, bases[k]);
       T& radius = is_first ? first_radius : second_radius;
       radius = larger(radius, norm(points_[k].quarter));
     }
     // |x''| <= angle^2 radius for each body; the factor covers the rounding of this expression.
     curvature_ =
         T(1.0 + 0x1p-40) * (first.angle * first.angle * first_radius + second.angle * second.angle * second_radius);
+    T reach(0);
+    for (int k = 0; k < 4; ++k) reach = larger(reach, T(3) * max_abs(bases[k]));
+    error_ = {point_error, T(6) * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)))};
   }
 
-  PGCCD_HD T scale() const { return scaled(T(1)); }
+  PGCCD_HD T scale() const { return T(1); }
   PGCCD_HD FeaturePair<T> at(T t) const {
     Vec3<T> x[4];
     positions(t, x);
@@ -138,19 +132,9 @@ class ArcPath {
   PGCCD_HD Vec3<T> shift_at(T t) const { return (T(1) - t) * centre_.at_t0 + t * centre_.at_t1; }
 
  private:
-  static constexpr bool kIsScaled = !std::is_same_v<T, double>;
-
-  // A length, or a vector of lengths.
-  template <class Length>
-  PGCCD_HD Length scaled(Length x) const {
-    if constexpr (kIsScaled) return scale_ * x;
-    return x;
-  }
-
   ArcPoint<T> points_[4];
   double first_angle_, second_angle_;
   T curvature_;
-  T scale_ = T(1);
   RelativeCentreIn<T> centre_;
   PairError<T> error_;
 };
