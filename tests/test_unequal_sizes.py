@@ -143,3 +143,48 @@ def test_contacts_at_exactly_the_separation(kind: str, size: float, turn: float)
             assert rows is not None and float(rows[4]) <= meetings.time[k], f"pair {k} is missed or late"
             if turn == 0.0:
                 assert found_contact(meetings, moving, k, key, less) is None, f"pair {k} is free"
+
+
+def nearly_unit(rng: np.random.Generator) -> np.ndarray:
+    """Integers (4,) whose squares have a sum next to 2^12: divided by 2^6, a quaternion of rational rotation."""
+    while True:
+        q = rng.integers(-60, 61, 4)
+        if 0 < abs(int(q @ q) - 2**12) < 5:
+            return q
+
+
+def integer_rotation(q: np.ndarray) -> np.ndarray:
+    """The rotation matrix times |q|^2, as Python integers."""
+    w, x, y, z = (int(c) for c in q)
+    rows = [
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
+    return np.array(rows, dtype=object)
+
+
+def test_tiny_features_far_from_the_origins_of_bodies_at_rest() -> None:
+    """Integer coordinates: a tip above a triangle, both a million times their size from their bodies' common origin. The
+    rotation of that distance is inexact in every precision, by more than the features' own size adds to the noise.
+    """
+    rng = np.random.default_rng(4)
+    for k in range(60):
+        turns = [nearly_unit(rng) for _ in range(2)]
+        sizes = [int(q @ q) for q in turns]
+        unit = sizes[0] * sizes[1]
+        far = np.array([int(c) for c in rng.integers(-(2**20), 2**20, 3)], dtype=object)
+        features = ([[-1, -1, 0], [2, -1, 0], [-1, 2, 0]], [[0, 0, 1], [1, 0, 3], [0, 1, 3]])
+        meshes = []
+        for q, size, corners in zip(turns, sizes, features, strict=True):
+            points = [(far + np.array(corner, dtype=object)) * (unit // size) for corner in corners]
+            own = [integer_rotation(q).T @ point for point in points]  # world coordinates: times `unit`
+            meshes.append(pgccd.Mesh(np.array(own, dtype=np.float64), [[0, 1, 2]], (0.0, 0.0, 0.0)))
+        still = np.zeros((2, 3))
+        bodies = Bodies(meshes, still, np.array(turns) / 64.0, still, still)
+        meetings = Meetings(bodies, np.zeros(1), [((0, 1, 2), (0,))])
+        assert abs(contacts.distance_at(meetings, 0) - unit) < 1e-30  # in 50 digits; exactly so
+        moving = pgccd.MovingBodies.of(bodies.scene(), bodies.motion("linear"))
+        key = (int(pgccd.VF_BA), 0, 0)
+        assert found_contact(meetings, moving, 0, key, float(unit)) is not None, f"pair {k} is missed"
+        assert found_contact(meetings, moving, 0, key, float(np.nextafter(unit, 0.0))) is None, f"pair {k} is free"

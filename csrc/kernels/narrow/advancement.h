@@ -84,8 +84,8 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
       if constexpr (kPhase == Phase::kQuick) return stop(Status::kOpen);
       bool is_touch = !(goal > wanted);
       if constexpr (Path::kStraight) {
-        is_touch = is_touch &&
-                   certainly_touch<kEdgeEdge>(path, t, now, nearest, distance, separation, noise, with_slender);
+        is_touch =
+            is_touch && certainly_touch<kEdgeEdge>(path, t, now, nearest, distance, separation, noise, with_slender);
       } else if (!is_touch) {
         return stop(Status::kUndecided);
       }
