@@ -737,8 +737,8 @@ _CERTIFICATES = [
         "T(128) * T(Precision<T>::unit) * (product * length.r)",
         "T(Precision<T>::unit) * (product * length.r)",
         ON_NARROW,
-        equivalent="the 8 units of the extent in difference_error are more than 40 units of the product, of which a cubic"
-        " and its clips used fewer than 4 in a million random windows",
+        equivalent="the 8 units of the extent in difference_error are more than 40 units of the product, of which a"
+        " cubic and its clips used fewer than 4 in a million random windows",
     ),
     Mutant(
         "touch-side-rounding-zero",

@@ -165,8 +165,8 @@ def integer_rotation(q: np.ndarray) -> np.ndarray:
 
 
 def test_tiny_features_far_from_the_origins_of_bodies_at_rest() -> None:
-    """Integer coordinates: a tip above a triangle, both a million times their size from their bodies' common origin. The
-    rotation of that distance is inexact in every precision, by more than the features' own size adds to the noise.
+    """Integer coordinates: a tip above a triangle, a million times their size from the origin of both bodies. Rotations
+    of that distance are inexact in every precision, by more than the features' own size adds to the noise.
     """
     rng = np.random.default_rng(4)
     for k in range(60):
