@@ -991,10 +991,10 @@ _PATIENT = [
         ON_SPIN,
     ),
     Mutant(
-        "spin-curvature-0.9",
+        "spin-curvature-0.999",
         NARROW + "whole_turns.h",
         "T(1.0 + 0x1p-40)",
-        "T(0.9)",
+        "T(0.999)",
         ON_SPIN,
     ),
     Mutant(
