@@ -230,6 +230,8 @@ _TREE = [
         "2.0 * ((centres.radius[i] + centres.radius[j]) + offset)",
         "0.1 * ((centres.radius[i] + centres.radius[j]) + offset)",
         ON_TRAVERSE,
+        equivalent="touching points placed by random poses differ by less than 1 of kLocalRounding's 64 units: they fit"
+        " at 32 times the scale too",
     ),
     Mutant(
         "kept-distance-not-rounded-up",
