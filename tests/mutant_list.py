@@ -45,6 +45,7 @@ ON_SPIN = ("test_spinning.py",)
 ON_PASSING = ("test_narrow_at_scale.py",)
 ON_ORIGIN = ("test_origin_bounds.py",)
 ON_MARGIN = ("test_margin.py",)
+ON_SIZES = ("test_unequal_sizes.py",)
 
 _LOCAL_ROUNDING = "kLocalRounding, 64 units of the whole local frame, includes it"
 _SPARE = "covered by the 32 units of the extent, of which the projected gap needs at most 12"
@@ -222,6 +223,15 @@ _TREE = [
         "pair_separation(centres, i, j, settings.separation) + pair_tolerance(centres, i, j, settings.tolerance)",
         "pair_separation(centres, i, j, settings.separation)",
         ON_TRAVERSE,
+    ),
+    Mutant(
+        "local-scale-of-a-twentieth",
+        TRAVERSE + "sweep_frame.h",
+        "2.0 * ((centres.radius[i] + centres.radius[j]) + offset)",
+        "0.1 * ((centres.radius[i] + centres.radius[j]) + offset)",
+        ON_TRAVERSE,
+        equivalent="touching points placed by random poses differ by less than 1 of kLocalRounding's 64 units: they fit"
+        " at 32 times the scale too",
     ),
     Mutant(
         "kept-distance-not-rounded-up",
@@ -675,8 +685,8 @@ _CERTIFICATES = [
     Mutant(
         "arc-extent-zero",
         NARROW + "paths.h",
-        "6.0 * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)))",
-        "0.0 * reach",
+        "T(6) * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)))",
+        "T(0) * reach",
         ON_NARROW,
         equivalent="256 units of each radius, and 8 of the offset, are more than the roundings of the projected gap",
     ),
@@ -704,8 +714,8 @@ _CERTIFICATES = [
     Mutant(
         "centre-error-zero",
         NARROW + "pair_points.h",
-        "8.0 * Precision<double>::unit * larger(max_abs(centre.at_t0), max_abs(centre.at_t1))",
-        "0.0",
+        "T(8) * T(Precision<T>::unit) * larger(max_abs(centre.at_t0), max_abs(centre.at_t1))",
+        "T(0)",
         ON_NARROW,
         equivalent="4 units of the offset, which is at most the extent and both radii: " + _SPARE,
     ),
@@ -719,9 +729,18 @@ _CERTIFICATES = [
     Mutant(
         "noise-zero",
         NARROW + "advancement.h",
-        "T(4) * error.point + T(64) * unit * error.extent",
+        "T(4) * error.point + T(64) * T(Precision<T>::unit) * error.extent",
         "T(0)",
         ("test_narrow_elementary.py::test_tight_tolerance_is_resolved", *ON_NARROW),
+    ),
+    Mutant(
+        "determinant-1-unit",
+        NARROW + "certificates.h",
+        "T(128) * T(Precision<T>::unit) * (product * length.r)",
+        "T(Precision<T>::unit) * (product * length.r)",
+        ON_NARROW,
+        equivalent="the 8 units of the extent in difference_error are more than 40 units of the product, of which a"
+        " cubic and its clips used fewer than 4 in a million random windows",
     ),
     Mutant(
         "touch-side-rounding-zero",
@@ -735,6 +754,20 @@ _CERTIFICATES = [
         NARROW + "touching.h",
         "T(32) * T(Precision<T>::unit) * (sum * sum) + T(4.1) * difference_error(error) * sum",
         "T(0)",
+        ON_NARROW,
+    ),
+    Mutant(
+        "touch-beyond-the-first-edge",
+        NARROW + "touching.h",
+        "w - p > rounding",
+        "true",
+        ON_NARROW,
+    ),
+    Mutant(
+        "touch-beyond-the-second-edge",
+        NARROW + "touching.h",
+        "w - q > rounding",
+        "true",
         ON_NARROW,
     ),
     Mutant(
@@ -760,6 +793,14 @@ _CERTIFICATES = [
         ON_NARROW,
         equivalent="an inside foot requires the offset's transverse part below the slenderness, which bounds the error"
         " of the distance",
+    ),
+    Mutant(
+        "slender-normals-used-down-to-2^-12",
+        NARROW + "nearest_points.h",
+        "normal_squared > (slender * slender) * parallel_squared",
+        "normal_squared > (slender * slender) * T(0x1p-24) * parallel_squared",
+        ON_NARROW,
+        equivalent="see slender-normals-used",
     ),
     Mutant(
         "toi-rounded-to-nearest",
@@ -945,17 +986,38 @@ _PATIENT = [
         ON_SPIN,
     ),
     Mutant(
+        "spin-rounding-zero",
+        NARROW + "whole_turns.h",
+        "(T(2) * error.point + T(32) * u * error.extent)",
+        "T(0)",
+        ON_SPIN,
+    ),
+    Mutant(
+        "spin-curvature-0.999",
+        NARROW + "whole_turns.h",
+        "T(1.0 + 0x1p-40)",
+        "T(0.999)",
+        ON_SPIN,
+    ),
+    Mutant(
+        "spin-curvature-of-the-last-point",
+        NARROW + "whole_turns.h",
+        "larger(radius, norm(path_.point(k).quarter))",
+        "norm(path_.point(k).quarter)",
+        ON_SPIN,
+    ),
+    Mutant(
         "spin-deviation-of-the-other-zero",
         NARROW + "whole_turns.h",
-        "threshold + bend * duration * duration * 0.125 * (1.0 + 16.0 * u)",
+        "threshold + bend * duration * duration * T(0.125) * (T(1) + T(16) * u)",
         "threshold",
         ON_SPIN,
     ),
     Mutant(
         "spin-separation-0.999",
         NARROW + "whole_turns.h",
-        "separation * (1.0 + 16.0 * u)",
-        "0.999 * separation * (1.0 + 16.0 * u)",
+        "separation * (T(1) + T(16) * u)",
+        "T(0.999) * separation * (T(1) + T(16) * u)",
         ON_SPIN,
     ),
     Mutant(
@@ -982,12 +1044,59 @@ _PATIENT = [
 ]
 
 
+_FINE = [
+    Mutant(
+        "fine-search-never",
+        NARROW + "candidate_item.h",
+        "is_noise && noise > 16.0 * pair.turning_error(bodies) * path.scale()",
+        "false",
+        ON_SIZES,
+    ),
+    Mutant(
+        "fine-error-of-turning-bodies-zero",
+        NARROW + "pair_points.h",
+        "turns(side) ? Precision<double>::unit : Precision<T>::unit",
+        "Precision<T>::unit",
+        ON_SIZES,
+    ),
+    Mutant(
+        "fine-error-of-other-bodies-zero",
+        NARROW + "pair_points.h",
+        "turns(side) ? Precision<double>::unit : Precision<T>::unit",
+        "turns(side) || std::is_same_v<T, double> ? Precision<double>::unit : 0.0",
+        ON_SIZES,
+    ),
+    Mutant(
+        "fine-orientations-in-double",
+        CORE + "rotation.h",
+        "T(2.0) / (w * w + norm_squared(v))",
+        "T(2.0 / (q.w * q.w + norm_squared(q.v)))",
+        ON_SIZES,
+    ),
+    Mutant(
+        "fine-offsets-in-double",
+        CORE + "bodies.h",
+        "position(centres.position_t0, j) - position(centres.position_t0, i)",
+        "cast<T>(load_vec3(centres.position_t0 + 3 * j) - load_vec3(centres.position_t0 + 3 * i))",
+        ON_SIZES,
+        switched=False,
+    ),
+    Mutant(
+        "fine-offsets-at-the-end-in-double",
+        CORE + "bodies.h",
+        "position(centres.position_t1, j) - position(centres.position_t1, i)",
+        "cast<T>(load_vec3(centres.position_t1 + 3 * j) - load_vec3(centres.position_t1 + 3 * i))",
+        ON_SIZES,
+        switched=False,
+    ),
+]
+
 _CORE = [
     Mutant(
         "quaternion-not-divided",
         CORE + "rotation.h",
-        "2.0 / (q.w * q.w + norm_squared(q.v))",
-        "2.0",
+        "T(2.0) / (w * w + norm_squared(v))",
+        "T(2.0)",
         ON_CORE,
     ),
     Mutant(
@@ -1107,6 +1216,29 @@ _BROAD = [
         "0.999",
         ON_BROAD,
         within="kept) * (1.0 + 0x1p-42) + rounding",
+    ),
+    Mutant(
+        "predicate-vanishing-zero",
+        BROAD + "body_volumes.h",
+        "kVanishing",
+        "0.0",
+        ON_BROAD,
+        within="(max_abs(offset.at_t0) + max_abs(offset.at_t1)) + kVanishing",
+    ),
+    Mutant(
+        "swept-box-vanishing-zero",
+        BROAD + "body_volumes.h",
+        "kVanishing",
+        "0.0",
+        ON_BROAD,
+        within="0x1p-40 * max_abs(travel) + kVanishing",
+    ),
+    Mutant(
+        "grid-level-one-cell-less",
+        BROAD + "grid_item.h",
+        "span.upper[k] - span.lower[k]",
+        "span.upper[k] - span.lower[k] - 1",
+        ("test_broad_phases.py",),
     ),
     Mutant(
         "swept-box-radius-slack-zero",
@@ -1557,6 +1689,20 @@ _SPACE = [
         switched=False,
     ),
     Mutant(
+        "near-below-open",
+        BROAD + "subdomain_item.h",
+        "corners[axis] <= around[3 + axis]",
+        "corners[axis] < around[3 + axis]",
+        ("distributed/test_subdomain.py",),
+    ),
+    Mutant(
+        "near-above-open",
+        BROAD + "subdomain_item.h",
+        "corners[3 + axis] >= around[axis]",
+        "corners[3 + axis] > around[axis]",
+        ("distributed/test_subdomain.py",),
+    ),
+    Mutant(
         "boundary-bodies-not-near",
         BROAD + "subdomain_item.h",
         "if (reach[body] != 0) return true;",
@@ -1582,6 +1728,7 @@ MUTANTS = [
     *_SEPARATIONS,
     *_CERTIFICATES,
     *_PATIENT,
+    *_FINE,
     *_CORE,
     *_BROAD,
     *_BOUNDS,

@@ -33,6 +33,19 @@ def test_sizes_over_many_octaves(device: torch.device, ratio: float, spread: flo
     assert len(check(*stirred(rng, start, radius), 0.001, device=device)) > 200
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_bodies_as_small_as_the_cells_of_the_lowest_level(device: torch.device, seed: int) -> None:
+    """A millionth of the mean size: their boxes are one to three cells long, and the level must tell two from three."""
+    rng = np.random.default_rng([14, seed])
+    few, many = int(rng.integers(2, 20)), 150
+    radius = np.concatenate([np.ones(few), np.full(many, 2.0 ** rng.uniform(-22, -17))])
+    start = 5.0 * rng.normal(size=(few + many, 3))
+    start[few:] = 3.0 * rng.normal(size=3) + 6.0 * radius[-1] * rng.uniform(-1, 1, (many, 3))
+    # Some do not move, so that their boxes are equal cubes.
+    step = rng.choice([0.0, 1.0, 4.0])
+    assert len(check(*stirred(rng, start, radius, step), device=device)) > 50
+
+
 @pytest.mark.parametrize("extent", [0.0, 1e-9, 0.01])
 def test_all_in_one_place(device: torch.device, extent: float) -> None:
     rng = np.random.default_rng(11)

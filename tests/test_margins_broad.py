@@ -74,6 +74,14 @@ def test_boxes_hold_their_share_of_the_separation(separation: float) -> None:
         overlap(start, start, np.array([0.25, 0.25]), separation)
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_boxes_hold_points_that_vanish(axis: int) -> None:
+    """The predicate lets in all that are nearer than 2^-500, whose squares may underflow."""
+    start = np.zeros((2, 3))
+    start[1, axis] = 0.9 * 2.0**-500
+    overlap(start, start, np.zeros(2), 0.0)
+
+
 def overlap(start: np.ndarray, end: np.ndarray, radius: np.ndarray, separation: float) -> None:
     """Asserts that the pair is found, and that the boxes overlap."""
     assert agreed(start, end, radius, separation).tolist() == [[0, 1]]
@@ -102,9 +110,9 @@ def test_touching_spheres_in_a_wide_scene(device: torch.device, spread: float, a
 
 
 @pytest.mark.parametrize("along_axes", [False, True])
-@pytest.mark.parametrize("exponent", [-73, -75, -130, -136, -140])
-def test_touching_spheres_that_float32_hardly_holds(exponent: int, along_axes: bool) -> None:
-    """Squares, or the numbers themselves, lose digits to underflow."""
+@pytest.mark.parametrize("exponent", [-73, -75, -130, -136, -140, -535, -536, -537, -538])
+def test_touching_spheres_of_tiny_size(exponent: int, along_axes: bool) -> None:
+    """Squares, or the numbers themselves, lose digits to underflow: in float32, or in float64."""
     centre, radius = touching_pairs(np.random.default_rng([3, -exponent]), 60, 8.0, along_axes)
     scale = 2.0**exponent
     found = agreed(scale * centre, scale * centre, scale * radius)

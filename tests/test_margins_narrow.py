@@ -203,6 +203,24 @@ def test_proofs_of_touching_are_right(is_face: bool, boundary: bool, tolerance: 
     assert all(Fraction(float(t)) <= hit.toi_upper for t, hit in zip(found.toi, hits, strict=True) if hit)
 
 
+@pytest.mark.parametrize("beyond", range(4))
+def test_edges_that_cross_just_beyond_an_end_are_free(beyond: int) -> None:
+    """Each passes the other's line, one of them by less than the tolerance beyond one of its ends."""
+    rng = np.random.default_rng(9)
+    n = 200
+    turn = unit_quaternions(rng, n)
+    axes = np.stack([turned(turn, np.tile(axis, (n, 1))) for axis in np.eye(3)], axis=1)
+    angle = rng.uniform(0.5, 2.5, (n, 1))
+    along = [axes[:, 0], np.cos(angle) * axes[:, 0] + np.sin(angle) * axes[:, 1]]
+    part = rng.uniform(0.2, 0.8, (n, 2))
+    part[:, beyond // 2] = beyond % 2 + (beyond % 2 - 0.5) * 10.0 ** rng.uniform(-8, -4, n)
+    start = np.stack([(x - part[:, k, None]) * along[k] for k in (0, 1) for x in (0.0, 1.0)], axis=1)
+    end = start.copy()
+    start[:, :2] += axes[:, 2:]
+    end[:, :2] -= rng.uniform(0.5, 2.0, (n, 1, 1)) * axes[:, 2:]
+    assert bool((ask(start, end, False, tolerance=1e-3).status == pgccd.FREE).all())
+
+
 @KINDS
 def test_proofs_of_coming_within_the_separation_are_right(is_face: bool) -> None:
     """Features that stay one rounding further apart than the separation are free."""

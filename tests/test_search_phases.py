@@ -76,7 +76,7 @@ void compare_at(double gap, double width, const SearchSettings<double>& settings
   Vec3<double> bases[4];
   for (int k = 0; k < 4; ++k) bases[k] = k < first_count ? x[k] : x[k] - x[first_count];
   const RelativeCentre centre{x[first_count], x[first_count] + approach};
-  compare<kEdgeEdge>(ArcPath<kEdgeEdge>(bases, spin[0], spin[1], centre, 0x1p-50), settings);
+  compare<kEdgeEdge>(ArcPath<kEdgeEdge, double>(bases, spin[0], spin[1], centre, 0x1p-50), settings);
 }
 
 int main() {

@@ -7,7 +7,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from support.shapes import bumpy
+from strategies import contacts
+from support.candidates import found_contact
+from support.shapes import bumpy, directions
 
 import pgccd
 
@@ -138,3 +140,79 @@ def test_tip_at_a_separation(device: torch.device, depth: float) -> None:
     scene, motion = spinning(spike, wall(radius + 0.25 - depth, (-1, 0, 0)), (0.0, 0.0, 300.0), device)
     found = pgccd.detect(scene, motion, "first", 0.25, pairs=torch.tensor([[0, 1]], device=device))
     assert len(found) == (1 if depth > 0 else 0) and found.stats.unresolved == 0
+
+
+def flat_spinner(rng: np.random.Generator, n: int, height: float, separation: float) -> contacts.Meetings:
+    """A plate `height` above its origin turns 200 times in its own plane; a tip descends to the separation at t = 1."""
+    along = directions(rng, n)
+    plate = pgccd.Mesh(
+        contacts.plate(1).vertices + torch.tensor([height, 0.0, 0.0]), contacts.plate(1).faces, (0.0,) * 3
+    )
+    rotation, velocity = np.zeros((2 * n, 3)), np.zeros((2 * n, 3))
+    rotation[::2] = 400.0 * math.pi * along
+    velocity[1::2] = -along
+    return contacts.meet(
+        [plate, contacts.spindle(0.5, 1)] * n,
+        [(tuple(plate.faces[0].tolist()), (0,))] * n,
+        [([1 / 3] * 3, [1.0])] * n,
+        np.array([contacts.leading(way * d, rng.uniform(0, 6)) for d in along for way in (1.0, -1.0)]),
+        rotation,
+        velocity,
+        np.ones(n),
+        separation * along,
+    )
+
+
+def test_descent_to_exactly_the_separation() -> None:
+    """The distance from the plane in which a plate spins has the rounding error of its height above the origin."""
+    meetings = flat_spinner(np.random.default_rng(4), 40, 64.0, 2.0**-6)
+    moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion())
+    for k in range(len(meetings)):
+        (key,) = meetings.touching(k)
+        least = contacts.least_separation(contacts.distance_at(meetings, k))
+        assert found_contact(meetings, moving, k, key, least) is not None, f"pair {k} is missed"
+
+
+@pytest.mark.parametrize("turn", [0.25, 0.5, 1.0])
+def test_arc_that_touches_in_the_middle_of_a_window(device: torch.device, turn: float) -> None:
+    """The tip of a pendulum meets the plane in which a plate spins. When the plate's turns are cleared, the window ends
+    where the pendulum's arc may deviate from its chord by a quarter of the gap: at half of it the tip is further from
+    the chord than anywhere else, by the whole bound up to fourth order, and touches.
+    """
+    window, radius = 0.2, 1.0
+    gap = (turn * window) ** 2 * radius / 2.0
+    speed, half = 1.5 * gap / window, 0.5 * window
+    plate = pgccd.Mesh([[-3, -2, 0], [3, -2, 0], [0, 4, 0]], [[0, 1, 2]], (0.0, 0.0, 0.0))
+    pendulum = pgccd.Mesh([[0, 0, -radius], [0.01, 0, 0], [-0.01, 0, 0]], [[0, 1, 2]], (0.0, 0.0, 0.0))
+    start = -0.5 * turn * half
+    position = torch.tensor([[0, 0, 0], [0, 0, radius + speed * half]], dtype=torch.float64, device=device)
+    end = position.clone()
+    end[1, 2] -= speed
+    orientation = [[1.0, 0, 0, 0], [math.cos(start), math.sin(start), 0, 0]]
+    columns = [torch.tensor(x, dtype=torch.float64, device=device) for x in (orientation, [[0, 0, 3e5], [turn, 0, 0]])]
+    motion = pgccd.RigidMotion.from_rotation(position, columns[0], end, columns[1])
+    found = pgccd.detect(pgccd.Scene([plate, pendulum], device=device), motion, "first", tolerance=1e-9)
+    assert len(found) == 1 and found.features.tolist() == [[0, 0]]
+    assert half * (1 - 1e-4) < float(found.toi) <= half * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("half", [0.75, 1.5, 1.95])
+def test_arc_of_an_edge_that_ends_on_the_axis(device: torch.device, half: float) -> None:
+    """As the tip that bulges into the circle: the other end of its edge does not move, and does not bound the arc."""
+    depth, arm = 0.01, 0.2
+    needle = pgccd.Mesh([[1, 0, 0], [-1, 0, 0], [0, 0.01, 0.01], [0, 0.01, -0.01]], [[0, 1, 2], [0, 3, 1]])
+    hook = pgccd.Mesh([[-arm, 0, 2e-4], [0, 0, -1], [0.01, 0, -1]], [[0, 1, 2]], (0.0, 0.0, 0.0))
+    position = torch.tensor([[0, 0, 0], [arm + 1 - depth, 0, 0]], dtype=torch.float64, device=device)
+    orientation = [[1.0, 0, 0, 0], [math.cos(half / 2), 0, 0, -math.sin(half / 2)]]
+    rotation = [[0.0, 0, 300.0], [0.0, 0, 2 * half]]
+    columns = [torch.tensor(x, dtype=torch.float64, device=device) for x in (orientation, rotation)]
+    motion = pgccd.RigidMotion.from_rotation(position, columns[0], position, columns[1])
+    moving = pgccd.MovingBodies.of(pgccd.Scene([needle, hook], device=device), motion)
+    edges = [int((mesh.edges == torch.tensor([0, 1])).all(dim=1).nonzero()) for mesh in (needle, hook)]
+    candidate = torch.tensor([[0, int(pgccd.EE), *edges]], dtype=torch.int32, device=device)
+    rows = pgccd.narrow.contacts(moving, torch.tensor([[0, 1]], device=device), candidate, "all")
+    assert len(rows[0]) == 1
+    away = np.linspace(0.0, 0.5, 100_001)
+    reach = np.sqrt(arm**2 + (arm + 1 - depth) ** 2 - 2 * arm * (arm + 1 - depth) * np.cos(2 * half * away))
+    entry = 0.5 - float(away[reach < 1.0].max())
+    assert entry - 1e-4 < float(rows[4]) < entry + math.pi / 290

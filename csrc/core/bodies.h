@@ -73,14 +73,19 @@ PGCCD_HD double pair_separation(const BodyCentres& centres, int64_t i, int64_t j
 
 // Offset of body j's reference point from body i's: one rounding per coordinate, however far the pair is from the
 // world's origin.
-struct RelativeCentre {
-  Vec3<double> at_t0;
-  Vec3<double> at_t1;
+template <class T>
+struct RelativeCentreIn {
+  Vec3<T> at_t0;
+  Vec3<T> at_t1;
 };
+using RelativeCentre = RelativeCentreIn<double>;
 
-PGCCD_HD RelativeCentre relative_centre(const BodyCentres& centres, int64_t i, int64_t j) {
-  return {load_vec3(centres.position_t0 + 3 * j) - load_vec3(centres.position_t0 + 3 * i),
-          load_vec3(centres.position_t1 + 3 * j) - load_vec3(centres.position_t1 + 3 * i)};
+// In double-double, exact.
+template <class T = double>
+PGCCD_HD RelativeCentreIn<T> relative_centre(const BodyCentres& centres, int64_t i, int64_t j) {
+  const auto position = [](const double* rows, int64_t body) { return cast<T>(load_vec3(rows + 3 * body)); };
+  return {position(centres.position_t0, j) - position(centres.position_t0, i),
+          position(centres.position_t1, j) - position(centres.position_t1, i)};
 }
 
 }  // namespace pgccd

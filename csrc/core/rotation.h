@@ -25,14 +25,17 @@ PGCCD_HD Quaternion normalized(Quaternion q) {
 }
 
 // The rotation of q / |q|: dividing by |q|^2 makes a quaternion that is only nearly unit an exact rotation.
-PGCCD_HD Mat3<double> rotation_matrix(Quaternion q) {
-  const double s = 2.0 / (q.w * q.w + norm_squared(q.v));
-  const double xs = s * q.v.x, ys = s * q.v.y, zs = s * q.v.z;
-  const double wx = q.w * xs, wy = q.w * ys, wz = q.w * zs;
-  const double xx = q.v.x * xs, xy = q.v.x * ys, xz = q.v.x * zs;
-  const double yy = q.v.y * ys, yz = q.v.y * zs, zz = q.v.z * zs;
+template <class T = double>
+PGCCD_HD Mat3<T> rotation_matrix(Quaternion q) {
+  const T w(q.w), one(1.0);
+  const Vec3<T> v = cast<T>(q.v);
+  const T s = T(2.0) / (w * w + norm_squared(v));
+  const T xs = s * v.x, ys = s * v.y, zs = s * v.z;
+  const T wx = w * xs, wy = w * ys, wz = w * zs;
+  const T xx = v.x * xs, xy = v.x * ys, xz = v.x * zs;
+  const T yy = v.y * ys, yz = v.y * zs, zz = v.z * zs;
   return {
-      {1.0 - (yy + zz), xy - wz, xz + wy}, {xy + wz, 1.0 - (xx + zz), yz - wx}, {xz - wy, yz + wx, 1.0 - (xx + yy)}};
+      {one - (yy + zz), xy - wz, xz + wy}, {xy + wz, one - (xx + zz), yz - wx}, {xz - wy, yz + wx, one - (xx + yy)}};
 }
 
 // Unit quaternion of exp([w]x).
@@ -65,9 +68,10 @@ PGCCD_HD Spin make_spin(Vec3<double> rotation) {
   return {(1.0 / angle) * rotation, angle};
 }
 
-PGCCD_HD Vec3<double> rotate(const Spin& spin, const SineCosine& at, Vec3<double> v) {
-  const Vec3<double> k = cross(spin.axis, v);
-  return v + (at.sine * k + at.versine * cross(spin.axis, k));
+template <class T>
+PGCCD_HD Vec3<T> rotate(const Spin& spin, const SineCosine& at, Vec3<T> v) {
+  const Vec3<T> axis = cast<T>(spin.axis), k = cross(axis, v);
+  return v + (T(at.sine) * k + T(at.versine) * cross(axis, k));
 }
 
 // exp(t [w]x) R0

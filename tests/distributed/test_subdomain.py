@@ -145,6 +145,29 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
         assert by_destination[: len(rows)].tolist() == ordered.tolist()
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_bodies_whose_boxes_just_touch_a_ghost_are_near(device: torch.device, axis: int, side: float) -> None:
+    """A box holds its own faces: bodies that have one coordinate in common with the ghost's box, and no more."""
+    partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 1, axes=1, cells=1)
+    ghost = torch.full((1, 3), 0.5, dtype=torch.float64)
+    generator = torch.Generator().manual_seed(9)
+    radius = 0.01 + 0.1 * torch.rand(200, dtype=torch.float64, generator=generator)
+    centre = ghost.repeat(200, 1)
+    ghosts, bodies = [ghost, ghost, torch.tensor([0.125], dtype=torch.float64)], [centre, centre, radius]
+    low, high = ops.swept_boxes(*ghosts, 0.0, 0.0)
+    at = (low if side < 0.0 else high)[0, axis]
+    lower, upper = ops.swept_boxes(*bodies, 0.0, 0.0)
+    centre[:, axis] = at + side * 0.5 * (upper - lower)[:, axis]
+    lower, upper = ops.swept_boxes(*bodies, 0.0, 0.0)
+    touching = torch.nonzero((upper if side < 0.0 else lower)[:, axis] == at)[:, 0]
+    assert len(touching) > 20
+    columns = [[column[rows].to(device) for column in those] for those, rows in ((bodies, touching), (ghosts, [0]))]
+    nothing = torch.zeros(len(touching), dtype=torch.uint8, device=device)
+    where = (0.0, 0.0, partition.frame, partition.owner.to(device), 0)
+    assert kept(*ops.near_ghosts(columns[0], nothing, columns[1], *where)) == list(range(len(touching)))
+
+
 def test_cells_far_apart_share_a_box_of_ghosts(device: torch.device) -> None:
     """Of more than 64 cells along an axis. More bodies are near then, none fewer."""
     partition = Cells.uniform((0.0,) * 3, (1.0,) * 3, 2, axes=1, cells=150)

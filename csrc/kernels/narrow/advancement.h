@@ -24,17 +24,27 @@ constexpr int kMaxRefinements = 64;
 // Number of advances between attempts to clear full turns of spinning bodies.
 constexpr int kSpinPeriod = 32;
 
+// The distance above the separation at which a search ends: a sixteenth of the tolerance leaves few near misses.
+template <class T, class Path>
+PGCCD_HD T wanted_distance(const Path& path, const SearchSettings<T>& settings) {
+  return settings.tolerance * path.scale() * T(0.0625);
+}
+
+// Nothing can be decided below the error of the distance itself.
+template <class T>
+PGCCD_HD T distance_noise(PairError<T> error) {
+  return T(4) * error.point + T(64) * T(Precision<T>::unit) * error.extent;
+}
+
 // Continues from `progress`, and stores the state at which it stopped there; or a reset state if the goal was changed.
 template <bool kEdgeEdge, Phase kPhase, class T, class Path>
 PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
   constexpr bool kIsPatient = kPhase == Phase::kPatient;
   constexpr T unit(Precision<T>::unit);
   const PairError<T> error = path.error();
-  // Nothing can be decided below the error of the distance itself.
-  T noise = T(4) * error.point + T(64) * unit * error.extent;
+  T noise = distance_noise(error);
   const T separation = settings.separation * path.scale();
-  // A sixteenth of the tolerance leaves few near misses.
-  const T wanted = settings.tolerance * path.scale() * T(0.0625);
+  const T wanted = wanted_distance(path, settings);
   T goal = larger(wanted, noise);
 
   T t = progress.t;
@@ -72,10 +82,12 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
     }
     if (!(distance > separation + goal)) {
       if constexpr (kPhase == Phase::kQuick) return stop(Status::kOpen);
-      bool is_touch = true;
+      bool is_touch = !(goal > wanted);
       if constexpr (Path::kStraight) {
-        is_touch = !(goal > wanted) &&
-                   certainly_touch<kEdgeEdge>(path, t, now, nearest, distance, separation, noise, with_slender);
+        is_touch =
+            is_touch && certainly_touch<kEdgeEdge>(path, t, now, nearest, distance, separation, noise, with_slender);
+      } else if (!is_touch) {
+        return stop(Status::kUndecided);
       }
       if (is_touch) return stop(Status::kTouch);
       if constexpr (!kIsPatient) return stop(Status::kOpen);

@@ -11,15 +11,38 @@ namespace pgccd {
 PGCCD_HD bool uses_arcs(const RigidBodies& bodies) { return !bodies.linear_path; }
 PGCCD_HD bool uses_arcs(const DeformingBodies&) { return false; }
 
-// Calls `use` with the path of the feature pair, in double precision.
+// Calls `use` with the path of the feature pair, in the precision of `pair`.
 template <bool kEdgeEdge, class Bodies, class Pair, class Use>
 PGCCD_HD auto with_path(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, const Use& use) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
     if (uses_arcs(bodies)) return use(pair.template arc_path<kEdgeEdge>(bodies, f));
   }
-  Vec3<double> t0[4], t1[4];
+  using T = typename Pair::Number;
+  Vec3<T> t0[4], t1[4];
   pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-  return use(LinearPath<kEdgeEdge, double>(t0, t1, pair.point_error));
+  return use(LinearPath<kEdgeEdge, T>(t0, t1, pair.point_error));
+}
+
+// What the status of a rigid pair's search in double amounts to: a touch, if the distance was within the tolerance; or
+// undecided, if double-double removes most of the noise. It does not remove the errors of points that turn.
+template <class Path>
+PGCCD_HD Status settled(const RigidBodies& bodies, const RigidPair& pair, const Path& path,
+                        const SearchSettings<double>& settings, Status status) {
+  if (status != Status::kUndecided && status != Status::kUnresolved) return status;
+  const double noise = distance_noise(path.error());
+  const bool is_noise = noise > wanted_distance(path, settings);
+  if (is_noise && noise > 16.0 * pair.turning_error(bodies) * path.scale()) return Status::kUndecided;
+  return status == Status::kUndecided ? Status::kTouch : status;
+}
+
+// A search that `settled` leaves undecided. A separate function, so that its registers and stack are not part of the
+// common phases.
+template <bool kEdgeEdge>
+PGCCD_HD_RARE Outcome<double> solve_finely(const RigidBodies& bodies, const RigidPair& pair, const FeatureVertices& f,
+                                           const SearchSettings<double>& settings, double begin) {
+  const RigidPairIn<DoubleDouble> fine(bodies, pair.body[0], pair.body[1]);
+  return with_path<kEdgeEdge>(bodies, fine, f,
+                              [&](const auto& path) { return continue_finely<kEdgeEdge>(path, settings, begin); });
 }
 
 // `progress`: initial, or as left by the quick phase.
@@ -27,11 +50,13 @@ template <bool kEdgeEdge, class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
                                         const SearchSettings<double>& settings, Progress<double> progress) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
-    Outcome<double> outcome = with_path<kEdgeEdge>(
-        bodies, pair, f, [&](const auto& path) { return advance_to_contact<kEdgeEdge>(path, settings, progress); });
-    // Higher precision would not remove rounding errors of the points themselves.
-    if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
-    return outcome;
+    const Outcome<double> outcome = with_path<kEdgeEdge>(bodies, pair, f, [&](const auto& path) {
+      Outcome<double> found = advance_to_contact<kEdgeEdge>(path, settings, progress);
+      found.status = settled(bodies, pair, path, settings, found.status);
+      return found;
+    });
+    if (outcome.status != Status::kUndecided) return outcome;
+    return solve_finely<kEdgeEdge>(bodies, pair, f, settings, outcome.toi);
   } else {
     Vec3<double> t0[4], t1[4];
     pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
@@ -66,6 +91,19 @@ PGCCD_HD bool is_quickly_free(const Bodies& bodies, const Pair& pair, const Cand
                           [&](const auto& path) { return is_quickly_free<false>(path, search, progress); });
 }
 
+template <bool kEdgeEdge, class Bodies, class Pair>
+PGCCD_HD Outcome<double> solve_features_plainly(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
+                                                const SearchSettings<double>& settings, Progress<double> progress) {
+  return with_path<kEdgeEdge>(bodies, pair, f, [&](const auto& path) {
+    Outcome<double> found = advance_in_phase<kEdgeEdge, Phase::kPlain>(path, settings, progress);
+    if constexpr (std::is_same_v<Bodies, RigidBodies>) {
+      found.status = settled(bodies, pair, path, settings, found.status);
+      if (found.status == Status::kUndecided) found.status = Status::kOpen;
+    }
+    return found;
+  });
+}
+
 // The outcome of `solve_candidate` if the plain phase finds it, else kOpen.
 template <class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_plainly(const Bodies& bodies, const Pair& pair, const Candidate& candidate,
@@ -73,13 +111,9 @@ PGCCD_HD Outcome<double> solve_plainly(const Bodies& bodies, const Pair& pair, c
   const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    return with_path<true>(bodies, pair, f, [&](const auto& path) {
-      return advance_in_phase<true, Phase::kPlain>(path, search, progress);
-    });
+    return solve_features_plainly<true>(bodies, pair, f, search, progress);
   }
-  return with_path<false>(bodies, pair, f, [&](const auto& path) {
-    return advance_in_phase<false, Phase::kPlain>(path, search, progress);
-  });
+  return solve_features_plainly<false>(bodies, pair, f, search, progress);
 }
 
 template <class Bodies, class Pair>

@@ -50,39 +50,53 @@ PGCCD_HD CrossingVertices crossing_vertices(const MeshSetView& meshes, int32_t m
 }
 
 // Error of the centre offset, and of adding it to a point.
-PGCCD_HD double centre_error(const RelativeCentre& centre) {
-  return 8.0 * Precision<double>::unit * larger(max_abs(centre.at_t0), max_abs(centre.at_t1));
+template <class T>
+PGCCD_HD T centre_error(const RelativeCentreIn<T>& centre) {
+  return T(8) * T(Precision<T>::unit) * larger(max_abs(centre.at_t0), max_abs(centre.at_t1));
 }
 
-// Values shared by all candidates of a body pair.
-struct RigidPair {
+// Values shared by all candidates of a body pair. Points are computed in T, except for rotations during the step.
+template <class T>
+struct RigidPairIn {
+  using Number = T;
   int64_t body[2];
   int32_t mesh[2];
-  Mat3<double> orientation[2];
+  Mat3<T> orientation[2];
   Spin spin[2];
-  RelativeCentre centre;  // offset of body j's origin from body i's
-  double point_error;
+  RelativeCentreIn<T> centre;  // offset of body j's origin from body i's
+  T point_error;
 
-  PGCCD_HD RigidPair(const RigidBodies& bodies, int64_t i, int64_t j)
-      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, centre(relative_centre(bodies.centres, i, j)) {
+  PGCCD_HD RigidPairIn(const RigidBodies& bodies, int64_t i, int64_t j)
+      : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]}, centre(relative_centre<T>(bodies.centres, i, j)) {
     for (int side = 0; side < 2; ++side) {
-      orientation[side] = rotation_matrix(load_quaternion(bodies.orientation + 4 * body[side]));
+      orientation[side] = rotation_matrix<T>(load_quaternion(bodies.orientation + 4 * body[side]));
       spin[side] = make_spin(load_vec3(bodies.rotation + 3 * body[side]));
     }
     point_error = centre_error(centre);
-    for (int side = 0; side < 2; ++side) {
-      // The angle at a time has a relative rounding error, which moves a point in proportion to the angle.
-      const double units = kRigidPointUnits + 8.0 * spin[side].angle;
-      point_error += units * Precision<double>::unit * mesh_reach(bodies, body[side]);
-    }
+    for (int side = 0; side < 2; ++side) point_error = point_error + T(offset_error(bodies, side));
+  }
+
+  PGCCD_HD bool turns(int side) const { return spin[side].angle > 0.0; }
+
+  // Error bound of computed offsets from a body's origin.
+  PGCCD_HD double offset_error(const RigidBodies& bodies, int side) const {
+    // The angle at a time has a relative rounding error, which moves a point in proportion to the angle.
+    const double units = kRigidPointUnits + 8.0 * spin[side].angle;
+    const double unit = turns(side) ? Precision<double>::unit : Precision<T>::unit;
+    return units * unit * mesh_reach(bodies, body[side]);
+  }
+
+  // The part of the points' error that remains in higher precision.
+  PGCCD_HD double turning_error(const RigidBodies& bodies) const {
+    return (turns(0) ? offset_error(bodies, 0) : 0.0) + (turns(1) ? offset_error(bodies, 1) : 0.0);
   }
 
   template <bool kEdgeEdge>
-  PGCCD_HD void bases(const RigidBodies& bodies, const FeatureVertices& f, Vec3<double> base[4]) const {
+  PGCCD_HD void bases(const RigidBodies& bodies, const FeatureVertices& f, Vec3<T> base[4]) const {
     for (int k = 0; k < 4; ++k) {
       const int side = side_of<kEdgeEdge>(f, k);
       const int64_t row = bodies.meshes.offsets[mesh[side]].vertex + f.vertex[k];
-      base[k] = orientation[side] * load_vec3(bodies.meshes.vertices + 3 * row);
+      base[k] = orientation[side] * cast<T>(load_vec3(bodies.meshes.vertices + 3 * row));
     }
   }
 
@@ -92,14 +106,14 @@ struct RigidPair {
   }
 
   // Offset of the second primitive's body from the first primitive's.
-  PGCCD_HD RelativeCentre named_centre(const FeatureVertices& f) const {
+  PGCCD_HD RelativeCentreIn<T> named_centre(const FeatureVertices& f) const {
     if (!f.swapped) return centre;
     return {-centre.at_t0, -centre.at_t1};
   }
 
   template <bool kEdgeEdge>
-  PGCCD_HD ArcPath<kEdgeEdge> arc_path(const RigidBodies& bodies, const FeatureVertices& f) const {
-    Vec3<double> base[4];
+  PGCCD_HD ArcPath<kEdgeEdge, T> arc_path(const RigidBodies& bodies, const FeatureVertices& f) const {
+    Vec3<T> base[4];
     bases<kEdgeEdge>(bodies, f, base);
     const int first = f.swapped ? 1 : 0, second = 1 - first;
     return {base, spin[first], spin[second], named_centre(f), point_error};
@@ -121,10 +135,9 @@ struct RigidPair {
 
   // End positions relative to the origin of the first primitive's body.
   template <bool kEdgeEdge>
-  PGCCD_HD void end_positions(const RigidBodies& bodies, const FeatureVertices& f, Vec3<double> t0[4],
-                              Vec3<double> t1[4]) const {
+  PGCCD_HD void end_positions(const RigidBodies& bodies, const FeatureVertices& f, Vec3<T> t0[4], Vec3<T> t1[4]) const {
     bases<kEdgeEdge>(bodies, f, t0);
-    const RelativeCentre shift = named_centre(f);
+    const RelativeCentreIn<T> shift = named_centre(f);
     for (int k = 0; k < 4; ++k) {
       const Spin& s = spin[side_of<kEdgeEdge>(f, k)];
       t1[k] = rotate(s, sine_cosine(s.angle), t0[k]);
@@ -136,7 +149,10 @@ struct RigidPair {
   }
 };
 
+using RigidPair = RigidPairIn<double>;
+
 struct DeformingPair {
+  using Number = double;
   static constexpr double point_error = 0.0;  // the given vertices are exact
   int64_t body[2];
   int32_t mesh[2];

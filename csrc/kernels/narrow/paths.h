@@ -52,56 +52,60 @@ class LinearPath {
 };
 
 // A mesh point that rotates about its body's origin: base + sin(angle t) quarter + versin(angle t) inward (Rodrigues).
+template <class T>
 struct ArcPoint {
-  Vec3<double> base;
-  Vec3<double> quarter;  // axis x base; its length is the distance from the axis
-  Vec3<double> inward;   // axis x quarter
+  Vec3<T> base;
+  Vec3<T> quarter;  // axis x base; its length is the distance from the axis
+  Vec3<T> inward;   // axis x quarter
 };
 
-PGCCD_HD ArcPoint arc_point(const Spin& spin, Vec3<double> base) {
-  const Vec3<double> quarter = cross(spin.axis, base);
-  return {base, quarter, cross(spin.axis, quarter)};
+template <class T>
+PGCCD_HD ArcPoint<T> arc_point(const Spin& spin, Vec3<T> base) {
+  const Vec3<T> axis = cast<T>(spin.axis), quarter = cross(axis, base);
+  return {base, quarter, cross(axis, quarter)};
 }
 
-PGCCD_HD Vec3<double> arc_position(const ArcPoint& p, const SineCosine& at) {
-  return p.base + (at.sine * p.quarter + at.versine * p.inward);
+template <class T>
+PGCCD_HD Vec3<T> arc_position(const ArcPoint<T>& p, const SineCosine& at) {
+  return p.base + (T(at.sine) * p.quarter + T(at.versine) * p.inward);
 }
 
-// Rigid arcs, relative to the origin of the first primitive's body.
-template <bool kEdgeEdge>
+// Rigid arcs, relative to the origin of the first primitive's body. Angles, sines and cosines are doubles in any
+// precision: they are multiplied by zero for points of bodies that do not turn.
+template <bool kEdgeEdge, class T>
 class ArcPath {
  public:
   static constexpr bool kStraight = false;
 
-  PGCCD_HD ArcPath(const Vec3<double> bases[4], const Spin& first, const Spin& second, const RelativeCentre& centre,
-                   double point_error)
+  PGCCD_HD ArcPath(const Vec3<T> bases[4], const Spin& first, const Spin& second, const RelativeCentreIn<T>& centre,
+                   T point_error)
       : first_angle_(first.angle), second_angle_(second.angle), centre_(centre) {
-    double first_radius = 0.0, second_radius = 0.0;
+    T first_radius(0), second_radius(0);
     for (int k = 0; k < 4; ++k) {
       const bool is_first = k < PointSplit<kEdgeEdge>::first_count;
       points_[k] = arc_point(is_first ? first : second, bases[k]);
-      double& radius = is_first ? first_radius : second_radius;
+      T& radius = is_first ? first_radius : second_radius;
       radius = larger(radius, norm(points_[k].quarter));
     }
     // |x''| <= angle^2 radius for each body; the factor covers the rounding of this expression.
     curvature_ =
-        (1.0 + 0x1p-40) * (first.angle * first.angle * first_radius + second.angle * second.angle * second_radius);
-    double reach = 0.0;
-    for (int k = 0; k < 4; ++k) reach = larger(reach, 3.0 * max_abs(bases[k]));
-    error_ = {point_error, 6.0 * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)))};
+        T(1.0 + 0x1p-40) * (first.angle * first.angle * first_radius + second.angle * second.angle * second_radius);
+    T reach(0);
+    for (int k = 0; k < 4; ++k) reach = larger(reach, T(3) * max_abs(bases[k]));
+    error_ = {point_error, T(6) * (reach + larger(max_abs(centre.at_t0), max_abs(centre.at_t1)))};
   }
 
-  PGCCD_HD double scale() const { return 1.0; }
-  PGCCD_HD FeaturePair<double> at(double t) const {
-    Vec3<double> x[4];
+  PGCCD_HD T scale() const { return T(1); }
+  PGCCD_HD FeaturePair<T> at(T t) const {
+    Vec3<T> x[4];
     positions(t, x);
     return feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
   }
   // Relative to the origin at t of the first primitive's body.
-  PGCCD_HD void positions(double t, Vec3<double> x[4]) const {
-    const SineCosine first = sine_cosine(first_angle_ * t);
-    const SineCosine second = sine_cosine(second_angle_ * t);
-    const Vec3<double> shift = shift_at(t);
+  PGCCD_HD void positions(T t, Vec3<T> x[4]) const {
+    const SineCosine first = sine_cosine(first_angle_ * static_cast<double>(t));
+    const SineCosine second = sine_cosine(second_angle_ * static_cast<double>(t));
+    const Vec3<T> shift = shift_at(t);
     for (int k = 0; k < 4; ++k) {
       const bool is_first = k < PointSplit<kEdgeEdge>::first_count;
       x[k] = arc_position(points_[k], is_first ? first : second);
@@ -109,30 +113,30 @@ class ArcPath {
     }
   }
   // A window over which the chords deviate by no more than a quarter of the gap.
-  PGCCD_HD double window(double gap, double remaining) const {
-    if (!(curvature_ * remaining * remaining > 2.0 * gap)) return remaining;
-    return square_root(2.0 * gap / curvature_);
+  PGCCD_HD T window(T gap, T remaining) const {
+    if (!(curvature_ * remaining * remaining > T(2) * gap)) return remaining;
+    return square_root(T(2) * gap / curvature_);
   }
   // Linear interpolation of a curve deviates by at most max |x''| duration^2 / 8, for both bodies together.
-  PGCCD_HD double deviation(double duration) const { return curvature_ * duration * duration * 0.125; }
-  PGCCD_HD PairError<double> error() const { return error_; }
+  PGCCD_HD T deviation(T duration) const { return curvature_ * duration * duration * T(0.125); }
+  PGCCD_HD PairError<T> error() const { return error_; }
 
   // Windows are short for fast spinning bodies.
   PGCCD_HD int more_advances() const { return static_cast<int>(smaller(2.0 * (first_angle_ + second_angle_), 0x1p20)); }
 
   // Body of a point: 0 for that of the first primitive, 1 for that of the second.
   PGCCD_HD static int side_of(int k) { return k < PointSplit<kEdgeEdge>::first_count ? 0 : 1; }
-  PGCCD_HD const ArcPoint& point(int k) const { return points_[k]; }
+  PGCCD_HD const ArcPoint<T>& point(int k) const { return points_[k]; }
   PGCCD_HD double angle(int side) const { return side == 0 ? first_angle_ : second_angle_; }
   // Offset of the second body's origin.
-  PGCCD_HD Vec3<double> shift_at(double t) const { return (1.0 - t) * centre_.at_t0 + t * centre_.at_t1; }
+  PGCCD_HD Vec3<T> shift_at(T t) const { return (T(1) - t) * centre_.at_t0 + t * centre_.at_t1; }
 
  private:
-  ArcPoint points_[4];
+  ArcPoint<T> points_[4];
   double first_angle_, second_angle_;
-  double curvature_;
-  RelativeCentre centre_;
-  PairError<double> error_;
+  T curvature_;
+  RelativeCentreIn<T> centre_;
+  PairError<T> error_;
 };
 
 }  // namespace pgccd

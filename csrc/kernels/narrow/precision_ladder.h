@@ -82,6 +82,16 @@ PGCCD_HD_RARE Answer<Input> climb(const Vec3<Input> (&t0)[4], const Vec3<Input> 
 
 }  // namespace ladder_detail
 
+// Continues in double-double, from a time before which the pair is free. What that leaves undecided counts as a touch.
+template <bool kEdgeEdge, class Path>
+PGCCD_HD Outcome<double> continue_finely(const Path& path, const SearchSettings<double>& settings, double begin) {
+  using ladder_detail::in_precision;
+  Outcome<DoubleDouble> outcome =
+      advance_to_contact<kEdgeEdge>(path, in_precision<DoubleDouble>(settings), DoubleDouble(begin));
+  if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
+  return ladder_detail::round_outcome<double>(outcome);
+}
+
 // The given points, at both ends of straight paths, are exact.
 template <bool kEdgeEdge, class Input>
 PGCCD_HD Answer<Input> solve_straight(const Vec3<Input> (&t0)[4], const Vec3<Input> (&t1)[4],

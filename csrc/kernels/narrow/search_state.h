@@ -13,7 +13,7 @@ enum class Status : int8_t {
   kTouch = 1,
   kUnresolved = 2,  // iteration budget spent: counts as a contact
   kPruned = 3,      // certainly later than the limit; internal
-  kUndecided = 4,   // within tolerance, but undecided in this precision; internal
+  kUndecided = 4,   // within tolerance or rounding, but undecided in this precision; internal
   kOpen = 5,        // a later phase must continue; internal
 };
 
