@@ -745,6 +745,13 @@ _CERTIFICATES = [
         ON_NARROW,
     ),
     Mutant(
+        "touch-now-noise-zero",
+        NARROW + "touching.h",
+        "distance + noise < separation",
+        "distance < separation",
+        ON_DEGENERATE,
+    ),
+    Mutant(
         "touch-without-crossing",
         NARROW + "touching.h",
         "!changes_sides",
@@ -871,7 +878,7 @@ _CERTIFICATES = [
     Mutant(
         "normal-from-noise",
         NARROW + "contact_item.h",
-        "norm(normal) > 0x1p-40 * extent(features)",
+        "norm(normal) > 0x1p-40 * extent(features.pair)",
         "norm(normal) > 0.0",
         ON_NARROW,
     ),

@@ -1,4 +1,5 @@
-// The point of a contact, and its normal.
+// Where two features touch: parameters, point and normal. They follow from the toi alone, so they depend neither on the
+// phase of the search that found it nor on that phase's precision.
 #pragma once
 
 #include <type_traits>
@@ -8,11 +9,12 @@
 namespace pgccd {
 
 struct ContactPlace {
+  double u, v;          // of the nearest points at toi, see Nearest
   Vec3<double> point;   // world, halfway between the nearest points at toi
   Vec3<double> normal;  // unit, from body i towards body j
 };
 
-// Writes a row of contacts, except for its pair. columns: ContactRows or ContactColumns; found: status, toi, u and v.
+// Writes a row of contacts, except for its pair. columns: ContactRows or ContactColumns; found: status and toi.
 template <class Columns, class Found>
 PGCCD_HD void store_contact(Columns& columns, int64_t row, const Candidate& candidate, const Found& found,
                             const ContactPlace& place) {
@@ -21,29 +23,40 @@ PGCCD_HD void store_contact(Columns& columns, int64_t row, const Candidate& cand
   columns.features[2 * row + 1] = candidate.feature_j;
   columns.status[row] = static_cast<int8_t>(found.status);
   columns.toi[row] = found.toi;
-  columns.coordinates[2 * row] = found.u;
-  columns.coordinates[2 * row + 1] = found.v;
+  columns.coordinates[2 * row] = place.u;
+  columns.coordinates[2 * row + 1] = place.v;
   store_vec3(&columns.point[3 * row], place.point);
   store_vec3(&columns.normal[3 * row], place.normal);
 }
 
 namespace contact_detail {
 
+// The points x0 .. x3 at a time, and the feature pair, whose differences have no rounding errors of the points.
+template <bool kEdgeEdge>
+struct Features {
+  Vec3<double> x[4];
+  FeaturePair<double> pair;  // scaled
+};
+
 template <bool kEdgeEdge, class Bodies, class Pair>
-PGCCD_HD void positions_at(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double t,
-                           Vec3<double> x[4]) {
+PGCCD_HD Features<kEdgeEdge> features_at(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double t) {
+  Features<kEdgeEdge> out;
+  Vec3<double>(&x)[4] = out.x;
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
     if (uses_arcs(bodies)) {
       pair.template arc_path<kEdgeEdge>(bodies, f).positions(t, x);
-      return;
+      out.pair = feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
+      return out;
     }
   }
   Vec3<double> t0[4], t1[4];
   pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
   for (int k = 0; k < 4; ++k) x[k] = (1.0 - t) * t0[k] + t * t1[k];
+  out.pair = LinearPath<kEdgeEdge, double>(t0, t1, 0.0).at(t);
+  return out;
 }
 
-// Origin of the coordinates of `positions_at`.
+// Origin of the coordinates of `features_at`.
 PGCCD_HD Vec3<double> frame_origin(const RigidBodies& bodies, const RigidPair& pair, const FeatureVertices& f,
                                    double t) {
   const int64_t body = pair.body[f.swapped ? 1 : 0];
@@ -74,39 +87,38 @@ PGCCD_HD Vec3<double> centre_offset(const DeformingBodies& bodies, const Deformi
 }
 
 template <bool kEdgeEdge, class Bodies, class Pair>
-PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double toi, double u,
-                            double v) {
-  Vec3<double> x[4];
-  positions_at<kEdgeEdge>(bodies, pair, f, toi, x);
-  const FeaturePair<double> features = feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
-  const Vec3<double> on_first = kEdgeEdge ? x[0] + u * features.a : x[0];
-  const Vec3<double> on_second = kEdgeEdge ? x[2] + v * features.b : x[1] + (u * features.a + v * features.b);
+PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double toi) {
+  const Features<kEdgeEdge> features = features_at<kEdgeEdge>(bodies, pair, f, toi);
+  const Nearest<double> nearest = nearest_points<kEdgeEdge>(features.pair);
+  const double u = nearest.u, v = nearest.v;
+  const auto& x = features.x;
+  const Vec3<double> on_first = kEdgeEdge ? x[0] + u * (x[1] - x[0]) : x[0];
+  const Vec3<double> on_second = kEdgeEdge ? x[2] + v * (x[3] - x[2]) : x[1] + (u * (x[2] - x[1]) + v * (x[3] - x[1]));
   const Vec3<double> middle = frame_origin(bodies, pair, f, toi) + 0.5 * (on_first + on_second);
 
   // The gap gives the normal unless it is below rounding; then the features' own normal does, oriented from centre to
   // centre.
-  Vec3<double> normal = nearest_points<kEdgeEdge>(features).offset;
-  if (!(norm(normal) > 0x1p-40 * extent(features))) {
-    normal = cross(features.a, features.b);
+  Vec3<double> normal = nearest.offset;
+  if (!(norm(normal) > 0x1p-40 * extent(features.pair))) {
+    normal = cross(features.pair.a, features.pair.b);
     const double along = dot(normal, centre_offset(bodies, pair, toi));
     if ((along < 0.0) != f.swapped) normal = -normal;
   }
   if (f.swapped) normal = -normal;
   const double length = norm(normal);
-  if (!(length > 0.0)) return {middle, {0.0, 0.0, 0.0}};
-  return {middle, (1.0 / length) * normal};
+  if (!(length > 0.0)) return {u, v, middle, {0.0, 0.0, 0.0}};
+  return {u, v, middle, (1.0 / length) * normal};
 }
 
 }  // namespace contact_detail
 
 template <class Bodies, class Pair>
-PGCCD_HD ContactPlace contact_place(const Bodies& bodies, const Pair& pair, const Candidate& candidate, double toi,
-                                    double u, double v) {
+PGCCD_HD ContactPlace contact_place(const Bodies& bodies, const Pair& pair, const Candidate& candidate, double toi) {
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    return contact_detail::place<true>(bodies, pair, f, toi, u, v);
+    return contact_detail::place<true>(bodies, pair, f, toi);
   }
-  return contact_detail::place<false>(bodies, pair, f, toi, u, v);
+  return contact_detail::place<false>(bodies, pair, f, toi);
 }
 
 }  // namespace pgccd

@@ -15,7 +15,7 @@ __device__ inline unsigned long long toi_bits(double toi) {
 struct FoundContact {
   int32_t candidate;
   int32_t status;
-  double toi, u, v;
+  double toi;
 };
 
 struct SearchCounters {
@@ -80,7 +80,7 @@ __device__ inline void report(const Search& search, const OpenCandidate& open, c
   if (search.contacts == nullptr) return;
   // There are at most as many contacts as open candidates, so the capacity suffices.
   search.contacts[warp_append(&search.counters->contacts, 1)] = {open.row, static_cast<int32_t>(outcome.status),
-                                                                 outcome.toi, outcome.u, outcome.v};
+                                                                 outcome.toi};
 }
 
 }  // namespace pgccd
