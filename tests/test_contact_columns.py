@@ -6,7 +6,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+import torch
+from support.deforming import crumpled, motion_of
 from support.host_program import run_program
+from support.same_bits import bits
+
+import pgccd
 
 # Two triangles, as deforming bodies and as rigid ones. Their feature pairs are searched in one call, as on a CPU, and
 # from phase to phase, as on a device. Most start within the separation; many do not move relative to each other, or
@@ -159,3 +165,20 @@ int main() {
 
 def test_columns_do_not_depend_on_phases_or_optimisation(tmp_path: Path) -> None:
     assert run_program(PROGRAM, tmp_path, "-O2") == run_program(PROGRAM, tmp_path, "-O0")
+
+
+def test_columns_of_deforming_bodies_do_not_depend_on_their_place(device: torch.device) -> None:
+    """Differences of these vertices are exact, near the world's origin and far from it."""
+    shapes, ends = crumpled(5)
+    place = np.array([2.0**30, -(2.0**29), 2.0**28])
+    found = []
+    for offset in (0.0 * place, place):
+        moved = [[np.round(x * 2.0**20) / 2.0**20 + offset for x in body] for body in ends]
+        scene = pgccd.Scene(shapes, self_collision=True, device=device)
+        found.append(pgccd.detect(scene, motion_of(*moved, device=device), "all", 0.05, tolerance=1e-6))
+    near, far = found
+    assert len(near) > 1000 and bool((near.toi > 0.0).any())
+    for name in ("pairs", "toi", "kind", "features", "coordinates", "normal", "status"):
+        assert torch.equal(bits(getattr(near, name)), bits(getattr(far, name))), name
+    shift = torch.tensor(place, device=device)
+    assert torch.allclose(far.point - shift, near.point, rtol=0.0, atol=1e-6)

@@ -12,7 +12,7 @@ import pytest
 import torch
 from support.crowds import crowds
 from support.ranks import to_all
-from support.same_bits import assert_same
+from support.same_bits import assert_same, contacts_hash
 
 import pgccd
 from distributed.conftest import World
@@ -142,8 +142,11 @@ def tumble(comm: Comm, policy: str) -> list[str]:
         toi = world.first_toi(hits)
         assert torch.equal(payload["tag"], 7 * world.id)
         free = torch.isinf(toi)[:, None]
-        rows = pgccd.sim.contacts_hash(torch.stack([world.id, world.id], dim=1), toi)
-        seen.append(f"{int(comm.sum(torch.tensor([rows - 2**64 if rows >= 2**63 else rows]))) % 2**64:016x}")
+        # A contact is told to the owners of both bodies.
+        rows = contacts_hash(hits, torch.isin(hits.pairs[:, 0], world.id))
+        rows += pgccd.sim.contacts_hash(torch.stack([world.id, world.id], dim=1), toi)
+        signed = (rows + 2**63) % 2**64 - 2**63
+        seen.append(f"{int(comm.sum(torch.tensor([signed]))) % 2**64:016x}")
         owners.add(tuple(world.partition.owner.tolist()))
         velocity = torch.where(free, payload["velocity"], -payload["velocity"])
         world.move(torch.where(free, motion.position_t1, world.position), velocity=velocity)

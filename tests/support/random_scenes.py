@@ -13,7 +13,7 @@ import pgccd
 from support.origins import recentred
 from support.shapes import bumpy, directions, height_field, tetrahedron, unit_quaternions
 
-#: Arguments of `detect`, and the values that scenes choose from.
+#: Arguments of `detect`, and the values that scenes choose from; lengths for bodies of radius 1 or more.
 ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "report": ("first", "all", "all", "any", "earliest"),
     "min_separation": (0.0, 0.0, 0.0, 0.25, 0.05, 0.01),
@@ -21,7 +21,7 @@ ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "nonzero_toi": (False, True),
 }
 LAYOUTS = ("crowd", "lattice", "resting", "pile", "sizes", "still")
-KINDS = ("rigid", "rigid", "linear", "deforming", "deforming", "trajectory", "deforming trajectory")
+KINDS = ("rigid", "rigid", "posed", "linear", "deforming", "deforming", "trajectory", "deforming trajectory")
 _OFFSETS = (0.0, 0.0, 0.0, 0.0, 1e6, 1e9)
 _SPINS = (0.0, 0.3, 0.3, 2.0, 40.0)
 _MOST_BODIES = 14
@@ -49,8 +49,10 @@ class RandomScene:
         poses = [column[..., rows, :].to(device) for column in self.poses]
         if self.kind == "deforming":
             return pgccd.VertexMotion(*poses)
+        if self.kind == "posed":
+            return pgccd.RigidMotion(*poses)
         if self.kind in ("rigid", "linear"):
-            return pgccd.RigidMotion.from_velocity(*poses, dt=1.0, path=self.kind)  # type: ignore[arg-type]
+            return pgccd.RigidMotion.from_velocity(*poses, dt=0.7, path=self.kind)  # type: ignore[arg-type]
         return pgccd.Trajectory(*poses)
 
     def position(self) -> Tensor:
@@ -89,7 +91,10 @@ def random_scene(seed: int) -> RandomScene:
     sizes = np.array([meshes[k].radius for k in mesh_index])
     steps = int(rng.integers(2, 4)) if "trajectory" in kind else 1
     place, velocity = _places(rng, layout, sizes, steps)
-    filters = _filters(rng, count, kind)
+    unit = min(
+        1.0, 2.0 ** float(np.floor(np.log2(sizes.min())))
+    )  # so that not all features of the smallest body are close
+    filters = _filters(rng, count, kind, unit)
     if "static" in filters:
         velocity[:, filters["static"].numpy()] = 0.0
     still = np.abs(velocity).sum(axis=(0, 2)) == 0.0
@@ -103,6 +108,9 @@ def random_scene(seed: int) -> RandomScene:
     start = place + offset
     if kind in ("rigid", "linear"):
         poses = [start, orientation, velocity[0], spin]
+    elif kind == "posed":
+        turned = orientation if on_lattice else np.where(still[:, None], orientation, unit_quaternions(rng, count))
+        poses = [start, orientation, start + velocity[0], turned]
     elif kind == "trajectory":
         path = np.concatenate([start[None], start + np.cumsum(velocity, axis=0)])
         turned = np.stack([np.where(still[:, None], orientation, unit_quaternions(rng, count)) for _ in path])
@@ -111,6 +119,9 @@ def random_scene(seed: int) -> RandomScene:
         poses = _deformed(rng, [meshes[k] for k in mesh_index], start, velocity, still, 0.0 if on_lattice else 0.2)
         if kind == "deforming":
             poses = [poses[0][0], poses[0][1]]
+    arguments = {name: values[rng.integers(len(values))] for name, values in ARGUMENTS.items()}
+    for name in ("min_separation", "tolerance"):
+        arguments[name] = arguments[name] and float(unit * arguments[name])
     return RandomScene(
         seed,
         layout,
@@ -119,7 +130,7 @@ def random_scene(seed: int) -> RandomScene:
         torch.tensor(mesh_index, dtype=torch.int32),
         filters,
         [torch.tensor(column) for column in poses],
-        {name: values[rng.integers(len(values))] for name, values in ARGUMENTS.items()},
+        arguments,
     )
 
 
@@ -131,10 +142,17 @@ def _mesh(rng: np.random.Generator, layout: str) -> pgccd.Mesh:
         lambda: tetrahedron(size),
         lambda: pgccd.Mesh(size * np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), [[0, 1, 2], [0, 2, 3]]),
         lambda: height_field(rng, 3, 2),
-    ][rng.integers(5)]()
+        lambda: _needle(rng, size),
+    ][rng.integers(6)]()
     if rng.integers(3) == 0:
         return recentred(made, 4.0 * made.radius * directions(rng, 1)[0])
     return made
+
+
+def _needle(rng: np.random.Generator, size: float) -> pgccd.Mesh:
+    """A long mesh, whose edges are nearly parallel."""
+    whole = bumpy(rng, 1, size=size)
+    return pgccd.Mesh(whole.vertices.numpy() * [3.0, 0.03, 0.03], whole.faces)
 
 
 def _cube(rng: np.random.Generator) -> pgccd.Mesh:
@@ -164,7 +182,7 @@ def _places(rng: np.random.Generator, layout: str, sizes: np.ndarray, steps: int
     return place, velocity
 
 
-def _filters(rng: np.random.Generator, count: int, kind: str) -> dict[str, Tensor]:
+def _filters(rng: np.random.Generator, count: int, kind: str, unit: float) -> dict[str, Tensor]:
     def wanted(share: float) -> bool:
         return bool(rng.uniform() < share)
 
@@ -177,7 +195,7 @@ def _filters(rng: np.random.Generator, count: int, kind: str) -> dict[str, Tenso
     if wanted(0.2):
         filters["static"] = torch.tensor(rng.uniform(size=count) < 0.3)
     if wanted(0.3):
-        filters["margin"] = torch.tensor(rng.choice([0.0, 0.125, 0.03], count))
+        filters["margin"] = torch.tensor(unit * rng.choice([0.0, 0.125, 0.03], count))
     if kind.startswith("deforming") and wanted(0.6):
         filters["self_collision"] = torch.tensor(rng.uniform(size=count) < 0.7)
     return filters

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 import pgccd
+from pgccd.runtime.hashing import row_hash
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 #: With those of a trajectory's contacts.
@@ -44,6 +45,12 @@ def difference(found: dict[str, Tensor], expected: dict[str, Tensor]) -> str | N
                 f"expected {column[row].tolist()}"
             )
     return "; ".join(said) or None
+
+
+def contacts_hash(contacts: pgccd.Contacts, rows: Tensor) -> int:
+    """Hash of all columns of some of the contacts, of any report but "any". Hashes of disjoint rows add up mod 2^64."""
+    columns = [getattr(contacts, name)[rows] for name in COLUMNS]
+    return row_hash([column if column.is_floating_point() else column.long() for column in columns])
 
 
 def assert_same(found: pgccd.Contacts, expected: pgccd.Contacts) -> None:
