@@ -164,10 +164,11 @@ def test_starts_less_than_a_rounding_above_the_separation(device: torch.device, 
         separation = float(np.sqrt(squared))
         if squared == 0 or Fraction(separation) ** 2 >= squared:
             continue
-        start = np.array([normal + a + b, [0, 0, 0], 3 * a, 3 * b])
+        sides = rng.integers(3, 10, 2)
+        start = np.array([normal + a + b, [0, 0, 0], sides[0] * a, sides[1] * b])
         end = start + np.array([normal, [0] * 3, [0] * 3, [0] * 3])
         points = (torch.tensor(x[None], dtype=dtype, device=device) for x in (start, end))
-        hit = pgccd.narrow.vertex_face(*points, min_separation=separation, tolerance=1e-30)
+        hit = pgccd.narrow.vertex_face(*points, min_separation=separation, tolerance=1.0)
         assert int(hit.status) == pgccd.FREE
         precise += int(hit.significant_bits) == 106
     assert precise > 50

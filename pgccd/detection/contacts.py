@@ -114,7 +114,8 @@ class ContactColumns:
     toi: Tensor | None  #: (K,) float64 in [0, 1]: these features do not touch before it; 0 if they touch at t0
     kind: Tensor | None  #: (K,) int8, see `Kind`
     features: Tensor | None  #: (K, 2) int32: vertex, face or edge index of i, then of j, in their meshes
-    #: (K, 2): face point f0 + u (f1 - f0) + v (f2 - f0), or parameters along i's and j's edge
+    #: (K, 2), of the nearest points at toi: (u, v) of the face point f0 + u (f1 - f0) + v (f2 - f0), or parameters
+    #: along i's and j's edge
     coordinates: Tensor | None
     point: Tensor | None  #: (K, 3) world: halfway between the nearest points at toi
     #: (K, 3) unit vector from i (or the first feature) towards j at toi; zero if degenerate features coincide

@@ -5,9 +5,9 @@ devices and ranks. Each must give the bits of one thread of a CPU.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -40,7 +40,9 @@ def reference(scene: RandomScene) -> pgccd.Contacts:
         return pgccd.detect(scene.scene(), scene.motion(), broad_phase="sweep", **scene.arguments)
 
 
-def differences(scenes: Iterable[RandomScene], devices: Iterable[str], pool: RankPool | None, ranks: int) -> list[Any]:
+def differences(
+    scenes: Iterable[RandomScene], devices: Iterable[str], pool: RankPool | None, ranks: int
+) -> list[Difference]:
     """What the ways of finding contacts do not agree upon.
 
     Args:
@@ -49,17 +51,20 @@ def differences(scenes: Iterable[RandomScene], devices: Iterable[str], pool: Ran
         pool: of processes, if `ranks` is not 0.
         ranks: the largest number of ranks.
     """
-    scenes, devices, found, expected = list(scenes), list(devices), [], []
+    scenes, devices = list(scenes), list(devices)
+    found: list[Difference] = []
+    expected: list[Columns] = []
     for scene in scenes:
-        contacts = reference(scene)
+        with _named(scene):
+            contacts, others = reference(scene), derived(scene, "cpu")
         expected.append(columns_of(contacts))
         for way, columns in _all_ways(scene, contacts, devices):
             said = columns if isinstance(columns, str) else difference(columns, expected[-1])
             if said is not None:
                 found.append(Difference(scene, way, said))
-        others = derived(scene, "cpu")
         for device in devices:
-            said = difference(derived(scene, device), others) if device != "cpu" else None
+            with _named(scene):
+                said = difference(derived(scene, device), others) if device != "cpu" else None
             if said is not None:
                 found.append(Difference(scene, f"derived values, {device}", said))
     for size in range(1, ranks + 1):
@@ -68,13 +73,14 @@ def differences(scenes: Iterable[RandomScene], devices: Iterable[str], pool: Ran
             answers = pool.run(size, on_rank, [scene.seed for scene in scenes], device)
             for k, scene in enumerate(scenes):
                 for rank, answer in enumerate(answers):
-                    said = answer[k][1] if isinstance(answer[k][1], str) else of_rank(scene, expected[k], *answer[k])
+                    said = of_rank(scene, expected[k], *answer[k])
                     if said is not None:
                         found.append(Difference(scene, f"rank {rank} of {size}, {device}", said))
     return found
 
 
 def _all_ways(scene: RandomScene, whole: pgccd.Contacts, devices: Iterable[str]) -> Iterator[tuple[str, Columns | str]]:
+    """The columns by each way, or an error."""
     for device in devices:
         for name, way in _ways(scene, whole, device):
             try:
@@ -148,15 +154,15 @@ def derived(scene: RandomScene, device: str) -> Columns:
     return {name: column.cpu() for name, column in columns.items()}
 
 
-def on_rank(comm: Comm, seeds: list[int], device: str) -> list[tuple[Tensor, Any]]:
-    """For each scene the bodies that this rank owns, and their contacts or an error."""
-    answers: list[tuple[Tensor, Any]] = []
+def on_rank(comm: Comm, seeds: list[int], device: str) -> list[tuple[Tensor, Columns]]:
+    """For each scene the bodies that this rank owns, and their contacts, with ids in `pairs`."""
+    answers = []
     for seed in seeds:
         scene = random_scene(seed)
-        world = _world(comm, scene, device)
-        own = _body_of(world.id.cpu())
-        hits = world.step(scene.motion(device, own))
-        answers.append((own, columns_of(hits)))
+        with _named(scene):
+            world = _world(comm, scene, device)
+            own = _body_of(world.id.cpu())
+            answers.append((own, columns_of(world.step(scene.motion(device, own)))))
     return answers
 
 
@@ -168,7 +174,8 @@ def _world(comm: Comm, scene: RandomScene, device: str) -> World:
     by_cells = scene.seed % 2 == 0
     world = World.create(
         scene.meshes,
-        *((tuple(position.amin(dim=0) - 1.0), tuple(position.amax(dim=0) + 1.0))),
+        tuple((position.amin(dim=0) - 1.0).tolist()),
+        tuple((position.amax(dim=0) + 1.0).tolist()),
         position[mine].to(device),
         id=_id_of(mine).to(device),
         mesh_index=scene.mesh_index[mine].to(device),
@@ -189,7 +196,7 @@ def _world(comm: Comm, scene: RandomScene, device: str) -> World:
 
 
 def of_rank(scene: RandomScene, whole: Columns, own: Tensor, found: Columns) -> str | None:
-    """The difference between the contacts of a rank's own bodies and those of all bodies."""
+    """The difference between the contacts found by a rank, see `on_rank`, and those of all bodies."""
     concerns = torch.isin(whole["pairs"], own).any(dim=1)
     if scene.arguments["report"] == "earliest":
         concerns[:] = True  # it is told to every rank
@@ -205,14 +212,21 @@ def _body_of(id: Tensor) -> Tensor:
     return torch.div(id - 2, 5, rounding_mode="floor")
 
 
-class _threads:  # noqa: N801 - used as a function
+@contextmanager
+def _named(scene: RandomScene) -> Iterator[None]:
+    """Errors name the scene."""
+    try:
+        yield
+    except Exception as error:
+        raise RuntimeError(str(scene)) from error
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
     """Sets the number of threads for a while."""
-
-    def __init__(self, count: int) -> None:
-        self._count, self._before = count, torch.get_num_threads()
-
-    def __enter__(self) -> None:
-        torch.set_num_threads(self._count)
-
-    def __exit__(self, *_: object) -> None:
-        torch.set_num_threads(self._before)
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
