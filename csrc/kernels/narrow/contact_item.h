@@ -31,11 +31,12 @@ PGCCD_HD void store_contact(Columns& columns, int64_t row, const Candidate& cand
 
 namespace contact_detail {
 
-// The points x0 .. x3 at a time, and the feature pair, whose differences have no rounding errors of the points.
+// The features at a time. On straight paths the differences themselves are interpolated, so that they are accurate
+// however far the points are from the world's origin.
 template <bool kEdgeEdge>
 struct Features {
   Vec3<double> x[4];
-  FeaturePair<double> pair;  // scaled
+  FeaturePair<double> pair;  // times a power of two
 };
 
 template <bool kEdgeEdge, class Bodies, class Pair>
