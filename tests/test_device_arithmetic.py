@@ -19,6 +19,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
 import pgccd.distributed
+from pgccd import sim
 
 #: Operations of torch with one correct result, or none to round.
 EXACT = """
@@ -111,6 +112,14 @@ def distributed() -> None:
         world.first_toi(world.step(motion))
 
 
+def simulation() -> None:
+    model = sim.Model(sim.ModelConfig(robots=60, pattern="random", spacing=2.05, speed=0.15))
+    state = model.start()
+    scene = model.scene(state.id)
+    for index in range(3):
+        state = sim.make_step(model, scene, state, index).after
+
+
 CALLS = {
     "rigid": lambda: every_report(rigid),
     "deforming": lambda: every_report(deforming),
@@ -118,6 +127,7 @@ CALLS = {
     "padded": padded,
     "motions": motions,
     "distributed": distributed,
+    "simulation": simulation,
 }
 
 
