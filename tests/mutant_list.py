@@ -778,6 +778,13 @@ _CERTIFICATES = [
         ON_NARROW,
     ),
     Mutant(
+        "touch-now-noise-zero",
+        NARROW + "touching.h",
+        "distance + noise < separation",
+        "distance < separation",
+        ON_DEGENERATE,
+    ),
+    Mutant(
         "touch-without-crossing",
         NARROW + "touching.h",
         "!changes_sides",
@@ -912,7 +919,7 @@ _CERTIFICATES = [
     Mutant(
         "normal-from-noise",
         NARROW + "contact_item.h",
-        "norm(normal) > 0x1p-40 * extent(features)",
+        "norm(normal) > 0x1p-40 * extent(features.pair)",
         "norm(normal) > 0.0",
         ON_NARROW,
     ),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from support.crowds import crowds
+from support.same_bits import assert_same
 from support.shapes import approaching, bumpy
 
 import pgccd
@@ -18,7 +19,6 @@ from pgccd.detection.padded import counts_of_given, lower_first_toi
 from pgccd.detection.pipeline import _detect_at_once as detect_at_once
 from pgccd.detection.query import Query
 
-COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 REPORTS = ("any", "first", "all", "earliest")
 
 
@@ -38,13 +38,6 @@ def shells(device: torch.device) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
     unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64)
     motion = pgccd.RigidMotion.from_velocity(position, unit, velocity, torch.zeros_like(velocity), dt=1.0)
     return pgccd.Scene(meshes, device=device), motion.to(device)
-
-
-def assert_same(found: pgccd.Contacts, expected: pgccd.Contacts) -> None:
-    for column in COLUMNS:
-        one, other = getattr(found, column), getattr(expected, column)
-        assert (one is None) == (other is None), column
-        assert one is None or torch.equal(one, other), column
 
 
 def capacity_for(scene: pgccd.Scene, motion: Any, *arguments: Any, **options: Any) -> tuple[pgccd.Contacts, Capacity]:

@@ -11,23 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.same_bits import COLUMNS, assert_same
 from support.shapes import approaching
 
 import pgccd
 
 COPIES = [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))]
-COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 
 
 def step(device: torch.device | str = "cpu") -> tuple[pgccd.Scene, pgccd.RigidMotion]:
     b = approaching(np.random.default_rng(3), (1, 1, 0), (1.0, 1.0, 1.0), closeness=0.6)
     return b.scene(device), b.motion(device=device)
-
-
-def assert_same(one: pgccd.Contacts, other: pgccd.Contacts) -> None:
-    for name in COLUMNS:
-        a, b = getattr(one, name), getattr(other, name)
-        assert (a is None and b is None) or torch.equal(a, b), name
 
 
 @pytest.mark.parametrize("copied", COPIES)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.same_bits import COLUMNS, assert_same
 from support.shapes import Bodies, approaching, tensors
 
 import pgccd
 from pgccd import narrow
 
-COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 REPORTS = list(narrow.REPORTS)
 
 
@@ -42,13 +42,6 @@ def motions(bodies: Bodies, device: torch.device) -> dict[str, Any]:
         "linear": bodies.motion("linear", device),
         "deforming": pgccd.VertexMotion(*tensors(*ends, device=device)),
     }
-
-
-def assert_same(a: pgccd.Contacts, b: pgccd.Contacts) -> None:
-    for column in COLUMNS:
-        x, y = getattr(a, column), getattr(b, column)
-        assert (x is None) == (y is None)
-        assert x is None or torch.equal(x.cpu(), y.cpu()), f"{column} differs"
 
 
 @pytest.mark.parametrize("report", REPORTS)

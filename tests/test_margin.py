@@ -8,17 +8,10 @@ import numpy as np
 import pytest
 import torch
 from support.origins import recentred
+from support.same_bits import assert_same
 from support.shapes import bumpy, directions, height_field, tensors, tetrahedron, unit_quaternions
 
 import pgccd
-
-COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
-
-
-def assert_same(a: pgccd.Contacts, b: pgccd.Contacts) -> None:
-    for name in COLUMNS:
-        x, y = getattr(a, name), getattr(b, name)
-        assert (x is None and y is None) or torch.equal(x, y), name
 
 
 class Heap:

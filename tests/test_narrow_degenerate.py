@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import torch
@@ -146,3 +148,27 @@ def test_what_is_not_a_finite_number_is_never_free(device: torch.device, dtype: 
     for test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
         assert (test(points, points).status == pgccd.FREE).all()
         assert (test(*ends).status != pgccd.FREE).all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_starts_less_than_a_rounding_above_the_separation(device: torch.device, dtype: torch.dtype) -> None:
+    """A vertex above a tilted face, whose exact distance, the root of an integer, is just above the separation in
+    float64, moves away: free, although the rounded distance is often below the separation.
+    """
+    rng = np.random.default_rng(8)
+    precise = 0
+    for _ in range(300):
+        a, b = rng.integers(-40, 41, (2, 3))
+        normal = np.cross(a, b)
+        squared = int(normal @ normal)
+        separation = float(np.sqrt(squared))
+        if squared == 0 or Fraction(separation) ** 2 >= squared:
+            continue
+        sides = rng.integers(3, 10, 2)
+        start = np.array([normal + a + b, [0, 0, 0], sides[0] * a, sides[1] * b])
+        end = start + np.array([normal, [0] * 3, [0] * 3, [0] * 3])
+        points = (torch.tensor(x[None], dtype=dtype, device=device) for x in (start, end))
+        hit = pgccd.narrow.vertex_face(*points, min_separation=separation, tolerance=1.0)
+        assert int(hit.status) == pgccd.FREE
+        precise += int(hit.significant_bits) == 106
+    assert precise > 50

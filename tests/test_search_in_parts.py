@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import torch
 from support.crowds import crowds
-from support.deforming import Ends, assert_same, crumpled, motion_of
+from support.deforming import Ends, crumpled, motion_of
 from support.host_program import run_program
+from support.same_bits import assert_same
 
 import pgccd
 from pgccd import narrow

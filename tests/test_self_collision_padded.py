@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from support.deforming import Ends, assert_same, crumpled, motion_of
+from support.deforming import Ends, crumpled, motion_of
+from support.same_bits import assert_same
 
 import pgccd
 from pgccd import narrow

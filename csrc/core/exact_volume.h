@@ -63,14 +63,21 @@ class ExactSum {
 
 namespace exact_volume_detail {
 
-// Three numbers as exact sums of two doubles.
+// Three numbers as exact sums of four doubles.
 struct ExactVec3 {
-  DoubleDouble x[3];
+  double part[3][4];
 };
 
-PGCCD_HD ExactVec3 difference(Vec3<double> to, Vec3<double> from) {
+PGCCD_HD ExactVec3 difference(const Vec3<DoubleDouble>& to, const Vec3<DoubleDouble>& from) {
   using double_double_detail::two_sum;
-  return {{two_sum(to.x, -from.x), two_sum(to.y, -from.y), two_sum(to.z, -from.z)}};
+  const DoubleDouble a[3] = {to.x, to.y, to.z}, b[3] = {from.x, from.y, from.z};
+  ExactVec3 out;
+  for (int k = 0; k < 3; ++k) {
+    const DoubleDouble high = two_sum(a[k].high, -b[k].high), low = two_sum(a[k].low, -b[k].low);
+    const double part[4] = {high.high, high.low, low.high, low.low};
+    for (int m = 0; m < 4; ++m) out.part[k][m] = part[m];
+  }
+  return out;
 }
 
 PGCCD_HD void add_product(ExactSum& sum, double x, double y, double z) {
@@ -86,7 +93,8 @@ PGCCD_HD void add_product(ExactSum& sum, double x, double y, double z) {
 
 // (q - p) . ((s - p) x (t - p)) to within a unit in the last place: the sign is exact. For points of about unit size:
 // products below 2^-1022 are rounded.
-PGCCD_HD_RARE inline double exact_volume(Vec3<double> p, Vec3<double> q, Vec3<double> s, Vec3<double> t) {
+PGCCD_HD_RARE inline double exact_volume(const Vec3<DoubleDouble>& p, const Vec3<DoubleDouble>& q,
+                                         const Vec3<DoubleDouble>& s, const Vec3<DoubleDouble>& t) {
   using namespace exact_volume_detail;
   const ExactVec3 a = difference(q, p), b = difference(s, p), c = difference(t, p);
   ExactSum sum;
@@ -94,11 +102,10 @@ PGCCD_HD_RARE inline double exact_volume(Vec3<double> p, Vec3<double> q, Vec3<do
   for (int k = 0; k < 3; ++k) {
     const int l = k == 2 ? 0 : k + 1, m = k == 0 ? 2 : k - 1;
     PGCCD_KEEP_LOOP
-    for (int bits = 0; bits < 8; ++bits) {
-      const auto part = [](DoubleDouble v, bool is_low) { return is_low ? v.low : v.high; };
-      const double x = part(a.x[k], bits & 1);
-      add_product(sum, x, part(b.x[l], bits & 2), part(c.x[m], bits & 4));
-      add_product(sum, -x, part(b.x[m], bits & 2), part(c.x[l], bits & 4));
+    for (int parts = 0; parts < 64; ++parts) {
+      const double x = a.part[k][parts & 3];
+      add_product(sum, x, b.part[l][parts >> 2 & 3], c.part[m][parts >> 4]);
+      add_product(sum, -x, b.part[m][parts >> 2 & 3], c.part[l][parts >> 4]);
     }
   }
   return sum.rounded();

@@ -1,4 +1,6 @@
-// Three-component vectors and 3 x 3 matrices. The order of evaluation is fixed, for equal bits on every backend.
+// Three-component vectors and 3 x 3 matrices. The order of evaluation is fixed, for equal bits on every backend; except
+// that GCC computes -dot(a, b) as fma(-a.z, b.z, -...), whose zero has the other sign. So no result may depend on the
+// sign of a zero: compare before dividing by what may be zero.
 #pragma once
 
 #include <type_traits>

@@ -21,7 +21,7 @@ _BYTES = {
     "tasks": 32,
     "leaf_pairs": 48,
     "candidates": 16,
-    "open": 80,
+    "open": 64,
     "contacts": 102,
 }
 # Added to every capacity, so that small scenes rarely overflow when they change.

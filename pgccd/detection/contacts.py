@@ -88,13 +88,13 @@ class ContactColumns:
     toi: Tensor | None  #: (K,) float64 in [0, 1]: these features do not touch before it; 0 if they touch at t0
     kind: Tensor | None  #: (K,) int8, see `Kind`
     features: Tensor | None  #: (K, 2) int32: vertex, face or edge index of i, then of j, in their meshes
-    #: (K, 2): face point f0 + u (f1 - f0) + v (f2 - f0); of kind EE, parameters along i's and j's edge
+    #: (K, 2), of the nearest points at toi: (u, v) of the face point f0 + u (f1 - f0) + v (f2 - f0), or of kind EE
+    #: parameters along i's and j's edge
     coordinates: Tensor | None
-    point: (
-        Tensor | None
-    )  #: (K, 3) world: halfway between the nearest points at toi; where an edge passes through a face
-    #: (K, 3) unit vector from i (or the first feature) towards j at toi; zero if degenerate features coincide. Of an edge
-    #: through a face it is the face's, on the side of j's centre
+    #: (K, 3) world: halfway between the nearest points at toi; of an edge through a face, where it passes
+    point: Tensor | None
+    #: (K, 3) unit vector from i (or the first feature) towards j at toi; zero if degenerate features coincide. Of an
+    #: edge through a face it is the face's, on the side of j's centre
     normal: Tensor | None
     status: Tensor | None  #: (K,) int8, see `Status`
     #: The scene of the bodies; None where `pairs` are not rows of one scene.
@@ -153,9 +153,9 @@ class ContactColumns:
 
     @property
     def starts_intersecting(self) -> Tensor:
-        """(K,) bool: contacts with toi 0, of pairs whose surfaces intersect, touch or are within min_separation (and the
-        tolerance) at t = 0; of a trajectory, at the start of the segment. What the other contacts say holds for all
-        other pairs. False in an incomplete result, see `PaddedContacts`.
+        """(K,) bool: contacts with toi 0, of pairs whose surfaces intersect, touch or are within min_separation and
+        margins (plus the tolerance) at t = 0; of a trajectory, at the start of the segment. All other pairs are free
+        until the first toi of the other contacts. False in an incomplete result, see `PaddedContacts`.
 
         Raises:
             ValueError: the report was "any", which gives no times.

@@ -91,11 +91,20 @@ def detect_trajectory(
         chosen = earliest_row(torch.where(segment == first, found.toi, torch.inf))
     columns = {name: column[chosen] for name, column in (found.columns | {"pairs": pairs}).items()}
     segment = segment[chosen]
-    time = (segment + columns["toi"]) / segments
+    time = time_along(segment, columns["toi"], segments)
     stats.contacts = len(segment)
     contacts = TrajectoryContacts(**columns, stats=stats, segment=segment, time=time)
     contacts.scene = scene
     return contacts
+
+
+def time_along(segment: Tensor, toi: Tensor, segments: int) -> Tensor:
+    """(K,) float64: times in [0, 1] along a trajectory of so many segments, from times within a segment.
+
+    The divisor is a tensor, because torch divides by a Python number on CUDA by multiplying with its reciprocal, which
+    rounds differently.
+    """
+    return (segment + toi) / torch.full((), segments, dtype=torch.float64, device=toi.device)
 
 
 def repeated(scene: Scene, times: int) -> Scene:

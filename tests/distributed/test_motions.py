@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.same_bits import columns_of, difference
 from support.shapes import bumpy
 
 import pgccd
@@ -20,7 +21,6 @@ from pgccd.distributed import World as SharedWorld
 from pgccd.distributed.comm.exchange import take_rows
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 
-COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status", "segment", "time")
 REPORTS = ("first", "all", "any", "earliest")
 COUNT, STEPS = 26, 3
 
@@ -133,12 +133,9 @@ def require_equal(world: SharedWorld, found: pgccd.Contacts, whole: pgccd.Contac
     affected = torch.isin(pairs, world.id.cpu()).any(dim=1)
     if report == "earliest":
         affected[:] = True
-    for name in COLUMNS:
-        expected, got = getattr(whole, name, None), getattr(found, name, None)
-        if expected is None:
-            assert got is None, name
-            continue
-        assert got is not None and torch.equal(got.cpu(), (pairs if name == "pairs" else expected)[affected]), name
+    expected = {name: column[affected] for name, column in (columns_of(whole) | {"pairs": pairs}).items()}
+    said = difference(columns_of(found), expected)
+    assert said is None, said
 
 
 def deform_bisected(comm: Comm, report: str) -> dict[str, int]:

@@ -10,7 +10,6 @@ from support.shapes import approaching, tensors
 
 #: Vertices of a body at t0 and at t1.
 Ends = list[np.ndarray]
-COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 
 
 def motion_of(*bodies: Ends, device: torch.device) -> pgccd.VertexMotion:
@@ -32,10 +31,3 @@ def crumpled(count: int, seed: int = 9) -> tuple[list[pgccd.Mesh], list[Ends]]:
         for k, m in enumerate(bodies.meshes)
     ]
     return bodies.meshes, ends
-
-
-def assert_same(a: pgccd.Contacts, b: pgccd.Contacts) -> None:
-    """Asserts equal bits in all columns."""
-    for column in COLUMNS:
-        x, y = getattr(a, column), getattr(b, column)
-        assert (x is None) == (y is None) and (x is None or torch.equal(x.cpu(), y.cpu())), column

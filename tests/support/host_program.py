@@ -12,8 +12,8 @@ CSRC = Path(__file__).resolve().parents[2] / "csrc"
 FLAGS = ("-std=c++20", "-march=x86-64-v3", "-ffp-contract=off")
 
 
-def run_program(text: str, folder: Path, optimization: str = "-O2") -> None:
-    """Compiles and runs a program; fails with its output unless it returns 0."""
+def run_program(text: str, folder: Path, optimization: str = "-O2") -> str:
+    """Compiles and runs a program, and returns its output; fails with its output unless it returns 0."""
     compiler = shutil.which("c++") or shutil.which("g++")
     if compiler is None:
         pytest.skip("no C++ compiler")
@@ -22,3 +22,4 @@ def run_program(text: str, folder: Path, optimization: str = "-O2") -> None:
     subprocess.run([compiler, *FLAGS, optimization, f"-I{CSRC}", str(source), "-o", str(program)], check=True)
     done = subprocess.run([str(program)], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
+    return done.stdout

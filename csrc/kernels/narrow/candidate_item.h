@@ -130,18 +130,17 @@ PGCCD_HD Outcome<double> solve_candidate(const Bodies& bodies, const Pair& pair,
 
 // As `passes_through`, for a candidate of that kind.
 template <class Bodies, class Pair>
-PGCCD_HD Crossing crossing_of(const Bodies& bodies, const Pair& pair, const Candidate& candidate, bool exactly) {
+PGCCD_HD_RARE Crossing crossing_of(const Bodies& bodies, const Pair& pair, const Candidate& candidate, bool exactly) {
   const CrossingVertices c = crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
-  return passes_through(pair.edge_and_face(bodies, c), exactly);
+  const auto fine = [&] { return pair.fine_edge_and_face(bodies, c); };
+  return passes_through(pair.edge_and_face(bodies, c), pair.point_error, fine, exactly);
 }
 
 template <class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_crossing(const Bodies& bodies, const Pair& pair, const Candidate& candidate) {
-  const CrossingVertices c = crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
-  const EdgeAndFace x = pair.edge_and_face(bodies, c);
-  if (passes_through(x, true) != Crossing::kPasses) return {Status::kFree, static_cast<double>(INFINITY), 0.0, 0.0};
-  const FacePoint at = crossing_point(x);
-  return {Status::kTouch, 0.0, at.u, at.v};
+  const bool passes = crossing_of(bodies, pair, candidate, true) == Crossing::kPasses;
+  return passes ? Outcome<double>{Status::kTouch, 0.0, 0.0, 0.0}
+                : Outcome<double>{Status::kFree, static_cast<double>(INFINITY), 0.0, 0.0};
 }
 
 }  // namespace pgccd

@@ -1,4 +1,5 @@
-// The point of a contact, and its normal.
+// Where two features touch: parameters, point and normal. They follow from the toi alone, so they depend neither on the
+// phase of the search that found it nor on that phase's precision.
 #pragma once
 
 #include <type_traits>
@@ -8,11 +9,12 @@
 namespace pgccd {
 
 struct ContactPlace {
+  double u, v;          // of the nearest points at toi, see Nearest
   Vec3<double> point;   // world, halfway between the nearest points at toi
   Vec3<double> normal;  // unit, from body i towards body j
 };
 
-// Writes a row of contacts, except for its pair. columns: ContactRows or ContactColumns; found: status, toi, u and v.
+// Writes a row of contacts, except for its pair. columns: ContactRows or ContactColumns; found: status and toi.
 template <class Columns, class Found>
 PGCCD_HD void store_contact(Columns& columns, int64_t row, const Candidate& candidate, const Found& found,
                             const ContactPlace& place) {
@@ -21,8 +23,8 @@ PGCCD_HD void store_contact(Columns& columns, int64_t row, const Candidate& cand
   columns.features[2 * row + 1] = candidate.feature_j;
   columns.status[row] = static_cast<int8_t>(found.status);
   columns.toi[row] = found.toi;
-  columns.coordinates[2 * row] = found.u;
-  columns.coordinates[2 * row + 1] = found.v;
+  columns.coordinates[2 * row] = place.u;
+  columns.coordinates[2 * row + 1] = place.v;
   store_vec3(&columns.point[3 * row], place.point);
   store_vec3(&columns.normal[3 * row], place.normal);
 }
@@ -33,22 +35,33 @@ PGCCD_HD Vec3<double> unit_or_zero(Vec3<double> v) {
   const double length = norm(v);
   return length > 0.0 ? (1.0 / length) * v : Vec3<double>{0.0, 0.0, 0.0};
 }
+// The features at a time. On straight paths the differences themselves are interpolated, so that they are accurate
+// however far the points are from the world's origin.
+template <bool kEdgeEdge>
+struct Features {
+  Vec3<double> x[4];
+  FeaturePair<double> pair;  // times a power of two
+};
 
 template <bool kEdgeEdge, class Bodies, class Pair>
-PGCCD_HD void positions_at(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double t,
-                           Vec3<double> x[4]) {
+PGCCD_HD Features<kEdgeEdge> features_at(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double t) {
+  Features<kEdgeEdge> out;
+  Vec3<double>(&x)[4] = out.x;
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
     if (uses_arcs(bodies)) {
       pair.template arc_path<kEdgeEdge>(bodies, f).positions(t, x);
-      return;
+      out.pair = feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
+      return out;
     }
   }
   Vec3<double> t0[4], t1[4];
   pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
   for (int k = 0; k < 4; ++k) x[k] = (1.0 - t) * t0[k] + t * t1[k];
+  out.pair = LinearPath<kEdgeEdge, double>(t0, t1, 0.0).at(t);
+  return out;
 }
 
-// Origin of the coordinates of `positions_at`.
+// Origin of the coordinates of `features_at`.
 PGCCD_HD Vec3<double> frame_origin(const RigidBodies& bodies, const RigidPair& pair, bool swapped, double t) {
   const int64_t body = pair.body[swapped ? 1 : 0];
   return (1.0 - t) * load_vec3(bodies.centres.position_t0 + 3 * body) +
@@ -78,54 +91,53 @@ PGCCD_HD Vec3<double> centre_offset(const DeformingBodies& bodies, const Deformi
 }
 
 template <bool kEdgeEdge, class Bodies, class Pair>
-PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double toi, double u,
-                            double v) {
-  Vec3<double> x[4];
-  positions_at<kEdgeEdge>(bodies, pair, f, toi, x);
-  const FeaturePair<double> features = feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
-  const Vec3<double> on_first = kEdgeEdge ? x[0] + u * features.a : x[0];
-  const Vec3<double> on_second = kEdgeEdge ? x[2] + v * features.b : x[1] + (u * features.a + v * features.b);
+PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double toi) {
+  const Features<kEdgeEdge> features = features_at<kEdgeEdge>(bodies, pair, f, toi);
+  const Nearest<double> nearest = nearest_points<kEdgeEdge>(features.pair);
+  const double u = nearest.u, v = nearest.v;
+  const auto& x = features.x;
+  const Vec3<double> on_first = kEdgeEdge ? x[0] + u * (x[1] - x[0]) : x[0];
+  const Vec3<double> on_second = kEdgeEdge ? x[2] + v * (x[3] - x[2]) : x[1] + (u * (x[2] - x[1]) + v * (x[3] - x[1]));
   const Vec3<double> middle = frame_origin(bodies, pair, f.swapped, toi) + 0.5 * (on_first + on_second);
 
   // The gap gives the normal unless it is below rounding; then the features' own normal does, oriented from centre to
   // centre.
-  Vec3<double> normal = nearest_points<kEdgeEdge>(features).offset;
-  if (!(norm(normal) > 0x1p-40 * extent(features))) {
-    normal = cross(features.a, features.b);
+  Vec3<double> normal = nearest.offset;
+  if (!(norm(normal) > 0x1p-40 * extent(features.pair))) {
+    normal = cross(features.pair.a, features.pair.b);
     const double along = dot(normal, centre_offset(bodies, pair, toi));
     if ((along < 0.0) != f.swapped) normal = -normal;
   }
   if (f.swapped) normal = -normal;
-  return {middle, unit_or_zero(normal)};
+  return {u, v, middle, unit_or_zero(normal)};
 }
 
 // Where an edge passes through a face at t = 0. The normal is the face's: of two bodies, oriented from centre to
 // centre.
 template <class Bodies, class Pair>
-PGCCD_HD_RARE ContactPlace place_crossing(const Bodies& bodies, const Pair& pair, const CrossingVertices& c, double u,
-                                          double v) {
-  const EdgeAndFace x = pair.edge_and_face(bodies, c);
-  const Vec3<double> a = x.face[1] - x.face[0], b = x.face[2] - x.face[0];
-  const Vec3<double> point = frame_origin(bodies, pair, c.swapped, 0.0) + (x.face[0] + (u * a + v * b));
+PGCCD_HD_RARE ContactPlace place_crossing(const Bodies& bodies, const Pair& pair, const CrossingVertices& c) {
+  const EdgeAndFace<double> x = pair.edge_and_face(bodies, c);
+  const FacePoint at = crossing_point(pair.fine_edge_and_face(bodies, c), size_of(x));
+  const Vec3<double> corner = x.point[2], a = x.point[3] - corner, b = x.point[4] - corner;
+  const Vec3<double> point = frame_origin(bodies, pair, c.swapped, 0.0) + (corner + (at.u * a + at.v * b));
   Vec3<double> normal = cross(a, b);
   if (dot(normal, centre_offset(bodies, pair, 0.0)) < 0.0) normal = -normal;
-  return {point, unit_or_zero(normal)};
+  return {at.u, at.v, point, unit_or_zero(normal)};
 }
 
 }  // namespace contact_detail
 
 template <class Bodies, class Pair>
-PGCCD_HD ContactPlace contact_place(const Bodies& bodies, const Pair& pair, const Candidate& candidate, double toi,
-                                    double u, double v) {
+PGCCD_HD ContactPlace contact_place(const Bodies& bodies, const Pair& pair, const Candidate& candidate, double toi) {
   if (is_crossing(candidate)) {
-    const CrossingVertices c = crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
-    return contact_detail::place_crossing(bodies, pair, c, u, v);
+    return contact_detail::place_crossing(bodies, pair,
+                                          crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate));
   }
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
   if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    return contact_detail::place<true>(bodies, pair, f, toi, u, v);
+    return contact_detail::place<true>(bodies, pair, f, toi);
   }
-  return contact_detail::place<false>(bodies, pair, f, toi, u, v);
+  return contact_detail::place<false>(bodies, pair, f, toi);
 }
 
 }  // namespace pgccd

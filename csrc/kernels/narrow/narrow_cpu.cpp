@@ -138,7 +138,7 @@ ContactRows to_rows(const Executor& executor, const Bodies& bodies, const Narrow
       const Candidate& c = input.candidates.items[found[row].candidate];
       const Outcome<double>& outcome = found[row].outcome;
       const PairOf<Bodies> pair(bodies, input.pairs[2 * int64_t{c.pair}], input.pairs[2 * int64_t{c.pair} + 1]);
-      const ContactPlace at = contact_place(bodies, pair, c, outcome.toi, outcome.u, outcome.v);
+      const ContactPlace at = contact_place(bodies, pair, c, outcome.toi);
       out.pair[row] = c.pair;
       store_contact(out, row, c, outcome, at);
     }

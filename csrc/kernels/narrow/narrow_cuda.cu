@@ -129,7 +129,7 @@ void write_rows(const DeviceContext& context, const Bodies& bodies, const Select
     const FoundContact& contact = search.contacts[order[row]];
     const Candidate c = search.input.candidates.items[contact.candidate];
     const auto pair = pair_of(bodies, search.input, c);
-    const ContactPlace at = contact_place(bodies, pair, c, contact.toi, contact.u, contact.v);
+    const ContactPlace at = contact_place(bodies, pair, c, contact.toi);
     if (out.pair != nullptr) out.pair[row] = c.pair;
     if (out.bodies != nullptr) {
       for (int side = 0; side < 2; ++side) out.bodies[2 * row + side] = search.input.pairs[2 * int64_t{c.pair} + side];

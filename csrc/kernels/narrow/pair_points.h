@@ -120,17 +120,20 @@ struct RigidPairIn {
   }
 
   // At t = 0, relative to the origin of the edge's body: by the same products and shift as `end_positions`.
-  PGCCD_HD EdgeAndFace edge_and_face(const RigidBodies& bodies, const CrossingVertices& c) const {
+  PGCCD_HD EdgeAndFace<T> edge_and_face(const RigidBodies& bodies, const CrossingVertices& c) const {
     const int of_edge = c.swapped ? 1 : 0, of_face = 1 - of_edge;
-    const Vec3<double> shift = c.swapped ? -centre.at_t0 : centre.at_t0;
+    const Vec3<T> shift = c.swapped ? -centre.at_t0 : centre.at_t0;
     const auto turned = [&](int side, int64_t vertex) {
       const int64_t row = bodies.meshes.offsets[mesh[side]].vertex + vertex;
-      return orientation[side] * load_vec3(bodies.meshes.vertices + 3 * row);
+      return orientation[side] * cast<T>(load_vec3(bodies.meshes.vertices + 3 * row));
     };
-    EdgeAndFace x;
-    for (int k = 0; k < 2; ++k) x.edge[k] = turned(of_edge, c.edge[k]);
-    for (int k = 0; k < 3; ++k) x.face[k] = shift + turned(of_face, c.face[k]);
+    EdgeAndFace<T> x;
+    for (int k = 0; k < 2; ++k) x.point[k] = turned(of_edge, c.edge[k]);
+    for (int k = 0; k < 3; ++k) x.point[2 + k] = shift + turned(of_face, c.face[k]);
     return x;
+  }
+  PGCCD_HD EdgeAndFace<DoubleDouble> fine_edge_and_face(const RigidBodies& bodies, const CrossingVertices& c) const {
+    return RigidPairIn<DoubleDouble>(bodies, body[0], body[1]).edge_and_face(bodies, c);
   }
 
   // End positions relative to the origin of the first primitive's body.
@@ -161,13 +164,20 @@ struct DeformingPair {
       : body{i, j}, mesh{bodies.mesh_index[i], bodies.mesh_index[j]} {}
 
   // At t = 0, world coordinates.
-  PGCCD_HD EdgeAndFace edge_and_face(const DeformingBodies& bodies, const CrossingVertices& c) const {
+  PGCCD_HD EdgeAndFace<double> edge_and_face(const DeformingBodies& bodies, const CrossingVertices& c) const {
     const int of_edge = c.swapped ? 1 : 0, of_face = 1 - of_edge;
     const auto vertex = [&](int side, int64_t index) {
       return load_vec3(bodies.vertices_t0 + 3 * (bodies.vertex_begin[body[side]] + index));
     };
-    return {{vertex(of_edge, c.edge[0]), vertex(of_edge, c.edge[1])},
-            {vertex(of_face, c.face[0]), vertex(of_face, c.face[1]), vertex(of_face, c.face[2])}};
+    return {{vertex(of_edge, c.edge[0]), vertex(of_edge, c.edge[1]), vertex(of_face, c.face[0]),
+             vertex(of_face, c.face[1]), vertex(of_face, c.face[2])}};
+  }
+  PGCCD_HD EdgeAndFace<DoubleDouble> fine_edge_and_face(const DeformingBodies& bodies,
+                                                        const CrossingVertices& c) const {
+    const EdgeAndFace<double> x = edge_and_face(bodies, c);
+    EdgeAndFace<DoubleDouble> fine;
+    for (int k = 0; k < 5; ++k) fine.point[k] = cast<DoubleDouble>(x.point[k]);
+    return fine;
   }
 
   // World coordinates: only their differences are used, so no shift is needed.

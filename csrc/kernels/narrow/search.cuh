@@ -15,7 +15,7 @@ __device__ inline unsigned long long toi_bits(double toi) {
 struct FoundContact {
   int32_t candidate;
   int32_t status;
-  double toi, u, v;
+  double toi;
 };
 
 struct SearchCounters {
@@ -83,7 +83,7 @@ __device__ inline void report(const Search& search, int32_t row, int32_t pair, c
   if (search.contacts == nullptr) return;
   const uint32_t at = warp_append(&search.counters->contacts, 1);
   if (at >= search.capacity) return;
-  search.contacts[at] = {row, static_cast<int32_t>(outcome.status), outcome.toi, outcome.u, outcome.v};
+  search.contacts[at] = {row, static_cast<int32_t>(outcome.status), outcome.toi};
 }
 
 }  // namespace pgccd

@@ -85,9 +85,11 @@ PGCCD_HD bool certainly_touch(const Path& path, T t, const FeaturePair<T>& now, 
   using touching_detail::determinant;
   const FeaturePair<T> velocity = path.velocity();
   if (separation > T(0)) {
-    const Vec3<T> closing = kEdgeEdge ? velocity.r + nearest.v * velocity.b - nearest.u * velocity.a
-                                      : velocity.r + (nearest.u * velocity.a + nearest.v * velocity.b);
-    const T speed = -dot(nearest.offset, closing) / distance;
+    if (distance + noise < separation) return true;
+    const Vec3<T> change = kEdgeEdge ? velocity.r + nearest.v * velocity.b - nearest.u * velocity.a
+                                     : velocity.r + (nearest.u * velocity.a + nearest.v * velocity.b);
+    const T speed = -dot(nearest.offset, change) / distance;
+    if (!(speed > T(0))) return false;
     const T until = smaller(t + T(4) * ((distance - separation) + noise) / speed, T(1));
     if (!(until > t)) return false;
     const T distance_then = norm(nearest_points<kEdgeEdge>(path.at(until), with_slender).offset);

@@ -9,7 +9,7 @@ import torch
 
 from pgccd.detection import narrow
 from pgccd.detection.contacts import Contacts
-from pgccd.detection.trajectories import TrajectoryContacts
+from pgccd.detection.trajectories import TrajectoryContacts, time_along
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.detect import Detection
@@ -84,4 +84,4 @@ class Segments:
         columns["pairs"] = contacts.pairs - self.ids * segment[:, None]
         if contacts.toi is None:
             return TrajectoryContacts(**columns)
-        return TrajectoryContacts(**columns, segment=segment, time=(segment + contacts.toi) / self.count)
+        return TrajectoryContacts(**columns, segment=segment, time=time_along(segment, contacts.toi, self.count))

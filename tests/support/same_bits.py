@@ -1,0 +1,59 @@
+"""Comparison of contacts in all columns, bit by bit."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+import pgccd
+from pgccd.runtime.hashing import row_hash
+
+COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
+#: With those of a trajectory's contacts.
+ALL_COLUMNS = (*COLUMNS, "segment", "time")
+
+
+def columns_of(contacts: pgccd.Contacts) -> dict[str, Tensor]:
+    """The columns that are not None, on the CPU."""
+    columns = {name: getattr(contacts, name, None) for name in ALL_COLUMNS}
+    return {name: column.cpu() for name, column in columns.items() if column is not None}
+
+
+def bits(column: Tensor) -> Tensor:
+    """The column, with floating-point numbers as integers: zeros of both signs differ."""
+    if not column.is_floating_point():
+        return column
+    return column.view(torch.int64 if column.dtype == torch.float64 else torch.int32)
+
+
+def difference(found: dict[str, Tensor], expected: dict[str, Tensor]) -> str | None:
+    """The rows in which two sets of columns differ, in words; None if all bits are equal."""
+    if found.keys() != expected.keys():
+        return f"columns {sorted(found)}, expected {sorted(expected)}"
+    said = []
+    for name, column in expected.items():
+        got = found[name]
+        if got.shape != column.shape or got.dtype != column.dtype:
+            return f"{name}: {got.dtype} {tuple(got.shape)}, expected {column.dtype} {tuple(column.shape)}"
+        differs = (bits(got) != bits(column)).view(-1, column[:1].numel() or 1).any(dim=1)
+        if differs.any():
+            row = int(differs.nonzero()[0])
+            keys = [key for key in ("pairs", "kind", "features", "toi") if key in expected and key != name]
+            where = "".join(f", {key} {expected[key][row].tolist()}" for key in keys)
+            said.append(
+                f"{name}: {int(differs.sum())} of {len(differs)} rows, first {row}{where}: {got[row].tolist()}, "
+                f"expected {column[row].tolist()}"
+            )
+    return "; ".join(said) or None
+
+
+def contacts_hash(contacts: pgccd.Contacts, rows: Tensor) -> int:
+    """Hash of all columns of some of the contacts, of any report but "any". Hashes of disjoint rows add up mod 2^64."""
+    columns = [getattr(contacts, name)[rows] for name in COLUMNS]
+    return row_hash([column if column.is_floating_point() else column.long() for column in columns])
+
+
+def assert_same(found: pgccd.Contacts, expected: pgccd.Contacts) -> None:
+    """Asserts equal bits in all columns."""
+    said = difference(columns_of(found), columns_of(expected))
+    assert said is None, said
