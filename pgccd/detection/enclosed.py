@@ -162,6 +162,8 @@ def _meet(
     scene: Scene, still: RigidMotion | VertexMotion, rows: np.ndarray, margin: np.ndarray | None = None
 ) -> np.ndarray:
     """(n,) bool: whether the surfaces of the bodies in rows (n, 2), thickened by a margin (N,), meet."""
+    if not len(rows):
+        return np.zeros(0, dtype=bool)
     thick = copy.copy(scene)
     thick.capacity_estimates = {}
     thick.margin = None if margin is None else torch.from_numpy(margin).to(scene.device)

@@ -10,7 +10,7 @@ import torch
 from oracle.intersection import crossings, have_common_point
 
 import pgccd
-from support.deforming import assert_same
+from support.same_bits import assert_same
 from support.shapes import tensors
 
 #: Corners have integer coordinates up to this magnitude. Triangles that have no common point are then further apart
