@@ -45,6 +45,7 @@ ON_SPIN = ("test_spinning.py",)
 ON_PASSING = ("test_narrow_at_scale.py",)
 ON_ORIGIN = ("test_origin_bounds.py",)
 ON_MARGIN = ("test_margin.py",)
+ON_CROSSING = ("test_intersecting.py",)
 ON_SIZES = ("test_unequal_sizes.py",)
 
 _LOCAL_ROUNDING = "kLocalRounding, 64 units of the whole local frame, includes it"
@@ -1727,6 +1728,80 @@ _SPACE = [
     ),
 ]
 
+_CROSSING = [
+    Mutant(
+        "crossing-filter-zero",
+        NARROW + "crossing.h",
+        "16.0 * Precision<double>::unit * permanent",
+        "0.0 * permanent",
+        ON_CROSSING,
+    ),
+    Mutant(
+        "crossing-point-error-zero",
+        NARROW + "crossing.h",
+        "4.0 * (scale * point_error)",
+        "0.0 * (scale * point_error)",
+        ("test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
+    ),
+    Mutant(
+        "crossing-filter-only",
+        NARROW + "crossing.h",
+        "found == Sign::kOpen && exactly",
+        "found == Sign::kOpen && exactly && size < 0.0",
+        ON_CROSSING,
+    ),
+    Mutant(
+        "crossing-products-of-doubles",
+        CORE + "exact_volume.h",
+        "two_product(xy.low, z)",
+        "two_product(0.0 * xy.low, z)",
+        ON_CROSSING,
+    ),
+    Mutant(
+        "crossing-differences-of-doubles",
+        CORE + "exact_volume.h",
+        "two_sum(a[k].low, -b[k].low)",
+        "two_sum(0.0 * a[k].low, -0.0 * b[k].low)",
+        ("test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
+    ),
+    Mutant(
+        "start-distance-rounding",
+        TRAVERSE + "sweep_frame.h",
+        "rounded_up(centre_rounding) + kLocalRounding",
+        "rounded_up(centre_rounding)",
+        ON_CROSSING,
+    ),
+    Mutant(
+        "start-distance-centres",
+        TRAVERSE + "rigid_sweep.h",
+        "sweep_detail::start_distance(settings, scale * path.rounding)",
+        "sweep_detail::start_distance(settings, 0.0)",
+        ("test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
+    ),
+    Mutant(
+        "start-of-leaves-apart",
+        TRAVERSE + "traverse_cpu.cpp",
+        "!(begin > 0.0f)",
+        "begin < 0.0f",
+        ON_CROSSING,
+    ),
+    Mutant(
+        "crossing-of-a-common-vertex",
+        TRAVERSE + "leaf_item.h",
+        "edges_at(common_i) | edges_at(common_j) << 3",
+        "0u * (common_i | common_j)",
+        ON_CROSSING,
+    ),
+    Mutant(
+        "crossing-that-wins-among-equal-times",
+        NARROW + "narrow_cpu.cpp",
+        "std::make_tuple(c.kind, c.feature_i, c.feature_j)",
+        "std::make_tuple(-c.kind, c.feature_i, c.feature_j)",
+        ("test_narrow.py", *ON_CROSSING),
+        switched=False,
+    ),
+]
+
 MUTANTS = [
     *_RIGID,
     *_DEFORMING,
@@ -1734,6 +1809,7 @@ MUTANTS = [
     *_DIRECTIONS,
     *_SEPARATIONS,
     *_CERTIFICATES,
+    *_CROSSING,
     *_PATIENT,
     *_FINE,
     *_CORE,

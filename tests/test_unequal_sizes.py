@@ -5,15 +5,17 @@ distance uncertain by more than a tolerance of the grain's size.
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from typing import Literal
 
 import numpy as np
 import pytest
 import torch
+from oracle.intersection import have_common_point
 from strategies import contacts
 from strategies.contacts import Meetings
 from support.candidates import found_contact
-from support.shapes import Bodies, turned, unit_quaternions
+from support.shapes import Bodies, tensors, turned, unit_quaternions
 
 import pgccd
 
@@ -188,3 +190,53 @@ def test_tiny_features_far_from_the_origins_of_bodies_at_rest() -> None:
         key = (int(pgccd.VF_BA), 0, 0)
         assert found_contact(meetings, moving, 0, key, float(unit)) is not None, f"pair {k} is missed"
         assert found_contact(meetings, moving, 0, key, float(np.nextafter(unit, 0.0))) is None, f"pair {k} is free"
+
+
+def exactly_placed(offsets: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+    """(V, 3) vertices in the world, as fractions, of a body whose vertices have these offsets from its origin."""
+    w, x, y, z = (Fraction(c) for c in orientation.tolist())
+    rows = [
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
+    matrix = np.array(rows, dtype=object) / (w * w + x * x + y * y + z * z)
+    fractions = np.vectorize(Fraction, otypes=[object])
+    return fractions(offsets) @ matrix.T + fractions(position)
+
+
+@pytest.mark.parametrize(
+    ("size", "grain_size", "origin"), [(6.4e6, 1e-4, 0.0), (1.0, 1.0, 2.0**33)], ids=["large face", "far origin"]
+)
+def test_starts_that_cross_by_less_than_rounding(
+    device: torch.device, size: float, grain_size: float, origin: float
+) -> None:
+    """A corner on either side of a face, by far less than the rounding of the points in double: where it is through,
+    only the edges from it meet the face.
+    """
+    rng = np.random.default_rng([7, int(origin)])
+    found, expected = [], []
+    for _ in range(80):
+        surfaces = [size * rng.normal(size=(3, 3)), grain_size * rng.normal(size=(3, 3))]
+        if origin:
+            surfaces = [np.round(x * 2.0**18) / 2.0**18 for x in surfaces]  # exact offsets from the origin
+        meshes = [pgccd.Mesh(x, [[0, 1, 2]], origin=(origin, 0.0, 0.0)) for x in surfaces]
+        offsets = [x - np.array([origin, 0.0, 0.0]) for x in surfaces]
+        q, position = unit_quaternions(rng, 2), np.zeros((2, 3))
+        face, grain = (exactly_placed(offsets[k], position[k], q[k]) for k in (0, 1))
+        weights = np.array([Fraction(float(c)) for c in rng.dirichlet([3.0, 3.0, 3.0])])
+        normal = np.cross(*(face[1:] - face[0]).astype(float))
+        heights = (grain[1:] - grain[0]).astype(float) @ normal
+        if heights[0] * heights[1] <= 0:
+            continue
+        away = np.sign(heights[0]) * normal / np.linalg.norm(normal)
+        depth = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-12, -10) * max(size, origin / 2.0**12)
+        position[1] = (weights @ face / weights.sum() - grain[0]).astype(float) - depth * away
+        placed = np.concatenate([exactly_placed(offsets[k], position[k], q[k]) for k in (0, 1)])
+        whole = int(np.lcm.reduce([c.denominator for c in placed.ravel()]))
+        corners = np.array([[int(c * whole) for c in x] for x in placed], dtype=object)
+        expected.append(bool(have_common_point(corners[None, :3], corners[None, 3:])[0]))
+        motion = pgccd.RigidMotion.at_rest(*tensors(position, q, device=device))
+        found.append(len(pgccd.detect(pgccd.Scene(meshes, device=device), motion, "any", tolerance=0.0)) > 0)
+    assert 10 < sum(expected) < len(expected) - 10
+    assert found == expected
