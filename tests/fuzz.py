@@ -12,6 +12,7 @@ import argparse
 import itertools
 import sys
 import time
+import warnings
 from collections import Counter
 
 from support.random_scenes import random_scene
@@ -35,6 +36,7 @@ def main(given: list[str] | None = None) -> int:
     if not 0 <= arguments.ranks <= MOST_RANKS:
         parser.error(f"--ranks: expected 0 to {MOST_RANKS}, got {arguments.ranks}")
     first, count = (arguments.seed, arguments.scenes) if arguments.only is None else (arguments.only, 1)
+    warnings.filterwarnings("ignore", "scene: it has one body")
     devices = dict.fromkeys(("cpu", arguments.device))
     pool = RankPool() if arguments.ranks else None
     began, compared, different, kinds = time.monotonic(), 0, 0, Counter[str]()

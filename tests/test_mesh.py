@@ -269,3 +269,9 @@ def test_input_types_agree() -> None:
     ]
     assert all(torch.equal(t.vertices, twins[0].vertices) and torch.equal(t.faces, mesh.faces) for t in twins)
     assert "faces=80" in repr(mesh)
+
+
+def test_too_many_edges_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pgccd.geometry.mesh._MOST_EDGES", 2)
+    with pytest.raises(ValueError, match="^faces: the mesh has 3 edges; expected at most 2$"):
+        pgccd.Mesh([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])

@@ -21,6 +21,8 @@ LEAF_SIZE = 8
 
 # Outside of these limits the float32 hierarchy would overflow or underflow.
 SMALLEST_RADIUS, LARGEST_RADIUS = 1e-30, 1e30
+# Sort keys of contacts hold the indices of two features and a kind.
+_MOST_EDGES = 2**30 - 1
 # Beyond this many SBV radii vertices have no more than four significant digits.
 _FURTHEST_ORIGIN = 1e12
 
@@ -105,6 +107,8 @@ class Mesh:
         #: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Edge indices of contacts refer to
         #: it.
         self.edges = torch.from_numpy(prepared["edges"])
+        if len(self.edges) > _MOST_EDGES:
+            raise ValueError(f"faces: the mesh has {len(self.edges)} edges; expected at most {_MOST_EDGES}")
         self._triangles = torch.from_numpy(prepared["triangles"])
         in_leaf_order = self.faces[self._triangles[:, 6].long()].long()
         # Corner coordinates as nine columns, relative to the SBV centre like the hierarchy.

@@ -19,6 +19,7 @@ ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "min_separation": (0.0, 0.0, 0.0, 0.25, 0.05, 0.01),
     "tolerance": (None, None, 1e-3),
     "nonzero_toi": (False, True),
+    "initial": ("report", "report", "assume_free"),
 }
 LAYOUTS = ("crowd", "lattice", "resting", "pile", "sizes", "still")
 KINDS = ("rigid", "rigid", "posed", "linear", "deforming", "deforming", "trajectory", "deforming trajectory")
