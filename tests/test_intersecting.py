@@ -12,8 +12,8 @@ import torch
 from oracle import distance, intersection
 from oracle.intersection import as_integers, crossings_of_meshes, crossings_within, have_common_point
 from support import intersecting, solids
-from support.same_bits import COLUMNS, assert_same
 from support.intersecting import EF_AB, EF_BA, integer_pairs
+from support.same_bits import COLUMNS, assert_same
 from support.shapes import bumpy, tensors, turned, unit_quaternions
 
 import pgccd

@@ -33,16 +33,17 @@ struct PaddedOps {
     return {rows, counts};
   }
 
-  // A whole step: checks of the poses, unless their faults are given, then the pairs, then their contacts. With a
-  // buffer `reach`, the pairs of bodies with valid poses are found even if others are invalid.
+  // A whole step: checks of the poses and of more columns, unless their faults are given, then the pairs, then their
+  // contacts. With a buffer `reach`, the pairs of bodies with valid rows are found even if others are invalid.
   static Found detect_rigid(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies, bool linear_path,
                             const std::vector<Tensor>& spheres, const std::optional<Tensor>& group,
                             const std::optional<Tensor>& mask, const std::optional<Tensor>& world,
                             const std::optional<Tensor>& is_static, const std::optional<Tensor>& known_faults,
-                            std::optional<Tensor> reach, const std::vector<int64_t>& checks,
-                            const std::vector<double>& limits, double min_separation, double tolerance,
-                            bool nonzero_toi, bool tests_start, int64_t report, int64_t broad_phase,
-                            const std::vector<int64_t>& pair_capacity, const std::vector<int64_t>& capacity) {
+                            std::optional<Tensor> reach, const std::vector<Tensor>& more_columns,
+                            const std::vector<int64_t>& checks, const std::vector<double>& limits,
+                            double min_separation, double tolerance, bool nonzero_toi, bool tests_start, int64_t report,
+                            int64_t broad_phase, const std::vector<int64_t>& pair_capacity,
+                            const std::vector<int64_t>& capacity) {
     const RigidBodies view = rigid_view(mesh_set, bodies, linear_path);
     const int64_t count = view.centres.count;
     const bool is_own = spheres.empty();
@@ -60,8 +61,13 @@ struct PaddedOps {
       radii = {swept.centres.radius, data<double>(*reach), count};
       swept.centres.radius = radii.copy;
     }
-    const TensorList poses{bodies[1], bodies[2], bodies[4], bodies[5]};
-    const Tensor faults = known_faults ? *known_faults : DetectOps<Backend>::find_faults(poses, checks, limits, radii);
+    TensorList columns{bodies[1], bodies[2], bodies[4], bodies[5]};
+    for (const Tensor& column : more_columns) {
+      rows<double>(column, "more_columns", {count, kAnySize});
+      columns.push_back(column);
+    }
+    const Tensor faults =
+        known_faults ? *known_faults : DetectOps<Backend>::find_faults(columns, checks, limits, radii);
     const int64_t* const first_faults = rows<int64_t>(faults, "faults", {kAnySize});
     STD_TORCH_CHECK(faults.size(0) > 0, "faults: expected a number at least");
     if (!reach) swept.is_invalid = first_faults + faults.size(0) - 1;

@@ -82,14 +82,15 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   // A whole step: pairs_padded of the spheres = [position_t0, position_t1, radius], then contacts_padded_rigid. If
   // `spheres` is empty, the bodies' own spheres are used; the bodies must then be centred, without margins. The poses,
-  // bodies[1, 2, 4, 5], are checked as by first_faults, unless `faults` is given. If one is invalid, no pairs are
-  // found; but with a buffer `reach` (N,) f64 those of all valid bodies: the spheres' radii are written to it, -inf for
-  // invalid bodies. If capacity.contacts is -1, all pairs found are returned, or none if there are more than
-  // pair_capacity.pairs.
+  // bodies[1, 2, 4, 5], and more_columns (N, width) f64 are checked as by first_faults, unless `faults` is given. If a
+  // row is invalid, no pairs are found; but with a buffer `reach` (N,) f64 those of all valid bodies: the spheres'
+  // radii are written to it, -inf for invalid bodies. If capacity.contacts is -1, all pairs found are returned, or none
+  // if there are more than pair_capacity.pairs.
   library.def(
       "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, Tensor? "
       "mask, "
-      "Tensor? world, Tensor? is_static, Tensor? faults, Tensor(a!)? reach, int[] checks, float[] limits, "
+      "Tensor? world, Tensor? is_static, Tensor? faults, Tensor(a!)? reach, Tensor[] more_columns, "
+      "int[] checks, float[] limits, "
       "float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, int broad_phase, "
       "int[] pair_capacity, int[] capacity) "
       "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");

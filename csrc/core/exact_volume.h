@@ -11,6 +11,7 @@ namespace pgccd {
 class ExactSum {
  public:
   PGCCD_HD void add(double x) {
+    if (!(x - x == 0.0)) return;  // not finite, of invalid points: components would not stay bounded in number
     int kept = 0;
     for (int k = 0; k < count_; ++k) {
       const DoubleDouble s = double_double_detail::two_sum(x, part_[k]);

@@ -97,8 +97,13 @@ class MovingBodies:
         return self._faults
 
     def known_faults(self) -> Tensor | None:
-        """`first_faults`, or None if an operator finds them from the columns of the motion alone."""
-        return self.first_faults() if self.motion.has_verdict or self._of_scene else self._faults
+        """`first_faults`, or None if an operator finds them from the columns of `checked_by_operator`."""
+        return self.first_faults() if self.motion.has_verdict else self._faults
+
+    @property
+    def checked_by_operator(self) -> list[Checked]:
+        """Columns of the scene that an operator checks besides those of the motion."""
+        return self._of_scene
 
     def check(self) -> None:
         """Validates poses and columns again, for a stage called alone: they may have changed. Synchronises with a GPU.

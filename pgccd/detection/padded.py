@@ -12,6 +12,7 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts, overflow_flags
 from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, named_columns, stats_of, take_earliest
 from pgccd.detection.query import Query
+from pgccd.motion.faults import CHECK_NUMBERS
 
 
 @dataclass
@@ -147,6 +148,9 @@ def search_rigid(
             `Search.reach`.
     """
     faults = bodies.known_faults()
+    of_scene = [] if faults is not None else bodies.checked_by_operator
+    more = [column.values.to(torch.float64)[:, None] for column in of_scene]
+    checks, limits = bodies.motion.checks
     reach = torch.empty_like(bodies.reach) if marks_invalid and faults is None else None
     chosen = broad.choose(bodies, broad_phase)
     min_separation, tolerance, nonzero_toi = query.settings
@@ -158,7 +162,9 @@ def search_rigid(
         *broad.filters(bodies),
         faults,
         reach,
-        *bodies.motion.checks,
+        more,
+        [*checks, *(CHECK_NUMBERS[column.check.kind] for column in of_scene)],
+        [*limits, *(column.check.limit for column in of_scene)],
         min_separation,
         tolerance,
         nonzero_toi,

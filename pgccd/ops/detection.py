@@ -181,6 +181,7 @@ def detect_rigid(
     is_static: Tensor | None,
     faults: Tensor | None,
     reach: Tensor | None,
+    more_columns: Sequence[Tensor],
     checks: Sequence[int],
     limits: Sequence[float],
     min_separation: float,
@@ -194,11 +195,11 @@ def detect_rigid(
 ) -> tuple[Tensor, ...]:
     """`pairs_padded` for the spheres [position_t0, position_t1, radius], then `contacts_padded` for the pairs found. If
     `spheres` is empty, the bodies' own spheres are used. faults: as from `first_faults`, or None to check the bodies'
-    poses; checks and limits of these, in the order position_t0, position_t1, orientation, rotation. If a pose is
-    invalid there are no pairs; but with a buffer reach (N,) float64 those of all valid bodies: the spheres' radii are
-    written to it, -inf for invalid bodies.
+    poses and more_columns (N, width); checks and limits of these, in the order position_t0, position_t1, orientation,
+    rotation, more_columns. If a row is invalid there are no pairs; but with a buffer reach (N,) float64 those of all
+    valid bodies: the spheres' radii are written to it, -inf for invalid bodies.
     """
-    return _found(bodies[1], 5 if faults is None else faults.shape[0], capacity)
+    return _found(bodies[1], 5 + len(more_columns) if faults is None else faults.shape[0], capacity)
 
 
 @operator
