@@ -146,7 +146,7 @@ class ContactColumns:
             ValueError: `by` is unknown or needs a scene.
 
         Example:
-            >>> velocity[hits.may_collide("body")] = 0.0
+            >>> x = torch.where(hits.may_collide(), x0, x1)  # all bodies move, or none
         """
         found, incomplete = any_contact(self.pairs, self.scene, by), self._incomplete
         return found if incomplete is None else found | incomplete.reshape(())
