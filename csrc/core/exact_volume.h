@@ -103,10 +103,17 @@ PGCCD_HD_RARE inline double exact_volume(const Vec3<DoubleDouble>& p, const Vec3
   for (int k = 0; k < 3; ++k) {
     const int l = k == 2 ? 0 : k + 1, m = k == 0 ? 2 : k - 1;
     PGCCD_KEEP_LOOP
-    for (int parts = 0; parts < 64; ++parts) {
-      const double x = a.part[k][parts & 3];
-      add_product(sum, x, b.part[l][parts >> 2 & 3], c.part[m][parts >> 4]);
-      add_product(sum, -x, b.part[m][parts >> 2 & 3], c.part[l][parts >> 4]);
+    for (int i = 0; i < 4; ++i) {
+      const double x = a.part[k][i];
+      if (x == 0.0) continue;  // most low parts are
+      PGCCD_KEEP_LOOP
+      for (int j = 0; j < 4; ++j) {
+        PGCCD_KEEP_LOOP
+        for (int n = 0; n < 4; ++n) {
+          add_product(sum, x, b.part[l][j], c.part[m][n]);
+          add_product(sum, -x, b.part[m][j], c.part[l][n]);
+        }
+      }
     }
   }
   return sum.rounded();

@@ -128,17 +128,19 @@ PGCCD_HD Outcome<double> solve_candidate(const Bodies& bodies, const Pair& pair,
   return solve_features<false>(bodies, pair, f, search, progress);
 }
 
-// As `passes_through`, for a candidate of that kind.
-template <class Bodies, class Pair>
-PGCCD_HD_RARE Crossing crossing_of(const Bodies& bodies, const Pair& pair, const Candidate& candidate, bool exactly) {
+// As `passes_through`, for a candidate of that kind. `fine()`: the pair with points in higher precision.
+template <class Bodies, class Pair, class Fine>
+PGCCD_HD_RARE Crossing crossing_of(const Bodies& bodies, const Pair& pair, const Fine& fine, const Candidate& candidate,
+                                   bool exactly) {
   const CrossingVertices c = crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
-  const auto fine = [&] { return pair.fine_edge_and_face(bodies, c); };
-  return passes_through(pair.edge_and_face(bodies, c), pair.point_error, fine, exactly);
+  const auto points = [&] { return in_double_double(fine().edge_and_face(bodies, c)); };
+  return passes_through(pair.edge_and_face(bodies, c), pair.point_error, points, exactly);
 }
 
-template <class Bodies, class Pair>
-PGCCD_HD Outcome<double> solve_crossing(const Bodies& bodies, const Pair& pair, const Candidate& candidate) {
-  const bool passes = crossing_of(bodies, pair, candidate, true) == Crossing::kPasses;
+template <class Bodies, class Pair, class Fine>
+PGCCD_HD Outcome<double> solve_crossing(const Bodies& bodies, const Pair& pair, const Fine& fine,
+                                        const Candidate& candidate) {
+  const bool passes = crossing_of(bodies, pair, fine, candidate, true) == Crossing::kPasses;
   return passes ? Outcome<double>{Status::kTouch, 0.0, 0.0, 0.0}
                 : Outcome<double>{Status::kFree, static_cast<double>(INFINITY), 0.0, 0.0};
 }

@@ -117,7 +117,7 @@ PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const Featur
 template <class Bodies, class Pair>
 PGCCD_HD_RARE ContactPlace place_crossing(const Bodies& bodies, const Pair& pair, const CrossingVertices& c) {
   const EdgeAndFace<double> x = pair.edge_and_face(bodies, c);
-  const FacePoint at = crossing_point(pair.fine_edge_and_face(bodies, c), size_of(x));
+  const FacePoint at = crossing_point(in_double_double(pair.fine(bodies).edge_and_face(bodies, c)), size_of(x));
   const Vec3<double> corner = x.point[2], a = x.point[3] - corner, b = x.point[4] - corner;
   const Vec3<double> point = frame_origin(bodies, pair, c.swapped, 0.0) + (corner + (at.u * a + at.v * b));
   Vec3<double> normal = cross(a, b);

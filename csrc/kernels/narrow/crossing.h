@@ -12,6 +12,13 @@ struct EdgeAndFace {
   Vec3<T> point[5];
 };
 
+PGCCD_HD const EdgeAndFace<DoubleDouble>& in_double_double(const EdgeAndFace<DoubleDouble>& x) { return x; }
+PGCCD_HD EdgeAndFace<DoubleDouble> in_double_double(const EdgeAndFace<double>& x) {
+  EdgeAndFace<DoubleDouble> out;
+  for (int k = 0; k < 5; ++k) out.point[k] = cast<DoubleDouble>(x.point[k]);
+  return out;
+}
+
 // The largest coordinate of a difference to the first point.
 PGCCD_HD double size_of(const EdgeAndFace<double>& x) {
   double size = 0.0;
@@ -76,10 +83,15 @@ PGCCD_HD Crossing passes_through(const EdgeAndFace<double>& given, double point_
   const double size = size_of(given);
   if (!(size > 0.0) && !(point_error > 0.0)) return Crossing::kMisses;
   const double scale = scale_of(size);
+  EdgeAndFace<DoubleDouble> points;  // once they are needed
+  bool has_points = false;
   const auto sign = [&](int p, int q, int s, int t) {
     const int at[4] = {p, q, s, t};
     const Sign found = certain_sign(given, point_error, scale, at);
-    return found == Sign::kOpen && exactly ? sign_of(exact_volume_of(fine(), scale, at)) : found;
+    if (!(found == Sign::kOpen && exactly)) return found;
+    if (!has_points) points = fine();
+    has_points = true;
+    return sign_of(exact_volume_of(points, scale, at));
   };
   const Sign start = sign(0, 2, 3, 4);
   if (start == Sign::kZero) return Crossing::kMisses;

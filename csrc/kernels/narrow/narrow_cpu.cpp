@@ -2,6 +2,7 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <tuple>
 
 #include "kernels/narrow/contact_item.h"
@@ -44,11 +45,16 @@ template <class Bodies, class Keep, class Latest>
 void solve_pair(const Bodies& bodies, const PairOf<Bodies>& pair, const NarrowInput& input, int64_t begin, int64_t end,
                 bool only_one, Keep&& keep, Latest&& latest) {
   const Candidate* const candidates = input.candidates.items;
-  const Candidate* best = nullptr;  // found at t = 0
+  const Candidate* best = nullptr;                         // found at t = 0
+  std::optional<typename PairOf<Bodies>::Fine> fine_pair;  // once it is needed
+  const auto fine = [&]() -> const auto& {
+    if (!fine_pair) fine_pair.emplace(pair.fine(bodies));
+    return *fine_pair;
+  };
   const auto solve = [&](int64_t c) {
     const Candidate& candidate = candidates[c];
     const Outcome<double> outcome = is_crossing(candidate)
-                                        ? solve_crossing(bodies, pair, candidate)
+                                        ? solve_crossing(bodies, pair, fine, candidate)
                                         : solve_candidate(bodies, pair, candidate, input.settings, latest());
     if (!is_contact(outcome.status)) return;
     keep(c, outcome);
@@ -61,7 +67,7 @@ void solve_pair(const Bodies& bodies, const PairOf<Bodies>& pair, const NarrowIn
   std::vector<int64_t> open;
   for (int64_t c = begin; c < end; ++c) {
     if (!is_crossing(candidates[c]) || !is_wanted(candidates[c])) continue;
-    const Crossing found = crossing_of(bodies, pair, candidates[c], false);
+    const Crossing found = crossing_of(bodies, pair, fine, candidates[c], false);
     if (found == Crossing::kPasses) solve(c);
     if (found == Crossing::kOpen) open.push_back(c);
   }

@@ -132,9 +132,8 @@ struct RigidPairIn {
     for (int k = 0; k < 3; ++k) x.point[2 + k] = shift + turned(of_face, c.face[k]);
     return x;
   }
-  PGCCD_HD EdgeAndFace<DoubleDouble> fine_edge_and_face(const RigidBodies& bodies, const CrossingVertices& c) const {
-    return RigidPairIn<DoubleDouble>(bodies, body[0], body[1]).edge_and_face(bodies, c);
-  }
+  using Fine = RigidPairIn<DoubleDouble>;
+  PGCCD_HD Fine fine(const RigidBodies& bodies) const { return {bodies, body[0], body[1]}; }
 
   // End positions relative to the origin of the first primitive's body.
   template <bool kEdgeEdge>
@@ -172,13 +171,8 @@ struct DeformingPair {
     return {{vertex(of_edge, c.edge[0]), vertex(of_edge, c.edge[1]), vertex(of_face, c.face[0]),
              vertex(of_face, c.face[1]), vertex(of_face, c.face[2])}};
   }
-  PGCCD_HD EdgeAndFace<DoubleDouble> fine_edge_and_face(const DeformingBodies& bodies,
-                                                        const CrossingVertices& c) const {
-    const EdgeAndFace<double> x = edge_and_face(bodies, c);
-    EdgeAndFace<DoubleDouble> fine;
-    for (int k = 0; k < 5; ++k) fine.point[k] = cast<DoubleDouble>(x.point[k]);
-    return fine;
-  }
+  using Fine = DeformingPair;
+  PGCCD_HD const Fine& fine(const DeformingBodies&) const { return *this; }
 
   // World coordinates: only their differences are used, so no shift is needed.
   template <bool kEdgeEdge>

@@ -40,7 +40,8 @@ __global__ void __launch_bounds__(kSolveThreads) search_crossings(Bodies bodies,
     const Candidate c = candidate(item);
     if (!prospect_of(search, c.pair).is_needed) return;
     const auto pair = pair_of(bodies, search.input, c);
-    report(search, static_cast<int32_t>(candidates.place(item)), c.pair, solve_crossing(bodies, pair, c));
+    const auto fine = [&] { return pair.fine(bodies); };
+    report(search, static_cast<int32_t>(candidates.place(item)), c.pair, solve_crossing(bodies, pair, fine, c));
   };
   for_each_selected(
       0, static_cast<uint32_t>(candidates.count()), waiting[threadIdx.x / kWarp],
