@@ -1790,7 +1790,7 @@ _CROSSING = [
         TRAVERSE + "leaf_item.h",
         "edges_at(common_i) | edges_at(common_j) << 3",
         "0u * (common_i | common_j)",
-        ON_CROSSING,
+        ("test_self_collision.py",),
     ),
     Mutant(
         "crossing-that-wins-among-equal-times",
