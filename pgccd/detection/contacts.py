@@ -155,7 +155,8 @@ class ContactColumns:
     def starts_intersecting(self) -> Tensor:
         """(K,) bool: contacts with toi 0, of pairs whose surfaces intersect, touch or are within min_separation and
         margins (plus the tolerance) at t = 0; of a trajectory, at the start of the segment. All other pairs are free
-        until the first toi of the other contacts. False in an incomplete result, see `PaddedContacts`.
+        until the first toi of the other contacts, which needs report="first" or "all": "earliest" has one contact, and
+        leaves out those of other pairs. False in an incomplete result, see `PaddedContacts`.
 
         Raises:
             ValueError: the report was "any", which gives no times.
