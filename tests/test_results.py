@@ -163,3 +163,26 @@ def test_worlds_name_row_and_value() -> None:
     assert world.columns["margin"].tolist() == [0.3, 0.3]
     with pytest.raises(ValueError, match=r"^position: row 1: expected finite .*, got \[0.0, 0.0, nan\]"):
         world.move(torch.tensor([[0.0, 0, 0], [0, 0, float("nan")]], dtype=torch.float64))
+
+
+def test_starts_need_all_first_contacts() -> None:
+    """What is left of the earliest contact alone, without those at the start, would read as free."""
+    tetrahedron = pgccd.Mesh(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    )
+    x = torch.tensor([[0.0, 0, 0], [0.1, 0.1, 0.1], [9, 0, 0]])
+    upright = torch.tensor([[1.0, 0, 0, 0]] * 3)
+    scene = pgccd.Scene([tetrahedron], [0, 0, 0])
+    motion = pgccd.RigidMotion(x, upright, x + torch.tensor([[0.0, 0, 0], [0, 0, 0], [-8.5, 0, 0]]), upright)
+    first = pgccd.detect(scene, motion)
+    assert first.starts_intersecting.tolist() == [True, False, False]
+    assert 0.0 < float(first[~first.starts_intersecting].first_toi()) < 1.0
+    trajectory = pgccd.Trajectory(torch.stack([x, motion.position_t1.float()]), torch.stack([upright, upright]))
+    capacity = pgccd.Capacity.guess(3)
+    earliest = [pgccd.detect(scene, m, "earliest") for m in (motion, trajectory)]
+    padded = pgccd.detect(scene, motion, "earliest", capacity=capacity)
+    for hits in (*earliest, earliest[0][[0]], first.earliest(), padded, padded.trim()):
+        with pytest.raises(ValueError, match='^report: "earliest" leaves out'):
+            _ = hits.starts_intersecting
+    with pytest.raises(ValueError, match='^report: "any"'):
+        _ = pgccd.detect(scene, motion, "any").starts_intersecting

@@ -99,6 +99,8 @@ class ContactColumns:
     status: Tensor | None  #: (K,) int8, see `Status`
     #: The scene of the bodies; None where `pairs` are not rows of one scene.
     scene: Scene | None = field(default=None, init=False, repr=False, compare=False)
+    # Whether the report was "earliest", which leaves out the contacts of other pairs.
+    _is_earliest: bool = field(default=False, init=False, repr=False, compare=False)
 
     @property
     def columns(self) -> dict[str, Tensor]:
@@ -159,13 +161,15 @@ class ContactColumns:
         leaves out those of other pairs. False in an incomplete result, see `PaddedContacts`.
 
         Raises:
-            ValueError: the report was "any", which gives no times.
+            ValueError: the report was "any", which gives no times, or "earliest".
 
         Example:
             >>> fraction = hits[~hits.starts_intersecting].first_toi().clamp(max=1.0)
         """
         if self.toi is None:
             raise ValueError('report: "any" gives no times; ask for "first" or "all"')
+        if self._is_earliest:
+            raise ValueError('report: "earliest" leaves out the contacts of other pairs; ask for "first" or "all"')
         at_start = (self.toi == 0.0) & (self.pairs[:, 0] >= 0)
         return at_start if self._incomplete is None else at_start & ~self._incomplete
 
@@ -200,7 +204,9 @@ class Contacts(ContactColumns):
         """The contact with the smallest toi (see `earliest_row` for ties), or none if there are no contacts."""
         assert self.toi is not None
         found = self[earliest_row(self.toi, *ties)]
-        return replace(found, stats=replace(found.stats, contacts=len(found)))
+        earliest = replace(found, stats=replace(found.stats, contacts=len(found)))
+        earliest.scene, earliest._is_earliest = self.scene, True
+        return earliest
 
     def to(self, device: torch.device | str) -> Self:
         """A copy on another device.
@@ -222,7 +228,7 @@ class Contacts(ContactColumns):
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
         changed = replace(self, **columns)
-        changed.scene = self.scene
+        changed.scene, changed._is_earliest = self.scene, self._is_earliest
         return changed
 
     def __repr__(self) -> str:
@@ -301,7 +307,7 @@ class PaddedContacts(ContactColumns):
         columns = all_columns({name: column[:count] for name, column in self.columns.items()})
         stats = stats_of(counts, self.capacity, self.bodies, count, self.broad_phase, waits=int(self.counts.is_cuda))
         contacts = Contacts(**columns, stats=stats)
-        contacts.scene = self.scene
+        contacts.scene, contacts._is_earliest = self.scene, self._is_earliest
         return contacts
 
     def __repr__(self) -> str:

@@ -49,7 +49,9 @@ class Search:
             rows = take_earliest(rows)
         bodies, waits = self.bodies.scene.body_count, int(self.counts.is_cuda)
         stats = stats_of(counts, self.capacity, bodies, rows[0].shape[0], self.broad_phase, waits)
-        return Contacts(**named_columns(rows, self.query.report), stats=stats)
+        contacts = Contacts(**named_columns(rows, self.query.report), stats=stats)
+        contacts._is_earliest = self.query.report == "earliest"
+        return contacts
 
     def padded(self) -> PaddedContacts:
         """The padded contacts, without reading the counts. Sets every toi to 0 if they are incomplete."""
@@ -72,6 +74,7 @@ class Search:
             faults=self.bodies.faults,
         )
         padded.scene, padded._found_toi, padded._reach = self.bodies.scene, found_toi, self.reach
+        padded._is_earliest = self.query.report == "earliest"
         return padded
 
 

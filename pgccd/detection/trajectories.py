@@ -95,6 +95,7 @@ def detect_trajectory(
     stats.contacts = len(segment)
     contacts = TrajectoryContacts(**columns, stats=stats, segment=segment, time=time)
     contacts.scene = scene
+    contacts._is_earliest = query.report == "earliest"
     return contacts
 
 

@@ -48,7 +48,9 @@ def earliest_for_all(comm: Comm, found: Detection, ids: int | None = None) -> Co
     # Floats >= 0 have the same order as their bits.
     order = torch.stack([segment[row], columns["toi"].view(torch.int64), i[row], j[row]], dim=1)
     columns, stats = first_row(comm, order, columns), found.contacts.stats
-    return Contacts(**_all_fields(columns), stats=stats)
+    earliest = Contacts(**_all_fields(columns), stats=stats)
+    earliest._is_earliest = True
+    return earliest
 
 
 def _in_global_ids(found: Detection) -> Columns:
@@ -57,7 +59,7 @@ def _in_global_ids(found: Detection) -> Columns:
 
 
 def _all_fields(columns: Columns) -> dict[str, Any]:
-    return {field.name: columns.get(field.name) for field in fields(Contacts) if field.name not in ("stats", "scene")}
+    return {field.name: columns.get(field.name) for field in fields(Contacts) if field.init and field.name != "stats"}
 
 
 def _canonical_order(pairs: Tensor) -> Tensor:

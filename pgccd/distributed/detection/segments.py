@@ -84,4 +84,6 @@ class Segments:
         columns["pairs"] = contacts.pairs - self.ids * segment[:, None]
         if contacts.toi is None:
             return TrajectoryContacts(**columns)
-        return TrajectoryContacts(**columns, segment=segment, time=time_along(segment, contacts.toi, self.count))
+        found = TrajectoryContacts(**columns, segment=segment, time=time_along(segment, contacts.toi, self.count))
+        found._is_earliest = contacts._is_earliest
+        return found
