@@ -44,8 +44,8 @@ __global__ void __launch_bounds__(kSolveThreads) search_crossings(Bodies bodies,
     report(search, static_cast<int32_t>(candidates.place(item)), c.pair, solve_crossing(bodies, pair, fine, c));
   };
   for_each_selected(
-      0, static_cast<uint32_t>(candidates.count()), waiting[threadIdx.x / kWarp],
-      [&](uint32_t item) { return is_crossing(candidate(item)); }, solve);
+      static_cast<uint32_t>(candidates.crossings_begin()), static_cast<uint32_t>(candidates.crossings_end()),
+      waiting[threadIdx.x / kWarp], [&](uint32_t item) { return is_crossing(candidate(item)); }, solve);
 }
 
 // One thread per candidate. The few candidates of a small search are all left to the plain phase.
@@ -157,12 +157,14 @@ void launch_plainly(const DeviceContext& context, const Bodies& bodies, const Se
   }
 }
 
-// Before the second part. Of this one most first contacts are known, so its likely ones need not be solved first.
+// Before the second part. It begins later, so has no crossings; and most of its first contacts are known, so its likely
+// ones need not be solved first.
 inline void end_first_part(const DeviceContext& context, Search& search) {
   SearchCounters* counters = search.counters;
   const uint32_t capacity = search.capacity;
   for_each_item(context, 1, [=] __device__(int64_t) { counters->open_before = smaller(counters->open, capacity); });
   search.least = nullptr;
+  search.input.has_crossings = false;
 }
 
 template <class Bodies>

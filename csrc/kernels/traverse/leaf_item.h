@@ -23,6 +23,15 @@ PGCCD_HD MovingPoints<3, T> moving_triangles(const PairTree<Bodies>& tree, int s
   return out;
 }
 
+// One of a leaf's triangles at t = 0, in the local frame.
+template <class Bodies>
+PGCCD_HD void triangle_at_start(const PairTree<Bodies>& tree, int side, int32_t triangle, Vec3<float> (&out)[3]) {
+  using Sweep = typename PairTree<Bodies>::Sweep;
+  const Corners<float> at_start = tree.sweep().template corners<float>(tree.bodies(), side, triangle, 0);
+  const Placement placement = tree.pose(0).of[side];
+  for (int c = 0; c < 3; ++c) out[c] = Sweep::place(placement, at_start.corner[c]);
+}
+
 // Bits of the feature pairs that two triangles represent: vertex c of i and the face of j (c), vertex c of j and the
 // face of i (3 + c), edge c of i and edge d of j (6 + 3 c + d).
 constexpr int kFirstEdgeBit = 6;

@@ -50,15 +50,12 @@ __device__ inline MovingPoints<3, float> load_triangle(const LeafShared& shared,
   return out;
 }
 
-__device__ inline void store_triangle(LeafShared& shared, int slot, const MovingPoints<3, float>& triangle) {
-  for (int end = 0; end < 2; ++end) {
-    for (int c = 0; c < 3; ++c) {
-      const Vec3<float> v = end == 0 ? triangle.start[c] : triangle.end[c];
-      const int row = 9 * end + 3 * c;
-      shared.coordinate[row][slot] = v.x;
-      shared.coordinate[row + 1][slot] = v.y;
-      shared.coordinate[row + 2][slot] = v.z;
-    }
+__device__ inline void store_corners(LeafShared& shared, int slot, const Vec3<float> (&corners)[3], int end) {
+  for (int c = 0; c < 3; ++c) {
+    const int row = 9 * end + 3 * c;
+    shared.coordinate[row][slot] = corners[c].x;
+    shared.coordinate[row + 1][slot] = corners[c].y;
+    shared.coordinate[row + 2][slot] = corners[c].z;
   }
 }
 

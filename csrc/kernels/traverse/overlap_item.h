@@ -128,6 +128,15 @@ PGCCD_HD auto separates(const Vec3<T> (&i)[N], const Vec3<T> (&j)[M], Vec3<T> di
   return has_length & ((of_j.lower - of_i.upper > gap) | (of_i.lower - of_j.upper > gap));
 }
 
+// True where a triangle at rest is certainly outside of a sphere.
+template <class T>
+PGCCD_HD auto is_outside(const Vec3<T> (&triangle)[3], const Vec3<T> (&centre)[1], float reach) {
+  using namespace overlap_detail;
+  const auto out = separates(triangle, centre, sum(triangle) - 3.0f * centre[0], reach);
+  if (all_lanes(out)) return out;
+  return out | separates(triangle, centre, cross(triangle[1] - triangle[0], triangle[2] - triangle[0]), reach);
+}
+
 // True where two triangles at rest are certainly further apart than `distance` along the normal of one. `out` where the
 // answer is not needed.
 template <class T, class Mask>

@@ -119,6 +119,9 @@ class PairTree {
     const Placement at_start = poses_[k - 1].of[side], at_end = poses_[k].of[side];
     return moving_centre(side, block_of(node), slot_of(node), at_start, at_end);
   }
+  PGCCD_HD Vec3<float> centre_at_start(int side, int32_t node) const {
+    return Sweep::place(poses_[0].of[side], sweep_.node_centre(side, block_of(node), slot_of(node), 0));
+  }
   PGCCD_HD float local_radius(int side, int32_t node) const { return sweep_.local_scale * radius(side, node); }
 
  private:

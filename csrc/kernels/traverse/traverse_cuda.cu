@@ -129,7 +129,7 @@ struct Traversal {
   }
 
   CandidateSpan span(CandidateSink out, const CandidateCounts* before) {
-    return {out.items, out.capacity, out.counts, before};
+    return {out.items, out.capacity, out.counts, before, &counters_->crossings};
   }
 
   LeafPairList new_list(Counter* count, LeafPairList as_large_as) {
@@ -242,7 +242,10 @@ struct Traversal {
 
   // Leaf pairs that may be near at t = 0; the first to be visited, if not all are visited at once.
   void visit_at_start(LeafPairList leaves, CandidateSink out) {
-    if (input_.settings.tests_start) launch_visit(visit_leaves<Bodies, true>, leaves, out);
+    if (!input_.settings.tests_start) return;
+    launch_visit(visit_leaves<Bodies, true>, leaves, out);
+    TraverseCounters* counters = counters_;
+    for_each_item(context_, 1, [=] __device__(int64_t) { counters->crossings = counters->candidates.back; });
   }
 
   template <class Kernel>

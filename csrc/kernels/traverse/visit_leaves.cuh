@@ -5,12 +5,13 @@
 
 #include "kernels/launch.cuh"
 #include "kernels/traverse/leaf_shared.cuh"
+#include "kernels/warp_share.cuh"
 
 namespace pgccd {
 
 // Two searches of the same leaf pairs: for feature pairs over the whole motion, and for edges and faces at t = 0
-// (`kAtStart`). The second is one of its own, since the first must empty its lists after every segment of a motion that
-// turns, with few lanes at work.
+// (`kAtStart`), which takes only leaf pairs that may be near there, and reads no pose but the first. The second is one
+// of its own, since the first must empty its lists after every segment of a motion that turns, with few lanes at work.
 template <class Bodies, bool kAtStart>
 class LeafVisitor {
   using Sweep = SweepOf<Bodies>;
@@ -19,13 +20,12 @@ class LeafVisitor {
   __device__ LeafVisitor(const Pairs<Bodies>& pairs, LeafShared& shared, CandidateWriter& writer)
       : pairs_(pairs), shared_(shared), writer_(writer), lane_(threadIdx.x % kWarp) {}
 
-  // `given`: two of them, one at the end of the list, or none after it: then all collected pairs are tested.
-  __device__ __forceinline__ void visit(const LeafPair* given, int count) {
+  // Of two leaf pairs of the list, of one at its end, or of none after it: then all collected pairs are tested.
+  __device__ __forceinline__ void visit(const LeafPair* list, uint32_t first_row, uint32_t second_row, int count) {
     const int half = lane_ / kHalf;
     const int side = lane_ % kHalf / kMaxLeafTriangles, row = lane_ % kMaxLeafTriangles;
-    bool has_pair = half < count;
-    const LeafPair item = has_pair ? given[half] : LeafPair{};
-    if constexpr (kAtStart) has_pair &= !(item.begin > 0.0f);  // else certainly apart at t = 0
+    const bool has_pair = half < count;
+    const LeafPair item = has_pair ? list[half == 0 ? first_row : second_row] : LeafPair{};
     int own_segments = 0, triangle_count = 0;
     if (has_pair) {
       const PairTree<Bodies> tree = pairs_.tree(item.pair);
@@ -45,9 +45,16 @@ class LeafVisitor {
         const PairTree<Bodies> tree = pairs_.tree(item.pair);
         const int32_t own = side == 0 ? item.leaves.first : item.leaves.second;
         const int32_t other = side == 0 ? item.leaves.second : item.leaves.first;
-        moving = moving_triangles<float>(tree, side, tree.link(side, own).first + row, k);
-        const float reach = tree.local_radius(1 - side, other) + tree.sweep().inflation;
-        reaches = !stays_out(moving, tree.moving_centre(1 - side, other, k), reach);
+        const int32_t triangle = tree.link(side, own).first + row;
+        const float radius = tree.local_radius(1 - side, other);
+        if constexpr (kAtStart) {
+          triangle_at_start(tree, side, triangle, moving.start);
+          const Vec3<float> centre[1] = {tree.centre_at_start(1 - side, other)};
+          reaches = !is_outside(moving.start, centre, radius + tree.sweep().start_distance);
+        } else {
+          moving = moving_triangles<float>(tree, side, triangle, k);
+          reaches = !stays_out(moving, tree.moving_centre(1 - side, other, k), radius + tree.sweep().inflation);
+        }
       }
       const uint32_t reaching = __ballot_sync(kAllLanes, reaches);
       const uint32_t kept = kept_of_half(reaching, 0) | kept_of_half(reaching, 1);
@@ -71,7 +78,8 @@ class LeafVisitor {
     const PairTree<Bodies> tree = pairs_.tree(item.pair);
     const int32_t own = side == 0 ? item.leaves.first : item.leaves.second;
     const int slot = filled_ + __popc(kept & lanes_below(lane_));
-    store_triangle(shared_, slot, moving);
+    store_corners(shared_, slot, moving.start, 0);
+    if constexpr (!kAtStart) store_corners(shared_, slot, moving.end, 1);
     const int64_t triangle = tree.sweep().first_face[side] + tree.link(side, own).first + row;
     shared_.triangle[slot] = pairs_.bodies.meshes.triangles + triangle;
     shared_.distance[slot] = tree.sweep().inflation;
@@ -258,13 +266,33 @@ __global__ void __launch_bounds__(kBlockThreads)
   __shared__ CandidateBuffers buffers[kWarpsPerBlock];
   CandidateWriter writer(buffers[threadIdx.x / kWarp], out);
   LeafVisitor<Bodies, kAtStart> visitor(pairs, shared[threadIdx.x / kWarp], writer);
-  const uint32_t count = leaves.size(), warps = gridDim.x * kWarpsPerBlock;
-  uint32_t item = 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp);
-  for (bool is_last = false; !is_last; item += 2 * warps) {
-    is_last = item >= count;
-    visitor.visit(leaves.items + item, is_last ? 0 : static_cast<int>(smaller(count - item, 2u)));
+  const uint32_t count = leaves.size(), lane = threadIdx.x % kWarp;
+  if constexpr (kAtStart) {
+    const WarpShare share = share_of_warp(count);
+    uint32_t next = share.begin, begin = 0, near = 0;  // `near`: one bit a row from `begin` on
+    for (bool is_last = false; !is_last;) {
+      for (; near == 0 && next < count; next += share.stride) {
+        begin = next;
+        const uint32_t row = next + lane;
+        near = __ballot_sync(kAllLanes, lane < share.lanes && row < count && !(leaves.items[row].begin > 0.0f));
+      }
+      is_last = near == 0;
+      const int given = smaller(__popc(near), 2);
+      const uint32_t first = begin + __ffs(static_cast<int>(near)) - 1;
+      near &= near - 1;
+      const uint32_t second = begin + __ffs(static_cast<int>(near)) - 1;
+      near &= near - 1;
+      visitor.visit(leaves.items, first, second, given);
+    }
+  } else {
+    const uint32_t warps = gridDim.x * kWarpsPerBlock;
+    uint32_t row = 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp);
+    for (bool is_last = false; !is_last; row += 2 * warps) {
+      is_last = row >= count;
+      visitor.visit(leaves.items, row, row + 1, is_last ? 0 : static_cast<int>(smaller(count - row, 2u)));
+    }
   }
-  writer.flush(threadIdx.x % kWarp);
+  writer.flush(lane);
 }
 
 }  // namespace pgccd
