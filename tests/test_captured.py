@@ -10,6 +10,7 @@ from support.crowds import crowds
 
 import pgccd
 from pgccd.detection.capacity import Capacity
+from pgccd.runtime.graph import capture
 
 REPORTS = ["any", "first", "all", "earliest"]
 
@@ -115,3 +116,14 @@ def test_bad_arguments(device: torch.device) -> None:
     with pytest.raises(ValueError, match="^motion: its path is 'linear', that captured 'rigid'"):
         captured.load(pgccd.RigidMotion.from_rotation(*pose, path="linear"))
     assert "CapturedDetection(bodies=" in repr(captured)
+
+
+@pytest.mark.parametrize("t", [0, 0.25, 1.0])
+def test_poses_at_a_number_can_be_captured(device: torch.device, t: float) -> None:
+    if device.type == "cpu":
+        pytest.skip("needs a GPU")
+    motion = crowd(device)[1][0]
+    graph, found = capture(lambda: motion.at(t), device)
+    graph.replay()
+    for of_graph, expected in zip(found, motion.at(torch.tensor(t, dtype=torch.float64)), strict=True):
+        assert torch.equal(of_graph, expected)

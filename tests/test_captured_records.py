@@ -50,6 +50,8 @@ def test_capacity_grows_two_calls_later(device: torch.device, part: str, report:
     if report == "earliest" and part != "pairs" and device.type == "cuda":
         pytest.skip("how much is skipped depends on the order of threads")
     less = getattr(needed, part) - 1 if part in ("pairs", "contacts") else getattr(needed, part) // 2
+    if part == "open":  # of few candidates all are left open if they fit, else those that need it
+        less = 1
     tight = replace(needed.times(1.5), **{part: less})
     captured = pgccd.CapturedDetection(scene, sparse, report, capacity=tight)
     for _ in range(2):
@@ -89,7 +91,7 @@ def test_a_step_that_needs_more_than_the_largest_capacity(device: torch.device) 
         for _ in range(2):
             assert bool(captured(motion).overflow)
         for _ in range(2):
-            with pytest.raises(pgccd.CapacityError, match="^capacity: the step needs more: pairs"):
+            with pytest.raises(pgccd.CapacityError, match="^capacity: the step needs more: (pairs|overlaps)"):
                 captured(motion)
         assert bool(captured(motion).overflow)  # the call before the last has no record
         with pytest.raises(pgccd.CapacityError):

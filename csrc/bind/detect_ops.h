@@ -162,7 +162,6 @@ struct DetectOps {
     input.pair_count = pairs.size(0);
     input.settings = settings;
     input.report = report_of(report);
-    input.has_crossings = true;
     ContactTensors out{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};
     Backend(pairs).narrow(bodies, input, [&](int64_t count) {
       out = new_contact_tensors(pairs, count);

@@ -135,7 +135,6 @@ struct PaddedOps {
     search.traversal.settings = sweep_settings(settings.separation, settings.tolerance, tests_start);
     search.narrow.settings = settings;
     search.narrow.report = report;
-    search.narrow.has_crossings = tests_start;
     return search;
   }
 

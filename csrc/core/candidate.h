@@ -4,7 +4,6 @@
 #include <cstdint>
 
 #include "core/counter.h"
-#include "core/scalar.h"
 
 namespace pgccd {
 
@@ -41,7 +40,6 @@ struct CandidateSpan {
   int64_t size = 0;
   const CandidateCounts* counts = nullptr;  // null: all `size` are valid
   const CandidateCounts* before = nullptr;
-  const Counter* crossings = nullptr;  // so many come first at the back; null: anywhere
 
   // False on overflow, when front and back may overlap.
   PGCCD_HD bool fits_all() const { return counts == nullptr || fits(counts->sum(), size); }
@@ -49,13 +47,6 @@ struct CandidateSpan {
   PGCCD_HD int64_t count() const {
     if (counts == nullptr) return size;
     return fits_all() ? static_cast<int64_t>(counts->sum() - before->sum()) : 0;
-  }
-  // The range of `count()` outside of which there are no crossings.
-  PGCCD_HD int64_t crossings_begin() const {
-    return crossings == nullptr ? 0 : smaller(count(), static_cast<int64_t>(counts->front - before->front));
-  }
-  PGCCD_HD int64_t crossings_end() const {
-    return crossings == nullptr ? count() : smaller(count(), crossings_begin() + static_cast<int64_t>(*crossings));
   }
   // Index of the k-th of `count()`.
   PGCCD_HD int64_t place(int64_t k) const {

@@ -53,7 +53,8 @@ class Capacity:
     long_rows: bool = False  #: whether one body may have more than 32 partners of larger index
 
     def __post_init__(self) -> None:
-        for name, number in vars(self).items():
+        for name in _NAMES:
+            number = getattr(self, name)
             if name == "long_rows":
                 arguments.flag(number, "long_rows")
             elif type(number) is not int or number < 0:  # the rare case

@@ -12,6 +12,10 @@ def broadcast_times(t: Tensor | float, count: int, device: torch.device) -> Tens
     Raises:
         TypeError, ValueError: `t` is not real, has the wrong shape, or is outside of [0, 1].
     """
+    if type(t) in (int, float):  # no copy from the host, which a CUDA graph cannot capture
+        if not 0.0 <= t <= 1.0:
+            raise ValueError(f"t: expected times in [0, 1], got {t}")
+        return torch.full((count,), t, dtype=torch.float64, device=device)
     time = arguments.real_numbers(t, "t", "times in [0, 1]").to(device)
     try:
         shape = torch.broadcast_shapes(time.shape, (count,))

@@ -23,7 +23,6 @@ struct NarrowInput {
   int64_t pair_count;
   NarrowSettings settings;
   Report report;
-  bool has_crossings;              // whether there may be candidates of edges that pass through faces
   const double* latest = nullptr;  // (pair_count,) or null: later contacts may be skipped; used only on the CPU
 };
 

@@ -190,7 +190,6 @@ void search_candidates(const DeviceContext& context, const Bodies& bodies, Searc
                        const CandidateSpan& candidates, bool is_last) {
   if (search.input.pair_count == 0) return;
   search.input.candidates = candidates;
-  if (search.input.has_crossings) launch_crossings(context, bodies, search);
   launch_quickly(context, bodies, search);
   launch_plainly(context, bodies, search);
   is_last ? launch_patiently(context, bodies, search) : end_first_part(context, search);

@@ -28,24 +28,13 @@ __device__ inline void leave_open(const Search& search, int64_t at, const Progre
   if (search.least != nullptr) atomicMin(search.least + pair, toi_bits(progress.t));
 }
 
-// Edges that pass through faces at t = 0. They are few, so warps collect them; and come first: then most other
-// candidates of their pairs need no search, and the phases below leave them out.
+// An edge that may pass through a face at t = 0. These are few, and decided by the first phase that searches.
 template <class Bodies>
-__global__ void __launch_bounds__(kSolveThreads) search_crossings(Bodies bodies, Search search) {
-  wait_for_previous_kernels();
-  __shared__ WaitingItems waiting[kSolveThreads / kWarp];
-  const CandidateSpan candidates = search.input.candidates;
-  const auto candidate = [&](uint32_t item) { return candidates.items[candidates.place(item)]; };
-  const auto solve = [&](uint32_t item) {
-    const Candidate c = candidate(item);
-    if (!prospect_of(search, c.pair).is_needed) return;
-    const auto pair = pair_of(bodies, search.input, c);
-    const auto fine = [&] { return pair.fine(bodies); };
-    report(search, static_cast<int32_t>(candidates.place(item)), c.pair, solve_crossing(bodies, pair, fine, c));
-  };
-  for_each_selected(
-      static_cast<uint32_t>(candidates.crossings_begin()), static_cast<uint32_t>(candidates.crossings_end()),
-      waiting[threadIdx.x / kWarp], [&](uint32_t item) { return is_crossing(candidate(item)); }, solve);
+__device__ void search_crossing(const Bodies& bodies, const Search& search, int64_t row, const Candidate& candidate) {
+  if (!prospect_of(search, candidate.pair).is_needed) return;
+  const auto pair = pair_of(bodies, search.input, candidate);
+  const auto fine = [&] { return pair.fine(bodies); };
+  report(search, static_cast<int32_t>(row), candidate.pair, solve_crossing(bodies, pair, fine, candidate));
 }
 
 // One thread per candidate. The few candidates of a small search are all left to the plain phase.
@@ -66,7 +55,10 @@ __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies
   for (int64_t k = thread; k < count; k += stride) {
     const int64_t c = candidates.place(k);
     const Candidate candidate = candidates.items[c];
-    if (is_crossing(candidate)) continue;
+    if (is_crossing(candidate)) {
+      search_crossing(bodies, search, c, candidate);
+      continue;
+    }
     const auto pair = pair_of(bodies, search.input, candidate);
     const Prospect prospect = prospect_of(search, candidate.pair);
     Progress<double> progress;
@@ -84,7 +76,7 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
   const Prospect prospect = prospect_of(search, open.pair);
   if (!prospect.is_needed || open.t > prospect.latest) return;
   const Candidate candidate = search.input.candidates.items[open.row];
-  if (is_crossing(candidate)) return;
+  if (is_crossing(candidate)) return search_crossing(bodies, search, open.row, candidate);
   const auto pair = pair_of(bodies, search.input, candidate);
   const Outcome<double> outcome =
       solve_plainly(bodies, pair, candidate, search.input.settings, prospect.latest, open.progress());
@@ -135,12 +127,6 @@ __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies,
 }
 
 template <class Bodies>
-void launch_crossings(const DeviceContext& context, const Bodies& bodies, const Search& search) {
-  launch_kernel(context, search_crossings<Bodies>, resident_blocks_of(context, search_crossings<Bodies>, kSolveThreads),
-                kSolveThreads, bodies, search);
-}
-
-template <class Bodies>
 void launch_quickly(const DeviceContext& context, const Bodies& bodies, const Search& search) {
   launch_kernel(context, search_quickly<Bodies>, resident_blocks_of(context, search_quickly<Bodies>), kBlockThreads,
                 bodies, search);
@@ -157,14 +143,12 @@ void launch_plainly(const DeviceContext& context, const Bodies& bodies, const Se
   }
 }
 
-// Before the second part. It begins later, so has no crossings; and most of its first contacts are known, so its likely
-// ones need not be solved first.
+// Before the second part. Of this one most first contacts are known, so its likely ones need not be solved first.
 inline void end_first_part(const DeviceContext& context, Search& search) {
   SearchCounters* counters = search.counters;
   const uint32_t capacity = search.capacity;
   for_each_item(context, 1, [=] __device__(int64_t) { counters->open_before = smaller(counters->open, capacity); });
   search.least = nullptr;
-  search.input.has_crossings = false;
 }
 
 template <class Bodies>

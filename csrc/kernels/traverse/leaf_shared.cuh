@@ -26,8 +26,8 @@ struct LeafShared {
   bool is_one_body[kSlots], is_one_leaf[kSlots];  // both sides are; written where a body may be tested against itself
   uint16_t triangle_pairs[5 * kWarp];             // waiting: slot of i * kSlots + slot of j
   uint16_t features[kWarp * (kFeaturePairBits + 1)];  // waiting: triangle pair * 16 + bit
-  uint16_t near[2 * kWarp];                     // likewise: not rejected by `plainly_apart`; at t = 0, triangle pairs
-  alignas(4) uint16_t met[2 * kTrianglePairs];  // feature pairs emitted so far, if there are many segments
+  uint16_t near[2 * kWarp];                           // likewise: not rejected by `plainly_apart`
+  alignas(4) uint16_t met[2 * kTrianglePairs];        // feature pairs emitted so far, if there are many segments
 };
 
 // Position of two triangles in `met`, by the lanes that loaded them.
@@ -50,12 +50,15 @@ __device__ inline MovingPoints<3, float> load_triangle(const LeafShared& shared,
   return out;
 }
 
-__device__ inline void store_corners(LeafShared& shared, int slot, const Vec3<float> (&corners)[3], int end) {
-  for (int c = 0; c < 3; ++c) {
-    const int row = 9 * end + 3 * c;
-    shared.coordinate[row][slot] = corners[c].x;
-    shared.coordinate[row + 1][slot] = corners[c].y;
-    shared.coordinate[row + 2][slot] = corners[c].z;
+__device__ inline void store_triangle(LeafShared& shared, int slot, const MovingPoints<3, float>& triangle) {
+  for (int end = 0; end < 2; ++end) {
+    for (int c = 0; c < 3; ++c) {
+      const Vec3<float> v = end == 0 ? triangle.start[c] : triangle.end[c];
+      const int row = 9 * end + 3 * c;
+      shared.coordinate[row][slot] = v.x;
+      shared.coordinate[row + 1][slot] = v.y;
+      shared.coordinate[row + 2][slot] = v.z;
+    }
   }
 }
 
@@ -96,7 +99,7 @@ __device__ inline int sum_before(int value, int lane, int& total) {
   return sum - value;
 }
 
-// Output buffers of edge pairs, and of all other candidates.
+// Output buffers of candidates of both kinds.
 struct CandidateBuffers {
   WarpBuffer<Candidate> edge_edge, vertex_face;
 };

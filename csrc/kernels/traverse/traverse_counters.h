@@ -16,7 +16,6 @@ struct TraverseCounters {
   CandidateCounts candidates;           // edge-edge at the front, vertex-face at the back
   CandidateCounts searched_candidates;  // those of the first leaf pairs
   CandidateCounts no_candidates;        // zero
-  Counter crossings;                    // the first at the back, if starts are tested
   int64_t search_time;                  // of the candidates of the first leaf pairs, nanoseconds
   Counter poses;
   Counter node_tests;

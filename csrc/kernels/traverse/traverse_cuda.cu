@@ -9,6 +9,7 @@
 #include "kernels/traverse/traverse_counters.h"
 #include "kernels/traverse/traverse_cuda.h"
 #include "kernels/traverse/visit_leaves.cuh"
+#include "kernels/traverse/visit_starts.cuh"
 #include "kernels/warp_share.cuh"
 
 namespace pgccd {
@@ -129,7 +130,7 @@ struct Traversal {
   }
 
   CandidateSpan span(CandidateSink out, const CandidateCounts* before) {
-    return {out.items, out.capacity, out.counts, before, &counters_->crossings};
+    return {out.items, out.capacity, out.counts, before};
   }
 
   LeafPairList new_list(Counter* count, LeafPairList as_large_as) {
@@ -238,19 +239,17 @@ struct Traversal {
     return meeting;
   }
 
-  void visit(LeafPairList leaves, CandidateSink out) { launch_visit(visit_leaves<Bodies, false>, leaves, out); }
-
-  // Leaf pairs that may be near at t = 0; the first to be visited, if not all are visited at once.
-  void visit_at_start(LeafPairList leaves, CandidateSink out) {
-    if (!input_.settings.tests_start) return;
-    launch_visit(visit_leaves<Bodies, true>, leaves, out);
-    TraverseCounters* counters = counters_;
-    for_each_item(context_, 1, [=] __device__(int64_t) { counters->crossings = counters->candidates.back; });
+  void visit(LeafPairList leaves, CandidateSink out) {
+    launch_kernel(context_, visit_leaves<Bodies>,
+                  blocks_in_waves(context_, visit_leaves<Bodies>, int64_t{kWarp / 2} * leaves.capacity), kBlockThreads,
+                  pairs_, leaves, out);
   }
 
-  template <class Kernel>
-  void launch_visit(Kernel kernel, LeafPairList leaves, CandidateSink out) {
-    launch_kernel(context_, kernel, blocks_in_waves(context_, kernel, int64_t{kWarp / 2} * leaves.capacity),
+  // Leaf pairs that may be near at t = 0: the first to be visited, if not all are visited at once.
+  void visit_at_start(LeafPairList leaves, CandidateSink out) {
+    if (!input_.settings.tests_start) return;
+    launch_kernel(context_, visit_starts<Bodies>,
+                  blocks_in_waves(context_, visit_starts<Bodies>, int64_t{kMaxLeafTriangles} * leaves.capacity),
                   kBlockThreads, pairs_, leaves, out);
   }
 

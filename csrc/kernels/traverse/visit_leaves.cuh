@@ -1,18 +1,13 @@
-// From pairs of leaves to candidates of feature pairs, and of edges that may pass through faces at t = 0. A warp loads
-// the triangles of two leaf pairs at a time. Triangle pairs, and then feature pairs, are collected in lists until all
-// lanes have one: on average a leaf pair has nine and five.
+// From pairs of leaves to candidates. A warp loads the triangles of two leaf pairs at a time. Triangle pairs, and then
+// feature pairs, are collected in lists until all lanes have one: on average a leaf pair has nine and five.
 #pragma once
 
 #include "kernels/launch.cuh"
 #include "kernels/traverse/leaf_shared.cuh"
-#include "kernels/warp_share.cuh"
 
 namespace pgccd {
 
-// Two searches of the same leaf pairs: for feature pairs over the whole motion, and for edges and faces at t = 0
-// (`kAtStart`), which takes only leaf pairs that may be near there, and reads no pose but the first. The second is one
-// of its own, since the first must empty its lists after every segment of a motion that turns, with few lanes at work.
-template <class Bodies, bool kAtStart>
+template <class Bodies>
 class LeafVisitor {
   using Sweep = SweepOf<Bodies>;
 
@@ -20,16 +15,16 @@ class LeafVisitor {
   __device__ LeafVisitor(const Pairs<Bodies>& pairs, LeafShared& shared, CandidateWriter& writer)
       : pairs_(pairs), shared_(shared), writer_(writer), lane_(threadIdx.x % kWarp) {}
 
-  // Of two leaf pairs of the list, of one at its end, or of none after it: then all collected pairs are tested.
-  __device__ __forceinline__ void visit(const LeafPair* list, uint32_t first_row, uint32_t second_row, int count) {
+  // `given`: two of them, one at the end of the list, or none after it: then all collected pairs are tested.
+  __device__ __forceinline__ void visit(const LeafPair* given, int count) {
     const int half = lane_ / kHalf;
     const int side = lane_ % kHalf / kMaxLeafTriangles, row = lane_ % kMaxLeafTriangles;
     const bool has_pair = half < count;
-    const LeafPair item = has_pair ? list[half == 0 ? first_row : second_row] : LeafPair{};
+    const LeafPair item = has_pair ? given[half] : LeafPair{};
     int own_segments = 0, triangle_count = 0;
     if (has_pair) {
       const PairTree<Bodies> tree = pairs_.tree(item.pair);
-      own_segments = kAtStart ? 1 : tree.sweep().segment_count;
+      own_segments = tree.sweep().segment_count;
       triangle_count = tree.link(side, side == 0 ? item.leaves.first : item.leaves.second).triangle_count;
     }
     const int segments = larger(__reduce_max_sync(kAllLanes, own_segments), 1);
@@ -45,16 +40,9 @@ class LeafVisitor {
         const PairTree<Bodies> tree = pairs_.tree(item.pair);
         const int32_t own = side == 0 ? item.leaves.first : item.leaves.second;
         const int32_t other = side == 0 ? item.leaves.second : item.leaves.first;
-        const int32_t triangle = tree.link(side, own).first + row;
-        const float radius = tree.local_radius(1 - side, other);
-        if constexpr (kAtStart) {
-          triangle_at_start(tree, side, triangle, moving.start);
-          const Vec3<float> centre[1] = {tree.centre_at_start(1 - side, other)};
-          reaches = !is_outside(moving.start, centre, radius + tree.sweep().start_distance);
-        } else {
-          moving = moving_triangles<float>(tree, side, triangle, k);
-          reaches = !stays_out(moving, tree.moving_centre(1 - side, other, k), radius + tree.sweep().inflation);
-        }
+        moving = moving_triangles<float>(tree, side, tree.link(side, own).first + row, k);
+        const float reach = tree.local_radius(1 - side, other) + tree.sweep().inflation;
+        reaches = !stays_out(moving, tree.moving_centre(1 - side, other, k), reach);
       }
       const uint32_t reaching = __ballot_sync(kAllLanes, reaches);
       const uint32_t kept = kept_of_half(reaching, 0) | kept_of_half(reaching, 1);
@@ -78,8 +66,7 @@ class LeafVisitor {
     const PairTree<Bodies> tree = pairs_.tree(item.pair);
     const int32_t own = side == 0 ? item.leaves.first : item.leaves.second;
     const int slot = filled_ + __popc(kept & lanes_below(lane_));
-    store_corners(shared_, slot, moving.start, 0);
-    if constexpr (!kAtStart) store_corners(shared_, slot, moving.end, 1);
+    store_triangle(shared_, slot, moving);
     const int64_t triangle = tree.sweep().first_face[side] + tree.link(side, own).first + row;
     shared_.triangle[slot] = pairs_.bodies.meshes.triangles + triangle;
     shared_.distance[slot] = tree.sweep().inflation;
@@ -96,9 +83,7 @@ class LeafVisitor {
   __device__ __forceinline__ void work(bool all) {
     for (;;) {
       if (near_ >= kWarp || (all && queued_ == 0 && waiting_ == 0 && near_ > 0)) {
-        kAtStart ? test_edges(smaller(near_, kWarp)) : test_stepwise(smaller(near_, kWarp));
-      } else if (kAtStart && (queued_ >= kWarp || (all && queued_ > 0))) {
-        test_planes(smaller(queued_, kWarp));
+        test_stepwise(smaller(near_, kWarp));
       } else if (waiting_ >= kWarp || (all && queued_ == 0 && waiting_ > 0)) {
         test_plainly(smaller(waiting_, kWarp));
       } else if (queued_ >= kWarp || (all && queued_ > 0)) {
@@ -108,73 +93,6 @@ class LeafVisitor {
       }
     }
     if (all) filled_ = 0;
-  }
-
-  // One waiting triangle pair per lane: lists it, unless the plane of one separates the triangles at t = 0.
-  __device__ __forceinline__ void test_planes(int count) {
-    queued_ -= count;
-    bool is_near = lane_ < count;
-    const int code = is_near ? shared_.triangle_pairs[queued_ + lane_] : 0;
-    const int i = code / kSlots, j = code % kSlots;
-    if (is_near && is_one_body(i)) {
-      // The planes of neighbouring triangles of one surface do not separate them. Of mirror images one is tested.
-      is_near = !shared_.is_one_leaf[i] || shared_.lane[j] % kMaxLeafTriangles > shared_.lane[i] % kMaxLeafTriangles;
-    } else if (is_near) {
-      Vec3<float> of_i[3], of_j[3];
-      at_start(i, of_i);
-      at_start(j, of_j);
-      is_near = !planes_separate(of_i, of_j, start_distance(i), false);
-    }
-    const uint32_t lanes = __ballot_sync(kAllLanes, is_near);
-    if (is_near) shared_.near[near_ + __popc(lanes & lanes_below(lane_))] = static_cast<uint16_t>(code);
-    near_ += __popc(lanes);
-    __syncwarp();  // the list is written
-  }
-
-  // One triangle pair per lane: emits its edges and faces that may pass through one another at t = 0.
-  __device__ __forceinline__ void test_edges(int count) {
-    near_ -= count;
-    const bool is_given = lane_ < count;
-    const int code = is_given ? shared_.near[near_ + lane_] : 0;
-    const int i = code / kSlots, j = code % kSlots;
-    uint32_t bits = 0;
-    if (is_given) {
-      Vec3<float> of_i[3], of_j[3];
-      at_start(i, of_i);
-      at_start(j, of_j);
-      if (is_one_body(i) || !edges_separate(of_i, of_j, start_distance(i), false)) {
-        bits = represented_crossings(*shared_.triangle[i], *shared_.triangle[j], is_one_body(i));
-      }
-    }
-    const auto corner_of = [&](int side, int index) { return corner(shared_, side == 0 ? i : j, index, 0); };
-    PGCCD_KEEP_LOOP
-    while (__any_sync(kAllLanes, bits != 0)) {
-      const int bit = __ffs(static_cast<int>(bits)) - 1;
-      const bool meets = bits != 0 && !crossing_apart(corner_of, bit, start_distance(i), false);
-      bits &= bits - 1;
-      Candidate candidate{};
-      if (meets) {
-        emit_crossing(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body(i),
-                      [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
-                        candidate = {shared_.pair[i], static_cast<int32_t>(kind), feature_i, feature_j};
-                      });
-      }
-      if (__any_sync(kAllLanes, meets)) writer_.add(meets, candidate, lane_);
-    }
-    __syncwarp();  // the list has been read
-  }
-
-  __device__ __forceinline__ void at_start(int slot, Vec3<float> (&x)[3]) const {
-    PGCCD_UNROLL
-    for (int c = 0; c < 3; ++c) x[c] = corner(shared_, slot, c, 0);
-  }
-
-  __device__ __forceinline__ float start_distance(int slot) const {
-    return pairs_.sweeps[shared_.pair[slot]].start_distance;
-  }
-
-  __device__ __forceinline__ bool is_one_body(int slot) const {
-    return Sweep::may_be_one_body && shared_.is_one_body[slot];
   }
 
   // One waiting triangle pair per lane: lists the feature pairs it represents, unless the triangles stay apart.
@@ -235,7 +153,8 @@ class LeafVisitor {
     const bool meets = is_given && !features_of(listed).stepwise_apart(shared_.distance[i]);
     Candidate candidate{};
     if (meets) {
-      emit_pair(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body(i),
+      const bool is_one_body = Sweep::may_be_one_body && shared_.is_one_body[i];
+      emit_pair(*shared_.triangle[i], *shared_.triangle[j], bit, is_one_body,
                 [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
                   candidate = {shared_.pair[i], static_cast<int32_t>(kind), feature_i, feature_j};
                 });
@@ -255,44 +174,24 @@ class LeafVisitor {
   int filled_ = 0;   // slots
   int queued_ = 0;   // triangle pairs waiting
   int waiting_ = 0;  // feature pairs waiting
-  int near_ = 0;     // near feature pairs waiting; at t = 0, triangle pairs
+  int near_ = 0;     // near feature pairs waiting
 };
 
-template <class Bodies, bool kAtStart>
+template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     visit_leaves(Pairs<Bodies> pairs, LeafPairList leaves, CandidateSink out) {
   wait_for_previous_kernels();
   __shared__ LeafShared shared[kWarpsPerBlock];
   __shared__ CandidateBuffers buffers[kWarpsPerBlock];
   CandidateWriter writer(buffers[threadIdx.x / kWarp], out);
-  LeafVisitor<Bodies, kAtStart> visitor(pairs, shared[threadIdx.x / kWarp], writer);
-  const uint32_t count = leaves.size(), lane = threadIdx.x % kWarp;
-  if constexpr (kAtStart) {
-    const WarpShare share = share_of_warp(count);
-    uint32_t next = share.begin, begin = 0, near = 0;  // `near`: one bit a row from `begin` on
-    for (bool is_last = false; !is_last;) {
-      for (; near == 0 && next < count; next += share.stride) {
-        begin = next;
-        const uint32_t row = next + lane;
-        near = __ballot_sync(kAllLanes, lane < share.lanes && row < count && !(leaves.items[row].begin > 0.0f));
-      }
-      is_last = near == 0;
-      const int given = smaller(__popc(near), 2);
-      const uint32_t first = begin + __ffs(static_cast<int>(near)) - 1;
-      near &= near - 1;
-      const uint32_t second = begin + __ffs(static_cast<int>(near)) - 1;
-      near &= near - 1;
-      visitor.visit(leaves.items, first, second, given);
-    }
-  } else {
-    const uint32_t warps = gridDim.x * kWarpsPerBlock;
-    uint32_t row = 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp);
-    for (bool is_last = false; !is_last; row += 2 * warps) {
-      is_last = row >= count;
-      visitor.visit(leaves.items, row, row + 1, is_last ? 0 : static_cast<int>(smaller(count - row, 2u)));
-    }
+  LeafVisitor<Bodies> visitor(pairs, shared[threadIdx.x / kWarp], writer);
+  const uint32_t count = leaves.size(), warps = gridDim.x * kWarpsPerBlock;
+  uint32_t item = 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp);
+  for (bool is_last = false; !is_last; item += 2 * warps) {
+    is_last = item >= count;
+    visitor.visit(leaves.items + item, is_last ? 0 : static_cast<int>(smaller(count - item, 2u)));
   }
-  writer.flush(lane);
+  writer.flush(threadIdx.x % kWarp);
 }
 
 }  // namespace pgccd
