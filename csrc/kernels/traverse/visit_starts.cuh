@@ -117,7 +117,8 @@ class StartVisitor {
       const bool is_given = begin + lane_ < listed_;
       const int code = is_given ? shared_.listed[begin + lane_] : 0;
       const bool holds = is_given && test(code / kStartSlots, code % kStartSlots);
-      const uint32_t lanes = __ballot_sync(kAllLanes, holds);  // all have read what some overwrite
+      const uint32_t lanes = __ballot_sync(kAllLanes, holds);
+      __syncwarp();  // all have read what some overwrite
       if (holds) shared_.listed[kept + __popc(lanes & lanes_below(lane_))] = static_cast<uint16_t>(code);
       kept += __popc(lanes);
     }
