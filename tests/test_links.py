@@ -1,0 +1,64 @@
+"""Links between pages, their anchors, and the paths of files that pages name."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from support.documents import ROOT
+
+PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "bench/README.md", "csrc/README.md")]
+PAGES += sorted((ROOT / "docs").glob("*.md"))
+FOLDERS = ("bench", "csrc", "docs", "examples", "pgccd", "tests")
+
+
+def text_of(page: Path) -> str:
+    """A page without its blocks of code."""
+    return re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    found: set[str] = set()
+    for heading in re.findall(r"^#+ +(.*)$", text_of(page), re.MULTILINE):
+        anchor = re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
+        repeated = (f"{anchor}-{number}" for number in range(1, len(found) + 1))
+        found.add(anchor if anchor not in found else next(name for name in repeated if name not in found))
+    return found
+
+
+def broken_links(page: Path) -> list[str]:
+    """The relative links of a page to files or anchors that do not exist."""
+    broken = []
+    for target in re.findall(r"\]\(([^()\s]+)\)", text_of(page)):
+        if re.match(r"[a-z]+:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        file = page.parent / name if name else page
+        if not file.exists() or (anchor and (file.suffix != ".md" or anchor not in anchors(file))):
+            broken.append(target)
+    return broken
+
+
+def missing_files(page: Path) -> list[str]:
+    """The paths in a page, from the root of the repository, of files that do not exist. NAME stands for any name."""
+    named = re.findall(rf"`((?:{'|'.join(FOLDERS)})/[^`\s]*)`", text_of(page))
+    return [name for name in named if not any(ROOT.glob(name.replace("NAME", "*").rstrip("/")))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links(page: Path) -> None:
+    assert broken_links(page) == []
+    assert missing_files(page) == []
+
+
+def test_broken_links_are_noticed(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# One & two: `three`\n## Part\n## Part\n[1](#one--two-three) [2](page.md#part-1) [3](https://example.org/a#b)\n"
+        "```\n# Comment\n[4](lost.md)\n```\n[5](lost.md) ![6](lost.png) [7](#comment) [8](page.md#part-2)\n"
+        "`docs/lost.md` `bench/results/lost-*.json` `docs/NAME.md` `pgccd/distributed/` `lost.md`\n"
+    )
+    assert broken_links(page) == ["lost.md", "lost.png", "#comment", "page.md#part-2"]
+    assert missing_files(page) == ["docs/lost.md", "bench/results/lost-*.json"]
