@@ -9,9 +9,8 @@
 #include <algorithm>
 #include <vector>
 
-#include "bind/device_share.h"
 #include "bind/outputs.h"
-#include "bind/scratch_peak.h"
+#include "bind/thread_state.h"
 #include "kernels/device_context.h"
 
 namespace pgccd::bind {
