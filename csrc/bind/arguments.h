@@ -21,6 +21,7 @@ namespace pgccd::bind {
 
 using torch::headeronly::ScalarType;
 using torch::stable::Tensor;
+using TensorList = std::vector<Tensor>;
 
 constexpr int64_t kAnySize = -1;
 

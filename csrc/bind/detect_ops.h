@@ -14,8 +14,6 @@
 
 namespace pgccd::bind {
 
-using TensorList = std::vector<Tensor>;
-
 inline SweepSettings sweep_settings(double min_separation, double tolerance, bool tests_start) {
   const KeptDistance kept(min_separation, tolerance);
   return {kept.separation, kept.tolerance, tests_start};

@@ -1,7 +1,7 @@
 // Conditional parts of CUDA graphs.
 #if defined(PGCCD_WITH_CUDA)
 
-#include "bind/cuda_backend.h"
+#include "bind/cuda_session.h"
 #include "kernels/graphs/conditional_cuda.h"
 
 namespace pgccd::bind {

@@ -2,10 +2,13 @@
 #include <algorithm>
 
 #include "bind/bounds_ops.h"
-#include "bind/cpu_executor.h"
+#include "bind/cpu_session.h"
 #include "bind/detect_ops.h"
 #include "bind/elementary_ops.h"
 #include "bind/padded_ops.h"
+#include "bind/row_ops.h"
+#include "bind/simulate_ops.h"
+#include "bind/subdomain_ops.h"
 #include "kernels/bounds/bounds.h"
 #include "kernels/pipeline/pipeline.h"
 #include "kernels/row_checks.h"
@@ -95,6 +98,9 @@ STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
   PGCCD_REGISTER_DETECT_OPS(library, CpuBackend);
   PGCCD_REGISTER_PADDED_OPS(library, CpuBackend);
   PGCCD_REGISTER_ELEMENTARY_OPS(library, CpuBackend);
+  register_row_ops<CpuSession>(library);
+  register_simulate_ops<CpuSession>(library);
+  register_subdomain_ops<CpuSession>(library);
 }
 
 }  // namespace pgccd::bind

@@ -2,10 +2,13 @@
 #if defined(PGCCD_WITH_CUDA)
 
 #include "bind/bounds_ops.h"
-#include "bind/cuda_backend.h"
+#include "bind/cuda_session.h"
 #include "bind/detect_ops.h"
 #include "bind/elementary_ops.h"
 #include "bind/padded_ops.h"
+#include "bind/row_ops.h"
+#include "bind/simulate_ops.h"
+#include "bind/subdomain_ops.h"
 #include "kernels/bounds/bounds_cuda.h"
 #include "kernels/bounds/faults_cuda.h"
 #include "kernels/broad/broad_cuda.h"
@@ -89,6 +92,9 @@ STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
   PGCCD_REGISTER_DETECT_OPS(library, CudaBackend);
   PGCCD_REGISTER_PADDED_OPS(library, CudaBackend);
   PGCCD_REGISTER_ELEMENTARY_OPS(library, CudaBackend);
+  register_row_ops<CudaSession>(library);
+  register_simulate_ops<CudaSession>(library);
+  register_subdomain_ops<CudaSession>(library);
 }
 
 }  // namespace pgccd::bind

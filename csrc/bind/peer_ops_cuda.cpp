@@ -1,7 +1,7 @@
 // Messages between GPUs of one host.
 #if defined(PGCCD_WITH_CUDA)
 
-#include "bind/cuda_backend.h"
+#include "bind/cuda_session.h"
 #include "kernels/peers/peers_cuda.h"
 
 namespace pgccd::bind {

@@ -1,14 +1,12 @@
 // Operators of the voxel-based baseline, on the CPU.
 #include <functional>
 
-#include "bind/cpu_executor.h"
+#include "bind/cpu_session.h"
 #include "bind/outputs.h"
 #include "kernels/voxel/voxel.h"
 
 namespace pgccd::bind {
 namespace {
-
-using TensorList = std::vector<Tensor>;
 
 VoxelBodies voxel_bodies(const TensorList& mesh_set, const TensorList& bodies, bool linear_path, double voxel_size,
                          double min_separation, double tolerance) {

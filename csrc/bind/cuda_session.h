@@ -1,4 +1,4 @@
-// CUDA operators' interface to torch: current device, stream, and memory from its allocator.
+// What an operator on a CUDA device runs on: the tensor's device, torch's current stream, memory of its allocator.
 #pragma once
 
 #include <torch/csrc/inductor/aoti_torch/c/shim.h>
