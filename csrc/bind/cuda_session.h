@@ -54,6 +54,8 @@ class TorchMemory final : public DeviceMemory {
 
 class CudaSession {
  public:
+  static constexpr bool kHostKnowsCounts = false;
+
   explicit CudaSession(const torch::stable::Tensor& like)
       : guard_(like.get_device_index()), memory_(like), context_{current_stream(like), memory_, device_share()} {}
   CudaSession(const CudaSession&) = delete;

@@ -34,7 +34,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def(
       "moving_spheres(Tensor[] mesh_set, Tensor[] bodies, bool linear_path) -> (Tensor centre_t0, Tensor centre_t1, "
       "Tensor reach)");
-  // broad_phase: see kernels/broad/broad_phase.h; axis: used by the sweep only
+  // broad_phase: see kernels/broad/broad.h; axis: used by the sweep only
   library.def(
       "broad_pairs(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, Tensor? elsewhere, float min_separation, float tolerance, int broad_phase, int axis) -> "

@@ -47,8 +47,8 @@ uint32_t culled_lanes(const T* points_t0, const T* points_t1, int64_t count, flo
 }  // namespace
 
 template <bool kEdgeEdge, class T>
-void elementary_cpu(const Executor& executor, const T* points_t0, const T* points_t1, int64_t count,
-                    const NarrowSettings& settings, const ElementaryColumns<T>& out) {
+void elementary(const Executor& executor, const T* points_t0, const T* points_t1, int64_t count,
+                const NarrowSettings& settings, const ElementaryColumns<T>& out) {
   const float distance = cull_distance(settings);
   parallel_chunks(executor, count, kQueryGrain, [&](int, int64_t begin, int64_t end) {
     for (int64_t block = begin; block < end; block += kLanes) {
@@ -65,13 +65,13 @@ void elementary_cpu(const Executor& executor, const T* points_t0, const T* point
   });
 }
 
-template void elementary_cpu<false>(const Executor&, const float*, const float*, int64_t, const NarrowSettings&,
-                                    const ElementaryColumns<float>&);
-template void elementary_cpu<true>(const Executor&, const float*, const float*, int64_t, const NarrowSettings&,
-                                   const ElementaryColumns<float>&);
-template void elementary_cpu<false>(const Executor&, const double*, const double*, int64_t, const NarrowSettings&,
-                                    const ElementaryColumns<double>&);
-template void elementary_cpu<true>(const Executor&, const double*, const double*, int64_t, const NarrowSettings&,
-                                   const ElementaryColumns<double>&);
+template void elementary<false>(const Executor&, const float*, const float*, int64_t, const NarrowSettings&,
+                                const ElementaryColumns<float>&);
+template void elementary<true>(const Executor&, const float*, const float*, int64_t, const NarrowSettings&,
+                               const ElementaryColumns<float>&);
+template void elementary<false>(const Executor&, const double*, const double*, int64_t, const NarrowSettings&,
+                                const ElementaryColumns<double>&);
+template void elementary<true>(const Executor&, const double*, const double*, int64_t, const NarrowSettings&,
+                               const ElementaryColumns<double>&);
 
 }  // namespace pgccd

@@ -155,7 +155,7 @@ ContactRows to_rows(const Executor& executor, const Bodies& bodies, const Narrow
 }  // namespace
 
 template <class Bodies>
-ContactRows narrow_phase_cpu(const Executor& executor, const Bodies& bodies, const NarrowInput& input) {
+ContactRows solve_candidates(const Executor& executor, const Bodies& bodies, const NarrowInput& input) {
   std::vector<FoundContact> found = find_contacts(executor, bodies, input);
   select(found, input);
   return to_rows(executor, bodies, input, found);
@@ -211,7 +211,7 @@ ContactRows first_of_each_pair(const ContactRows& one, const ContactRows& other,
   return first;
 }
 
-void copy_rows(const ContactRows& rows, int64_t count, const ContactColumns& out) {
+void copy_contacts(const ContactRows& rows, int64_t count, const ContactColumns& out) {
   const auto copy = [&](const auto& values, int64_t width, auto* target) {
     std::copy_n(values.data(), width * count, target);
   };
@@ -225,7 +225,20 @@ void copy_rows(const ContactRows& rows, int64_t count, const ContactColumns& out
   copy(rows.normal, 3, out.normal);
 }
 
-template ContactRows narrow_phase_cpu(const Executor&, const RigidBodies&, const NarrowInput&);
-template ContactRows narrow_phase_cpu(const Executor&, const DeformingBodies&, const NarrowInput&);
+template <class Bodies>
+void narrow_phase(const Executor& executor, const Bodies& bodies, const NarrowInput& input,
+                  const ContactOutput& make_output) {
+  require_rows(
+      executor, input.candidates.size, "candidates", "name pairs, kinds and features that are there",
+      [&](int64_t k) { return names_features(bodies, input.pairs, input.pair_count, input.candidates.items[k]); });
+  const ContactRows found = solve_candidates(executor, bodies, input);
+  const auto rows = static_cast<int64_t>(found.pair.size());
+  copy_contacts(found, rows, make_output(rows));
+}
+
+template void narrow_phase(const Executor&, const RigidBodies&, const NarrowInput&, const ContactOutput&);
+template void narrow_phase(const Executor&, const DeformingBodies&, const NarrowInput&, const ContactOutput&);
+template ContactRows solve_candidates(const Executor&, const RigidBodies&, const NarrowInput&);
+template ContactRows solve_candidates(const Executor&, const DeformingBodies&, const NarrowInput&);
 
 }  // namespace pgccd
