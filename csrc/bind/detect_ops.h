@@ -153,7 +153,7 @@ struct DetectOps {
                   report);
   }
 
-  template <bool kEdgeEdge>
+  template <FeatureKind kKind>
   static ElementaryTensors elementary(const Tensor& points_t0, const Tensor& points_t1, double min_separation,
                                       double tolerance, bool nonzero_toi) {
     check_separation(min_separation);
@@ -161,9 +161,9 @@ struct DetectOps {
     STD_TORCH_CHECK(tolerance >= 0.0, "tolerance: expected a length >= 0, got ", tolerance);
     const NarrowSettings settings{min_separation, tolerance, nonzero_toi};
     if (points_t0.scalar_type() == ScalarType::Float) {
-      return elementary_in<kEdgeEdge, float>(points_t0, points_t1, settings);
+      return elementary_in<kKind, float>(points_t0, points_t1, settings);
     }
-    return elementary_in<kEdgeEdge, double>(points_t0, points_t1, settings);
+    return elementary_in<kKind, double>(points_t0, points_t1, settings);
   }
 
  private:
@@ -208,7 +208,7 @@ struct DetectOps {
     return out;
   }
 
-  template <bool kEdgeEdge, class T>
+  template <FeatureKind kKind, class T>
   static ElementaryTensors elementary_in(const Tensor& points_t0, const Tensor& points_t1,
                                          const NarrowSettings& settings) {
     const T* x0 = rows<T>(points_t0, "points_t0", {kAnySize, 4, 3});
@@ -220,7 +220,7 @@ struct DetectOps {
     Tensor significant_bits = new_tensor<int8_t>(points_t0, {count});
     const ElementaryColumns<T> out{data<int8_t>(status), data<T>(toi), data<T>(coordinates),
                                    data<int8_t>(significant_bits)};
-    pgccd::elementary<kEdgeEdge>(Session(points_t0).context(), x0, x1, count, settings, out);
+    pgccd::elementary<kKind>(Session(points_t0).context(), x0, x1, count, settings, out);
     return {status, toi, coordinates, significant_bits};
   }
 };
@@ -238,8 +238,8 @@ void register_detect_ops(Library& library) {
   library.impl("traverse_deforming", PGCCD_BOX(Ops::traverse_deforming));
   library.impl("narrow_rigid", PGCCD_BOX(Ops::narrow_rigid));
   library.impl("narrow_deforming", PGCCD_BOX(Ops::narrow_deforming));
-  library.impl("vertex_face", PGCCD_BOX(Ops::template elementary<false>));
-  library.impl("edge_edge", PGCCD_BOX(Ops::template elementary<true>));
+  library.impl("vertex_face", PGCCD_BOX(Ops::template elementary<FeatureKind::kVertexFace>));
+  library.impl("edge_edge", PGCCD_BOX(Ops::template elementary<FeatureKind::kEdgeEdge>));
 }
 
 }  // namespace pgccd::bind

@@ -78,12 +78,12 @@ template <class Bodies>
 void narrow_phase(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
                   const ContactOutput& make_output);
 
-// Elementary tests on straight paths. points_*: (count, 4, 3). kEdgeEdge false: vertex, three face points; true: edge,
-// edge.
-template <bool kEdgeEdge, class T>
+// Elementary tests on straight paths. points_*: (count, 4, 3). kVertexFace: vertex, three face points; kEdgeEdge: two
+// edges.
+template <FeatureKind kKind, class T>
 void elementary(const Executor& executor, const T* points_t0, const T* points_t1, int64_t count,
                 const NarrowSettings& settings, const ElementaryColumns<T>& out);
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 void elementary(const DeviceContext& context, const T* points_t0, const T* points_t1, int64_t count,
                 const NarrowSettings& settings, const ElementaryColumns<T>& out);
 
