@@ -18,7 +18,7 @@ inline SweepSettings sweep_settings(double min_separation, double tolerance, boo
 }
 
 inline Report report_of(int64_t report) {
-  STD_TORCH_CHECK(report >= 0 && report <= 2, "report: expected 0 (any), 1 (first) or 2 (all), got ", report);
+  STD_TORCH_CHECK(report >= 0 && report < kReports, "report: expected a number below ", kReports, ", got ", report);
   return static_cast<Report>(report);
 }
 

@@ -177,11 +177,7 @@ struct PaddedOps {
                         const NarrowSettings& settings, bool tests_start, int64_t report,
                         const std::vector<int64_t>& capacity) {
     check_contact_capacity(capacity);
-    constexpr int64_t kOnlyEarliest = 3;  // first contacts, pruned by the earliest of the scene
-    ContactSearch search =
-        search_of(pairs, pair_counts, settings, tests_start,
-                  report_of(report == kOnlyEarliest ? static_cast<int64_t>(Report::kFirst) : report));
-    search.only_earliest = report == kOnlyEarliest;
+    ContactSearch search = search_of(pairs, pair_counts, settings, tests_start, report_of(report));
     search.traverse_capacity = traverse_capacity(capacity);
     search.contact_capacity = {capacity[5], capacity[6]};
     ContactTensors found{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};

@@ -12,11 +12,17 @@
 
 namespace pgccd {
 
+// Names in the same order: pgccd/detection/narrow.py.
 enum class Report : int32_t {
-  kAny = 0,    // which pairs touch; features and toi are those of an arbitrary contact
-  kFirst = 1,  // earliest contact of each pair
-  kAll = 2,    // every touching feature pair
+  kAny = 0,       // which pairs touch; features and toi are those of an arbitrary contact
+  kFirst = 1,     // earliest contact of each pair
+  kAll = 2,       // every touching feature pair
+  kEarliest = 3,  // as kFirst, but contacts later than the earliest of the scene may be left out
 };
+constexpr int64_t kReports = 4;
+
+// Whether one contact of a pair is wanted, the first one.
+PGCCD_HD bool wants_first(Report report) { return report == Report::kFirst || report == Report::kEarliest; }
 
 struct NarrowInput {
   CandidateSpan candidates;
@@ -87,7 +93,7 @@ template <FeatureKind kKind, class T>
 void elementary(const DeviceContext& context, const T* points_t0, const T* points_t1, int64_t count,
                 const NarrowSettings& settings, const ElementaryColumns<T>& out);
 
-// Rows in canonical order: by pair, then kind and features (kAll), or one row per pair (kAny, kFirst).
+// Rows in canonical order: by pair, then kind and features (kAll), or one row per pair.
 struct ContactRows {
   std::vector<int32_t> pair;  // index into `pairs`
   std::vector<int8_t> kind;

@@ -62,7 +62,7 @@ void solve_pair(const Bodies& bodies, const PairOf<Bodies>& pair, const NarrowIn
     if (best == nullptr || canonical_key(candidate) < canonical_key(*best)) best = &candidate;
   };
   const auto is_wanted = [&](const Candidate& c) {
-    return !only_one || best == nullptr || (input.report == Report::kFirst && canonical_key(c) < canonical_key(*best));
+    return !only_one || best == nullptr || (wants_first(input.report) && canonical_key(c) < canonical_key(*best));
   };
   std::vector<int64_t> open;
   for (int64_t c = begin; c < end; ++c) {
@@ -115,7 +115,7 @@ void select(std::vector<FoundContact>& found, const NarrowInput& input) {
     return canonical_key(c);
   };
   const auto pair = [&](const FoundContact& f) { return input.candidates.items[f.candidate].pair; };
-  const bool by_toi = input.report == Report::kFirst;
+  const bool by_toi = wants_first(input.report);
   std::sort(found.begin(), found.end(), [&](const FoundContact& a, const FoundContact& b) {
     const double toi_a = by_toi ? a.outcome.toi : 0.0, toi_b = by_toi ? b.outcome.toi : 0.0;
     return std::make_tuple(pair(a), toi_a, features(a)) < std::make_tuple(pair(b), toi_b, features(b));

@@ -25,9 +25,9 @@ class PairSearch {
 
   int64_t narrow_time() const { return narrow_time_; }
 
-  ContactRows search(bool only_earliest) {
-    if (narrow_.report != Report::kFirst) return search_at_once();
-    return only_earliest ? search_earliest() : search_in_parts();
+  ContactRows search() {
+    if (!wants_first(narrow_.report)) return search_at_once();
+    return narrow_.report == Report::kEarliest ? search_earliest() : search_in_parts();
   }
 
  private:
@@ -150,7 +150,7 @@ ContactRows search_all(const Executor& executor, const Bodies& bodies, const Con
   std::fill_n(search.contact_counts, int64_t{kContactCounts}, int64_t{0});
   counts[kTraverseBegan] = began;
   PairSearch<Bodies> pairs(executor, bodies, search);
-  ContactRows found = pairs.search(search.only_earliest);
+  ContactRows found = pairs.search();
   search.contact_counts[kContactsNeeded] = static_cast<int64_t>(found.pair.size());
   search.contact_counts[kNarrowEnded] = host_nanoseconds();
   counts[kTraverseEnded] = search.contact_counts[kNarrowEnded] - pairs.narrow_time();
