@@ -5,6 +5,7 @@
 #include "kernels/graphs/conditional.h"
 
 namespace pgccd::bind {
+
 inline CUstream_st* stream_at(int64_t address) {
   STD_TORCH_CHECK(address != 0, "body: expected the address of a stream");
   return reinterpret_cast<CUstream_st*>(address);

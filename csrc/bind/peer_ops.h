@@ -5,6 +5,7 @@
 #include "kernels/peers/peers.h"
 
 namespace pgccd::bind {
+
 inline PeerMemory peer_memory(const Tensor& memory, const Tensor& addresses, int64_t stop, int64_t rank) {
   PeerMemory view;
   rows<uint8_t, uint64_t>(memory, "memory", {kAnySize});  // flags are aligned

@@ -6,6 +6,7 @@
 #include "kernels/voxel/voxel.h"
 
 namespace pgccd::bind {
+
 inline VoxelBodies voxel_bodies(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
                                 double voxel_size, double min_separation, double tolerance) {
   const KeptDistance kept(min_separation, tolerance);

@@ -35,7 +35,10 @@ template <FeatureKind kKind>
   requires(kKind == FeatureKind::kVertexFace || kKind == FeatureKind::kEdgeEdge)
 constexpr bool kIsEdgeEdge = kKind == FeatureKind::kEdgeEdge;
 
-PGCCD_HD bool is_crossing(const Candidate& c) { return c.kind >= static_cast<int32_t>(FeatureKind::kEdgeFace); }
+PGCCD_HD bool is_crossing(const Candidate& c) {
+  return c.kind == static_cast<int32_t>(FeatureKind::kEdgeFace) ||
+         c.kind == static_cast<int32_t>(FeatureKind::kFaceEdge);
+}
 
 // Calls use(kind) with the kind, as a constant, of a candidate that is searched over time. A face and a vertex are a
 // vertex and a face of the bodies in reverse order.

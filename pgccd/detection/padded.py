@@ -91,8 +91,6 @@ def counts_of_given(pairs: Tensor, count: Tensor | None = None) -> Tensor:
     return torch.cat([counts.get(name, nothing) for name in list(COUNT_ROWS)[:COUNTS_OF_PAIRS]])
 
 
-
-
 def search_padded(
     bodies: MovingBodies,
     query: Query,
