@@ -100,7 +100,8 @@ void ask(const double (&start)[18], const double (&end)[18], const NarrowSetting
   }
   for (const bool is_edge_edge : {false, true}) {
     const Answer<T> answer =
-        is_edge_edge ? solve_elementary<true>(t0, t1, settings) : solve_elementary<false>(t0, t1, settings);
+        is_edge_edge ? solve_elementary<FeatureKind::kEdgeEdge>(t0, t1, settings)
+                     : solve_elementary<FeatureKind::kVertexFace>(t0, t1, settings);
     const double words[4] = {answer.outcome.toi, answer.outcome.u, answer.outcome.v,
                              100.0 * answer.significant_bits + static_cast<double>(answer.outcome.status)};
     for (const double word : words) {

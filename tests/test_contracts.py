@@ -6,8 +6,11 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from support.shapes import approaching
 
+import pgccd
 from pgccd import broad, narrow, sim
 from pgccd.detection.capacity import COUNTS_OF_PAIRS, Counts
 from pgccd.motion.faults import CHECK_NUMBERS
@@ -33,14 +36,20 @@ def enumerators(header: str, name: str) -> dict[str, int]:
 @pytest.mark.parametrize(
     ("header", "name", "expected"),
     [
-        ("kernels/broad/broad_phase.h", "BroadPhase", broad.BROAD_PHASE_NUMBERS),
-        ("kernels/narrow/narrow.h", "Report", {name: k for name, k in narrow.REPORTS.items() if name != "earliest"}),
+        ("kernels/broad/broad.h", "BroadPhase", broad.BROAD_PHASE_NUMBERS),
+        ("kernels/narrow/narrow.h", "Report", narrow.REPORTS),
         ("kernels/bounds/faults.h", "RowCheck", CHECK_NUMBERS),
         ("kernels/narrow/search_state.h", "Status", {each.name.lower(): each.value for each in narrow.Status}),
         (
             "core/candidate.h",
             "FeatureKind",
-            {"vertex_face": narrow.Kind.VF_AB, "face_vertex": narrow.Kind.VF_BA, "edge_edge": narrow.Kind.EE},
+            {
+                "vertex_face": narrow.Kind.VF_AB,
+                "face_vertex": narrow.Kind.VF_BA,
+                "edge_edge": narrow.Kind.EE,
+                "edge_face": narrow.Kind.EF_AB,
+                "face_edge": narrow.Kind.EF_BA,
+            },
         ),
         ("kernels/simulate/world.h", "MovementPattern", {name: k for k, name in enumerate(sim.PATTERNS)}),
     ],
@@ -48,6 +57,28 @@ def enumerators(header: str, name: str) -> dict[str, int]:
 def test_enumerations(header: str, name: str, expected: dict[str, int]) -> None:
     written = enumerators(header, name)
     assert {key: written.get(key) for key in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("header", "constant", "names"),
+    [
+        ("kernels/broad/broad.h", "kBroadPhases", broad.BROAD_PHASE_NUMBERS),
+        ("kernels/narrow/narrow.h", "kReports", narrow.REPORTS),
+        ("core/candidate.h", "kFeatureKinds", narrow.Kind),
+    ],
+)
+def test_numbers_of_enumerators(header: str, constant: str, names: Any) -> None:
+    """Operators refuse numbers from this on."""
+    found = re.search(rf"\b{constant} = (\d+);", (CSRC / header).read_text())
+    assert found is not None and int(found[1]) == len(names)
+
+
+def test_a_report_without_an_enumerator_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(narrow.REPORTS, "last", len(narrow.REPORTS))
+    given = approaching(np.random.default_rng(0))
+    scene, motion = given.scene(), given.motion()
+    with pytest.raises(RuntimeError, match="report: expected a number below 4, got 4"):
+        pgccd.detect(scene, motion, "last")  # type: ignore[arg-type]
 
 
 def test_columns_of_counts() -> None:

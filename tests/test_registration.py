@@ -13,6 +13,7 @@ from pgccd import _C, ops
 from pgccd.about import describe_installation
 
 CSRC = Path(__file__).resolve().parents[1] / "csrc"
+BIND = CSRC / "bind"
 # The baseline runs on CPUs only.
 ON_CPU_ALONE = {"pgccd::voxels_touched", "pgccd::voxel_boxes", "pgccd::voxel_pairs"}
 # Messages between GPUs.
@@ -55,6 +56,47 @@ def test_every_operator_has_a_cuda_kernel_or_none_has() -> None:
     expected = [name for name in OPERATORS if name not in ON_CPU_ALONE]
     assert operators_with("CUDA") == (expected if built_with_cuda() else [])
     assert describe_installation()["kernels for"] == ("cpu, cuda" if built_with_cuda() else "cpu")
+
+
+def test_an_operator_stands_in_one_header() -> None:
+    """Its function and the line that registers it; ops_cpu.cpp and ops_cuda.cpp register whole headers."""
+    registered: list[str] = []
+    for path in BIND.glob("*_ops.h"):
+        text = path.read_text()
+        for name, function in re.findall(r'library\.impl\("(\w+)",\s*PGCCD_BOX\(([\w:<> ]+)\)\)', text):
+            registered.append(f"pgccd::{name}")
+            bare = re.sub(r"^Ops::(template )?|<[\w:]+>$", "", function)
+            found = re.findall(rf"^ *(?:static|inline) [\w:<>, ]+ {bare}\(", text, re.MULTILINE)
+            assert len(found) == 1, f"{path.name}: {bare}: {found}"
+    assert sorted(registered) == OPERATORS
+    texts = {path.name: path.read_text() for path in BIND.iterdir()}
+    assert [name for name, text in texts.items() if "library.def(" in text] == ["schemas.cpp"]
+    assert {name for name, text in texts.items() if "LIBRARY_IMPL" in text} == {"ops_cpu.cpp", "ops_cuda.cpp"}
+
+
+def test_operators_are_registered_for_both_sessions() -> None:
+    everywhere, on_cpu, on_cuda = set(), {"register_voxel_ops"}, {"register_peer_ops", "register_graph_ops"}
+    for path in BIND.glob("*_ops.h"):
+        everywhere |= set(re.findall(r"template <class Session>\nvoid (register_\w+)", path.read_text()))
+    assert len(everywhere) == 5
+    for file, session, alone in (("ops_cpu.cpp", "CpuSession", on_cpu), ("ops_cuda.cpp", "CudaSession", on_cuda)):
+        calls = re.findall(r"^  (register_\w+(?:<\w+>)?)\(library\);", (BIND / file).read_text(), re.MULTILINE)
+        assert sorted(calls) == sorted({f"{name}<{session}>" for name in everywhere} | alone), file
+
+
+def test_kernels_for_cpu_and_cuda_are_overloads_in_one_header() -> None:
+    of_templates = "".join(p.read_text() for p in BIND.glob("*_ops.h") if "template <class Session>" in p.read_text())
+    called = set(re.findall(r"pgccd::(\w+)(?:<[\w:]+>)?\(\s*(?:Session\(|session\.context)", of_templates))
+    assert len(called) > 30
+    headers = {path.name: path.read_text() for path in (CSRC / "kernels").rglob("*.h")}
+    for name in called:
+        on_cpu, on_cuda = (
+            [header for header, text in headers.items() if re.search(rf"^\w.*\b{name}\(const {context}&", text, re.M)]
+            for context in ("Executor", "DeviceContext")
+        )
+        assert on_cpu == on_cuda and len(on_cpu) == 1, f"{name}: {on_cpu}, {on_cuda}"
+    for path in (path for path in (CSRC / "kernels").rglob("*") if path.is_file()):
+        assert not re.search(r"\w_(cpu|cuda)\(const (Executor|DeviceContext)&", path.read_text()), path
 
 
 def test_code_for_the_device_is_inside() -> None:

@@ -1,27 +1,30 @@
-// The detection operators, written once for both backends: views in, kernels, tensors out. A backend runs the kernels;
-// outputs whose size only the kernel determines are allocated by a callback.
+// The detection operators, templates over the session that they run in: views in, kernels, tensors out. Outputs whose
+// size only the kernel determines are allocated by a callback.
 #pragma once
 
-#include <functional>
-
-#include "bind/broad_arguments.h"
-#include "bind/contact_tensors.h"
+#include "bind/outputs.h"
 #include "core/candidate.h"
+#include "kernels/bounds/bounds.h"
 #include "kernels/bounds/faults.h"
-#include "kernels/broad/pair_output.h"
+#include "kernels/broad/broad.h"
 #include "kernels/narrow/narrow.h"
 #include "kernels/traverse/traverse.h"
 
 namespace pgccd::bind {
-
-using TensorList = std::vector<Tensor>;
 
 inline SweepSettings sweep_settings(double min_separation, double tolerance, bool tests_start) {
   const KeptDistance kept(min_separation, tolerance);
   return {kept.separation, kept.tolerance, tests_start};
 }
 
-template <class Backend>
+inline Report report_of(int64_t report) {
+  STD_TORCH_CHECK(report >= 0 && report < kReports, "report: expected a number below ", kReports, ", got ", report);
+  return static_cast<Report>(report);
+}
+
+using ElementaryTensors = std::tuple<Tensor, Tensor, Tensor, Tensor>;
+
+template <class Session>
 struct DetectOps {
   static Tensor first_faults(const TensorList& columns, const std::vector<int64_t>& checks,
                              const std::vector<double>& limits) {
@@ -41,7 +44,7 @@ struct DetectOps {
       views.push_back({values, columns[k].size(0), width, static_cast<RowCheck>(checks[k]), limits[k]});
     }
     Tensor first = new_tensor<int64_t>(columns[0], {static_cast<int64_t>(columns.size()) + 1});
-    Backend(columns[0]).first_faults(views, radii, data<int64_t>(first));
+    pgccd::first_faults(Session(columns[0]).context(), views, radii, data<int64_t>(first));
     return first;
   }
 
@@ -50,8 +53,32 @@ struct DetectOps {
     const int64_t count = orientation_t0.size(0);
     const double* q1 = rows<double>(orientation_t1, "orientation_t1", {count, 4});
     Tensor rotation = new_tensor<double>(orientation_t0, {count, 3});
-    Backend(orientation_t0).rotations_between(q0, q1, count, data<double>(rotation));
+    pgccd::rotations_between(Session(orientation_t0).context(), q0, q1, count, data<double>(rotation));
     return rotation;
+  }
+
+  static std::tuple<Tensor, Tensor> poses_at(const Tensor& position_t0, const Tensor& position_t1,
+                                             const Tensor& orientation, const Tensor& rotation, const Tensor& time) {
+    const double* times = rows<double>(time, "time", {kAnySize});
+    const int64_t count = time.size(0);
+    const RigidPoses poses{
+        rows<double>(position_t0, "position_t0", {count, 3}), rows<double>(position_t1, "position_t1", {count, 3}),
+        rows<double>(orientation, "orientation", {count, 4}), rows<double>(rotation, "rotation", {count, 3}), times};
+    Tensor position = new_tensor<double>(time, {count, 3}), turned = new_tensor<double>(time, {count, 4});
+    pgccd::poses_at(Session(time).context(), poses, count, data<double>(position), data<double>(turned));
+    return {position, turned};
+  }
+
+  static std::tuple<Tensor, Tensor, Tensor> moving_spheres(const TensorList& mesh_set, const TensorList& bodies,
+                                                           bool linear_path) {
+    const RigidBodies view = rigid_view(mesh_set, bodies, linear_path);
+    const Tensor& like = bodies[1];
+    const int64_t count = like.size(0);
+    Tensor centre_t0 = new_tensor<double>(like, {count, 3}), centre_t1 = new_tensor<double>(like, {count, 3});
+    Tensor reach = new_tensor<double>(like, {count});
+    pgccd::moving_spheres(Session(like).context(), view, count,
+                          {data<double>(centre_t0), data<double>(centre_t1), data<double>(reach)});
+    return {centre_t0, centre_t1, reach};
   }
 
   static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> refit(const TensorList& mesh_set, const Tensor& mesh_index,
@@ -75,9 +102,9 @@ struct DetectOps {
     Tensor radius = new_tensor<double>(vertices_t0, {input.body_count});
     Tensor blocks_t0 = new_tensor<float>(vertices_t0, {block_count, kBlockColumns, kBlockWidth});
     Tensor blocks_t1 = new_tensor<float>(vertices_t0, {block_count, kBlockColumns, kBlockWidth});
-    Backend(vertices_t0)
-        .refit(input, {data<double>(position_t0), data<double>(position_t1), data<double>(radius),
-                       data<NodeBlock>(blocks_t0), data<NodeBlock>(blocks_t1)});
+    pgccd::refit(Session(vertices_t0).context(), input,
+                 {data<double>(position_t0), data<double>(position_t1), data<double>(radius),
+                  data<NodeBlock>(blocks_t0), data<NodeBlock>(blocks_t1)});
     return {position_t0, position_t1, radius, blocks_t0, blocks_t1};
   }
 
@@ -89,8 +116,12 @@ struct DetectOps {
     const BroadPhaseChoice choice = broad_phase_choice(broad_phase, axis);
     const BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere,
                                           {min_separation, tolerance});
-    return collect_pairs(
-        radius, [&](const PairOutput& make_output) { Backend(radius).find_pairs(bodies, choice, make_output); });
+    Tensor pairs = radius;
+    const auto make_rows = [&](int64_t count) {
+      return data<int64_t>(pairs = new_tensor<int64_t>(radius, {count, 2}));
+    };
+    pgccd::find_pairs(Session(radius).context(), bodies, choice, PairOutput(make_rows));
+    return pairs;
   }
 
   static std::tuple<Tensor, Tensor> traverse_rigid(const TensorList& mesh_set, const TensorList& bodies,
@@ -122,6 +153,19 @@ struct DetectOps {
                   report);
   }
 
+  template <FeatureKind kKind>
+  static ElementaryTensors elementary(const Tensor& points_t0, const Tensor& points_t1, double min_separation,
+                                      double tolerance, bool nonzero_toi) {
+    check_separation(min_separation);
+    check_tolerance(tolerance);
+    STD_TORCH_CHECK(tolerance >= 0.0, "tolerance: expected a length >= 0, got ", tolerance);
+    const NarrowSettings settings{min_separation, tolerance, nonzero_toi};
+    if (points_t0.scalar_type() == ScalarType::Float) {
+      return elementary_in<kKind, float>(points_t0, points_t1, settings);
+    }
+    return elementary_in<kKind, double>(points_t0, points_t1, settings);
+  }
+
  private:
   template <class Bodies>
   static std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs,
@@ -138,15 +182,8 @@ struct DetectOps {
       candidates = new_tensor<int32_t>(pairs, {count, 4});
       return data<Candidate>(candidates);
     };
-    Backend(pairs).traverse(bodies, input, make_candidates, data<int64_t>(node_tests));
+    pgccd::traverse(Session(pairs).context(), bodies, input, make_candidates, data<int64_t>(node_tests));
     return {candidates, node_tests};
-  }
-
-  template <class Find>
-  static Tensor collect_pairs(const Tensor& like, Find&& find) {
-    Tensor pairs = like;
-    find([&](int64_t count) { return data<int64_t>(pairs = new_tensor<int64_t>(like, {count, 2})); });
-    return pairs;
   }
 
   template <class Bodies>
@@ -163,23 +200,45 @@ struct DetectOps {
     input.settings = settings;
     input.report = report_of(report);
     ContactTensors out{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};
-    Backend(pairs).narrow(bodies, input, [&](int64_t count) {
+    pgccd::narrow_phase(Session(pairs).context(), bodies, input, [&](int64_t count) {
       out = new_contact_tensors(pairs, count);
       return contact_columns(out);
     });
     return out;
   }
+
+  template <FeatureKind kKind, class T>
+  static ElementaryTensors elementary_in(const Tensor& points_t0, const Tensor& points_t1,
+                                         const NarrowSettings& settings) {
+    const T* x0 = rows<T>(points_t0, "points_t0", {kAnySize, 4, 3});
+    const int64_t count = points_t0.size(0);
+    const T* x1 = rows<T>(points_t1, "points_t1", {count, 4, 3});
+    Tensor status = new_tensor<int8_t>(points_t0, {count});
+    Tensor toi = new_tensor<T>(points_t0, {count});
+    Tensor coordinates = new_tensor<T>(points_t0, {count, 2});
+    Tensor significant_bits = new_tensor<int8_t>(points_t0, {count});
+    const ElementaryColumns<T> out{data<int8_t>(status), data<T>(toi), data<T>(coordinates),
+                                   data<int8_t>(significant_bits)};
+    pgccd::elementary<kKind>(Session(points_t0).context(), x0, x1, count, settings, out);
+    return {status, toi, coordinates, significant_bits};
+  }
 };
 
-// Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_DETECT_OPS(library, Backend)                                                           \
-  library.impl("first_faults", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::first_faults>::call));             \
-  library.impl("rotations_between", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::rotations_between>::call));   \
-  library.impl("refit", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::refit>::call));                           \
-  library.impl("broad_pairs", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::broad_pairs>::call));               \
-  library.impl("traverse_rigid", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::traverse_rigid>::call));         \
-  library.impl("traverse_deforming", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::traverse_deforming>::call)); \
-  library.impl("narrow_rigid", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::narrow_rigid>::call));             \
-  library.impl("narrow_deforming", TORCH_BOX(&OnOneDevice<&DetectOps<Backend>::narrow_deforming>::call))
+template <class Session>
+void register_detect_ops(Library& library) {
+  using Ops = DetectOps<Session>;
+  library.impl("first_faults", PGCCD_BOX(Ops::first_faults));
+  library.impl("rotations_between", PGCCD_BOX(Ops::rotations_between));
+  library.impl("poses_at", PGCCD_BOX(Ops::poses_at));
+  library.impl("moving_spheres", PGCCD_BOX(Ops::moving_spheres));
+  library.impl("refit", PGCCD_BOX(Ops::refit));
+  library.impl("broad_pairs", PGCCD_BOX(Ops::broad_pairs));
+  library.impl("traverse_rigid", PGCCD_BOX(Ops::traverse_rigid));
+  library.impl("traverse_deforming", PGCCD_BOX(Ops::traverse_deforming));
+  library.impl("narrow_rigid", PGCCD_BOX(Ops::narrow_rigid));
+  library.impl("narrow_deforming", PGCCD_BOX(Ops::narrow_deforming));
+  library.impl("vertex_face", PGCCD_BOX(Ops::template elementary<FeatureKind::kVertexFace>));
+  library.impl("edge_edge", PGCCD_BOX(Ops::template elementary<FeatureKind::kEdgeEdge>));
+}
 
 }  // namespace pgccd::bind

@@ -1,6 +1,7 @@
 // Checks that all tensors of a call are on one device.
 #pragma once
 
+#include <torch/csrc/stable/library.h>
 #include <torch/csrc/stable/tensor.h>
 #include <torch/headeronly/util/Exception.h>
 
@@ -72,5 +73,10 @@ struct OnOneDevice<kOperator> {
     return kOperator(std::forward<Arguments>(arguments)...);
   }
 };
+
+using Library = torch::stable::detail::StableLibrary;
+
+// An operator as the dispatcher calls it.
+#define PGCCD_BOX(operator_) TORCH_BOX(&OnOneDevice<&operator_>::call)
 
 }  // namespace pgccd::bind

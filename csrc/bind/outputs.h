@@ -1,4 +1,4 @@
-// Allocation of result tensors.
+// Allocation of result tensors, and contact rows as tensors.
 #pragma once
 
 #include <torch/csrc/inductor/aoti_torch/c/shim.h>
@@ -6,8 +6,10 @@
 #include <algorithm>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 
 #include "bind/arguments.h"
+#include "kernels/narrow/narrow.h"
 
 namespace pgccd::bind {
 
@@ -42,6 +44,23 @@ Tensor new_tensor(const Tensor& like, std::initializer_list<int64_t> shape) {
 template <class T>
 T* data(Tensor& tensor) {
   return static_cast<T*>(tensor.data_ptr());
+}
+
+// The columns of ContactRows.
+using ContactTensors = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
+
+inline ContactTensors new_contact_tensors(const Tensor& like, int64_t count) {
+  return {new_tensor<int32_t>(like, {count}),    new_tensor<int8_t>(like, {count}),
+          new_tensor<int32_t>(like, {count, 2}), new_tensor<int8_t>(like, {count}),
+          new_tensor<double>(like, {count}),     new_tensor<double>(like, {count, 2}),
+          new_tensor<double>(like, {count, 3}),  new_tensor<double>(like, {count, 3})};
+}
+
+inline ContactColumns contact_columns(ContactTensors& tensors) {
+  auto& [pair, kind, features, status, toi, coordinates, point, normal] = tensors;
+  return {data<int32_t>(pair),  nullptr,           data<int8_t>(kind),        data<int32_t>(features),
+          data<int8_t>(status), data<double>(toi), data<double>(coordinates), data<double>(point),
+          data<double>(normal)};
 }
 
 }  // namespace pgccd::bind

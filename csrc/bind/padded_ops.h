@@ -1,17 +1,15 @@
-// The detection operators in given capacities, which do not synchronise: rows beyond a capacity are counted. Written
-// once for both backends.
+// The detection operators in given capacities, which do not synchronise: rows beyond a capacity are counted. Templates
+// over the session that they run in.
 #pragma once
 
 #include <tuple>
 
 #include "bind/detect_ops.h"
-#include "kernels/begin_counts.h"
-#include "kernels/padded_pairs.h"
-#include "kernels/pipeline/contact_search.h"
+#include "kernels/pipeline/pipeline.h"
 
 namespace pgccd::bind {
 
-template <class Backend>
+template <class Session>
 struct PaddedOps {
   // Columns of contacts, body pairs (rows, 2) first; and all counts.
   using Found = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
@@ -29,17 +27,17 @@ struct PaddedOps {
     Tensor rows = new_tensor<int64_t>(radius, {capacity[0], 2});
     Tensor counts = new_tensor<int64_t>(radius, {kPairCounts});
     const PaddedPairs out{{capacity[0], capacity[1], capacity[2] != 0}, data<int64_t>(rows), data<int64_t>(counts)};
-    Backend(radius).pairs_padded(bodies, broad_phase_choice(broad_phase, -1), out);
+    pgccd::find_pairs(Session(radius).context(), bodies, broad_phase_choice(broad_phase, -1), out);
     return {rows, counts};
   }
 
   // A whole step: checks of the poses and of more columns, unless their faults are given, then the pairs, then their
   // contacts. With a buffer `reach`, the pairs of bodies with valid rows are found even if others are invalid.
-  static Found detect_rigid(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies, bool linear_path,
-                            const std::vector<Tensor>& spheres, const std::optional<Tensor>& group,
+  static Found detect_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
+                            const TensorList& spheres, const std::optional<Tensor>& group,
                             const std::optional<Tensor>& mask, const std::optional<Tensor>& world,
                             const std::optional<Tensor>& is_static, const std::optional<Tensor>& known_faults,
-                            std::optional<Tensor> reach, const std::vector<Tensor>& more_columns,
+                            std::optional<Tensor> reach, const TensorList& more_columns,
                             const std::vector<int64_t>& checks, const std::vector<double>& limits,
                             double min_separation, double tolerance, bool nonzero_toi, bool tests_start, int64_t report,
                             int64_t broad_phase, const std::vector<int64_t>& pair_capacity,
@@ -67,28 +65,29 @@ struct PaddedOps {
       columns.push_back(column);
     }
     const Tensor faults =
-        known_faults ? *known_faults : DetectOps<Backend>::find_faults(columns, checks, limits, radii);
+        known_faults ? *known_faults : DetectOps<Session>::find_faults(columns, checks, limits, radii);
     const int64_t* const first_faults = rows<int64_t>(faults, "faults", {kAnySize});
     STD_TORCH_CHECK(faults.size(0) > 0, "faults: expected a number at least");
     if (!reach) swept.is_invalid = first_faults + faults.size(0) - 1;
     check_capacity(pair_capacity, 3);
-    check_capacity(capacity, 7);
+    check_contact_capacity(capacity);
     const Tensor& like = bodies[1];
     Tensor pairs = like, counts = new_tensor<int64_t>(like, {kPairCounts});
     const auto make_rows = [&](int64_t rows) { return data<int64_t>(pairs = new_tensor<int64_t>(like, {rows, 2})); };
-    const Backend backend(like);
     const BroadPhaseChoice choice = broad_phase_choice(broad_phase, -1);
-    if (capacity.back() == kExactly) {
-      backend.pairs_exactly(swept, choice, pair_capacity[0], make_rows, data<int64_t>(counts));
-    } else {
+    const Session session(like);
+    if (capacity.back() != kExactly) {
       const PairCapacity most{pair_capacity[0], pair_capacity[1], pair_capacity[2] != 0};
-      backend.pairs_padded(swept, choice, {most, make_rows(most.pairs), data<int64_t>(counts)});
+      pgccd::find_pairs(session.context(), swept, choice,
+                        PaddedPairs{most, make_rows(most.pairs), data<int64_t>(counts)});
+    } else if constexpr (Session::kHostKnowsCounts) {
+      find_pairs_exactly(session.context(), swept, choice, pair_capacity[0], make_rows, data<int64_t>(counts));
     }
     return contacts(view, pairs, counts, faults, {min_separation, tolerance, nonzero_toi}, tests_start, report,
                     capacity);
   }
 
-  static Found contacts_rigid(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies, bool linear_path,
+  static Found contacts_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
                               const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
                               double min_separation, double tolerance, bool nonzero_toi, bool tests_start,
                               int64_t report, const std::vector<int64_t>& capacity) {
@@ -96,17 +95,17 @@ struct PaddedOps {
                     {min_separation, tolerance, nonzero_toi}, tests_start, report, capacity);
   }
 
-  static Found contacts_deforming(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& bodies,
-                                  const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
-                                  double min_separation, double tolerance, bool nonzero_toi, bool tests_start,
-                                  int64_t report, const std::vector<int64_t>& capacity) {
+  static Found contacts_deforming(const TensorList& mesh_set, const TensorList& bodies, const Tensor& pairs,
+                                  const Tensor& pair_counts, const Tensor& faults, double min_separation,
+                                  double tolerance, bool nonzero_toi, bool tests_start, int64_t report,
+                                  const std::vector<int64_t>& capacity) {
     return contacts(deforming_view(mesh_set, bodies), pairs, pair_counts, faults,
                     {min_separation, tolerance, nonzero_toi}, tests_start, report, capacity);
   }
 
   // Lowers the first toi of the owners of each pair; computes no other column, and does not test starts.
-  static Tensor lower_first_toi_rigid(Tensor first, const Tensor& owners, const std::vector<Tensor>& mesh_set,
-                                      const std::vector<Tensor>& bodies, bool linear_path, const Tensor& pairs,
+  static Tensor lower_first_toi_rigid(Tensor first, const Tensor& owners, const TensorList& mesh_set,
+                                      const TensorList& bodies, bool linear_path, const Tensor& pairs,
                                       const Tensor& pair_counts, double min_separation, double tolerance,
                                       bool nonzero_toi, const std::vector<int64_t>& capacity) {
     check_capacity(capacity, 6);
@@ -115,11 +114,10 @@ struct PaddedOps {
     search.traverse_capacity = traverse_capacity(capacity);
     search.contact_capacity = {capacity[5], 0};
     rows<double>(first, "first", {kAnySize});
-    const FirstToi known{rows<int64_t>(owners, "owners", {pairs.size(0), 2}), data<double>(first)};
-    const Backend backend(pairs);
-    backend.require_owners(known.owners, search.pair_count, pairs.size(0), first.size(0));
-    Tensor counts = begin_counts(backend, search, pairs, pair_counts, nullptr, 0);
-    backend.lower_first_toi(rigid_view(mesh_set, bodies, linear_path), search, known);
+    const FirstToi known{rows<int64_t>(owners, "owners", {pairs.size(0), 2}), data<double>(first), first.size(0)};
+    const Session session(pairs);
+    Tensor counts = begin_counts(session, search, pairs, pair_counts, nullptr, 0);
+    pgccd::lower_first_toi(session.context(), rigid_view(mesh_set, bodies, linear_path), search, known);
     return counts;
   }
 
@@ -139,7 +137,7 @@ struct PaddedOps {
   }
 
   // All counts of a step, those of its pairs first, followed by `more_count` values copied from `more`.
-  static Tensor begin_counts(const Backend& backend, ContactSearch& search, const Tensor& pairs,
+  static Tensor begin_counts(const Session& session, ContactSearch& search, const Tensor& pairs,
                              const Tensor& pair_counts, const int64_t* more, int64_t more_count) {
     constexpr int64_t kCounts = kPairCounts + int64_t{kTraverseCounts} + int64_t{kContactCounts};
     Tensor counts = new_tensor<int64_t>(pairs, {kCounts + more_count});
@@ -147,13 +145,19 @@ struct PaddedOps {
     search.traverse_counts = begin + kPairCounts;
     search.contact_counts = search.traverse_counts + kTraverseCounts;
     const int64_t* of_pairs = rows<int64_t>(pair_counts, "pair_counts", {kPairCounts});
-    backend.begin_counts({of_pairs, kPairCounts, begin}, {more, more_count, begin + kCounts},
-                         search.traverse_counts + kTraverseBegan);
+    pgccd::begin_counts(session.context(), {of_pairs, kPairCounts, begin}, {more, more_count, begin + kCounts},
+                        search.traverse_counts + kTraverseBegan);
     return counts;
   }
 
   static TraverseCapacity traverse_capacity(const std::vector<int64_t>& capacity) {
     return {capacity[0], capacity[1], capacity[2], capacity[3], capacity[4]};
+  }
+
+  static void check_contact_capacity(const std::vector<int64_t>& capacity) {
+    check_capacity(capacity, 7);
+    STD_TORCH_CHECK(Session::kHostKnowsCounts || capacity.back() != kExactly,
+                    "capacity: an exact number of contacts needs the CPU; on a GPU give a capacity");
   }
 
   // Rows have 32-bit numbers.
@@ -171,12 +175,8 @@ struct PaddedOps {
   static Found contacts(const Bodies& bodies, const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
                         const NarrowSettings& settings, bool tests_start, int64_t report,
                         const std::vector<int64_t>& capacity) {
-    check_capacity(capacity, 7);
-    constexpr int64_t kOnlyEarliest = 3;  // first contacts, pruned by the earliest of the scene
-    ContactSearch search =
-        search_of(pairs, pair_counts, settings, tests_start,
-                  report_of(report == kOnlyEarliest ? static_cast<int64_t>(Report::kFirst) : report));
-    search.only_earliest = report == kOnlyEarliest;
+    check_contact_capacity(capacity);
+    ContactSearch search = search_of(pairs, pair_counts, settings, tests_start, report_of(report));
     search.traverse_capacity = traverse_capacity(capacity);
     search.contact_capacity = {capacity[5], capacity[6]};
     ContactTensors found{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};
@@ -190,19 +190,21 @@ struct PaddedOps {
       return columns;
     };
     const int64_t* handed_on = rows<int64_t>(faults, "faults", {kAnySize});
-    const Backend backend(pairs);
-    Tensor counts = begin_counts(backend, search, pairs, pair_counts, handed_on, faults.size(0));
-    backend.find_contacts(bodies, search, make_output);
+    const Session session(pairs);
+    Tensor counts = begin_counts(session, search, pairs, pair_counts, handed_on, faults.size(0));
+    pgccd::find_contacts(session.context(), bodies, search, make_output);
     return std::tuple_cat(found, std::make_tuple(counts));
   }
 };
 
-// Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_PADDED_OPS(library, Backend)                                                                  \
-  library.impl("pairs_padded", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::pairs>::call));                           \
-  library.impl("detect_rigid", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::detect_rigid>::call));                    \
-  library.impl("contacts_padded_rigid", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::contacts_rigid>::call));         \
-  library.impl("contacts_padded_deforming", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::contacts_deforming>::call)); \
-  library.impl("lower_first_toi_rigid", TORCH_BOX(&OnOneDevice<&PaddedOps<Backend>::lower_first_toi_rigid>::call))
+template <class Session>
+void register_padded_ops(Library& library) {
+  using Ops = PaddedOps<Session>;
+  library.impl("pairs_padded", PGCCD_BOX(Ops::pairs));
+  library.impl("detect_rigid", PGCCD_BOX(Ops::detect_rigid));
+  library.impl("contacts_padded_rigid", PGCCD_BOX(Ops::contacts_rigid));
+  library.impl("contacts_padded_deforming", PGCCD_BOX(Ops::contacts_deforming));
+  library.impl("lower_first_toi_rigid", PGCCD_BOX(Ops::lower_first_toi_rigid));
+}
 
 }  // namespace pgccd::bind

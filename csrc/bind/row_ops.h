@@ -1,13 +1,11 @@
-// The operators that move rows of columns, written once for both backends. Columns are tensors of any type and width
-// with one row per body, copied as bytes.
+// The operators that move rows of columns, templates over the session that they run in. Columns are tensors of any type
+// and width with one row per body, copied as bytes.
 #pragma once
 
 #include "bind/outputs.h"
 #include "kernels/rows/rows.h"
 
 namespace pgccd::bind {
-
-using TensorList = std::vector<Tensor>;
 
 // Bytes of a tile are counted in 32 bits.
 constexpr int64_t kMostRowBytes = int64_t{1} << 26;
@@ -93,7 +91,7 @@ std::vector<ColumnCopy> column_copies(const ColumnViews& views, const Make& make
   return copies;
 }
 
-template <class Backend>
+template <class Session>
 struct RowOps {
   static Tensor pack_rows(const TensorList& columns, const Tensor& rows) {
     ChosenRows chosen = chosen_rows(rows);
@@ -104,7 +102,7 @@ struct RowOps {
     const auto copies = column_copies(views, [&](size_t k, int64_t offset) {
       return ColumnCopy{views.data(k), nullptr, target + offset, views.width(k), 0, views.row_bytes(), 0};
     });
-    Backend(rows).copy_rows(copies, chosen);
+    pgccd::copy_rows(Session(rows).context(), copies, chosen);
     return packed;
   }
 
@@ -116,7 +114,7 @@ struct RowOps {
     const auto copies = column_copies(views, [&](size_t k, int64_t offset) {
       return ColumnCopy{source + offset, nullptr, data<uint8_t>(columns[k]), views.row_bytes(), 0, views.width(k), 0};
     });
-    Backend(packed).copy_rows(copies, {nullptr, count, count, count});
+    pgccd::copy_rows(Session(packed).context(), copies, {nullptr, count, count, count});
     return columns;
   }
 
@@ -136,7 +134,7 @@ struct RowOps {
       const int64_t width = views.width(k);
       return ColumnCopy{views.data(k), second, data<uint8_t>(taken[k]), width, width, width, 0};
     });
-    Backend(rows).copy_rows(copies, chosen);
+    pgccd::copy_rows(Session(rows).context(), copies, chosen);
     return taken;
   }
 
@@ -160,7 +158,7 @@ struct RowOps {
       return ColumnCopy{
           views.data(k), change.added + offset, data<uint8_t>(merged[k]), width, change.added_stride, width, 0};
     });
-    Backend(packed).merge_rows(copies, change);
+    pgccd::merge_rows(Session(packed).context(), copies, change);
     return merged;
   }
 
@@ -170,11 +168,13 @@ struct RowOps {
   }
 };
 
-// Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_ROW_OPS(library, Backend)                                             \
-  library.impl("pack_rows", TORCH_BOX(&OnOneDevice<&RowOps<Backend>::pack_rows>::call));     \
-  library.impl("unpack_rows", TORCH_BOX(&OnOneDevice<&RowOps<Backend>::unpack_rows>::call)); \
-  library.impl("take_rows", TORCH_BOX(&OnOneDevice<&RowOps<Backend>::take_rows>::call));     \
-  library.impl("merge_rows", TORCH_BOX(&OnOneDevice<&RowOps<Backend>::merge_rows>::call))
+template <class Session>
+void register_row_ops(Library& library) {
+  using Ops = RowOps<Session>;
+  library.impl("pack_rows", PGCCD_BOX(Ops::pack_rows));
+  library.impl("unpack_rows", PGCCD_BOX(Ops::unpack_rows));
+  library.impl("take_rows", PGCCD_BOX(Ops::take_rows));
+  library.impl("merge_rows", PGCCD_BOX(Ops::merge_rows));
+}
 
 }  // namespace pgccd::bind

@@ -1,5 +1,4 @@
-// The detection operators; those of other stages are in *_schemas.cpp. pgccd/ops/ documents them: shapes, units,
-// errors.
+// The operators. pgccd/ops/ documents them: shapes, units, errors.
 //
 // mesh_set = [vertices (V, 3) f64, faces (F, 3) i32, edges (E, 2) i32, triangles (F, 8) i32, node_blocks (n, 9, 8) f32,
 //             node_links (n, 8, 4) i32, leaf_points (p, 4, 8) as i32, corners (9, F + padding) f32,
@@ -18,13 +17,7 @@
 //
 // contact rows = (pair i32, kind i8, features (., 2) i32, status i8, toi f64, coordinates (., 2), point (., 3), normal
 // (., 3))
-#include <Python.h>
 #include <torch/csrc/stable/library.h>
-
-#include <utility>
-
-#include "bind/device_share.h"
-#include "bind/scratch_peak.h"
 
 STABLE_TORCH_LIBRARY(pgccd, library) {
   // Checks of columns (., width): 0 magnitude of each number, 1 |length - 1| within the limit, 2 length, 3 each number
@@ -33,36 +26,33 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def("rotations_between(Tensor orientation_t0, Tensor orientation_t1) -> Tensor");
   library.def(
       "refit(Tensor[] mesh_set, Tensor mesh_index, Tensor vertices_t0, Tensor vertices_t1, Tensor vertex_begin, "
-      "Tensor block_begin, int block_count) -> (Tensor position_t0, Tensor position_t1, Tensor radius, Tensor "
-      "spheres_t0, "
-      "Tensor blocks_t1)");
+      "Tensor block_begin, int block_count) -> (Tensor position_t0, Tensor position_t1, Tensor radius, "
+      "Tensor blocks_t0, Tensor blocks_t1)");
   library.def(
-      "poses_at(Tensor position_t0, Tensor position_t1, Tensor orientation, Tensor rotation, Tensor time) -> (Tensor "
-      "position, Tensor orientation_at)");
+      "poses_at(Tensor position_t0, Tensor position_t1, Tensor orientation, Tensor rotation, Tensor time) -> "
+      "(Tensor position, Tensor orientation_at)");
   library.def(
       "moving_spheres(Tensor[] mesh_set, Tensor[] bodies, bool linear_path) -> (Tensor centre_t0, Tensor centre_t1, "
       "Tensor reach)");
-  // broad_phase: see kernels/broad/broad_phase.h; axis: used by the sweep only
+  // broad_phase: see kernels/broad/broad.h; axis: used by the sweep only
   library.def(
       "broad_pairs(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, Tensor? elsewhere, float min_separation, float tolerance, int broad_phase, int axis) -> "
       "Tensor");
   library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
-      "float min_separation, float tolerance, bool tests_start) "
-      "-> (Tensor candidates, Tensor node_tests)");
+      "float min_separation, float tolerance, bool tests_start) -> (Tensor candidates, Tensor node_tests)");
   library.def(
-      "traverse_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor? horizon, "
-      "float min_separation, float tolerance, bool tests_start) "
-      "-> (Tensor candidates, Tensor node_tests)");
+      "traverse_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor? horizon, float min_separation, "
+      "float tolerance, bool tests_start) -> (Tensor candidates, Tensor node_tests)");
   library.def(
       "narrow_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor candidates, "
-      "float min_separation, float tolerance, bool nonzero_toi, int report) "
-      "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor)");
+      "float min_separation, float tolerance, bool nonzero_toi, int report) -> (Tensor, Tensor, Tensor, Tensor, "
+      "Tensor, Tensor, Tensor, Tensor)");
   library.def(
-      "narrow_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor candidates, "
-      "float min_separation, float tolerance, bool nonzero_toi, int report) "
-      "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor)");
+      "narrow_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor candidates, float min_separation, "
+      "float tolerance, bool nonzero_toi, int report) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, "
+      "Tensor)");
   // Does not synchronise. capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h.
   library.def(
       "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
@@ -73,13 +63,12 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // kernels/narrow/narrow.h.
   library.def(
       "contacts_padded_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_counts, "
-      "Tensor faults, "
-      "float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, int[] capacity) "
-      "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
+      "Tensor faults, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, "
+      "int[] capacity) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   library.def(
       "contacts_padded_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, Tensor faults, "
-      "float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, int[] capacity) "
-      "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
+      "float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, int[] capacity) -> "
+      "(Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   // A whole step: pairs_padded of the spheres = [position_t0, position_t1, radius], then contacts_padded_rigid. If
   // `spheres` is empty, the bodies' own spheres are used; the bodies must then be centred, without margins. The poses,
   // bodies[1, 2, 4, 5], and more_columns (N, width) f64 are checked as by first_faults, unless `faults` is given. If a
@@ -87,68 +76,109 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // radii are written to it, -inf for invalid bodies. If capacity.contacts is -1, all pairs found are returned, or none
   // if there are more than pair_capacity.pairs.
   library.def(
-      "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, Tensor? "
-      "mask, "
-      "Tensor? world, Tensor? is_static, Tensor? faults, Tensor(a!)? reach, Tensor[] more_columns, "
-      "int[] checks, float[] limits, "
-      "float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, int broad_phase, "
-      "int[] pair_capacity, int[] capacity) "
-      "-> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
+      "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, "
+      "Tensor? mask, Tensor? world, Tensor? is_static, Tensor? faults, Tensor(a!)? reach, Tensor[] more_columns, "
+      "int[] checks, float[] limits, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, "
+      "int report, int broad_phase, int[] pair_capacity, int[] capacity) -> (Tensor, Tensor, Tensor, Tensor, Tensor, "
+      "Tensor, Tensor, Tensor, Tensor counts)");
   // Lowers first (N,) f64 at the owners (P, 2) i64 of each pair; capacity without contacts, counts without faults.
   library.def(
       "lower_first_toi_rigid(Tensor(a!) first, Tensor owners, Tensor[] mesh_set, Tensor[] bodies, bool linear_path, "
       "Tensor pairs, Tensor pair_counts, float min_separation, float tolerance, bool nonzero_toi, int[] capacity) -> "
       "Tensor counts");
   library.def(
-      "vertex_face(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) "
-      "-> (Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
+      "vertex_face(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) -> "
+      "(Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
   library.def(
-      "edge_edge(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) "
-      "-> (Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
-}
+      "edge_edge(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) -> "
+      "(Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
 
-namespace pgccd::bind {
+  // Rows of columns: tensors of any type and width with equal numbers of rows.
+  // packed (rows, bytes) u8: a row's bytes in all columns, in order; rows, removed (rows,) i64
+  library.def("pack_rows(Tensor[] columns, Tensor rows) -> Tensor");
+  library.def("unpack_rows(Tensor packed, Tensor[] like) -> Tensor[]");
+  library.def("take_rows(Tensor[] columns, Tensor[] more, Tensor rows) -> Tensor[]");
+  library.def("merge_rows(Tensor[] columns, Tensor removed, Tensor packed) -> Tensor[]");
 
-int64_t& scratch_peak() {
-  thread_local int64_t bytes = 0;
-  return bytes;
-}
+  // Distribution of bodies over ranks.
+  // centres, ghosts = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
+  // frame = lower corner, cells per length unit, number of cells; each along x, y, z
+  // owner (cells,) i64, or (planes, 4) f64
+  library.def(
+      "swept_boxes(Tensor position_t0, Tensor position_t1, Tensor radius, float min_separation, float tolerance) -> "
+      "(Tensor lower, Tensor upper)");
+  library.def(
+      "boundary_bodies(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, "
+      "int rank) -> (Tensor reach, Tensor boundary, Tensor found)");
+  library.def(
+      "replica_ranks(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank, "
+      "Tensor bodies, int[] received, int ranks) -> (Tensor replica_ranks, Tensor counts)");
+  library.def(
+      "reached_ranks(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, int rank, "
+      "Tensor bodies, Tensor? begin, int places, int ranks) -> Tensor");
+  library.def("rows_by_rank(Tensor replica_ranks, Tensor rows, Tensor counts, int[] capacities) -> Tensor");
+  library.def("counts_to_send(Tensor counts, int[] capacities, Tensor found, int capacity) -> Tensor");
+  library.def(
+      "owned_pairs(Tensor pairs, Tensor rows, Tensor id, Tensor[] centres, float min_separation, float tolerance, "
+      "Tensor reach, float[] frame, Tensor owner, int rank) -> (Tensor owned, Tensor found)");
+  library.def(
+      "near_ghosts(Tensor[] centres, Tensor reach, Tensor[] ghosts, float min_separation, float tolerance, "
+      "float[] frame, Tensor owner, int rank) -> (Tensor near, Tensor found)");
+  library.def(
+      "leaving_bodies(Tensor position, float[] frame, Tensor owner, int rank, int ranks) -> (Tensor leaving, "
+      "Tensor by_destination, Tensor counts)");
+  library.def("count_leaving(Tensor position, Tensor? id, float[] frame, Tensor owner, int rank) -> Tensor");
 
-int& device_share() {
-  thread_local int share = 1;
-  return share;
-}
+  // The nanorobot simulation.
+  // state = [id (N,) i64, position (N, 3), orientation (N, 4), velocity (N, 3), angular_velocity (N, 3),
+  //          target (N,) i64, stay_until (N,) i64], see kernels/simulate/robot.h
+  // integers, scales: WorldIntegers and WorldScales of kernels/simulate/world.h
+  library.def(
+      "simulate_start(Tensor id, int[] integers, float[] scales) -> (Tensor position, Tensor orientation, "
+      "Tensor velocity, Tensor angular_velocity, Tensor target, Tensor stay_until)");
+  library.def(
+      "simulate_plan(Tensor[] state, Tensor step, int[] integers, float[] scales) -> (Tensor velocity, "
+      "Tensor angular_velocity, Tensor target, Tensor stay_until)");
+  library.def(
+      "simulate_respond(Tensor[] state, Tensor fraction) -> (Tensor position, Tensor orientation, Tensor velocity, "
+      "Tensor angular_velocity)");
+  // planned: velocity, angular_velocity, target, stay_until
+  library.def("simulate_commit(Tensor(a!)[] state, Tensor[] planned, Tensor fraction, Tensor discard) -> ()");
+  library.def(
+      "simulate_slow_all_down(Tensor(a!) first, Tensor(b!) fraction, Tensor(c!) changed, Tensor(d!) changes, "
+      "float approach, float smallest) -> ()");
+  library.def("simulate_first_toi(Tensor(a!) first, Tensor? robots, Tensor pairs, Tensor toi) -> ()");
+  // counts: see kernels/padded_pairs.h
+  library.def(
+      "simulate_affected_motion(Tensor[] own, Tensor[] ghosts, Tensor fraction, Tensor changed, Tensor pairs, "
+      "Tensor mesh_radius, int capacity) -> (Tensor affected, Tensor mesh_index, Tensor position_t0, "
+      "Tensor position_t1, Tensor radius, Tensor orientation, Tensor rotation, Tensor counts)");
+  // Number of robots, hash of contacts, hash of states, number of robots that stopped, number of contacts at the start,
+  // hash of ids.
+  library.def("simulate_tally(Tensor[] state, Tensor fraction, Tensor id, Tensor pairs, Tensor toi) -> Tensor");
+  library.def("simulate_hash(Tensor[] columns) -> Tensor");
+  library.def("random_uniforms(Tensor id, int seed, int step, int stream) -> Tensor");
 
-}  // namespace pgccd::bind
+  // The voxel-based baseline. On CPUs only.
+  library.def(
+      "voxels_touched(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, float voxel_size, float min_separation, "
+      "float tolerance) -> (Tensor voxels, Tensor counts)");
+  library.def(
+      "voxel_boxes(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, float voxel_size, float min_separation, "
+      "float tolerance, Tensor voxels, Tensor counts) -> Tensor");
+  library.def(
+      "voxel_pairs(Tensor boxes, Tensor segments, Tensor voxels, Tensor first_segment, float voxel_size) -> Tensor");
 
-namespace {
+  // Messages between GPUs of one host, see kernels/peers/peers.h. On GPUs only.
+  // memory (ranks * region bytes,) u8, of this rank; addresses (ranks,) i64 of the memory of each rank; stop: address
+  // of an i64 in host memory
+  library.def("peer_gather(Tensor values, Tensor(a!) memory, Tensor addresses, int stop, int rank) -> Tensor");
+  library.def(
+      "peer_minimum(Tensor(a!) values, Tensor sent_rows, int[] sent, Tensor received_rows, int[] received, "
+      "Tensor? found, Tensor(c!)? anywhere, Tensor(b!) memory, Tensor addresses, int stop, int rank) -> ()");
 
-PyObject* take_scratch_peak(PyObject*, PyObject*) {
-  return PyLong_FromLongLong(std::exchange(pgccd::bind::scratch_peak(), 0));
-}
-
-PyObject* set_device_share(PyObject*, PyObject* given) {
-  const long share = PyLong_AsLong(given);
-  if (share == -1 && PyErr_Occurred() != nullptr) return nullptr;
-  if (share < 1 || share > 1024) {
-    PyErr_SetString(PyExc_ValueError, "share: expected a number from 1 to 1024");
-    return nullptr;
-  }
-  return PyLong_FromLong(std::exchange(pgccd::bind::device_share(), static_cast<int>(share)));
-}
-
-PyMethodDef methods[] = {
-    {"set_device_share", set_device_share, METH_O,
-     "Lets operators called by this thread take 1 / share of a GPU's blocks. Returns the former share."},
-    {"take_scratch_peak", take_scratch_peak, METH_NOARGS,
-     "Most bytes of scratch memory that an operator on a GPU, called by this thread, has held since the last call."},
-    {nullptr, nullptr, 0, nullptr}};
-
-}  // namespace
-
-// Importing pgccd._C runs the registrations of this binary.
-PyMODINIT_FUNC PyInit__C() {
-  static PyModuleDef definition = {
-      PyModuleDef_HEAD_INIT, "_C", nullptr, -1, methods, nullptr, nullptr, nullptr, nullptr};
-  return PyModule_Create(&definition);
+  // Conditional parts of CUDA graphs, see kernels/graphs/conditional.h. On GPUs only. body: a stream's address
+  library.def("has_conditional_nodes(Tensor value) -> bool");
+  library.def("begin_conditional(Tensor value, int body) -> ()");
+  library.def("end_conditional(Tensor value, int body) -> ()");
 }

@@ -1,10 +1,99 @@
-// The operators of the nanorobot simulation, written once for both backends.
+// The operators of the nanorobot simulation, templates over the session that they run in.
 #pragma once
 
+#include <cstring>
+
 #include "bind/detect_ops.h"
-#include "bind/simulate_arguments.h"
+#include "kernels/simulate/simulate.h"
 
 namespace pgccd::bind {
+
+template <class Fields, class Number>
+Fields fields_of(const std::vector<Number>& numbers, const char* name) {
+  constexpr size_t kCount = sizeof(Fields) / sizeof(Number);
+  STD_TORCH_CHECK(numbers.size() == kCount, name, ": expected ", kCount, " values, got ", numbers.size());
+  Fields fields;
+  std::memcpy(&fields, numbers.data(), sizeof(Fields));
+  return fields;
+}
+
+inline World world_view(const std::vector<int64_t>& integers, const std::vector<double>& scales) {
+  const auto n = fields_of<WorldIntegers>(integers, "integers");
+  const auto s = fields_of<WorldScales>(scales, "scales");
+  STD_TORCH_CHECK(n.robot_count > 0 && n.cells_x > 0 && n.cells_y > 0 && n.cells_z > 0,
+                  "integers: expected at least one robot and one cell per axis");
+  // So that products do not overflow.
+  STD_TORCH_CHECK(larger(larger(n.cells_x, n.cells_y), n.cells_z) <= 1 << 20 && n.robot_count < int64_t{1} << 31,
+                  "integers: expected less than 2^31 robots and at most 2^20 cells per axis");
+  STD_TORCH_CHECK(n.pattern == 0 || n.pattern == 1, "integers: unknown movement pattern ", n.pattern);
+  return {n.robot_count,
+          {n.cells_x, n.cells_y, n.cells_z},
+          static_cast<MovementPattern>(n.pattern),
+          static_cast<uint64_t>(n.seed),
+          n.stay_shortest,
+          n.stay_longest,
+          s.radius,
+          s.spacing,
+          s.speed,
+          s.spin,
+          s.course_change,
+          s.resumption,
+          s.arrival,
+          s.crowd};
+}
+
+inline RobotColumns robot_columns(const std::vector<Tensor>& t) {
+  STD_TORCH_CHECK(t.size() == 7, "state: expected 7 tensors, got ", t.size());
+  RobotColumns view;
+  view.id = rows<int64_t>(t[0], "state.id", {kAnySize});
+  view.count = t[0].size(0);
+  view.position = rows<double>(t[1], "state.position", {view.count, 3});
+  view.orientation = rows<double>(t[2], "state.orientation", {view.count, 4});
+  view.velocity = rows<double>(t[3], "state.velocity", {view.count, 3});
+  view.angular_velocity = rows<double>(t[4], "state.angular_velocity", {view.count, 3});
+  view.target = rows<int64_t>(t[5], "state.target", {view.count});
+  view.stay_until = rows<int64_t>(t[6], "state.stay_until", {view.count});
+  return view;
+}
+
+inline MovingRobots moving_robots(const std::vector<Tensor>& t, const char* name) {
+  STD_TORCH_CHECK(t.size() == 5, name, ": expected 5 tensors, got ", t.size());
+  MovingRobots view;
+  view.id = rows<int64_t>(t[0], name, {kAnySize});
+  view.count = t[0].size(0);
+  view.position = rows<double>(t[1], name, {view.count, 3});
+  view.orientation = rows<double>(t[2], name, {view.count, 4});
+  view.velocity = rows<double>(t[3], name, {view.count, 3});
+  view.angular_velocity = rows<double>(t[4], name, {view.count, 3});
+  return view;
+}
+
+inline HashColumns hash_columns(const std::vector<Tensor>& t) {
+  STD_TORCH_CHECK(!t.empty() && t.size() <= HashColumns::kMost, "columns: expected 1 to ", HashColumns::kMost,
+                  " tensors, got ", t.size());
+  HashColumns view;
+  view.columns = static_cast<int>(t.size());
+  for (const Tensor& column : t) {
+    check_device(column, "columns");
+    STD_TORCH_CHECK(column.dim() == 1 || column.dim() == 2, "columns: expected 1 or 2 dimensions, got ", column.dim());
+  }
+  view.count = t[0].size(0);
+  for (size_t k = 0; k < t.size(); ++k) {
+    const bool has_eight_bytes = t[k].scalar_type() == ScalarType::Long || t[k].scalar_type() == ScalarType::Double;
+    STD_TORCH_CHECK(has_eight_bytes, "columns: expected int64 or float64");
+    STD_TORCH_CHECK(t[k].size(0) == view.count, "columns: expected ", view.count, " rows, got ", t[k].size(0));
+    STD_TORCH_CHECK(t[k].is_contiguous(), "columns: expected contiguous tensors");
+    view.column[k] = static_cast<const uint64_t*>(t[k].data_ptr());
+    view.width[k] = t[k].dim() == 1 ? 1 : t[k].size(1);
+  }
+  return view;
+}
+
+// Philox counts steps and streams in 32 bits.
+inline uint32_t counter_word(int64_t value, const char* name) {
+  STD_TORCH_CHECK(value >= 0 && value < (int64_t{1} << 32), name, ": expected a value in [0, 2^32), got ", value);
+  return static_cast<uint32_t>(value);
+}
 
 using IntegerList = std::vector<int64_t>;
 using ScaleList = std::vector<double>;
@@ -17,7 +106,7 @@ inline Tensor new_integers(const Tensor& like, int64_t count) {
   return torch::stable::new_empty(like, {count}, ScalarType::Long);
 }
 
-template <class Backend>
+template <class Session>
 struct SimulateOps {
   static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor> simulate_start(const Tensor& id,
                                                                                    IntegerList integers,
@@ -27,9 +116,9 @@ struct SimulateOps {
     Tensor position = new_rows(id, count, 3), orientation = new_rows(id, count, 4);
     Tensor velocity = new_rows(id, count, 3), angular_velocity = new_rows(id, count, 3);
     Tensor target = new_integers(id, count), stay_until = new_integers(id, count);
-    Backend(id).start(world_view(integers, scales), ids, count,
-                      {data<double>(position), data<double>(orientation), data<double>(velocity),
-                       data<double>(angular_velocity), data<int64_t>(target), data<int64_t>(stay_until)});
+    pgccd::start_robots(Session(id).context(), world_view(integers, scales), ids, count,
+                        {data<double>(position), data<double>(orientation), data<double>(velocity),
+                         data<double>(angular_velocity), data<int64_t>(target), data<int64_t>(stay_until)});
     return {position, orientation, velocity, angular_velocity, target, stay_until};
   }
 
@@ -37,6 +126,7 @@ struct SimulateOps {
                                                                   IntegerList integers, ScaleList scales) {
     const RobotColumns robots = robot_columns(state);
     const int64_t* index = rows<int64_t>(step, "step", {1});
+    if (!step.is_cuda()) counter_word(*index, "step");
     Tensor velocity = new_rows(state[0], robots.count, 3), angular_velocity = new_rows(state[0], robots.count, 3);
     Tensor target = new_integers(state[0], robots.count), stay_until = new_integers(state[0], robots.count);
     RobotResults results;
@@ -44,7 +134,7 @@ struct SimulateOps {
     results.angular_velocity = data<double>(angular_velocity);
     results.target = data<int64_t>(target);
     results.stay_until = data<int64_t>(stay_until);
-    Backend(state[0]).plan(world_view(integers, scales), robots, index, results);
+    pgccd::plan_robots(Session(state[0]).context(), world_view(integers, scales), robots, index, results);
     return {velocity, angular_velocity, target, stay_until};
   }
 
@@ -58,7 +148,7 @@ struct SimulateOps {
     results.orientation = data<double>(orientation);
     results.velocity = data<double>(velocity);
     results.angular_velocity = data<double>(angular_velocity);
-    Backend(fraction).respond(robots, made, results);
+    pgccd::respond_robots(Session(fraction).context(), robots, made, results);
     return {position, orientation, velocity, angular_velocity};
   }
 
@@ -78,8 +168,8 @@ struct SimulateOps {
     robots.angular_velocity = rows<double>(planned[1], "planned.angular_velocity", {robots.count, 3});
     robots.target = rows<int64_t>(planned[2], "planned.target", {robots.count});
     robots.stay_until = rows<int64_t>(planned[3], "planned.stay_until", {robots.count});
-    Backend(fraction).commit(robots, rows<double>(fraction, "fraction", {robots.count}),
-                             rows<int64_t>(discard, "discard", {1}), results);
+    pgccd::commit_robots(Session(fraction).context(), robots, rows<double>(fraction, "fraction", {robots.count}),
+                         rows<int64_t>(discard, "discard", {1}), results);
   }
 
   static void simulate_slow_all_down(Tensor first, Tensor fraction, Tensor changed, Tensor changes, double approach,
@@ -89,7 +179,8 @@ struct SimulateOps {
     rows<double>(fraction, "fraction", {count});
     rows<uint8_t>(changed, "changed", {count});
     rows<int64_t>(changes, "changes", {1});
-    Backend(first).slow_all_down(
+    pgccd::slow_all_down(
+        Session(first).context(),
         {data<double>(first), data<double>(fraction), data<uint8_t>(changed), count, approach, smallest},
         data<int64_t>(changes));
   }
@@ -104,7 +195,7 @@ struct SimulateOps {
     input.pairs = rows<int64_t>(pairs, "pairs", {input.count, 2});
     input.robot_count = first.size(0);
     input.copy_count = robots ? robots->size(0) : input.robot_count;
-    Backend(first).first_toi(input, data<double>(first));
+    pgccd::lower_first_toi_of_robots(Session(first).context(), input, data<double>(first));
   }
 
   // Pairs, the `MovingBodies.tensors` of their robots, counts.
@@ -136,7 +227,7 @@ struct SimulateOps {
     given.motion = {data<int32_t>(mesh_index), data<double>(position_t0), data<double>(radius),
                     data<double>(orientation), data<double>(position_t1), data<double>(rotation)};
     given.counts = data<int64_t>(counts);
-    Backend(fraction).affected_motion(given);
+    pgccd::affected_motion(Session(fraction).context(), given);
     return {found, mesh_index, position_t0, position_t1, radius, orientation, rotation, counts};
   }
 
@@ -151,14 +242,14 @@ struct SimulateOps {
     outcome.id_count = id.size(0);
     outcome.pairs = rows<int64_t>(pairs, "pairs", {outcome.contact_count, 2});
     Tensor tally = new_integers(fraction, kTallyCounts);
-    Backend(fraction).tally_step(outcome, reinterpret_cast<StepTally*>(data<int64_t>(tally)));
+    pgccd::tally_step(Session(fraction).context(), outcome, reinterpret_cast<StepTally*>(data<int64_t>(tally)));
     return tally;
   }
 
   static Tensor simulate_hash(const TensorList& columns) {
     const HashColumns views = hash_columns(columns);
     Tensor sum = new_integers(columns[0], 1);
-    Backend(sum).hash_rows(views, data<uint64_t>(sum));
+    pgccd::hash_rows(Session(sum).context(), views, data<uint64_t>(sum));
     return sum;
   }
 
@@ -166,25 +257,25 @@ struct SimulateOps {
     const int64_t* ids = rows<int64_t>(id, "id", {kAnySize});
     const int64_t count = id.size(0);
     Tensor uniforms = new_rows(id, count, 4);
-    Backend(id).random_uniforms(static_cast<uint64_t>(seed), ids, count, counter_word(step, "step"),
-                                counter_word(stream, "stream"), data<double>(uniforms));
+    pgccd::random_uniforms(Session(id).context(), static_cast<uint64_t>(seed), ids, count, counter_word(step, "step"),
+                           counter_word(stream, "stream"), data<double>(uniforms));
     return uniforms;
   }
 };
 
-// Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_SIMULATE_OPS(library, Backend)                                                           \
-  library.impl("simulate_start", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_start>::call));         \
-  library.impl("simulate_plan", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_plan>::call));           \
-  library.impl("simulate_respond", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_respond>::call));     \
-  library.impl("simulate_commit", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_commit>::call));       \
-  library.impl("simulate_slow_all_down",                                                                        \
-               TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_slow_all_down>::call));                   \
-  library.impl("simulate_first_toi", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_first_toi>::call)); \
-  library.impl("simulate_affected_motion",                                                                      \
-               TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_affected_motion>::call));                 \
-  library.impl("simulate_tally", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_tally>::call));         \
-  library.impl("simulate_hash", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::simulate_hash>::call));           \
-  library.impl("random_uniforms", TORCH_BOX(&OnOneDevice<&SimulateOps<Backend>::random_uniforms>::call))
+template <class Session>
+void register_simulate_ops(Library& library) {
+  using Ops = SimulateOps<Session>;
+  library.impl("simulate_start", PGCCD_BOX(Ops::simulate_start));
+  library.impl("simulate_plan", PGCCD_BOX(Ops::simulate_plan));
+  library.impl("simulate_respond", PGCCD_BOX(Ops::simulate_respond));
+  library.impl("simulate_commit", PGCCD_BOX(Ops::simulate_commit));
+  library.impl("simulate_slow_all_down", PGCCD_BOX(Ops::simulate_slow_all_down));
+  library.impl("simulate_first_toi", PGCCD_BOX(Ops::simulate_first_toi));
+  library.impl("simulate_affected_motion", PGCCD_BOX(Ops::simulate_affected_motion));
+  library.impl("simulate_tally", PGCCD_BOX(Ops::simulate_tally));
+  library.impl("simulate_hash", PGCCD_BOX(Ops::simulate_hash));
+  library.impl("random_uniforms", PGCCD_BOX(Ops::random_uniforms));
+}
 
 }  // namespace pgccd::bind

@@ -1,4 +1,4 @@
-// The operators that distribute bodies over ranks, written once for both backends.
+// The operators that distribute bodies over ranks, templates over the session that they run in.
 #pragma once
 
 #include <numeric>
@@ -52,16 +52,25 @@ inline BodyPositions positions_view(const Tensor& position, const std::optional<
 
 using FrameList = std::vector<double>;
 
-template <class Backend>
+template <class Session>
 struct SubdomainOps {
+  static std::tuple<Tensor, Tensor> swept_boxes(const Tensor& position_t0, const Tensor& position_t1,
+                                                const Tensor& radius, double min_separation, double tolerance) {
+    const BroadBodies bodies =
+        broad_view(position_t0, position_t1, radius, {}, {}, {}, {}, {}, {min_separation, tolerance});
+    Tensor lower = new_tensor<double>(radius, {bodies.count, 3}), upper = new_tensor<double>(radius, {bodies.count, 3});
+    pgccd::swept_boxes(Session(radius).context(), bodies, data<double>(lower), data<double>(upper));
+    return {lower, upper};
+  }
+
   static std::tuple<Tensor, Tensor, Tensor> boundary_bodies(const TensorList& centres, double min_separation,
                                                             double tolerance, FrameList frame, const Tensor& owner,
                                                             int64_t rank) {
     const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
     Tensor reach = new_tensor<uint8_t>(owner, {bodies.count});
     Tensor boundary = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
-    Backend(owner).boundary_bodies(bodies, subdomain_view(frame, owner, rank), data<uint8_t>(reach),
-                                   {data<int64_t>(boundary), data<int64_t>(found)});
+    pgccd::boundary_bodies(Session(owner).context(), bodies, subdomain_view(frame, owner, rank), data<uint8_t>(reach),
+                           {data<int64_t>(boundary), data<int64_t>(found)});
     return {reach, boundary, found};
   }
 
@@ -80,7 +89,7 @@ struct SubdomainOps {
                     "received: expected numbers of ", ranks, " ranks, ", bodies.size(0), " in all");
     Tensor replica_ranks = new_tensor<uint8_t>(owner, {bodies.size(0), ranks}),
            counts = new_tensor<int64_t>(owner, {ranks});
-    Backend(owner).replica_ranks(input, {ranks, data<uint8_t>(replica_ranks), data<int64_t>(counts)});
+    pgccd::replica_ranks(Session(owner).context(), input, {ranks, data<uint8_t>(replica_ranks), data<int64_t>(counts)});
     return {replica_ranks, counts};
   }
 
@@ -98,7 +107,7 @@ struct SubdomainOps {
     STD_TORCH_CHECK(rank >= 0 && rank < ranks, "rank: expected a number below ", ranks, ", got ", rank);
     STD_TORCH_CHECK(places >= 0, "places: expected a number >= 0, got ", places);
     Tensor out = new_tensor<int64_t>(owner, {begin ? places : count});
-    Backend(owner).reached_ranks(input, data<int64_t>(out));
+    pgccd::reached_ranks(Session(owner).context(), input, data<int64_t>(out));
     return out;
   }
 
@@ -111,7 +120,7 @@ struct SubdomainOps {
     for (const int64_t capacity : capacities)
       STD_TORCH_CHECK(capacity >= 0, "capacities: expected numbers >= 0, got ", capacity);
     Tensor by_rank = new_tensor<int64_t>(bodies, {std::accumulate(capacities.begin(), capacities.end(), int64_t{0})});
-    Backend(bodies).rows_by_rank(held, capacities, data<int64_t>(by_rank));
+    pgccd::rows_by_rank(Session(bodies).context(), held, capacities, data<int64_t>(by_rank));
     return by_rank;
   }
 
@@ -120,7 +129,7 @@ struct SubdomainOps {
     const int64_t ranks = static_cast<int64_t>(capacities.size());
     const CapacityInput input{rows<int64_t>(counts, "counts", {ranks}), rows<int64_t>(found, "found", {1}), capacity};
     Tensor messages = new_tensor<int64_t>(counts, {ranks, 2});
-    Backend(counts).counts_to_send(input, capacities, data<int64_t>(messages));
+    pgccd::counts_to_send(Session(counts).context(), input, capacities, data<int64_t>(messages));
     return messages;
   }
 
@@ -140,7 +149,7 @@ struct SubdomainOps {
     input.pairs = rows<int64_t>(pairs, "pairs", {kAnySize, 2});
     input.pair_count = pairs.size(0);
     Tensor owned = new_tensor<int64_t>(owner, {input.pair_count, 2}), found = new_tensor<int64_t>(owner, {1});
-    Backend(owner).owned_pairs(input, data<int64_t>(owned), data<int64_t>(found));
+    pgccd::owned_pairs(Session(owner).context(), input, data<int64_t>(owned), data<int64_t>(found));
     return {owned, found};
   }
 
@@ -149,9 +158,9 @@ struct SubdomainOps {
                                                 FrameList frame, const Tensor& owner, int64_t rank) {
     const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
     Tensor near = new_tensor<int64_t>(owner, {bodies.count}), found = new_tensor<int64_t>(owner, {1});
-    Backend(owner).near_ghosts(bodies, rows<uint8_t>(reach, "reach", {bodies.count}),
-                               centres_view(ghosts, "ghosts", {min_separation, tolerance}),
-                               subdomain_view(frame, owner, rank), {data<int64_t>(near), data<int64_t>(found)});
+    pgccd::near_ghosts(Session(owner).context(), bodies, rows<uint8_t>(reach, "reach", {bodies.count}),
+                       centres_view(ghosts, "ghosts", {min_separation, tolerance}), subdomain_view(frame, owner, rank),
+                       {data<int64_t>(near), data<int64_t>(found)});
     return {near, found};
   }
 
@@ -162,30 +171,33 @@ struct SubdomainOps {
     STD_TORCH_CHECK(ranks >= 1 && ranks <= kMostCells, "ranks: expected a number in [1, 2^31], got ", ranks);
     Tensor leaving = new_tensor<int64_t>(owner, {count}), by_destination = new_tensor<int64_t>(owner, {count});
     Tensor counts = new_tensor<int64_t>(owner, {ranks});
-    Backend(owner).leaving_bodies(bodies, subdomain_view(frame, owner, rank), ranks,
-                                  {data<int64_t>(leaving), data<int64_t>(by_destination), data<int64_t>(counts)});
+    pgccd::leaving_bodies(Session(owner).context(), bodies, subdomain_view(frame, owner, rank), ranks,
+                          {data<int64_t>(leaving), data<int64_t>(by_destination), data<int64_t>(counts)});
     return {leaving, by_destination, counts};
   }
 
   static Tensor count_leaving(const Tensor& position, const std::optional<Tensor>& id, FrameList frame,
                               const Tensor& owner, int64_t rank) {
     Tensor count = new_tensor<int64_t>(owner, {1});
-    Backend(owner).count_leaving(positions_view(position, id), subdomain_view(frame, owner, rank),
-                                 data<int64_t>(count));
+    pgccd::count_leaving(Session(owner).context(), positions_view(position, id), subdomain_view(frame, owner, rank),
+                         data<int64_t>(count));
     return count;
   }
 };
 
-// Use inside a STABLE_TORCH_LIBRARY_IMPL block.
-#define PGCCD_REGISTER_SUBDOMAIN_OPS(library, Backend)                                                     \
-  library.impl("boundary_bodies", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::boundary_bodies>::call)); \
-  library.impl("replica_ranks", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::replica_ranks>::call));     \
-  library.impl("reached_ranks", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::reached_ranks>::call));     \
-  library.impl("rows_by_rank", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::rows_by_rank>::call));       \
-  library.impl("counts_to_send", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::counts_to_send>::call));   \
-  library.impl("owned_pairs", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::owned_pairs>::call));         \
-  library.impl("near_ghosts", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::near_ghosts>::call));         \
-  library.impl("leaving_bodies", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::leaving_bodies>::call));   \
-  library.impl("count_leaving", TORCH_BOX(&OnOneDevice<&SubdomainOps<Backend>::count_leaving>::call))
+template <class Session>
+void register_subdomain_ops(Library& library) {
+  using Ops = SubdomainOps<Session>;
+  library.impl("swept_boxes", PGCCD_BOX(Ops::swept_boxes));
+  library.impl("boundary_bodies", PGCCD_BOX(Ops::boundary_bodies));
+  library.impl("replica_ranks", PGCCD_BOX(Ops::replica_ranks));
+  library.impl("reached_ranks", PGCCD_BOX(Ops::reached_ranks));
+  library.impl("rows_by_rank", PGCCD_BOX(Ops::rows_by_rank));
+  library.impl("counts_to_send", PGCCD_BOX(Ops::counts_to_send));
+  library.impl("owned_pairs", PGCCD_BOX(Ops::owned_pairs));
+  library.impl("near_ghosts", PGCCD_BOX(Ops::near_ghosts));
+  library.impl("leaving_bodies", PGCCD_BOX(Ops::leaving_bodies));
+  library.impl("count_leaving", PGCCD_BOX(Ops::count_leaving));
+}
 
 }  // namespace pgccd::bind

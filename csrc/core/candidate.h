@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <type_traits>
 
 #include "core/counter.h"
 
@@ -17,6 +18,9 @@ enum class FeatureKind : int32_t {
 };
 constexpr int32_t kFeatureKinds = 5;
 
+template <FeatureKind kKind>
+using KindConstant = std::integral_constant<FeatureKind, kKind>;
+
 struct Candidate {
   int32_t pair;  // index into the list of body pairs
   int32_t kind;  // FeatureKind
@@ -24,7 +28,24 @@ struct Candidate {
   int32_t feature_j;
 };
 
-PGCCD_HD bool is_crossing(const Candidate& c) { return c.kind >= static_cast<int32_t>(FeatureKind::kEdgeFace); }
+// Whether the features are two edges, not a vertex and a face. Asked wherever these kinds differ, so that another kind
+// fails to compile there until it has a case.
+template <FeatureKind kKind>
+  requires(kKind == FeatureKind::kVertexFace || kKind == FeatureKind::kEdgeEdge)
+constexpr bool kIsEdgeEdge = kKind == FeatureKind::kEdgeEdge;
+
+PGCCD_HD bool is_crossing(const Candidate& c) {
+  return c.kind == static_cast<int32_t>(FeatureKind::kEdgeFace) ||
+         c.kind == static_cast<int32_t>(FeatureKind::kFaceEdge);
+}
+
+// Calls use(kind) with the kind, as a constant, of a candidate that is searched over time. A face and a vertex are a
+// vertex and a face of the bodies in reverse order.
+template <class Use>
+PGCCD_HD auto with_kind(const Candidate& c, const Use& use) {
+  if (c.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) return use(KindConstant<FeatureKind::kEdgeEdge>{});
+  return use(KindConstant<FeatureKind::kVertexFace>{});
+}
 
 // Numbers of candidates at the front and at the back of a buffer.
 struct CandidateCounts {

@@ -2,6 +2,8 @@
 // 10.1007/PL00009321). Only IEEE operations and fma, so the same bits on every backend.
 #pragma once
 
+#include <initializer_list>
+
 #include "core/double_double.h"
 #include "core/vec3.h"
 

@@ -4,6 +4,7 @@
 // In both, the four points are coplanar where r . (a x b) = 0.
 #pragma once
 
+#include "core/candidate.h"
 #include "core/vec3.h"
 
 namespace pgccd {
@@ -13,9 +14,9 @@ struct FeaturePair {
   Vec3<T> r, a, b;
 };
 
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 PGCCD_HD FeaturePair<T> feature_pair(Vec3<T> x0, Vec3<T> x1, Vec3<T> x2, Vec3<T> x3) {
-  if constexpr (kEdgeEdge) return {x2 - x0, x1 - x0, x3 - x2};
+  if constexpr (kIsEdgeEdge<kKind>) return {x2 - x0, x1 - x0, x3 - x2};
   return {x1 - x0, x2 - x1, x3 - x1};
 }
 

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <stdexcept>
@@ -50,6 +51,12 @@ void require_rows(const Executor& executor, int64_t count, const char* name, con
   if (first == count) return;
   throw std::invalid_argument(std::string(name) + ": row " + std::to_string(first.load()) + ": expected rows that " +
                               expected);
+}
+
+// The clock that the counts of a search on the CPU refer to.
+inline int64_t host_nanoseconds() {
+  const auto now = std::chrono::steady_clock::now().time_since_epoch();
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
 }
 
 // Adds to a counter, atomically unless `alone`; returns its previous value.

@@ -13,7 +13,7 @@ from pgccd.detection.checks import check_separation, operator_tolerance, require
 
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
-#: The operators' numbers (enum BroadPhase of csrc/kernels/broad/broad_phase.h).
+#: The operators' numbers (enum BroadPhase of csrc/kernels/broad/broad.h).
 BROAD_PHASE_NUMBERS: dict[str, int] = {name: number for number, name in enumerate(BROAD_PHASES[1:])}
 
 # Limits used by "auto", as measured (bench/bench_broad_phase.py): a sweep is fastest for few bodies. On a CPU every

@@ -21,8 +21,8 @@ from pgccd.detection.checks import (
 from pgccd.detection.contacts import ContactRows, take_earliest
 
 Report = Literal["any", "first", "all", "earliest"]
-# The operators' numbers; "earliest" selects from the first contacts.
-REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 1}
+# Numbers of the enum Report in csrc/kernels/narrow/narrow.h. For "earliest", operators may leave out later contacts.
+REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 3}
 
 # Elementary tests have no radius that the tolerance could be relative to.
 _ELEMENTARY_TOLERANCE = 1e-6

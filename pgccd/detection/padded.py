@@ -91,10 +91,6 @@ def counts_of_given(pairs: Tensor, count: Tensor | None = None) -> Tensor:
     return torch.cat([counts.get(name, nothing) for name in list(COUNT_ROWS)[:COUNTS_OF_PAIRS]])
 
 
-# As in the narrow phase, except that the search for the earliest contact of the scene may skip later ones.
-_REPORTS = narrow.REPORTS | {"earliest": 3}
-
-
 def search_padded(
     bodies: MovingBodies,
     query: Query,
@@ -128,7 +124,7 @@ def search_padded(
         pair_counts = counts_of_given(pairs) if pair_counts is None else pair_counts
         if not bodies.checked:
             pair_counts = pair_counts * (1 - faults[-1:])
-    rest = (pairs, pair_counts, faults, *query.settings, query.tests_start, _REPORTS[query.report])
+    rest = (pairs, pair_counts, faults, *query.settings, query.tests_start, narrow.REPORTS[query.report])
     *rows, counts = ops.contacts_padded(bodies.operands, *rest, capacity.of_contacts)
     return Search(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
 
@@ -172,7 +168,7 @@ def search_rigid(
         tolerance,
         nonzero_toi,
         query.tests_start,
-        _REPORTS[query.report],
+        narrow.REPORTS[query.report],
         broad.BROAD_PHASE_NUMBERS[chosen],
         pair_capacity,
         capacity.of_contacts,

@@ -17,7 +17,6 @@ from pgccd.ops.detection import (
     poses_at,
     refit,
     rotations_between,
-    swept_boxes,
     traverse,
     vertex_face,
 )
@@ -49,5 +48,6 @@ from pgccd.ops.subdomain import (
     reached_ranks,
     replica_ranks,
     rows_by_rank,
+    swept_boxes,
 )
 from pgccd.ops.voxel import voxel_boxes, voxel_pairs, voxels_touched

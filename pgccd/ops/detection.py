@@ -87,20 +87,10 @@ def broad_pairs(
 ) -> Tensor:
     """Sorted pairs (P, 2) int64 of swept spheres that come within min_separation + tolerance; a negative tolerance is
     relative to the smaller radius of a pair. Pairs of two static bodies are left out, and pairs of two bodies marked by
-    elsewhere, (N,) uint8. broad_phase: number in csrc/kernels/broad/broad_phase.h; axis: of a sweep, -1 for automatic.
+    elsewhere, (N,) uint8. broad_phase: number in csrc/kernels/broad/broad.h; axis: of a sweep, -1 for automatic.
     Neither affects the result.
     """
     return int64(position_t0, unknown_count(), 2)
-
-
-@operator
-def swept_boxes(
-    position_t0: Tensor, position_t1: Tensor, radius: Tensor, min_separation: float, tolerance: float
-) -> tuple[Tensor, Tensor]:
-    """Lower and upper corners (N, 3) of the boxes of swept spheres, grown by half of separation and tolerance. The
-    boxes of every pair found by `broad_pairs` overlap.
-    """
-    return torch.empty_like(position_t0), torch.empty_like(position_t0)
 
 
 @operator_of_bodies

@@ -1,4 +1,4 @@
-"""The ranks whose parts of space bodies reach."""
+"""Distribution of bodies over ranks: their boxes, and the ranks whose parts of space they reach."""
 
 from collections.abc import Sequence
 
@@ -13,6 +13,16 @@ from pgccd.ops.library import int64, operator
 Subdomain = tuple[list[float], Tensor, int]
 Frame = Sequence[float]
 Centres = Sequence[Tensor]
+
+
+@operator
+def swept_boxes(
+    position_t0: Tensor, position_t1: Tensor, radius: Tensor, min_separation: float, tolerance: float
+) -> tuple[Tensor, Tensor]:
+    """Lower and upper corners (N, 3) of the boxes of swept spheres, grown by half of separation and tolerance. The
+    boxes of every pair found by `broad_pairs` overlap.
+    """
+    return torch.empty_like(position_t0), torch.empty_like(position_t0)
 
 
 @operator

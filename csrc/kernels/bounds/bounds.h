@@ -5,17 +5,21 @@
 
 #include "core/bodies.h"
 #include "kernels/bounds/pose_item.h"
+#include "kernels/device_context.h"
 #include "kernels/executor.h"
 
 namespace pgccd {
 
 // Rotation vectors between two orientations, (count, 4) each -> (count, 3), world frame, the shorter way.
-void rotations_between_cpu(const Executor& executor, const double* orientation_t0, const double* orientation_t1,
-                           int64_t count, double* rotation);
+void rotations_between(const Executor& executor, const double* orientation_t0, const double* orientation_t1,
+                       int64_t count, double* rotation);
+void rotations_between(const DeviceContext& context, const double* orientation_t0, const double* orientation_t1,
+                       int64_t count, double* rotation);
 
 // Positions (count, 3) and unit quaternions (count, 4) of bodies, each at its own time.
-void poses_at_cpu(const Executor& executor, const RigidPoses& poses, int64_t count, double* position,
-                  double* orientation);
+void poses_at(const Executor& executor, const RigidPoses& poses, int64_t count, double* position, double* orientation);
+void poses_at(const DeviceContext& context, const RigidPoses& poses, int64_t count, double* position,
+              double* orientation);
 
 // SBV centres at both ends (bodies, 3), and the radius (bodies,) of the sphere moving straight between them that
 // contains the body throughout.
@@ -25,7 +29,8 @@ struct MovingSpheres {
   double* reach;
 };
 
-void moving_spheres_cpu(const Executor& executor, const RigidBodies& bodies, int64_t count, const MovingSpheres& out);
+void moving_spheres(const Executor& executor, const RigidBodies& bodies, int64_t count, const MovingSpheres& out);
+void moving_spheres(const DeviceContext& context, const RigidBodies& bodies, int64_t count, const MovingSpheres& out);
 
 struct DeformingInput {
   MeshSetView meshes;
@@ -57,6 +62,7 @@ struct DeformingBounds {
   NodeBlock* blocks_t1;
 };
 
-void refit_cpu(const Executor& executor, const DeformingInput& input, const DeformingBounds& bounds);
+void refit(const Executor& executor, const DeformingInput& input, const DeformingBounds& bounds);
+void refit(const DeviceContext& context, const DeformingInput& input, const DeformingBounds& bounds);
 
 }  // namespace pgccd

@@ -49,8 +49,8 @@ void refit_body(const DeformingInput& input, const DeformingBounds& bounds, int6
 
 }  // namespace
 
-void rotations_between_cpu(const Executor& executor, const double* orientation_t0, const double* orientation_t1,
-                           int64_t count, double* rotation) {
+void rotations_between(const Executor& executor, const double* orientation_t0, const double* orientation_t1,
+                       int64_t count, double* rotation) {
   parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
     for (int64_t b = begin; b < end; ++b) {
       store_vec3(rotation + 3 * b,
@@ -59,14 +59,13 @@ void rotations_between_cpu(const Executor& executor, const double* orientation_t
   });
 }
 
-void poses_at_cpu(const Executor& executor, const RigidPoses& poses, int64_t count, double* position,
-                  double* orientation) {
+void poses_at(const Executor& executor, const RigidPoses& poses, int64_t count, double* position, double* orientation) {
   parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
     for (int64_t row = begin; row < end; ++row) pose_at(poses, row, position, orientation);
   });
 }
 
-void moving_spheres_cpu(const Executor& executor, const RigidBodies& bodies, int64_t count, const MovingSpheres& out) {
+void moving_spheres(const Executor& executor, const RigidBodies& bodies, int64_t count, const MovingSpheres& out) {
   require_rows(executor, count, "bodies.mesh_index", "name meshes",
                [&](int64_t body) { return names_mesh(bodies, body); });
   parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
@@ -79,7 +78,7 @@ void moving_spheres_cpu(const Executor& executor, const RigidBodies& bodies, int
   });
 }
 
-void refit_cpu(const Executor& executor, const DeformingInput& input, const DeformingBounds& bounds) {
+void refit(const Executor& executor, const DeformingInput& input, const DeformingBounds& bounds) {
   require_rows(executor, input.body_count, "mesh_index, vertex_begin, block_begin",
                "name a mesh, and where all its vertices and node blocks are",
                [&](int64_t body) { return is_sound(input, body); });

@@ -1,4 +1,4 @@
-#include "kernels/bounds/bounds_cuda.h"
+#include "kernels/bounds/bounds.h"
 #include "kernels/bounds/moving_sphere_item.h"
 #include "kernels/bounds/refit_item.h"
 #include "kernels/launch.cuh"
@@ -210,21 +210,20 @@ __global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
 
 }  // namespace
 
-void rotations_between_cuda(const DeviceContext& context, const double* orientation_t0, const double* orientation_t1,
-                            int64_t count, double* rotation) {
+void rotations_between(const DeviceContext& context, const double* orientation_t0, const double* orientation_t1,
+                       int64_t count, double* rotation) {
   for_each_item(context, count, [=] __device__(int64_t b) {
     store_vec3(rotation + 3 * b,
                rotation_between(load_quaternion(orientation_t0 + 4 * b), load_quaternion(orientation_t1 + 4 * b)));
   });
 }
 
-void poses_at_cuda(const DeviceContext& context, const RigidPoses& poses, int64_t count, double* position,
-                   double* orientation) {
+void poses_at(const DeviceContext& context, const RigidPoses& poses, int64_t count, double* position,
+              double* orientation) {
   for_each_item(context, count, [=] __device__(int64_t row) { pose_at(poses, row, position, orientation); });
 }
 
-void moving_spheres_cuda(const DeviceContext& context, const RigidBodies& bodies, int64_t count,
-                         const MovingSpheres& out) {
+void moving_spheres(const DeviceContext& context, const RigidBodies& bodies, int64_t count, const MovingSpheres& out) {
   for_each_item(context, count, [=] __device__(int64_t b) {
     require_on_device(names_mesh(bodies, b), "bodies.mesh_index: expected rows of meshes");
     const MovingSphere sphere = moving_sphere(bodies, b);
@@ -234,7 +233,7 @@ void moving_spheres_cuda(const DeviceContext& context, const RigidBodies& bodies
   });
 }
 
-void refit_cuda(const DeviceContext& context, const DeformingInput& input, const DeformingBounds& bounds) {
+void refit(const DeviceContext& context, const DeformingInput& input, const DeformingBounds& bounds) {
   if (input.body_count == 0) return;
   Refit refit;
   refit.input = input;

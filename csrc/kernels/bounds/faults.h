@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "core/platform.h"
+#include "kernels/device_context.h"
 #include "kernels/executor.h"
 
 namespace pgccd {
@@ -50,7 +51,11 @@ struct SoundRadii {
 };
 
 // Writes to `first` the first faulty row of each column, or its number of rows; then 1 if any row is faulty, else 0.
-void first_faults_cpu(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
-                      int64_t* first);
+void first_faults(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                  int64_t* first);
+// At most kMostColumns.
+void first_faults(const DeviceContext& context, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                  int64_t* first);
+constexpr int kMostColumns = 8;
 
 }  // namespace pgccd

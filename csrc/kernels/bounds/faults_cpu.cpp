@@ -6,8 +6,8 @@
 
 namespace pgccd {
 
-void first_faults_cpu(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
-                      int64_t* first) {
+void first_faults(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                  int64_t* first) {
   constexpr int64_t kGrain = 4096;
   std::copy_n(radii.radius, radii.count, radii.copy);
   bool any = false;

@@ -1,6 +1,6 @@
 #include <stdexcept>
 
-#include "kernels/bounds/faults_cuda.h"
+#include "kernels/bounds/faults.h"
 #include "kernels/launch.cuh"
 
 namespace pgccd {
@@ -27,8 +27,8 @@ __global__ void __launch_bounds__(kBlockThreads) find_faults(Columns columns, do
 
 }  // namespace
 
-void first_faults_cuda(const DeviceContext& context, const std::vector<RowColumn>& columns, const SoundRadii& radii,
-                       int64_t* first) {
+void first_faults(const DeviceContext& context, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                  int64_t* first) {
   if (columns.size() > kMostColumns) throw std::runtime_error("first_faults: too many columns");
   Columns all{};
   all.count = static_cast<int>(columns.size());

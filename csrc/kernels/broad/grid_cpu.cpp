@@ -122,7 +122,7 @@ class GridSearch {
 
 }  // namespace
 
-void grid_cpu(const Executor& executor, const BroadBodies& bodies, const PairOutput& make_output) {
+void find_pairs_by_grid(const Executor& executor, const BroadBodies& bodies, const PairOutput& make_output) {
   if (bodies.count < 2) {
     make_output(0);
     return;

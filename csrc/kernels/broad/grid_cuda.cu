@@ -119,7 +119,7 @@ __global__ void __launch_bounds__(kBlockThreads)
 
 }  // namespace
 
-void grid_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out) {
+void find_pairs_by_grid(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out) {
   const int64_t count = bodies.count;
   GridFrame* frame = context.allocate<GridFrame>(1);
   LevelCounts* level_counts = context.allocate<LevelCounts>(1);

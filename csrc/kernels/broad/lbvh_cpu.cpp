@@ -57,7 +57,7 @@ int32_t build_nodes(const Executor& executor, const LbvhTree& tree) {
 
 }  // namespace
 
-void lbvh_cpu(const Executor& executor, const BroadBodies& bodies, const PairOutput& make_output) {
+void find_pairs_by_lbvh(const Executor& executor, const BroadBodies& bodies, const PairOutput& make_output) {
   if (bodies.count < 2) {
     make_output(0);
     return;

@@ -48,7 +48,7 @@ __global__ void __launch_bounds__(kBlockThreads) find_candidates(LbvhTree tree, 
 
 }  // namespace
 
-void lbvh_cuda(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out) {
+void find_pairs_by_lbvh(const DeviceContext& context, const BroadBodies& bodies, const PairSink& out) {
   const int64_t count = bodies.count;
   LbvhFrame* frame = context.allocate<LbvhFrame>(1);
   launch_kernel(context, choose_frame, 1, kSampleThreads, bodies, frame);

@@ -1,7 +1,7 @@
 // Collection, test and sort of pairs in the broad phases on the device.
 #pragma once
 
-#include "kernels/broad/broad_cuda.h"
+#include "kernels/broad/broad.h"
 #include "kernels/device.cuh"
 
 namespace pgccd {

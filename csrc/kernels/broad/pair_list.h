@@ -3,8 +3,8 @@
 
 #include <vector>
 
+#include "kernels/broad/broad.h"
 #include "kernels/broad/filter_box.h"
-#include "kernels/broad/pair_output.h"
 #include "kernels/executor.h"
 
 namespace pgccd {

@@ -104,7 +104,7 @@ void write_by_radix_sort(const DeviceContext& context, const Found& found, int64
   });
 }
 
-Found find_pairs(const DeviceContext& context, const BroadBodies& bodies, const PairCapacity& capacity,
+Found list_pairs(const DeviceContext& context, const BroadBodies& bodies, const PairCapacity& capacity,
                  const CandidateLaunch& launch) {
   auto* counts = context.allocate<PairCounts>(1);
   uint32_t* row_counts = context.allocate<uint32_t>(bodies.count + 1);
@@ -142,7 +142,7 @@ void collect_exactly(const DeviceContext& context, const BroadBodies& bodies, co
                      const CandidateLaunch& launch) {
   PairCapacity capacity{4 * bodies.count + 1024, 6 * bodies.count + 1024, false};
   for (;;) {
-    const Found found = find_pairs(context, bodies, capacity, launch);
+    const Found found = list_pairs(context, bodies, capacity, launch);
     const PairCounts seen = read(context, found.counts);
     const int64_t count = static_cast<int64_t>(seen.pairs), overlaps = static_cast<int64_t>(seen.overlaps);
     if (overlaps > capacity.overlaps || count > capacity.pairs) {
@@ -158,7 +158,7 @@ void collect_exactly(const DeviceContext& context, const BroadBodies& bodies, co
 
 void collect_padded(const DeviceContext& context, const BroadBodies& bodies, const PaddedPairs& out,
                     const CandidateLaunch& launch) {
-  const Found found = find_pairs(context, bodies, out.capacity, launch);
+  const Found found = list_pairs(context, bodies, out.capacity, launch);
   const PairCounts* seen = found.counts;
   const PairCapacity capacity = out.capacity;
   int64_t* counts = out.counts;

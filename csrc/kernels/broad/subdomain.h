@@ -1,12 +1,18 @@
-// Ranks whose parts of space the swept spheres of bodies reach, used to distribute bodies over ranks.
+// Distribution of bodies over ranks: the boxes of swept spheres, and the ranks whose parts of space these reach.
 #pragma once
 
 #include <vector>
 
 #include "kernels/broad/subdomain_item.h"
+#include "kernels/device_context.h"
 #include "kernels/executor.h"
 
 namespace pgccd {
+
+// lower and upper (count, 3): the box of every CBV grown by half of separation and tolerance. Boxes of potentially
+// colliding pairs overlap (closed, as rounded), since rounding is monotone.
+void swept_boxes(const Executor& executor, const BroadBodies& bodies, double* lower, double* upper);
+void swept_boxes(const DeviceContext& context, const BroadBodies& bodies, double* lower, double* upper);
 
 // `rows` has the length of the input; the rows found come first, in ascending order. `found` is their number.
 struct FoundRows {
@@ -15,8 +21,10 @@ struct FoundRows {
 };
 
 // Finds bodies that reach cells of other ranks; the remaining rows are -1. reach (count,): 1 for these bodies, else 0.
-void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain,
-                         uint8_t* reach, const FoundRows& boundary);
+void boundary_bodies(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain, uint8_t* reach,
+                     const FoundRows& boundary);
+void boundary_bodies(const DeviceContext& context, const BroadBodies& bodies, const Subdomain& subdomain,
+                     uint8_t* reach, const FoundRows& boundary);
 
 // Bodies whose replica ranks are computed: `rows` (row_count,), -1 for padding. If `received` is not empty, they are
 // ghosts ordered by source rank, with this number from each (padding included); the source is a replica rank too.
@@ -36,7 +44,8 @@ struct ReplicaRanks {
   int64_t* counts;
 };
 
-void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input, const ReplicaRanks& out);
+void replica_ranks(const Executor& executor, const ReplicaRanksInput& input, const ReplicaRanks& out);
+void replica_ranks(const DeviceContext& context, const ReplicaRanksInput& input, const ReplicaRanks& out);
 
 // Bodies, and the other ranks whose parts they reach: the number of ranks of each (row_count,), with repetitions; or,
 // given the first index of each row, the ranks.
@@ -62,7 +71,8 @@ struct ReachedRanks {
   }
 };
 
-void reached_ranks_cpu(const Executor& executor, const ReachedRanks& input, int64_t* out);
+void reached_ranks(const Executor& executor, const ReachedRanks& input, int64_t* out);
+void reached_ranks(const DeviceContext& context, const ReachedRanks& input, int64_t* out);
 
 // Rows and their replica ranks as above.
 struct HeldRows {
@@ -74,7 +84,10 @@ struct HeldRows {
 
 // The rows that rank 0 holds, then those of rank 1, ..., each padded with -1 to the capacity of the rank. Rows beyond
 // the capacity are dropped.
-void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank);
+void rows_by_rank(const Executor& executor, const HeldRows& held, const std::vector<int64_t>& capacities,
+                  int64_t* by_rank);
+void rows_by_rank(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& capacities,
+                  int64_t* by_rank);
 
 // Test whether all rows fit.
 struct CapacityInput {
@@ -92,16 +105,22 @@ struct CapacityInput {
 };
 
 // messages (ranks, 2): the count for each rank, and 1 if any rows were dropped.
-void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* messages);
+void counts_to_send(const Executor& executor, const CapacityInput& input, const std::vector<int64_t>& capacities,
+                    int64_t* messages);
+void counts_to_send(const DeviceContext& context, const CapacityInput& input, const std::vector<int64_t>& capacities,
+                    int64_t* messages);
 
 // Selects pairs whose reference point is in a cell of the subdomain's rank, except pairs of two own bodies of which one
 // reaches no other rank: owned (pair_count, 2), padded with -1; `found` is their number.
-void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found);
+void owned_pairs(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found);
+void owned_pairs(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found);
 
 // Finds bodies that overlap the box around all ghosts in a cell of the subdomain's rank that they reach, or that reach
 // cells of other ranks themselves: reach (count,) as of boundary_bodies.
-void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const uint8_t* reach,
-                     const BroadBodies& ghosts, const Subdomain& subdomain, const FoundRows& near);
+void near_ghosts(const Executor& executor, const BroadBodies& bodies, const uint8_t* reach, const BroadBodies& ghosts,
+                 const Subdomain& subdomain, const FoundRows& near);
+void near_ghosts(const DeviceContext& context, const BroadBodies& bodies, const uint8_t* reach,
+                 const BroadBodies& ghosts, const Subdomain& subdomain, const FoundRows& near);
 
 struct LeavingRows {
   int64_t* rows;            // as long as the input; rows found come first, ascending
@@ -110,10 +129,14 @@ struct LeavingRows {
 };
 
 // Finds bodies whose position is in a cell of another rank.
-void leaving_bodies_cpu(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain,
-                        int64_t ranks, const LeavingRows& leaving);
+void leaving_bodies(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain, int64_t ranks,
+                    const LeavingRows& leaving);
+void leaving_bodies(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
+                    int64_t ranks, const LeavingRows& leaving);
 
 // The number of leaving bodies.
-void count_leaving_cpu(const BodyPositions& bodies, const Subdomain& subdomain, int64_t* count);
+void count_leaving(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain, int64_t* count);
+void count_leaving(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
+                   int64_t* count);
 
 }  // namespace pgccd

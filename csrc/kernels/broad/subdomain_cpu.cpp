@@ -20,8 +20,14 @@ void require_owners(const Executor& executor, const Subdomain& subdomain, int64_
 
 }  // namespace
 
-void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain,
-                         uint8_t* reach, const FoundRows& boundary) {
+void swept_boxes(const Executor& executor, const BroadBodies& bodies, double* lower, double* upper) {
+  parallel_chunks(executor, bodies.count, 1024, [&](int, int64_t begin, int64_t end) {
+    for (int64_t body = begin; body < end; ++body) store_swept_box(bodies, body, lower, upper);
+  });
+}
+
+void boundary_bodies(const Executor& executor, const BroadBodies& bodies, const Subdomain& subdomain, uint8_t* reach,
+                     const FoundRows& boundary) {
   find_rows(executor, bodies.count, boundary.rows, boundary.found, [&](int64_t body) {
     reach[body] = reaches_others(bodies, subdomain, body) ? 1 : 0;
     return reach[body] != 0;
@@ -29,7 +35,7 @@ void boundary_bodies_cpu(const Executor& executor, const BroadBodies& bodies, co
   std::fill(boundary.rows + *boundary.found, boundary.rows + bodies.count, int64_t{-1});
 }
 
-void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input, const ReplicaRanks& out) {
+void replica_ranks(const Executor& executor, const ReplicaRanksInput& input, const ReplicaRanks& out) {
   const Subdomain& subdomain = input.subdomain;
   require_rows(executor, input.row_count, "bodies", "are -1, or those of bodies",
                [&](int64_t k) { return input.rows[k] < input.bodies.count; });
@@ -58,7 +64,7 @@ void replica_ranks_cpu(const Executor& executor, const ReplicaRanksInput& input,
   }
 }
 
-void reached_ranks_cpu(const Executor& executor, const ReachedRanks& input, int64_t* out) {
+void reached_ranks(const Executor& executor, const ReachedRanks& input, int64_t* out) {
   require_rows(executor, input.row_count, "bodies", "are those of bodies",
                [&](int64_t k) { return is_within(input.rows[k], input.bodies.count); });
   require_owners(executor, input.subdomain, input.ranks);
@@ -66,7 +72,7 @@ void reached_ranks_cpu(const Executor& executor, const ReachedRanks& input, int6
                [&](int64_t k) { return input.store(k, out); });
 }
 
-void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank) {
+void rows_by_rank(const Executor&, const HeldRows& held, const std::vector<int64_t>& capacities, int64_t* by_rank) {
   for (int64_t rank = 0; rank < held.ranks; ++rank) {
     int64_t *at = by_rank, *end = by_rank + capacities[static_cast<size_t>(rank)];
     for (int64_t k = 0; k < held.row_count && at < end; ++k) {
@@ -76,7 +82,8 @@ void rows_by_rank_cpu(const HeldRows& held, const std::vector<int64_t>& capaciti
   }
 }
 
-void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& capacities, int64_t* messages) {
+void counts_to_send(const Executor&, const CapacityInput& input, const std::vector<int64_t>& capacities,
+                    int64_t* messages) {
   const int64_t ranks = static_cast<int64_t>(capacities.size());
   const bool is_short = input.is_short(capacities.data(), ranks);
   for (int64_t rank = 0; rank < ranks; ++rank) {
@@ -85,7 +92,7 @@ void counts_to_send_cpu(const CapacityInput& input, const std::vector<int64_t>& 
   }
 }
 
-void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found) {
+void owned_pairs(const Executor& executor, const OwnedPairs& input, int64_t* owned, int64_t* found) {
   require_rows(executor, input.pair_count, "pairs, rows", "are padding, or name bodies held",
                [&](int64_t k) { return is_sound(input, k); });
   std::vector<int64_t> kept(static_cast<size_t>(input.pair_count));
@@ -93,8 +100,8 @@ void owned_pairs_cpu(const Executor& executor, const OwnedPairs& input, int64_t*
   for (int64_t k = 0; k < input.pair_count; ++k) store_owned_pair(input, kept.data(), *found, k, owned);
 }
 
-void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const uint8_t* reach,
-                     const BroadBodies& ghosts, const Subdomain& subdomain, const FoundRows& near) {
+void near_ghosts(const Executor& executor, const BroadBodies& bodies, const uint8_t* reach, const BroadBodies& ghosts,
+                 const Subdomain& subdomain, const FoundRows& near) {
   const CellRows rows(subdomain.frame);
   std::vector<int64_t> cell_boxes(static_cast<size_t>(6 * rows.size()));
   for (size_t at = 0; at < cell_boxes.size(); ++at) cell_boxes[at] = at % 6 < 3 ? kEmptyLower : kEmptyUpper;
@@ -117,8 +124,8 @@ void near_ghosts_cpu(const Executor& executor, const BroadBodies& bodies, const 
             [&](int64_t body) { return is_near(bodies, reach, subdomain.frame, cell_boxes.data(), body); });
 }
 
-void leaving_bodies_cpu(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain,
-                        int64_t ranks, const LeavingRows& leaving) {
+void leaving_bodies(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain, int64_t ranks,
+                    const LeavingRows& leaving) {
   require_owners(executor, subdomain, ranks);
   int64_t found = 0;
   find_rows(executor, bodies.count, leaving.rows, &found,
@@ -133,7 +140,7 @@ void leaving_bodies_cpu(const Executor& executor, const BodyPositions& bodies, c
   }
 }
 
-void count_leaving_cpu(const BodyPositions& bodies, const Subdomain& subdomain, int64_t* count) {
+void count_leaving(const Executor&, const BodyPositions& bodies, const Subdomain& subdomain, int64_t* count) {
   *count = 0;
   for (int64_t body = 0; body < bodies.count; ++body) *count += is_leaving(subdomain, bodies, body) ? 1 : 0;
 }

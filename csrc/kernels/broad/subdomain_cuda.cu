@@ -3,7 +3,7 @@
 #include <vector>
 
 #include "core/count_leading.h"
-#include "kernels/broad/subdomain_cuda.h"
+#include "kernels/broad/subdomain.h"
 #include "kernels/find_rows.cuh"
 #include "kernels/launch.cuh"
 
@@ -74,15 +74,19 @@ const int64_t* ends_of(const DeviceContext& context, std::vector<int64_t> sizes)
 
 }  // namespace
 
-void boundary_bodies_cuda(const DeviceContext& context, const BroadBodies& bodies, const Subdomain& subdomain,
-                          uint8_t* reach, const FoundRows& boundary) {
+void swept_boxes(const DeviceContext& context, const BroadBodies& bodies, double* lower, double* upper) {
+  for_each_item(context, bodies.count, [=] __device__(int64_t body) { store_swept_box(bodies, body, lower, upper); });
+}
+
+void boundary_bodies(const DeviceContext& context, const BroadBodies& bodies, const Subdomain& subdomain,
+                     uint8_t* reach, const FoundRows& boundary) {
   for_each_item(context, bodies.count,
                 [=] __device__(int64_t body) { reach[body] = reaches_others(bodies, subdomain, body) ? 1 : 0; });
   fill_bytes(context, boundary.rows, 0xff, bodies.count);
   find_flagged(context, bodies.count, reach, boundary.rows, boundary.found);
 }
 
-void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& input, const ReplicaRanks& out) {
+void replica_ranks(const DeviceContext& context, const ReplicaRanksInput& input, const ReplicaRanks& out) {
   const BroadBodies bodies = input.bodies;
   const Subdomain subdomain = input.subdomain;
   const int64_t* rows = input.rows;
@@ -113,15 +117,15 @@ void replica_ranks_cuda(const DeviceContext& context, const ReplicaRanksInput& i
                 kBlockThreads, replica_ranks, input.row_count, out.counts);
 }
 
-void reached_ranks_cuda(const DeviceContext& context, const ReachedRanks& input, int64_t* out) {
+void reached_ranks(const DeviceContext& context, const ReachedRanks& input, int64_t* out) {
   for_each_item(context, input.row_count, [=] __device__(int64_t k) {
     require_on_device(is_within(input.rows[k], input.bodies.count), "bodies: expected rows of bodies");
     require_on_device(input.store(k, out), "begin: expected places for all ranks");
   });
 }
 
-void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& capacities,
-                       int64_t* by_rank) {
+void rows_by_rank(const DeviceContext& context, const HeldRows& held, const std::vector<int64_t>& capacities,
+                  int64_t* by_rank) {
   const int64_t ranks = held.ranks, all = held.row_count * ranks;
   const int64_t places = std::accumulate(capacities.begin(), capacities.end(), int64_t{0});
   if (places == 0) return;
@@ -142,8 +146,8 @@ void rows_by_rank_cuda(const DeviceContext& context, const HeldRows& held, const
   });
 }
 
-void counts_to_send_cuda(const DeviceContext& context, const CapacityInput& input,
-                         const std::vector<int64_t>& capacities, int64_t* messages) {
+void counts_to_send(const DeviceContext& context, const CapacityInput& input, const std::vector<int64_t>& capacities,
+                    int64_t* messages) {
   const int64_t ranks = static_cast<int64_t>(capacities.size());
   const int64_t* const capacity = on_device(context, capacities);
   for_each_item(context, ranks, [=] __device__(int64_t rank) {
@@ -152,7 +156,7 @@ void counts_to_send_cuda(const DeviceContext& context, const CapacityInput& inpu
   });
 }
 
-void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found) {
+void owned_pairs(const DeviceContext& context, const OwnedPairs& input, int64_t* owned, int64_t* found) {
   int64_t* kept = context.allocate<int64_t>(input.pair_count);
   find_rows(context, input.pair_count, kept, found, [=] __device__(int64_t k) {
     require_on_device(is_sound(input, k), "pairs, rows: expected padding, or bodies held");
@@ -162,8 +166,8 @@ void owned_pairs_cuda(const DeviceContext& context, const OwnedPairs& input, int
                 [=] __device__(int64_t k) { store_owned_pair(input, kept, *found, k, owned); });
 }
 
-void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, const uint8_t* reach,
-                      const BroadBodies& ghosts, const Subdomain& subdomain, const FoundRows& near) {
+void near_ghosts(const DeviceContext& context, const BroadBodies& bodies, const uint8_t* reach,
+                 const BroadBodies& ghosts, const Subdomain& subdomain, const FoundRows& near) {
   const CellRows rows(subdomain.frame);
   const int64_t numbers = 6 * rows.size();
   int64_t* cell_boxes = context.allocate<int64_t>(numbers);
@@ -190,8 +194,8 @@ void near_ghosts_cuda(const DeviceContext& context, const BroadBodies& bodies, c
             [=] __device__(int64_t body) { return is_near(bodies, reach, frame, cell_boxes, body); });
 }
 
-void leaving_bodies_cuda(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
-                         int64_t ranks, const LeavingRows& leaving) {
+void leaving_bodies(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
+                    int64_t ranks, const LeavingRows& leaving) {
   const int64_t most_shares = larger<int64_t>(1, smaller(kMostShares, kMostSlots / ranks));
   const int64_t shares = smaller(bodies.count, most_shares), slots = ranks * shares;
   if (slots == 0) return fill_bytes(context, leaving.counts, 0, ranks);
@@ -227,8 +231,8 @@ void leaving_bodies_cuda(const DeviceContext& context, const BodyPositions& bodi
   });
 }
 
-void count_leaving_cuda(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
-                        int64_t* count) {
+void count_leaving(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
+                   int64_t* count) {
   fill_bytes(context, count, 0, 1);
   for_each_item(context, bodies.count, [=] __device__(int64_t body) {
     if (is_leaving(subdomain, bodies, body)) warp_append(reinterpret_cast<unsigned long long*>(count), 1);

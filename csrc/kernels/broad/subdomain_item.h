@@ -1,9 +1,19 @@
-// The parts of space that a body reaches.
+// The box of a body, and the parts of space that it reaches.
 #pragma once
 
 #include "kernels/broad/space_partition.h"
 
 namespace pgccd {
+
+PGCCD_HD void store_swept_box(const BroadBodies& bodies, int64_t body, double* lower, double* upper) {
+  const SweptBox box = swept_box(bodies, body);
+  lower[3 * body] = box.lower.x;
+  lower[3 * body + 1] = box.lower.y;
+  lower[3 * body + 2] = box.lower.z;
+  upper[3 * body] = box.upper.x;
+  upper[3 * body + 1] = box.upper.y;
+  upper[3 * body + 2] = box.upper.z;
+}
 
 PGCCD_HD bool reaches_others(const BroadBodies& bodies, const Subdomain& subdomain, int64_t body) {
   if (bodies.is_absent(body)) return false;

@@ -113,7 +113,7 @@ void scan(const BroadBodies& bodies, const SortedIntervals& sorted, int64_t p, i
 
 }  // namespace
 
-void sweep_cpu(const Executor& executor, const BroadBodies& bodies, int axis, const PairOutput& make_output) {
+void find_pairs_by_sweep(const Executor& executor, const BroadBodies& bodies, int axis, const PairOutput& make_output) {
   if (bodies.count < 2) {
     make_output(0);
     return;

@@ -123,7 +123,7 @@ __global__ void __launch_bounds__(kBlockThreads) sweep_pieces(int64_t body_count
 
 }  // namespace
 
-void sweep_cuda(const DeviceContext& context, const BroadBodies& bodies, int axis, const PairSink& out) {
+void find_pairs_by_sweep(const DeviceContext& context, const BroadBodies& bodies, int axis, const PairSink& out) {
   const int64_t count = bodies.count;
   Frame* frame = context.allocate<Frame>(1);
   fill_bytes(context, frame, 0xff, 1);

@@ -1,4 +1,4 @@
-#include "kernels/graphs/conditional_cuda.h"
+#include "kernels/graphs/conditional.h"
 #include "kernels/launch.cuh"
 
 namespace pgccd {
@@ -34,7 +34,7 @@ bool has_conditional_nodes() {
   return cudaDriverGetVersion(&version) == cudaSuccess && version >= 13000;
 }
 
-void begin_conditional_cuda(const DeviceContext& context, const int64_t* value, CUstream_st* body) {
+void begin_conditional(const DeviceContext& context, const int64_t* value, CUstream_st* body) {
   cudaGraphNodeParams parameters{};
   parameters.type = cudaGraphNodeTypeConditional;
   parameters.conditional.type = cudaGraphCondTypeIf;
@@ -53,7 +53,7 @@ void begin_conditional_cuda(const DeviceContext& context, const int64_t* value, 
              "cudaStreamBeginCaptureToGraph");
 }
 
-void end_conditional_cuda(CUstream_st* body) {
+void end_conditional(CUstream_st* body) {
   cudaGraph_t graph = nullptr;
   check_cuda(cudaStreamEndCapture(body, &graph), "cudaStreamEndCapture");
 }
@@ -62,11 +62,11 @@ void end_conditional_cuda(CUstream_st* body) {
 
 bool has_conditional_nodes() { return false; }
 
-void begin_conditional_cuda(const DeviceContext&, const int64_t*, CUstream_st*) {
+void begin_conditional(const DeviceContext&, const int64_t*, CUstream_st*) {
   throw std::runtime_error("conditional: built with a CUDA before 13");
 }
 
-void end_conditional_cuda(CUstream_st*) {}
+void end_conditional(CUstream_st*) {}
 
 #endif
 

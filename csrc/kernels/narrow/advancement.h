@@ -37,7 +37,7 @@ PGCCD_HD T distance_noise(PairError<T> error) {
 }
 
 // Continues from `progress`, and stores the state at which it stopped there; or a reset state if the goal was changed.
-template <bool kEdgeEdge, Phase kPhase, class T, class Path>
+template <FeatureKind kKind, Phase kPhase, class T, class Path>
 PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
   constexpr bool kIsPatient = kPhase == Phase::kPatient;
   constexpr T unit(Precision<T>::unit);
@@ -51,7 +51,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
   FeaturePair<T> now = path.at(t);
   // The plain phase starts like the quick one, so the result does not depend on whether that ran before.
   bool with_slender = kIsPatient || (kPhase == Phase::kPlain && progress.advances >= kQuickAdvances);
-  Nearest<T> nearest = nearest_points<kEdgeEdge>(now, with_slender);
+  Nearest<T> nearest = nearest_points<kKind>(now, with_slender);
   T distance = norm(nearest.offset);
   if (!(progress.goal < T(0))) {
     goal = progress.goal;
@@ -84,8 +84,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
       if constexpr (kPhase == Phase::kQuick) return stop(Status::kOpen);
       bool is_touch = !(goal > wanted);
       if constexpr (Path::kStraight) {
-        is_touch =
-            is_touch && certainly_touch<kEdgeEdge>(path, t, now, nearest, distance, separation, noise, with_slender);
+        is_touch = is_touch && certainly_touch<kKind>(path, t, now, nearest, distance, separation, noise, with_slender);
       } else if (!is_touch) {
         return stop(Status::kUndecided);
       }
@@ -114,7 +113,7 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
     const FeaturePair<T> end = path.at(t_end);
     const T duration = t_end - t;
     const T keep_apart = separation + path.deviation(duration) * (T(1) + T(16) * unit);
-    T prefix = fixed_direction<kEdgeEdge>(now, end, direction, keep_apart, error);
+    T prefix = fixed_direction<kKind>(now, end, direction, keep_apart, error);
     if (prefix < T(1)) prefix = larger(prefix, moving_normal(now, end, keep_apart, error));
     T next = t_end;
     if (!(prefix >= T(1))) next = add_down(t, prefix * duration * (T(1) - T(4) * unit));
@@ -128,10 +127,10 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
         stride = T(4) * larger(stride, next - t);
         const T far_time = t + stride < t_end ? t + stride : t_end;
         const FeaturePair<T> far = path.at(far_time);
-        const Nearest<T> far_nearest = nearest_points<kEdgeEdge>(far);
+        const Nearest<T> far_nearest = nearest_points<kKind>(far);
         const T far_duration = far_time - t;
         const T far_apart = separation + path.deviation(far_duration) * (T(1) + T(16) * unit);
-        const T turned = turning_direction<kEdgeEdge>(now, far, direction, direction_of(far_nearest), far_apart, error);
+        const T turned = turning_direction<kKind>(now, far, direction, direction_of(far_nearest), far_apart, error);
         if (turned >= T(1)) {
           next = far_time;
         } else {
@@ -152,40 +151,40 @@ PGCCD_HD Outcome<T> advance_in_phase(const Path& path, const SearchSettings<T>& 
       if constexpr (!kIsPatient) return stop(Status::kOpen);
       break;
     }
-    nearest = nearest_points<kEdgeEdge>(now, with_slender);
+    nearest = nearest_points<kKind>(now, with_slender);
     distance = norm(nearest.offset);
   }
   return stop(if_spent);
 }
 
 // A separate function, so that its registers and stack are not part of the common phases.
-template <bool kEdgeEdge, class T, class Path>
+template <FeatureKind kKind, class T, class Path>
 PGCCD_HD_RARE Outcome<T> advance_patiently(const Path& path, const SearchSettings<T>& settings, Progress<T> progress) {
-  return advance_in_phase<kEdgeEdge, Phase::kPatient>(path, settings, progress);
+  return advance_in_phase<kKind, Phase::kPatient>(path, settings, progress);
 }
 
 // True if the first phase certifies that the pair is free until the end, or the time of pruning. Otherwise `progress`
 // is the state to continue from.
-template <bool kEdgeEdge, class T, class Path>
+template <FeatureKind kKind, class T, class Path>
 PGCCD_HD bool is_quickly_free(const Path& path, const SearchSettings<T>& settings, Progress<T>& progress) {
-  return advance_in_phase<kEdgeEdge, Phase::kQuick>(path, settings, progress).status != Status::kOpen;
+  return advance_in_phase<kKind, Phase::kQuick>(path, settings, progress).status != Status::kOpen;
 }
 
 // Runs to the end, from the start of the step or from the state left by `is_quickly_free`.
-template <bool kEdgeEdge, class T, class Path>
+template <FeatureKind kKind, class T, class Path>
 PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, Progress<T> progress) {
   if constexpr (!std::is_same_v<T, DoubleDouble>) {  // few searches need it
-    const Outcome<T> outcome = advance_in_phase<kEdgeEdge, Phase::kPlain>(path, settings, progress);
+    const Outcome<T> outcome = advance_in_phase<kKind, Phase::kPlain>(path, settings, progress);
     if (outcome.status != Status::kOpen) return outcome;
   }
   const Path copy = path;  // so that the other phases may keep the path in registers
-  return advance_patiently<kEdgeEdge>(copy, settings, progress);
+  return advance_patiently<kKind>(copy, settings, progress);
 }
 
 // Starts at a time before which the pair is known to be free.
-template <bool kEdgeEdge, class T, class Path>
+template <FeatureKind kKind, class T, class Path>
 PGCCD_HD Outcome<T> advance_to_contact(const Path& path, const SearchSettings<T>& settings, T begin = T(0)) {
-  return advance_to_contact<kEdgeEdge>(path, settings, Progress<T>{begin});
+  return advance_to_contact<kKind>(path, settings, Progress<T>{begin});
 }
 
 }  // namespace pgccd

@@ -11,16 +11,37 @@ namespace pgccd {
 PGCCD_HD bool uses_arcs(const RigidBodies& bodies) { return !bodies.linear_path; }
 PGCCD_HD bool uses_arcs(const DeformingBodies&) { return false; }
 
+// True if a candidate has a valid pair (i, j) of `pairs` (pair_count, 2), kind, and features of the pair's bodies.
+template <class Bodies>
+PGCCD_HD bool names_features(const Bodies& bodies, const int64_t* pairs, int64_t pair_count,
+                             const Candidate& candidate) {
+  if (!is_within(candidate.pair, pair_count)) return false;
+  const auto kind = static_cast<FeatureKind>(candidate.kind);
+  if (candidate.kind < 0 || candidate.kind >= kFeatureKinds) return false;
+  for (int side = 0; side < 2; ++side) {
+    const int64_t body = pairs[2 * int64_t{candidate.pair} + side];
+    if (!is_sound(bodies, body)) return false;
+    const MeshOffsets* rows = bodies.meshes.offsets + bodies.mesh_index[body];
+    const bool is_vertex = kind == (side == 0 ? FeatureKind::kVertexFace : FeatureKind::kFaceVertex);
+    const bool is_edge =
+        kind == FeatureKind::kEdgeEdge || kind == (side == 0 ? FeatureKind::kEdgeFace : FeatureKind::kFaceEdge);
+    const int64_t edges_or_faces = is_edge ? rows[1].edge - rows[0].edge : rows[1].face - rows[0].face;
+    const int64_t count = is_vertex ? rows[1].vertex - rows[0].vertex : edges_or_faces;
+    if (!is_within(side == 0 ? candidate.feature_i : candidate.feature_j, count)) return false;
+  }
+  return true;
+}
+
 // Calls `use` with the path of the feature pair, in the precision of `pair`.
-template <bool kEdgeEdge, class Bodies, class Pair, class Use>
+template <FeatureKind kKind, class Bodies, class Pair, class Use>
 PGCCD_HD auto with_path(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, const Use& use) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
-    if (uses_arcs(bodies)) return use(pair.template arc_path<kEdgeEdge>(bodies, f));
+    if (uses_arcs(bodies)) return use(pair.template arc_path<kKind>(bodies, f));
   }
   using T = typename Pair::Number;
   Vec3<T> t0[4], t1[4];
-  pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-  return use(LinearPath<kEdgeEdge, T>(t0, t1, pair.point_error));
+  pair.template end_positions<kKind>(bodies, f, t0, t1);
+  return use(LinearPath<kKind, T>(t0, t1, pair.point_error));
 }
 
 // What the status of a rigid pair's search in double amounts to: a touch, if the distance was within the tolerance; or
@@ -37,30 +58,30 @@ PGCCD_HD Status settled(const RigidBodies& bodies, const RigidPair& pair, const 
 
 // A search that `settled` leaves undecided. A separate function, so that its registers and stack are not part of the
 // common phases.
-template <bool kEdgeEdge>
+template <FeatureKind kKind>
 PGCCD_HD_RARE Outcome<double> solve_finely(const RigidBodies& bodies, const RigidPair& pair, const FeatureVertices& f,
                                            const SearchSettings<double>& settings, double begin) {
   const RigidPairIn<DoubleDouble> fine(bodies, pair.body[0], pair.body[1]);
-  return with_path<kEdgeEdge>(bodies, fine, f,
-                              [&](const auto& path) { return continue_finely<kEdgeEdge>(path, settings, begin); });
+  return with_path<kKind>(bodies, fine, f,
+                          [&](const auto& path) { return continue_finely<kKind>(path, settings, begin); });
 }
 
 // `progress`: initial, or as left by the quick phase.
-template <bool kEdgeEdge, class Bodies, class Pair>
+template <FeatureKind kKind, class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_features(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
                                         const SearchSettings<double>& settings, Progress<double> progress) {
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
-    const Outcome<double> outcome = with_path<kEdgeEdge>(bodies, pair, f, [&](const auto& path) {
-      Outcome<double> found = advance_to_contact<kEdgeEdge>(path, settings, progress);
+    const Outcome<double> outcome = with_path<kKind>(bodies, pair, f, [&](const auto& path) {
+      Outcome<double> found = advance_to_contact<kKind>(path, settings, progress);
       found.status = settled(bodies, pair, path, settings, found.status);
       return found;
     });
     if (outcome.status != Status::kUndecided) return outcome;
-    return solve_finely<kEdgeEdge>(bodies, pair, f, settings, outcome.toi);
+    return solve_finely<kKind>(bodies, pair, f, settings, outcome.toi);
   } else {
     Vec3<double> t0[4], t1[4];
-    pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
-    return solve_straight<kEdgeEdge>(t0, t1, settings).outcome;
+    pair.template end_positions<kKind>(bodies, f, t0, t1);
+    return solve_straight<kKind>(t0, t1, settings).outcome;
   }
 }
 
@@ -83,19 +104,17 @@ PGCCD_HD bool is_quickly_free(const Bodies& bodies, const Pair& pair, const Cand
                               const NarrowSettings& settings, double latest, Progress<double>& progress) {
   const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
-  if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    return with_path<true>(bodies, pair, f,
-                           [&](const auto& path) { return is_quickly_free<true>(path, search, progress); });
-  }
-  return with_path<false>(bodies, pair, f,
-                          [&](const auto& path) { return is_quickly_free<false>(path, search, progress); });
+  return with_kind(candidate, [&]<FeatureKind kKind>(KindConstant<kKind>) {
+    return with_path<kKind>(bodies, pair, f,
+                            [&](const auto& path) { return is_quickly_free<kKind>(path, search, progress); });
+  });
 }
 
-template <bool kEdgeEdge, class Bodies, class Pair>
+template <FeatureKind kKind, class Bodies, class Pair>
 PGCCD_HD Outcome<double> solve_features_plainly(const Bodies& bodies, const Pair& pair, const FeatureVertices& f,
                                                 const SearchSettings<double>& settings, Progress<double> progress) {
-  return with_path<kEdgeEdge>(bodies, pair, f, [&](const auto& path) {
-    Outcome<double> found = advance_in_phase<kEdgeEdge, Phase::kPlain>(path, settings, progress);
+  return with_path<kKind>(bodies, pair, f, [&](const auto& path) {
+    Outcome<double> found = advance_in_phase<kKind, Phase::kPlain>(path, settings, progress);
     if constexpr (std::is_same_v<Bodies, RigidBodies>) {
       found.status = settled(bodies, pair, path, settings, found.status);
       if (found.status == Status::kUndecided) found.status = Status::kOpen;
@@ -110,10 +129,9 @@ PGCCD_HD Outcome<double> solve_plainly(const Bodies& bodies, const Pair& pair, c
                                        const NarrowSettings& settings, double latest, Progress<double> progress) {
   const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
-  if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    return solve_features_plainly<true>(bodies, pair, f, search, progress);
-  }
-  return solve_features_plainly<false>(bodies, pair, f, search, progress);
+  return with_kind(candidate, [&]<FeatureKind kKind>(KindConstant<kKind>) {
+    return solve_features_plainly<kKind>(bodies, pair, f, search, progress);
+  });
 }
 
 template <class Bodies, class Pair>
@@ -122,10 +140,9 @@ PGCCD_HD Outcome<double> solve_candidate(const Bodies& bodies, const Pair& pair,
                                          Progress<double> progress = {}) {
   const SearchSettings<double> search = search_settings(bodies, pair, settings, latest);
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
-  if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    return solve_features<true>(bodies, pair, f, search, progress);
-  }
-  return solve_features<false>(bodies, pair, f, search, progress);
+  return with_kind(candidate, [&]<FeatureKind kKind>(KindConstant<kKind>) {
+    return solve_features<kKind>(bodies, pair, f, search, progress);
+  });
 }
 
 // As `passes_through`, for a candidate of that kind. `fine()`: the pair with points in higher precision.

@@ -56,7 +56,7 @@ PGCCD_HD T prefix_of_line(T from, T to, T threshold) {
 // A fixed direction: along it, the gap of two convex sets on straight paths is a minimum of linear functions of time,
 // so the time at which it reaches the threshold is known in closed form. `direction` has unit length to within 4
 // roundings.
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& end, Vec3<T> direction, T distance,
                            PairError<T> error) {
   using certificate_detail::prefix_of_line;
@@ -67,12 +67,12 @@ PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& en
   const T r0 = dot(direction, start.r), a0 = dot(direction, start.a), b0 = dot(direction, start.b);
   const T r1 = dot(direction, end.r), a1 = dot(direction, end.a), b1 = dot(direction, end.b);
   T gap0[4], gap1[4];
-  constexpr int count = kEdgeEdge ? 4 : 3;
+  constexpr int count = kIsEdgeEdge<kKind> ? 4 : 3;
   gap0[0] = r0;
   gap1[0] = r1;
   gap0[1] = r0 + b0;
   gap1[1] = r1 + b1;
-  if constexpr (kEdgeEdge) {
+  if constexpr (kIsEdgeEdge<kKind>) {
     gap0[2] = r0 - a0;
     gap1[2] = r1 - a1;
     gap0[3] = (r0 - a0) + b0;
@@ -94,7 +94,7 @@ PGCCD_HD T fixed_direction(const FeaturePair<T>& start, const FeaturePair<T>& en
 // second order in the window's length, whereas that of a fixed direction is proportional to it. Each vertex pair's
 // projection is a quadratic, as is the bound |n(s)| <= (1 + |n(s)|^2) / 2 = 1 - s (1 - s) (1 - direction0 .
 // direction1).
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 PGCCD_HD T turning_direction(const FeaturePair<T>& start, const FeaturePair<T>& end, Vec3<T> direction0,
                              Vec3<T> direction1, T distance, PairError<T> error) {
   constexpr T u(Precision<T>::unit);
@@ -122,7 +122,7 @@ PGCCD_HD T turning_direction(const FeaturePair<T>& start, const FeaturePair<T>& 
   };
   limit(r0, r1, r2);
   limit(r0 + b0, r1 + b1, r2 + b2);
-  if constexpr (kEdgeEdge) {
+  if constexpr (kIsEdgeEdge<kKind>) {
     limit(r0 - a0, r1 - a1, r2 - a2);
     limit((r0 - a0) + b0, (r1 - a1) + b1, (r2 - a2) + b2);
   } else {

@@ -37,27 +37,27 @@ PGCCD_HD Vec3<double> unit_or_zero(Vec3<double> v) {
 }
 // The features at a time. On straight paths the differences themselves are interpolated, so that they are accurate
 // however far the points are from the world's origin.
-template <bool kEdgeEdge>
+template <FeatureKind kKind>
 struct Features {
   Vec3<double> x[4];
   FeaturePair<double> pair;  // times a power of two
 };
 
-template <bool kEdgeEdge, class Bodies, class Pair>
-PGCCD_HD Features<kEdgeEdge> features_at(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double t) {
-  Features<kEdgeEdge> out;
+template <FeatureKind kKind, class Bodies, class Pair>
+PGCCD_HD Features<kKind> features_at(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double t) {
+  Features<kKind> out;
   Vec3<double>(&x)[4] = out.x;
   if constexpr (std::is_same_v<Bodies, RigidBodies>) {
     if (uses_arcs(bodies)) {
-      pair.template arc_path<kEdgeEdge>(bodies, f).positions(t, x);
-      out.pair = feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
+      pair.template arc_path<kKind>(bodies, f).positions(t, x);
+      out.pair = feature_pair<kKind>(x[0], x[1], x[2], x[3]);
       return out;
     }
   }
   Vec3<double> t0[4], t1[4];
-  pair.template end_positions<kEdgeEdge>(bodies, f, t0, t1);
+  pair.template end_positions<kKind>(bodies, f, t0, t1);
   for (int k = 0; k < 4; ++k) x[k] = (1.0 - t) * t0[k] + t * t1[k];
-  out.pair = LinearPath<kEdgeEdge, double>(t0, t1, 0.0).at(t);
+  out.pair = LinearPath<kKind, double>(t0, t1, 0.0).at(t);
   return out;
 }
 
@@ -90,14 +90,15 @@ PGCCD_HD Vec3<double> centre_offset(const DeformingBodies& bodies, const Deformi
   return (1.0 - t) * centre.at_t0 + t * centre.at_t1;
 }
 
-template <bool kEdgeEdge, class Bodies, class Pair>
+template <FeatureKind kKind, class Bodies, class Pair>
 PGCCD_HD ContactPlace place(const Bodies& bodies, const Pair& pair, const FeatureVertices& f, double toi) {
-  const Features<kEdgeEdge> features = features_at<kEdgeEdge>(bodies, pair, f, toi);
-  const Nearest<double> nearest = nearest_points<kEdgeEdge>(features.pair);
+  const Features<kKind> features = features_at<kKind>(bodies, pair, f, toi);
+  const Nearest<double> nearest = nearest_points<kKind>(features.pair);
   const double u = nearest.u, v = nearest.v;
   const auto& x = features.x;
-  const Vec3<double> on_first = kEdgeEdge ? x[0] + u * (x[1] - x[0]) : x[0];
-  const Vec3<double> on_second = kEdgeEdge ? x[2] + v * (x[3] - x[2]) : x[1] + (u * (x[2] - x[1]) + v * (x[3] - x[1]));
+  const Vec3<double> on_first = kIsEdgeEdge<kKind> ? x[0] + u * (x[1] - x[0]) : x[0];
+  const Vec3<double> on_second =
+      kIsEdgeEdge<kKind> ? x[2] + v * (x[3] - x[2]) : x[1] + (u * (x[2] - x[1]) + v * (x[3] - x[1]));
   const Vec3<double> middle = frame_origin(bodies, pair, f.swapped, toi) + 0.5 * (on_first + on_second);
 
   // The gap gives the normal unless it is below rounding; then the features' own normal does, oriented from centre to
@@ -134,10 +135,9 @@ PGCCD_HD ContactPlace contact_place(const Bodies& bodies, const Pair& pair, cons
                                           crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate));
   }
   const FeatureVertices f = feature_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate);
-  if (candidate.kind == static_cast<int32_t>(FeatureKind::kEdgeEdge)) {
-    return contact_detail::place<true>(bodies, pair, f, toi);
-  }
-  return contact_detail::place<false>(bodies, pair, f, toi);
+  return with_kind(candidate, [&]<FeatureKind kKind>(KindConstant<kKind>) {
+    return contact_detail::place<kKind>(bodies, pair, f, toi);
+  });
 }
 
 }  // namespace pgccd

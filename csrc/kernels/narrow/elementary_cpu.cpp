@@ -25,53 +25,52 @@ struct LaneColumns {
 };
 
 // Culled queries, of up to kLanes, one bit each.
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 uint32_t culled_lanes(const T* points_t0, const T* points_t1, int64_t count, float distance) {
   if (count < kLanes) {
     uint32_t culled = 0;
     for (int64_t q = 0; q < count; ++q) {
-      const bool free = stays_apart(rounded_differences<kEdgeEdge>(points_t0 + 12 * q),
-                                    rounded_differences<kEdgeEdge>(points_t1 + 12 * q), distance, kEdgeEdge);
+      const bool free = stays_apart(rounded_differences<kKind>(points_t0 + 12 * q),
+                                    rounded_differences<kKind>(points_t1 + 12 * q), distance, kIsEdgeEdge<kKind>);
       culled |= static_cast<uint32_t>(free) << q;
     }
     return culled;
   }
   LaneColumns start, end;
   for (int lane = 0; lane < kLanes; ++lane) {
-    start.set(lane, rounded_differences<kEdgeEdge>(points_t0 + 12 * lane));
-    end.set(lane, rounded_differences<kEdgeEdge>(points_t1 + 12 * lane));
+    start.set(lane, rounded_differences<kKind>(points_t0 + 12 * lane));
+    end.set(lane, rounded_differences<kKind>(points_t1 + 12 * lane));
   }
-  return lane_bits(stays_apart(start.pairs(), end.pairs(), distance, kEdgeEdge));
+  return lane_bits(stays_apart(start.pairs(), end.pairs(), distance, kIsEdgeEdge<kKind>));
 }
 
 }  // namespace
 
-template <bool kEdgeEdge, class T>
-void elementary_cpu(const Executor& executor, const T* points_t0, const T* points_t1, int64_t count,
-                    const NarrowSettings& settings, const ElementaryColumns<T>& out) {
+template <FeatureKind kKind, class T>
+void elementary(const Executor& executor, const T* points_t0, const T* points_t1, int64_t count,
+                const NarrowSettings& settings, const ElementaryColumns<T>& out) {
   const float distance = cull_distance(settings);
   parallel_chunks(executor, count, kQueryGrain, [&](int, int64_t begin, int64_t end) {
     for (int64_t block = begin; block < end; block += kLanes) {
       const int64_t block_end = smaller(block + kLanes, end);
       const uint32_t culled =
-          culled_lanes<kEdgeEdge>(points_t0 + 12 * block, points_t1 + 12 * block, block_end - block, distance);
+          culled_lanes<kKind>(points_t0 + 12 * block, points_t1 + 12 * block, block_end - block, distance);
       for (int64_t q = block; q < block_end; ++q) {
         const bool free = (culled >> (q - block)) & 1;
-        store(
-            out, q,
-            free ? culled_answer<T>() : solve_elementary<kEdgeEdge>(points_t0 + 12 * q, points_t1 + 12 * q, settings));
+        store(out, q,
+              free ? culled_answer<T>() : solve_elementary<kKind>(points_t0 + 12 * q, points_t1 + 12 * q, settings));
       }
     }
   });
 }
 
-template void elementary_cpu<false>(const Executor&, const float*, const float*, int64_t, const NarrowSettings&,
-                                    const ElementaryColumns<float>&);
-template void elementary_cpu<true>(const Executor&, const float*, const float*, int64_t, const NarrowSettings&,
-                                   const ElementaryColumns<float>&);
-template void elementary_cpu<false>(const Executor&, const double*, const double*, int64_t, const NarrowSettings&,
-                                    const ElementaryColumns<double>&);
-template void elementary_cpu<true>(const Executor&, const double*, const double*, int64_t, const NarrowSettings&,
-                                   const ElementaryColumns<double>&);
+template void elementary<FeatureKind::kVertexFace>(const Executor&, const float*, const float*, int64_t,
+                                                   const NarrowSettings&, const ElementaryColumns<float>&);
+template void elementary<FeatureKind::kEdgeEdge>(const Executor&, const float*, const float*, int64_t,
+                                                 const NarrowSettings&, const ElementaryColumns<float>&);
+template void elementary<FeatureKind::kVertexFace>(const Executor&, const double*, const double*, int64_t,
+                                                   const NarrowSettings&, const ElementaryColumns<double>&);
+template void elementary<FeatureKind::kEdgeEdge>(const Executor&, const double*, const double*, int64_t,
+                                                 const NarrowSettings&, const ElementaryColumns<double>&);
 
 }  // namespace pgccd

@@ -1,27 +1,27 @@
 #include "kernels/launch.cuh"
 #include "kernels/narrow/elementary_item.h"
-#include "kernels/narrow/narrow_cuda.h"
+#include "kernels/narrow/narrow.h"
 
 namespace pgccd {
 
-template <bool kEdgeEdge, class T>
-void elementary_cuda(const DeviceContext& context, const T* points_t0, const T* points_t1, int64_t count,
-                     const NarrowSettings& settings, const ElementaryColumns<T>& out) {
+template <FeatureKind kKind, class T>
+void elementary(const DeviceContext& context, const T* points_t0, const T* points_t1, int64_t count,
+                const NarrowSettings& settings, const ElementaryColumns<T>& out) {
   for_each_item(context, count, [=] __device__(int64_t q) {
     const T *start = points_t0 + 12 * q, *end = points_t1 + 12 * q;
-    const bool free = stays_apart(rounded_differences<kEdgeEdge>(start), rounded_differences<kEdgeEdge>(end),
-                                  cull_distance(settings), kEdgeEdge);
-    store(out, q, free ? culled_answer<T>() : solve_elementary<kEdgeEdge>(start, end, settings));
+    const bool free = stays_apart(rounded_differences<kKind>(start), rounded_differences<kKind>(end),
+                                  cull_distance(settings), kIsEdgeEdge<kKind>);
+    store(out, q, free ? culled_answer<T>() : solve_elementary<kKind>(start, end, settings));
   });
 }
 
-template void elementary_cuda<false>(const DeviceContext&, const float*, const float*, int64_t, const NarrowSettings&,
-                                     const ElementaryColumns<float>&);
-template void elementary_cuda<true>(const DeviceContext&, const float*, const float*, int64_t, const NarrowSettings&,
-                                    const ElementaryColumns<float>&);
-template void elementary_cuda<false>(const DeviceContext&, const double*, const double*, int64_t, const NarrowSettings&,
-                                     const ElementaryColumns<double>&);
-template void elementary_cuda<true>(const DeviceContext&, const double*, const double*, int64_t, const NarrowSettings&,
-                                    const ElementaryColumns<double>&);
+template void elementary<FeatureKind::kVertexFace>(const DeviceContext&, const float*, const float*, int64_t,
+                                                   const NarrowSettings&, const ElementaryColumns<float>&);
+template void elementary<FeatureKind::kEdgeEdge>(const DeviceContext&, const float*, const float*, int64_t,
+                                                 const NarrowSettings&, const ElementaryColumns<float>&);
+template void elementary<FeatureKind::kVertexFace>(const DeviceContext&, const double*, const double*, int64_t,
+                                                   const NarrowSettings&, const ElementaryColumns<double>&);
+template void elementary<FeatureKind::kEdgeEdge>(const DeviceContext&, const double*, const double*, int64_t,
+                                                 const NarrowSettings&, const ElementaryColumns<double>&);
 
 }  // namespace pgccd

@@ -16,10 +16,10 @@ struct ElementaryColumns {
 };
 
 // Four points (., 3) at one end of the step, as differences in float32.
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 PGCCD_HD FeaturePair<float> rounded_differences(const T* points) {
   const FeaturePair<T> p =
-      feature_pair<kEdgeEdge>(load_vec3(points), load_vec3(points + 3), load_vec3(points + 6), load_vec3(points + 9));
+      feature_pair<kKind>(load_vec3(points), load_vec3(points + 3), load_vec3(points + 6), load_vec3(points + 9));
   return {cast<float>(p.r), cast<float>(p.a), cast<float>(p.b)};
 }
 
@@ -34,13 +34,13 @@ PGCCD_HD Answer<T> culled_answer() {
 }
 
 // A query that was not culled.
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 PGCCD_HD Answer<T> solve_elementary(const T* points_t0, const T* points_t1, const NarrowSettings& settings) {
   const Vec3<T> t0[4] = {load_vec3(points_t0), load_vec3(points_t0 + 3), load_vec3(points_t0 + 6),
                          load_vec3(points_t0 + 9)};
   const Vec3<T> t1[4] = {load_vec3(points_t1), load_vec3(points_t1 + 3), load_vec3(points_t1 + 6),
                          load_vec3(points_t1 + 9)};
-  return solve_straight<kEdgeEdge>(
+  return solve_straight<kKind>(
       t0, t1, {settings.separation, settings.tolerance, static_cast<double>(INFINITY), settings.nonzero_toi});
 }
 

@@ -62,7 +62,7 @@ void solve_pair(const Bodies& bodies, const PairOf<Bodies>& pair, const NarrowIn
     if (best == nullptr || canonical_key(candidate) < canonical_key(*best)) best = &candidate;
   };
   const auto is_wanted = [&](const Candidate& c) {
-    return !only_one || best == nullptr || (input.report == Report::kFirst && canonical_key(c) < canonical_key(*best));
+    return !only_one || best == nullptr || (wants_first(input.report) && canonical_key(c) < canonical_key(*best));
   };
   std::vector<int64_t> open;
   for (int64_t c = begin; c < end; ++c) {
@@ -115,7 +115,7 @@ void select(std::vector<FoundContact>& found, const NarrowInput& input) {
     return canonical_key(c);
   };
   const auto pair = [&](const FoundContact& f) { return input.candidates.items[f.candidate].pair; };
-  const bool by_toi = input.report == Report::kFirst;
+  const bool by_toi = wants_first(input.report);
   std::sort(found.begin(), found.end(), [&](const FoundContact& a, const FoundContact& b) {
     const double toi_a = by_toi ? a.outcome.toi : 0.0, toi_b = by_toi ? b.outcome.toi : 0.0;
     return std::make_tuple(pair(a), toi_a, features(a)) < std::make_tuple(pair(b), toi_b, features(b));
@@ -155,7 +155,7 @@ ContactRows to_rows(const Executor& executor, const Bodies& bodies, const Narrow
 }  // namespace
 
 template <class Bodies>
-ContactRows narrow_phase_cpu(const Executor& executor, const Bodies& bodies, const NarrowInput& input) {
+ContactRows solve_candidates(const Executor& executor, const Bodies& bodies, const NarrowInput& input) {
   std::vector<FoundContact> found = find_contacts(executor, bodies, input);
   select(found, input);
   return to_rows(executor, bodies, input, found);
@@ -211,7 +211,7 @@ ContactRows first_of_each_pair(const ContactRows& one, const ContactRows& other,
   return first;
 }
 
-void copy_rows(const ContactRows& rows, int64_t count, const ContactColumns& out) {
+void copy_contacts(const ContactRows& rows, int64_t count, const ContactColumns& out) {
   const auto copy = [&](const auto& values, int64_t width, auto* target) {
     std::copy_n(values.data(), width * count, target);
   };
@@ -225,7 +225,20 @@ void copy_rows(const ContactRows& rows, int64_t count, const ContactColumns& out
   copy(rows.normal, 3, out.normal);
 }
 
-template ContactRows narrow_phase_cpu(const Executor&, const RigidBodies&, const NarrowInput&);
-template ContactRows narrow_phase_cpu(const Executor&, const DeformingBodies&, const NarrowInput&);
+template <class Bodies>
+void narrow_phase(const Executor& executor, const Bodies& bodies, const NarrowInput& input,
+                  const ContactOutput& make_output) {
+  require_rows(
+      executor, input.candidates.size, "candidates", "name pairs, kinds and features that are there",
+      [&](int64_t k) { return names_features(bodies, input.pairs, input.pair_count, input.candidates.items[k]); });
+  const ContactRows found = solve_candidates(executor, bodies, input);
+  const auto rows = static_cast<int64_t>(found.pair.size());
+  copy_contacts(found, rows, make_output(rows));
+}
+
+template void narrow_phase(const Executor&, const RigidBodies&, const NarrowInput&, const ContactOutput&);
+template void narrow_phase(const Executor&, const DeformingBodies&, const NarrowInput&, const ContactOutput&);
+template ContactRows solve_candidates(const Executor&, const RigidBodies&, const NarrowInput&);
+template ContactRows solve_candidates(const Executor&, const DeformingBodies&, const NarrowInput&);
 
 }  // namespace pgccd

@@ -3,7 +3,7 @@
 
 #include "kernels/launch.cuh"
 #include "kernels/narrow/contact_item.h"
-#include "kernels/narrow/narrow_cuda.h"
+#include "kernels/narrow/narrow.h"
 #include "kernels/narrow/search_candidates.cuh"
 
 namespace pgccd {
@@ -145,6 +145,22 @@ SelectedContacts select_contacts(const DeviceContext& context, int64_t feature_c
   return {search, search.best != nullptr ? select_first(context, search) : sort_all(context, feature_count, search)};
 }
 
+template <class Bodies>
+void require_sound(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input) {
+  const CandidateSpan candidates = input.candidates;
+  const int64_t* const pairs = input.pairs;
+  const int64_t pair_count = input.pair_count;
+  if (candidates.size == 0) return;
+  int32_t* is_unsound = context.allocate<int32_t>(1);
+  fill_bytes(context, is_unsound, 0, 1);
+  for_each_item(context, candidates.size, [=] __device__(int64_t k) {
+    if (!names_features(bodies, pairs, pair_count, candidates.items[k])) *is_unsound = 1;
+  });
+  if (read(context, is_unsound) != 0) {
+    throw std::invalid_argument("candidates: expected rows that name pairs, kinds and features that are there");
+  }
+}
+
 }  // namespace
 
 Search new_search(const DeviceContext& context, const NarrowInput& input, int64_t most_open, bool with_contacts) {
@@ -165,8 +181,9 @@ Search new_search(const DeviceContext& context, const NarrowInput& input, int64_
 }
 
 template <class Bodies>
-void narrow_phase_cuda(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
-                       const ContactOutput& make_output) {
+void narrow_phase(const DeviceContext& context, const Bodies& bodies, const NarrowInput& input,
+                  const ContactOutput& make_output) {
+  require_sound(context, bodies, input);
   if (input.candidates.size == 0 || input.pair_count == 0) {
     make_output(0);
     return;
@@ -209,7 +226,7 @@ void write_contacts(const DeviceContext& context, const Bodies& bodies, const Se
   });
 }
 
-void lower_first_toi(const DeviceContext& context, const Search& search, const FirstToi& known, int64_t* counts) {
+void write_first_toi(const DeviceContext& context, const Search& search, const FirstToi& known, int64_t* counts) {
   const int64_t blocks = larger<int64_t>(1, (search.input.pair_count + kBlockThreads - 1) / kBlockThreads);
   launch_kernel(context, lower_owners, static_cast<unsigned>(blocks), kBlockThreads, search, known, counts);
 }
@@ -220,7 +237,7 @@ template void write_contacts(const DeviceContext&, const RigidBodies&, const Sea
                              int64_t*);
 template void write_contacts(const DeviceContext&, const DeformingBodies&, const Search&, int64_t,
                              const ContactColumns&, int64_t*);
-template void narrow_phase_cuda(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactOutput&);
-template void narrow_phase_cuda(const DeviceContext&, const DeformingBodies&, const NarrowInput&, const ContactOutput&);
+template void narrow_phase(const DeviceContext&, const RigidBodies&, const NarrowInput&, const ContactOutput&);
+template void narrow_phase(const DeviceContext&, const DeformingBodies&, const NarrowInput&, const ContactOutput&);
 
 }  // namespace pgccd

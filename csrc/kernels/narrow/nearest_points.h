@@ -40,7 +40,7 @@ PGCCD_HD SegmentCase<T> nearest_on_segment(Vec3<T> origin, Vec3<T> edge) {
 // Interior solution for nearly parallel edges, or sides of a face. Their normal is accurate only to u / sin(angle), and
 // so would be a distance along it. Instead the longer one is projected out (Gram-Schmidt with pivoting): the remaining
 // distance is that of two points of the features to within a few u of the extent, at any angle.
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 PGCCD_HD bool nearest_of_slender(const FeaturePair<T>& p, Vec3<T> normal, Nearest<T>& out) {
   const bool a_is_longer = norm_squared(p.a) > norm_squared(p.b);
   const Vec3<T> longer = a_is_longer ? p.a : p.b, shorter = a_is_longer ? p.b : p.a;
@@ -52,9 +52,10 @@ PGCCD_HD bool nearest_of_slender(const FeaturePair<T>& p, Vec3<T> normal, Neares
   const T aside = -dot(r, across) / norm_squared(across);
   const T along = -dot(p.r + aside * shorter, longer) / length_squared;
   const T of_a = a_is_longer ? along : aside;
-  out.u = kEdgeEdge ? -of_a : of_a;
+  out.u = kIsEdgeEdge<kKind> ? -of_a : of_a;
   out.v = a_is_longer ? aside : along;
-  const bool inside = out.u > T(0) && out.v > T(0) && (kEdgeEdge ? out.u < T(1) && out.v < T(1) : out.u + out.v < T(1));
+  const bool inside =
+      out.u > T(0) && out.v > T(0) && (kIsEdgeEdge<kKind> ? out.u < T(1) && out.v < T(1) : out.u + out.v < T(1));
   if (!inside) return false;
   out.offset = r + aside * across;
   // Perpendicular to the longer one to within rounding, which suffices: along the rest of the shorter one the features
@@ -77,7 +78,7 @@ PGCCD_HD Nearest<T> from_segment(const SegmentCase<T>& c, T u, T v) {
 // distance. Certificates do not depend on its accuracy.
 // `with_slender`: also considers the interiors of features whose normal is inaccurate; otherwise their boundaries,
 // which may be further apart, represent them.
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p, bool with_slender = true) {
   using nearest_detail::from_segment;
   using nearest_detail::nearest_on_segment;
@@ -91,23 +92,23 @@ PGCCD_HD Nearest<T> nearest_points(const FeaturePair<T>& p, bool with_slender = 
       normal_squared > (slender * slender) * parallel_squared && normal_squared > T(Precision<T>::smallest_square);
   // Edges' lines: u |n|^2 = det(r, b, n), v |n|^2 = det(r, a, n). Projection onto the face: u |n|^2 = det(b, r, n),
   // same v.
-  const T u = kEdgeEdge ? dot(cross(p.r, p.b), normal) : dot(cross(p.b, p.r), normal);
+  const T u = kIsEdgeEdge<kKind> ? dot(cross(p.r, p.b), normal) : dot(cross(p.b, p.r), normal);
   const T v = dot(cross(p.r, p.a), normal);
   // Below a sine of 1/8, the distance along the normal has an error above the noise bound of `advance_in_phase`.
   const bool is_slender = !(normal_squared > T(0x1p-6) * parallel_squared);
   const bool inside = has_normal && !is_slender && u > T(0) && v > T(0) &&
-                      (kEdgeEdge ? u < normal_squared && v < normal_squared : u + v < normal_squared);
+                      (kIsEdgeEdge<kKind> ? u < normal_squared && v < normal_squared : u + v < normal_squared);
   if (inside) {
     const T along = dot(normal, p.r);
     return {(along / normal_squared) * normal, along < T(0) ? -normal : normal, u / normal_squared, v / normal_squared};
   }
   if (with_slender && has_normal && is_slender) {
     Nearest<T> interior;
-    if (nearest_detail::nearest_of_slender<kEdgeEdge>(p, normal, interior)) return interior;
+    if (nearest_detail::nearest_of_slender<kKind>(p, normal, interior)) return interior;
   }
 
   auto best = nearest_on_segment(p.r, p.b);
-  if constexpr (kEdgeEdge) {
+  if constexpr (kIsEdgeEdge<kKind>) {
     int which = 0;  // end 0 or 1 of the first edge on the second, end 0 or 1 of the second edge on the first
     const auto consider = [&](Vec3<T> origin, Vec3<T> edge, int candidate) {
       const auto other = nearest_on_segment(origin, edge);

@@ -91,18 +91,18 @@ struct RigidPairIn {
     return (turns(0) ? offset_error(bodies, 0) : 0.0) + (turns(1) ? offset_error(bodies, 1) : 0.0);
   }
 
-  template <bool kEdgeEdge>
+  template <FeatureKind kKind>
   PGCCD_HD void bases(const RigidBodies& bodies, const FeatureVertices& f, Vec3<T> base[4]) const {
     for (int k = 0; k < 4; ++k) {
-      const int side = side_of<kEdgeEdge>(f, k);
+      const int side = side_of<kKind>(f, k);
       const int64_t row = bodies.meshes.offsets[mesh[side]].vertex + f.vertex[k];
       base[k] = orientation[side] * cast<T>(load_vec3(bodies.meshes.vertices + 3 * row));
     }
   }
 
-  template <bool kEdgeEdge>
+  template <FeatureKind kKind>
   PGCCD_HD static int side_of(const FeatureVertices& f, int k) {
-    return (k < PointSplit<kEdgeEdge>::first_count) == f.swapped ? 1 : 0;
+    return (k < PointSplit<kKind>::first_count) == f.swapped ? 1 : 0;
   }
 
   // Offset of the second primitive's body from the first primitive's.
@@ -111,10 +111,10 @@ struct RigidPairIn {
     return {-centre.at_t0, -centre.at_t1};
   }
 
-  template <bool kEdgeEdge>
-  PGCCD_HD ArcPath<kEdgeEdge, T> arc_path(const RigidBodies& bodies, const FeatureVertices& f) const {
+  template <FeatureKind kKind>
+  PGCCD_HD ArcPath<kKind, T> arc_path(const RigidBodies& bodies, const FeatureVertices& f) const {
     Vec3<T> base[4];
-    bases<kEdgeEdge>(bodies, f, base);
+    bases<kKind>(bodies, f, base);
     const int first = f.swapped ? 1 : 0, second = 1 - first;
     return {base, spin[first], spin[second], named_centre(f), point_error};
   }
@@ -136,14 +136,14 @@ struct RigidPairIn {
   PGCCD_HD Fine fine(const RigidBodies& bodies) const { return {bodies, body[0], body[1]}; }
 
   // End positions relative to the origin of the first primitive's body.
-  template <bool kEdgeEdge>
+  template <FeatureKind kKind>
   PGCCD_HD void end_positions(const RigidBodies& bodies, const FeatureVertices& f, Vec3<T> t0[4], Vec3<T> t1[4]) const {
-    bases<kEdgeEdge>(bodies, f, t0);
+    bases<kKind>(bodies, f, t0);
     const RelativeCentreIn<T> shift = named_centre(f);
     for (int k = 0; k < 4; ++k) {
-      const Spin& s = spin[side_of<kEdgeEdge>(f, k)];
+      const Spin& s = spin[side_of<kKind>(f, k)];
       t1[k] = rotate(s, sine_cosine(s.angle), t0[k]);
-      if (k >= PointSplit<kEdgeEdge>::first_count) {
+      if (k >= PointSplit<kKind>::first_count) {
         t0[k] = shift.at_t0 + t0[k];
         t1[k] = shift.at_t1 + t1[k];
       }
@@ -175,11 +175,11 @@ struct DeformingPair {
   PGCCD_HD const Fine& fine(const DeformingBodies&) const { return *this; }
 
   // World coordinates: only their differences are used, so no shift is needed.
-  template <bool kEdgeEdge>
+  template <FeatureKind kKind>
   PGCCD_HD void end_positions(const DeformingBodies& bodies, const FeatureVertices& f, Vec3<double> t0[4],
                               Vec3<double> t1[4]) const {
     for (int k = 0; k < 4; ++k) {
-      const int side = (k < PointSplit<kEdgeEdge>::first_count) == f.swapped ? 1 : 0;
+      const int side = (k < PointSplit<kKind>::first_count) == f.swapped ? 1 : 0;
       const int64_t row = bodies.vertex_begin[body[side]] + f.vertex[k];
       t0[k] = load_vec3(bodies.vertices_t0 + 3 * row);
       t1[k] = load_vec3(bodies.vertices_t1 + 3 * row);

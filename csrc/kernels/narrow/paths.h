@@ -8,13 +8,13 @@
 namespace pgccd {
 
 // Number of the points x0 .. x3 that belong to the first primitive: the vertex, or the first edge's two.
-template <bool kEdgeEdge>
+template <FeatureKind kKind>
 struct PointSplit {
-  static constexpr int first_count = kEdgeEdge ? 2 : 1;
+  static constexpr int first_count = kIsEdgeEdge<kKind> ? 2 : 1;
 };
 
 // Straight vertex paths: differences of linear functions are linear, so the differences themselves are interpolated.
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 class LinearPath {
  public:
   // Proofs of contact and higher precision apply only to straight paths.
@@ -22,8 +22,7 @@ class LinearPath {
 
   // `point_error`: error bound of the given points (0 if they are exact).
   PGCCD_HD LinearPath(const Vec3<T> t0[4], const Vec3<T> t1[4], T point_error)
-      : t0_(feature_pair<kEdgeEdge>(t0[0], t0[1], t0[2], t0[3])),
-        t1_(feature_pair<kEdgeEdge>(t1[0], t1[1], t1[2], t1[3])) {
+      : t0_(feature_pair<kKind>(t0[0], t0[1], t0[2], t0[3])), t1_(feature_pair<kKind>(t1[0], t1[1], t1[2], t1[3])) {
     const T size = larger(extent(t0_), extent(t1_));
     // Scaled to about unit size, by a power of two: exact, and products of six lengths neither overflow nor underflow.
     scale_ = size > T(0) ? static_cast<T>(inverse_power_of_two(static_cast<double>(size))) : T(1);
@@ -72,7 +71,7 @@ PGCCD_HD Vec3<T> arc_position(const ArcPoint<T>& p, const SineCosine& at) {
 
 // Rigid arcs, relative to the origin of the first primitive's body. Angles, sines and cosines are doubles in any
 // precision: they are multiplied by zero for points of bodies that do not turn.
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 class ArcPath {
  public:
   static constexpr bool kStraight = false;
@@ -82,7 +81,7 @@ class ArcPath {
       : first_angle_(first.angle), second_angle_(second.angle), centre_(centre) {
     T first_radius(0), second_radius(0);
     for (int k = 0; k < 4; ++k) {
-      const bool is_first = k < PointSplit<kEdgeEdge>::first_count;
+      const bool is_first = k < PointSplit<kKind>::first_count;
       points_[k] = arc_point(is_first ? first : second, bases[k]);
       T& radius = is_first ? first_radius : second_radius;
       radius = larger(radius, norm(points_[k].quarter));
@@ -99,7 +98,7 @@ class ArcPath {
   PGCCD_HD FeaturePair<T> at(T t) const {
     Vec3<T> x[4];
     positions(t, x);
-    return feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
+    return feature_pair<kKind>(x[0], x[1], x[2], x[3]);
   }
   // Relative to the origin at t of the first primitive's body.
   PGCCD_HD void positions(T t, Vec3<T> x[4]) const {
@@ -107,7 +106,7 @@ class ArcPath {
     const SineCosine second = sine_cosine(second_angle_ * static_cast<double>(t));
     const Vec3<T> shift = shift_at(t);
     for (int k = 0; k < 4; ++k) {
-      const bool is_first = k < PointSplit<kEdgeEdge>::first_count;
+      const bool is_first = k < PointSplit<kKind>::first_count;
       x[k] = arc_position(points_[k], is_first ? first : second);
       if (!is_first) x[k] = shift + x[k];
     }
@@ -125,7 +124,7 @@ class ArcPath {
   PGCCD_HD int more_advances() const { return static_cast<int>(smaller(2.0 * (first_angle_ + second_angle_), 0x1p20)); }
 
   // Body of a point: 0 for that of the first primitive, 1 for that of the second.
-  PGCCD_HD static int side_of(int k) { return k < PointSplit<kEdgeEdge>::first_count ? 0 : 1; }
+  PGCCD_HD static int side_of(int k) { return k < PointSplit<kKind>::first_count ? 0 : 1; }
   PGCCD_HD const ArcPoint<T>& point(int k) const { return points_[k]; }
   PGCCD_HD double angle(int side) const { return side == 0 ? first_angle_ : second_angle_; }
   // Offset of the second body's origin.

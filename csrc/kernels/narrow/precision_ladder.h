@@ -53,50 +53,50 @@ PGCCD_HD Outcome<To> round_outcome(const Outcome<From>& outcome) {
   return {outcome.status, round_down<To>(outcome.toi), static_cast<To>(outcome.u), static_cast<To>(outcome.v)};
 }
 
-template <bool kEdgeEdge, class T, class Input>
+template <FeatureKind kKind, class T, class Input>
 PGCCD_HD_RARE Answer<Input> climb(const Vec3<Input> (&t0)[4], const Vec3<Input> (&t1)[4],
                                   const SearchSettings<double>& settings, T begin);
 
-template <bool kEdgeEdge, class T, class Input>
+template <FeatureKind kKind, class T, class Input>
 PGCCD_HD Answer<Input> ask(const Vec3<Input> (&t0)[4], const Vec3<Input> (&t1)[4],
                            const SearchSettings<double>& settings, T begin) {
   using Finer = typename Rung<T>::Finer;
   const Vec3<T> start[4] = {cast<T>(t0[0]), cast<T>(t0[1]), cast<T>(t0[2]), cast<T>(t0[3])};
   const Vec3<T> end[4] = {cast<T>(t1[0]), cast<T>(t1[1]), cast<T>(t1[2]), cast<T>(t1[3])};
   Outcome<T> outcome =
-      advance_to_contact<kEdgeEdge>(LinearPath<kEdgeEdge, T>(start, end, T(0)), in_precision<T>(settings), begin);
+      advance_to_contact<kKind>(LinearPath<kKind, T>(start, end, T(0)), in_precision<T>(settings), begin);
   const bool is_open = outcome.status == Status::kUndecided || outcome.status == Status::kUnresolved;
   if constexpr (std::is_void_v<Finer>) {
     if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
   } else {
-    if (is_open) return climb<kEdgeEdge, Finer>(t0, t1, settings, Finer(outcome.toi));
+    if (is_open) return climb<kKind, Finer>(t0, t1, settings, Finer(outcome.toi));
   }
   return {round_outcome<Input>(outcome), Rung<T>::significant_bits};
 }
 
-template <bool kEdgeEdge, class T, class Input>
+template <FeatureKind kKind, class T, class Input>
 PGCCD_HD_RARE Answer<Input> climb(const Vec3<Input> (&t0)[4], const Vec3<Input> (&t1)[4],
                                   const SearchSettings<double>& settings, T begin) {
-  return ask<kEdgeEdge, T, Input>(t0, t1, settings, begin);
+  return ask<kKind, T, Input>(t0, t1, settings, begin);
 }
 
 }  // namespace ladder_detail
 
 // Continues in double-double, from a time before which the pair is free. What that leaves undecided counts as a touch.
-template <bool kEdgeEdge, class Path>
+template <FeatureKind kKind, class Path>
 PGCCD_HD Outcome<double> continue_finely(const Path& path, const SearchSettings<double>& settings, double begin) {
   using ladder_detail::in_precision;
   Outcome<DoubleDouble> outcome =
-      advance_to_contact<kEdgeEdge>(path, in_precision<DoubleDouble>(settings), DoubleDouble(begin));
+      advance_to_contact<kKind>(path, in_precision<DoubleDouble>(settings), DoubleDouble(begin));
   if (outcome.status == Status::kUndecided) outcome.status = Status::kTouch;
   return ladder_detail::round_outcome<double>(outcome);
 }
 
 // The given points, at both ends of straight paths, are exact.
-template <bool kEdgeEdge, class Input>
+template <FeatureKind kKind, class Input>
 PGCCD_HD Answer<Input> solve_straight(const Vec3<Input> (&t0)[4], const Vec3<Input> (&t1)[4],
                                       const SearchSettings<double>& settings) {
-  return ladder_detail::ask<kEdgeEdge, Input>(t0, t1, settings, Input(0));
+  return ladder_detail::ask<kKind, Input>(t0, t1, settings, Input(0));
 }
 
 }  // namespace pgccd

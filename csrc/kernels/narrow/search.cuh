@@ -3,7 +3,7 @@
 
 #include "kernels/device.cuh"
 #include "kernels/narrow/candidate_item.h"
-#include "kernels/narrow/narrow_cuda.h"
+#include "kernels/narrow/narrow.h"
 
 namespace pgccd {
 

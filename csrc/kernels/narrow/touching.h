@@ -47,7 +47,7 @@ PGCCD_HD T determinant(const FeaturePair<T>& p) {
 // True if the primitives certainly pass through one another between the two times: seen along a coordinate axis, the
 // vertex stays inside the triangle, or the edges cross, throughout; and the sign of the determinant changes. So they
 // are coplanar at some time, and touch then. `start` and `end` are on straight paths.
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 PGCCD_HD bool pass_through(const FeaturePair<T>& start, const FeaturePair<T>& end, PairError<T> error) {
   using namespace touching_detail;
   const FeatureLengths<T> length = lengths_of(start, end);
@@ -70,29 +70,29 @@ PGCCD_HD bool pass_through(const FeaturePair<T>& start, const FeaturePair<T>& en
   for (int k = 0; k < 3; ++k) {
     // The crossing is at u = p / w, v = q / w.
     const T w = sign * ab.control[k], q = -sign * ar.control[k];
-    const T p = kEdgeEdge ? -sign * br.control[k] : sign * br.control[k];
+    const T p = kIsEdgeEdge<kKind> ? -sign * br.control[k] : sign * br.control[k];
     if (!(p > rounding) || !(q > rounding)) return false;
-    if (kEdgeEdge ? !(w - p > rounding && w - q > rounding) : !(w - p - q > rounding)) return false;
+    if (kIsEdgeEdge<kKind> ? !(w - p > rounding && w - q > rounding) : !(w - p - q > rounding)) return false;
   }
   return true;
 }
 
 // Tries to find such a proof just after a time at which the primitives are `distance` apart, by one Newton step.
 // `with_slender` as for `nearest_points`.
-template <bool kEdgeEdge, class T, class Path>
+template <FeatureKind kKind, class T, class Path>
 PGCCD_HD bool certainly_touch(const Path& path, T t, const FeaturePair<T>& now, const Nearest<T>& nearest, T distance,
                               T separation, T noise, bool with_slender) {
   using touching_detail::determinant;
   const FeaturePair<T> velocity = path.velocity();
   if (separation > T(0)) {
     if (distance + noise < separation) return true;
-    const Vec3<T> change = kEdgeEdge ? velocity.r + nearest.v * velocity.b - nearest.u * velocity.a
-                                     : velocity.r + (nearest.u * velocity.a + nearest.v * velocity.b);
+    const Vec3<T> change = kIsEdgeEdge<kKind> ? velocity.r + nearest.v * velocity.b - nearest.u * velocity.a
+                                              : velocity.r + (nearest.u * velocity.a + nearest.v * velocity.b);
     const T speed = -dot(nearest.offset, change) / distance;
     if (!(speed > T(0))) return false;
     const T until = smaller(t + T(4) * ((distance - separation) + noise) / speed, T(1));
     if (!(until > t)) return false;
-    const T distance_then = norm(nearest_points<kEdgeEdge>(path.at(until), with_slender).offset);
+    const T distance_then = norm(nearest_points<kKind>(path.at(until), with_slender).offset);
     return distance_then + noise < separation;
   }
   const PairError<T> error = path.error();
@@ -102,7 +102,7 @@ PGCCD_HD bool certainly_touch(const Path& path, T t, const FeaturePair<T>& now, 
   const T rounding = determinant_rounding(lengths_of(now, now), error);
   const T until_crossing = magnitude(side) / slope, margin = T(4) * rounding / slope;
   const T from = larger(t - margin, T(0)), to = smaller(t + T(2) * until_crossing + margin, T(1));
-  return pass_through<kEdgeEdge>(path.at(from), path.at(to), error);
+  return pass_through<kKind>(path.at(from), path.at(to), error);
 }
 
 }  // namespace pgccd

@@ -12,10 +12,10 @@ namespace whole_turns_detail {
 // Remaining rotation, in radians, from which a body counts as spinning fast: chords would need many windows.
 constexpr double kFastSpin = 4.0;
 
-template <bool kEdgeEdge, class T>
+template <FeatureKind kKind, class T>
 class SpunPair {
  public:
-  PGCCD_HD SpunPair(const ArcPath<kEdgeEdge, T>& path, T t) : path_(path), t_(t) {
+  PGCCD_HD SpunPair(const ArcPath<kKind, T>& path, T t) : path_(path), t_(t) {
     for (int side = 0; side < 2; ++side) spins_[side] = path.angle(side) * static_cast<double>(T(1) - t) > kFastSpin;
   }
 
@@ -32,7 +32,7 @@ class SpunPair {
       x[k] = height * hub(k);
       if (path_.side_of(k) == 1) x[k] = path_.shift_at(t_) + x[k];
     }
-    return feature_pair<kEdgeEdge>(x[0], x[1], x[2], x[3]);
+    return feature_pair<kKind>(x[0], x[1], x[2], x[3]);
   }
 
   // A time until which the features stay apart along `n`; the gap is the smallest projection of the second feature
@@ -89,7 +89,7 @@ class SpunPair {
     return T(1.0 + 0x1p-40) * (path_.angle(side) * path_.angle(side) * radius);
   }
 
-  const ArcPath<kEdgeEdge, T>& path_;
+  const ArcPath<kKind, T>& path_;
   T t_;
   bool spins_[2];
 };
@@ -99,14 +99,14 @@ class SpunPair {
 // A time until which the features stay apart, or `t` itself if nothing is gained. Directions: the given one; those
 // between the nearest points with spinning features shrunk to the centres of their circles, or to the centre of the
 // body; and the axes.
-template <bool kEdgeEdge, class T>
-PGCCD_HD T free_while_spinning(const ArcPath<kEdgeEdge, T>& path, T t, Vec3<T> direction, T separation) {
-  const whole_turns_detail::SpunPair<kEdgeEdge, T> pair(path, t);
+template <FeatureKind kKind, class T>
+PGCCD_HD T free_while_spinning(const ArcPath<kKind, T>& path, T t, Vec3<T> direction, T separation) {
+  const whole_turns_detail::SpunPair<kKind, T> pair(path, t);
   if (!pair.any()) return t;
-  const Vec3<T> between_circles = direction_of(nearest_points<kEdgeEdge>(pair.hubs(T(1))));
+  const Vec3<T> between_circles = direction_of(nearest_points<kKind>(pair.hubs(T(1))));
   T until = larger(t, pair.free_until(direction, separation));
   until = larger(until, pair.free_until(between_circles, separation));
-  const Vec3<T> from_centre = direction_of(nearest_points<kEdgeEdge>(pair.hubs(T(0))));
+  const Vec3<T> from_centre = direction_of(nearest_points<kKind>(pair.hubs(T(0))));
   until = larger(until, pair.free_until(from_centre, separation));
   for (int k = 0; k < 4; ++k) {
     if (!pair.spins(k)) continue;
@@ -117,8 +117,8 @@ PGCCD_HD T free_while_spinning(const ArcPath<kEdgeEdge, T>& path, T t, Vec3<T> d
 }
 
 // Straight paths do not rotate.
-template <bool kEdgeEdge, class T>
-PGCCD_HD T free_while_spinning(const LinearPath<kEdgeEdge, T>&, T t, Vec3<T> /*direction*/, T /*separation*/) {
+template <FeatureKind kKind, class T>
+PGCCD_HD T free_while_spinning(const LinearPath<kKind, T>&, T t, Vec3<T> /*direction*/, T /*separation*/) {
   return t;
 }
 

@@ -7,6 +7,8 @@
 
 #include <cstdint>
 
+#include "kernels/device_context.h"
+
 namespace pgccd {
 
 constexpr int kMostPeers = 16;
@@ -52,5 +54,9 @@ struct PeerMinimum {
   const int64_t* found = nullptr;  // (1,), sent too; or null
   int64_t* anywhere = nullptr;     // (1,) set to 1 if `found` of any rank is nonzero
 };
+
+// All ranks make the same calls, each on one stream. They do not synchronise.
+void peer_gather(const DeviceContext& context, const PeerMemory& memory, const PeerGather& message);
+void peer_minimum(const DeviceContext& context, const PeerMemory& memory, const PeerMinimum& message);
 
 }  // namespace pgccd

@@ -2,7 +2,7 @@
 #include <limits>
 
 #include "kernels/launch.cuh"
-#include "kernels/peers/peers_cuda.h"
+#include "kernels/peers/peers.h"
 
 namespace pgccd {
 namespace {
@@ -160,12 +160,12 @@ dim3 blocks_for(const PeerMemory& memory) { return {kPeerBlocks, static_cast<uns
 
 }  // namespace
 
-void peer_gather_cuda(const DeviceContext& context, const PeerMemory& memory, const PeerGather& message) {
+void peer_gather(const DeviceContext& context, const PeerMemory& memory, const PeerGather& message) {
   launch_kernel(context, gather_from_peers, blocks_for(memory), kPeerThreads, Regions{memory, memory.slot_bytes()},
                 message);
 }
 
-void peer_minimum_cuda(const DeviceContext& context, const PeerMemory& memory, const PeerMinimum& message) {
+void peer_minimum(const DeviceContext& context, const PeerMemory& memory, const PeerMinimum& message) {
   launch_kernel(context, lower_to_peers, blocks_for(memory), kPeerThreads, Regions{memory, memory.slot_bytes()},
                 message);
 }

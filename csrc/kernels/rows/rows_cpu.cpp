@@ -62,14 +62,14 @@ void copy_chunks(const Executor& executor, const std::vector<ColumnCopy>& column
 
 }  // namespace
 
-void copy_rows_cpu(const Executor& executor, const std::vector<ColumnCopy>& columns, const ChosenRows& rows) {
+void copy_rows(const Executor& executor, const std::vector<ColumnCopy>& columns, const ChosenRows& rows) {
   copy_chunks(executor, columns, rows, "rows: expected -1 or rows of the columns",
               [&](int64_t begin, int64_t end, Sources& sources) {
                 for (int64_t row = begin; row < end; ++row) sources[static_cast<size_t>(row - begin)] = rows(row);
               });
 }
 
-void merge_rows_cpu(const Executor& executor, const std::vector<ColumnCopy>& columns, const RowChange& change) {
+void merge_rows(const Executor& executor, const std::vector<ColumnCopy>& columns, const RowChange& change) {
   std::vector<int64_t> order(static_cast<size_t>(change.added_count)), places(order.size());
   std::iota(order.begin(), order.end(), int64_t{0});
   std::sort(order.begin(), order.end(), [&](int64_t a, int64_t b) { return change.added_id(a) < change.added_id(b); });

@@ -5,7 +5,7 @@
 #include <cub/cub.cuh>
 
 #include "kernels/launch.cuh"
-#include "kernels/rows/rows_cuda.h"
+#include "kernels/rows/rows.h"
 
 namespace pgccd {
 namespace {
@@ -104,11 +104,11 @@ struct Ascending {
 
 }  // namespace
 
-void copy_rows_cuda(const DeviceContext& context, const std::vector<ColumnCopy>& columns, const ChosenRows& rows) {
+void copy_rows(const DeviceContext& context, const std::vector<ColumnCopy>& columns, const ChosenRows& rows) {
   launch_copies(context, columns, rows);
 }
 
-void merge_rows_cuda(const DeviceContext& context, const std::vector<ColumnCopy>& columns, const RowChange& change) {
+void merge_rows(const DeviceContext& context, const std::vector<ColumnCopy>& columns, const RowChange& change) {
   const int64_t added_count = change.added_count;
   int64_t* places = context.allocate<int64_t>(added_count);
   int64_t* order = context.allocate<int64_t>(added_count);

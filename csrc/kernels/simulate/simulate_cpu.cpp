@@ -16,13 +16,13 @@ void for_each_row(const Executor& executor, int64_t count, Fn&& fn) {
 
 }  // namespace
 
-void start_cpu(const Executor& executor, const World& world, const int64_t* id, int64_t count,
-               const RobotResults& results) {
+void start_robots(const Executor& executor, const World& world, const int64_t* id, int64_t count,
+                  const RobotResults& results) {
   for_each_row(executor, count, [&](int64_t row) { store_robot(results, row, start_robot(world, id[row])); });
 }
 
-void plan_cpu(const Executor& executor, const World& world, const RobotColumns& robots, const int64_t* step,
-              const RobotResults& results) {
+void plan_robots(const Executor& executor, const World& world, const RobotColumns& robots, const int64_t* step,
+                 const RobotResults& results) {
   for_each_row(executor, robots.count, [&](int64_t row) {
     Robot robot = load_robot(robots, row);
     plan_robot(world, robots.id[row], *step, robot);
@@ -30,8 +30,8 @@ void plan_cpu(const Executor& executor, const World& world, const RobotColumns& 
   });
 }
 
-void respond_cpu(const Executor& executor, const RobotColumns& robots, const double* fraction,
-                 const RobotResults& results) {
+void respond_robots(const Executor& executor, const RobotColumns& robots, const double* fraction,
+                    const RobotResults& results) {
   for_each_row(executor, robots.count, [&](int64_t row) {
     Robot robot = load_robot(robots, row);
     respond_robot(fraction[row], robot);
@@ -39,20 +39,20 @@ void respond_cpu(const Executor& executor, const RobotColumns& robots, const dou
   });
 }
 
-void commit_cpu(const Executor& executor, const RobotColumns& robots, const double* fraction, const int64_t* discard,
-                const RobotResults& results) {
-  if (*discard == 0) respond_cpu(executor, robots, fraction, results);
+void commit_robots(const Executor& executor, const RobotColumns& robots, const double* fraction, const int64_t* discard,
+                   const RobotResults& results) {
+  if (*discard == 0) respond_robots(executor, robots, fraction, results);
 }
 
-void random_uniforms_cpu(const Executor& executor, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
-                         uint32_t stream, double* uniforms) {
+void random_uniforms(const Executor& executor, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
+                     uint32_t stream, double* uniforms) {
   for_each_row(executor, count, [&](int64_t row) {
     const Uniforms drawn = random_uniforms(seed, {id[row], step, stream});
     for (int k = 0; k < 4; ++k) uniforms[4 * row + k] = drawn.u[k];
   });
 }
 
-void slow_all_down_cpu(const Executor& executor, const SlowAllDown& robots, int64_t* changes) {
+void slow_all_down(const Executor& executor, const SlowAllDown& robots, int64_t* changes) {
   int64_t chunks = 0;
   parallel_chunks(executor, robots.count, 1024, [&](int, int64_t begin, int64_t end) {
     bool any = false;
@@ -62,7 +62,7 @@ void slow_all_down_cpu(const Executor& executor, const SlowAllDown& robots, int6
   if (chunks != 0) *changes = 1;
 }
 
-void first_toi_cpu(const Executor& executor, const FirstToiInput& contacts, double* first) {
+void lower_first_toi_of_robots(const Executor& executor, const FirstToiInput& contacts, double* first) {
   require_rows(executor, contacts.count, "pairs, robots", "are padding, or name robots",
                [&](int64_t contact) { return contacts.is_sound(2 * contact) && contacts.is_sound(2 * contact + 1); });
   for (int64_t side = 0; side < 2 * contacts.count; ++side) {
@@ -73,7 +73,7 @@ void first_toi_cpu(const Executor& executor, const FirstToiInput& contacts, doub
   }
 }
 
-void affected_motion_cpu(const Executor& executor, const AffectedMotion& given) {
+void affected_motion(const Executor& executor, const AffectedMotion& given) {
   require_rows(executor, given.pair_count, "pairs", "are padding, or name robots",
                [&](int64_t pair) { return given.affected.is_sound(pair); });
   std::vector<int64_t> rows(static_cast<size_t>(given.pair_count));
@@ -85,7 +85,7 @@ void affected_motion_cpu(const Executor& executor, const AffectedMotion& given) 
   store_counts(found, given.capacity, given.counts);
 }
 
-void tally_step_cpu(const Executor& executor, const StepOutcome& outcome, StepTally* tally) {
+void tally_step(const Executor& executor, const StepOutcome& outcome, StepTally* tally) {
   require_rows(executor, outcome.contact_count, "pairs", "are padding, or name robots",
                [&](int64_t contact) { return outcome.is_sound(contact); });
   *tally = {};
@@ -105,7 +105,7 @@ void tally_step_cpu(const Executor& executor, const StepOutcome& outcome, StepTa
   add(outcome.contact_count, [&](int64_t row, StepTally& part) { outcome.add_contact(row, part); });
 }
 
-void hash_rows_cpu(const Executor& executor, const HashColumns& columns, uint64_t* sum) {
+void hash_rows(const Executor& executor, const HashColumns& columns, uint64_t* sum) {
   *sum = 0;
   parallel_chunks(executor, columns.count, 1024, [&](int, int64_t begin, int64_t end) {
     uint64_t part = 0;

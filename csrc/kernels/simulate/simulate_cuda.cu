@@ -2,12 +2,12 @@
 
 #include "kernels/launch.cuh"
 #include "kernels/simulate/robot_item.h"
-#include "kernels/simulate/simulate_cuda.h"
+#include "kernels/simulate/simulate.h"
 
 namespace pgccd {
 namespace {
 
-__global__ void __launch_bounds__(kBlockThreads) hash_rows(HashColumns columns, unsigned long long* sum) {
+__global__ void __launch_bounds__(kBlockThreads) hash_rows_kernel(HashColumns columns, unsigned long long* sum) {
   wait_for_previous_kernels();
   using Reduce = cub::BlockReduce<unsigned long long, kBlockThreads>;
   __shared__ typename Reduce::TempStorage storage;
@@ -20,7 +20,7 @@ __global__ void __launch_bounds__(kBlockThreads) hash_rows(HashColumns columns, 
   if (threadIdx.x == 0) atomicAdd(sum, part);
 }
 
-__global__ void __launch_bounds__(kBlockThreads) tally_step(StepOutcome outcome, StepTally* tally) {
+__global__ void __launch_bounds__(kBlockThreads) tally_step_kernel(StepOutcome outcome, StepTally* tally) {
   wait_for_previous_kernels();
   using Reduce = cub::BlockReduce<uint64_t, kBlockThreads>;
   __shared__ typename Reduce::TempStorage storage;
@@ -51,7 +51,7 @@ struct FoundPairs {
 // ones of many pairs, so that all its threads have work.
 constexpr int kTilePairs = 8 * kBlockThreads;
 
-__global__ void __launch_bounds__(kBlockThreads) affected_motion(AffectedMotion given, FoundPairs* found) {
+__global__ void __launch_bounds__(kBlockThreads) affected_motion_kernel(AffectedMotion given, FoundPairs* found) {
   wait_for_previous_kernels();
   __shared__ int32_t tile[kTilePairs];
   __shared__ uint32_t count, first;
@@ -79,14 +79,14 @@ __global__ void __launch_bounds__(kBlockThreads) affected_motion(AffectedMotion 
 
 }  // namespace
 
-void start_cuda(const DeviceContext& context, const World& world, const int64_t* id, int64_t count,
-                const RobotResults& results) {
+void start_robots(const DeviceContext& context, const World& world, const int64_t* id, int64_t count,
+                  const RobotResults& results) {
   for_each_item(context, count,
                 [=] __device__(int64_t row) { store_robot(results, row, start_robot(world, id[row])); });
 }
 
-void plan_cuda(const DeviceContext& context, const World& world, const RobotColumns& robots, const int64_t* step,
-               const RobotResults& results) {
+void plan_robots(const DeviceContext& context, const World& world, const RobotColumns& robots, const int64_t* step,
+                 const RobotResults& results) {
   for_each_item(context, robots.count, [=] __device__(int64_t row) {
     Robot robot = load_robot(robots, row);
     plan_robot(world, robots.id[row], *step, robot);
@@ -94,8 +94,8 @@ void plan_cuda(const DeviceContext& context, const World& world, const RobotColu
   });
 }
 
-void respond_cuda(const DeviceContext& context, const RobotColumns& robots, const double* fraction,
-                  const RobotResults& results) {
+void respond_robots(const DeviceContext& context, const RobotColumns& robots, const double* fraction,
+                    const RobotResults& results) {
   for_each_item(context, robots.count, [=] __device__(int64_t row) {
     Robot robot = load_robot(robots, row);
     respond_robot(fraction[row], robot);
@@ -103,8 +103,8 @@ void respond_cuda(const DeviceContext& context, const RobotColumns& robots, cons
   });
 }
 
-void commit_cuda(const DeviceContext& context, const RobotColumns& robots, const double* fraction,
-                 const int64_t* discard, const RobotResults& results) {
+void commit_robots(const DeviceContext& context, const RobotColumns& robots, const double* fraction,
+                   const int64_t* discard, const RobotResults& results) {
   for_each_item(context, robots.count, [=] __device__(int64_t row) {
     if (*discard != 0) return;
     Robot robot = load_robot(robots, row);
@@ -113,21 +113,21 @@ void commit_cuda(const DeviceContext& context, const RobotColumns& robots, const
   });
 }
 
-void random_uniforms_cuda(const DeviceContext& context, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
-                          uint32_t stream, double* uniforms) {
+void random_uniforms(const DeviceContext& context, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
+                     uint32_t stream, double* uniforms) {
   for_each_item(context, count, [=] __device__(int64_t row) {
     const Uniforms drawn = random_uniforms(seed, {id[row], step, stream});
     for (int k = 0; k < 4; ++k) uniforms[4 * row + k] = drawn.u[k];
   });
 }
 
-void slow_all_down_cuda(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes) {
+void slow_all_down(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes) {
   for_each_item(context, robots.count, [=] __device__(int64_t row) {
     if (robots.slow_down(row)) *changes = 1;  // all threads write the same value
   });
 }
 
-void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts, double* first) {
+void lower_first_toi_of_robots(const DeviceContext& context, const FirstToiInput& contacts, double* first) {
   // Non-negative doubles have the same order as their bits.
   static_assert(sizeof(long long) == sizeof(double));
   for_each_item(context, 2 * contacts.count, [=] __device__(int64_t side) {
@@ -138,25 +138,26 @@ void first_toi_cuda(const DeviceContext& context, const FirstToiInput& contacts,
   });
 }
 
-void affected_motion_cuda(const DeviceContext& context, const AffectedMotion& given) {
+void affected_motion(const DeviceContext& context, const AffectedMotion& given) {
   FoundPairs* const found = context.allocate<FoundPairs>(1);
   fill_bytes(context, found, 0, 1);
   const int64_t tiles = (given.pair_count + kTilePairs - 1) / kTilePairs;
-  const int64_t blocks = larger<int64_t>(1, smaller<int64_t>(tiles, resident_blocks_of(context, affected_motion)));
-  launch_kernel(context, affected_motion, static_cast<unsigned>(blocks), kBlockThreads, given, found);
+  const int64_t blocks =
+      larger<int64_t>(1, smaller<int64_t>(tiles, resident_blocks_of(context, affected_motion_kernel)));
+  launch_kernel(context, affected_motion_kernel, static_cast<unsigned>(blocks), kBlockThreads, given, found);
 }
 
-void hash_rows_cuda(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {
+void hash_rows(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {
   fill_bytes(context, sum, 0, 1);
   if (columns.count == 0) return;
-  launch_kernel(context, hash_rows, looping_blocks_for(context, columns.count), kBlockThreads, columns,
+  launch_kernel(context, hash_rows_kernel, looping_blocks_for(context, columns.count), kBlockThreads, columns,
                 reinterpret_cast<unsigned long long*>(sum));
 }
 
-void tally_step_cuda(const DeviceContext& context, const StepOutcome& outcome, StepTally* tally) {
+void tally_step(const DeviceContext& context, const StepOutcome& outcome, StepTally* tally) {
   fill_bytes(context, tally, 0, 1);
   const int64_t count = larger(outcome.state.count, outcome.contact_count);
-  launch_kernel(context, tally_step, looping_blocks_for(context, count), kBlockThreads, outcome, tally);
+  launch_kernel(context, tally_step_kernel, looping_blocks_for(context, count), kBlockThreads, outcome, tally);
 }
 
 }  // namespace pgccd

@@ -2,9 +2,11 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "core/candidate.h"
+#include "kernels/device_context.h"
 #include "kernels/executor.h"
 #include "kernels/traverse/leaf_pair.h"
 #include "kernels/traverse/pair_sweep.h"
@@ -48,6 +50,19 @@ enum TraverseCount : int {
   kTraverseCounts
 };
 
+// Called once with the number of candidates; returns where they go.
+using CandidateOutput = std::function<Candidate*(int64_t count)>;
+
+// Lists every feature pair that may come within separation + tolerance until the horizon exactly once: by body pair on
+// the CPU, in any order on a device. Writes the number of node tests (1,). A device synchronises to read the number of
+// candidates.
+template <class Bodies>
+void traverse(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
+              const CandidateOutput& make_output, int64_t* node_tests);
+template <class Bodies>
+void traverse(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
+              const CandidateOutput& make_output, int64_t* node_tests);
+
 struct CandidateList {
   std::vector<std::vector<Candidate>> parts;  // one after the other: by pair
   int64_t node_tests = 0;
@@ -59,9 +74,8 @@ struct CandidateList {
   }
 };
 
-// Lists every feature pair that may come within separation + tolerance until the horizon exactly once.
 template <class Bodies>
-CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
+CandidateList list_candidates(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
 
 // The same in two stages, the first of which finds the pairs of leaves that may meet.
 struct FoundLeaves {
@@ -69,9 +83,22 @@ struct FoundLeaves {
   int64_t node_tests = 0;
 };
 template <class Bodies>
-FoundLeaves find_leaf_pairs_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
+FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
 template <class Bodies>
-CandidateList visit_leaf_pairs_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
-                                   const std::vector<LeafPair>& leaves);
+CandidateList visit_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
+                               const std::vector<LeafPair>& leaves);
+
+// Searches a first part of the candidates. Returns the bits of the earliest toi found of each pair, all ones for none
+// (device, pair_count).
+using SearchFirstPart = std::function<const unsigned long long*(const CandidateSpan& candidates)>;
+
+// As traverse, for the first *pair_count (device) of input.pair_count rows, without synchronising. The candidates live
+// as long as the context's memory. With `search`, only the first contact of each pair is wanted: candidates of the
+// leaves that may meet first are searched before others are listed, and of the rest only those that may touch until the
+// contact found are returned.
+template <class Bodies>
+CandidateSpan traverse_padded(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
+                              const int64_t* pair_count, const TraverseCapacity& capacity, int64_t* counts,
+                              const SearchFirstPart& search = nullptr);
 
 }  // namespace pgccd

@@ -253,7 +253,7 @@ int64_t descend(const PairTree<Bodies>& tree, NodePair start, Use&& use) {
 
 // Appends the candidates of a pair of leaves.
 template <class Bodies>
-void list_candidates(const PairTree<Bodies>& tree, int32_t pair, NodePair leaves, std::vector<Candidate>& out) {
+void append_candidates(const PairTree<Bodies>& tree, int32_t pair, NodePair leaves, std::vector<Candidate>& out) {
   visit_leaves(tree, leaves, [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
     out.push_back({pair, static_cast<int32_t>(kind), feature_i, feature_j});
   });
@@ -303,14 +303,23 @@ Parts<Row> descend_all(const Executor& executor, const Bodies& bodies, const Tra
 }  // namespace
 
 template <class Bodies>
-CandidateList traverse_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
+CandidateList list_candidates(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
   CandidateList list;
-  list.parts = descend_all<Candidate>(executor, bodies, input, list.node_tests, list_candidates<Bodies>);
+  list.parts = descend_all<Candidate>(executor, bodies, input, list.node_tests, append_candidates<Bodies>);
   return list;
 }
 
 template <class Bodies>
-FoundLeaves find_leaf_pairs_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
+void traverse(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
+              const CandidateOutput& make_output, int64_t* node_tests) {
+  const CandidateList list = list_candidates(executor, bodies, input);
+  Candidate* out = make_output(list.size());
+  for (const auto& part : list.parts) out = std::copy(part.begin(), part.end(), out);
+  *node_tests = list.node_tests;
+}
+
+template <class Bodies>
+FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
   FoundLeaves found;
   const auto list_if_meeting = [](const PairTree<Bodies>& tree, int32_t pair, NodePair leaves,
                                   std::vector<LeafPair>& out) {
@@ -325,24 +334,26 @@ FoundLeaves find_leaf_pairs_cpu(const Executor& executor, const Bodies& bodies, 
 }
 
 template <class Bodies>
-CandidateList visit_leaf_pairs_cpu(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
-                                   const std::vector<LeafPair>& leaves) {
+CandidateList visit_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
+                               const std::vector<LeafPair>& leaves) {
   CandidateList list;
   list.parts =
       for_each_of_pairs<Candidate>(executor, bodies, input, leaves,
                                    [](const PairTree<Bodies>& tree, const LeafPair& item, std::vector<Candidate>& out) {
-                                     list_candidates(tree, item.pair, item.leaves, out);
+                                     append_candidates(tree, item.pair, item.leaves, out);
                                    });
   return list;
 }
 
-template CandidateList traverse_cpu(const Executor&, const RigidBodies&, const TraverseInput&);
-template CandidateList traverse_cpu(const Executor&, const DeformingBodies&, const TraverseInput&);
-template FoundLeaves find_leaf_pairs_cpu(const Executor&, const RigidBodies&, const TraverseInput&);
-template FoundLeaves find_leaf_pairs_cpu(const Executor&, const DeformingBodies&, const TraverseInput&);
-template CandidateList visit_leaf_pairs_cpu(const Executor&, const RigidBodies&, const TraverseInput&,
-                                            const std::vector<LeafPair>&);
-template CandidateList visit_leaf_pairs_cpu(const Executor&, const DeformingBodies&, const TraverseInput&,
-                                            const std::vector<LeafPair>&);
+template void traverse(const Executor&, const RigidBodies&, const TraverseInput&, const CandidateOutput&, int64_t*);
+template void traverse(const Executor&, const DeformingBodies&, const TraverseInput&, const CandidateOutput&, int64_t*);
+template CandidateList list_candidates(const Executor&, const RigidBodies&, const TraverseInput&);
+template CandidateList list_candidates(const Executor&, const DeformingBodies&, const TraverseInput&);
+template FoundLeaves find_leaf_pairs(const Executor&, const RigidBodies&, const TraverseInput&);
+template FoundLeaves find_leaf_pairs(const Executor&, const DeformingBodies&, const TraverseInput&);
+template CandidateList visit_leaf_pairs(const Executor&, const RigidBodies&, const TraverseInput&,
+                                        const std::vector<LeafPair>&);
+template CandidateList visit_leaf_pairs(const Executor&, const DeformingBodies&, const TraverseInput&,
+                                        const std::vector<LeafPair>&);
 
 }  // namespace pgccd

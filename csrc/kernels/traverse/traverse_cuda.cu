@@ -6,8 +6,8 @@
 #include "kernels/traverse/cull_leaves.cuh"
 #include "kernels/traverse/descend.cuh"
 #include "kernels/traverse/place_pairs.cuh"
+#include "kernels/traverse/traverse.h"
 #include "kernels/traverse/traverse_counters.h"
-#include "kernels/traverse/traverse_cuda.h"
 #include "kernels/traverse/visit_leaves.cuh"
 #include "kernels/traverse/visit_starts.cuh"
 #include "kernels/warp_share.cuh"
@@ -269,8 +269,8 @@ struct Traversal {
 }  // namespace
 
 template <class Bodies>
-void traverse_cuda(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
-                   const CandidateOutput& make_output, int64_t* node_tests) {
+void traverse(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
+              const CandidateOutput& make_output, int64_t* node_tests) {
   if (input.pair_count == 0) {
     fill_bytes(context, node_tests, 0, 1);
     make_output(0);
@@ -300,10 +300,10 @@ CandidateSpan traverse_padded(const DeviceContext& context, const Bodies& bodies
   return Traversal<Bodies>(context, bodies, input, pair_count).run_padded(capacity, counts, search);
 }
 
-template void traverse_cuda(const DeviceContext&, const RigidBodies&, const TraverseInput&, const CandidateOutput&,
-                            int64_t*);
-template void traverse_cuda(const DeviceContext&, const DeformingBodies&, const TraverseInput&, const CandidateOutput&,
-                            int64_t*);
+template void traverse(const DeviceContext&, const RigidBodies&, const TraverseInput&, const CandidateOutput&,
+                       int64_t*);
+template void traverse(const DeviceContext&, const DeformingBodies&, const TraverseInput&, const CandidateOutput&,
+                       int64_t*);
 template CandidateSpan traverse_padded(const DeviceContext&, const RigidBodies&, const TraverseInput&, const int64_t*,
                                        const TraverseCapacity&, int64_t*, const SearchFirstPart&);
 template CandidateSpan traverse_padded(const DeviceContext&, const DeformingBodies&, const TraverseInput&,

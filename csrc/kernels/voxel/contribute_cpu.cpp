@@ -11,8 +11,8 @@ constexpr int64_t kBodyGrain = 16;
 
 }  // namespace
 
-void voxels_touched_cpu(const Executor& executor, const VoxelBodies& input,
-                        const std::function<TouchedVoxels(int64_t)>& make_output) {
+void voxels_touched(const Executor& executor, const VoxelBodies& input,
+                    const std::function<TouchedVoxels(int64_t)>& make_output) {
   const VoxelGrid grid(input.voxel_size);
   std::vector<VoxelTable> counted(executor.worker_count());
   parallel_chunks(executor, input.bodies.centres.count, kBodyGrain, [&](int worker, int64_t begin, int64_t end) {
@@ -48,8 +48,8 @@ void voxels_touched_cpu(const Executor& executor, const VoxelBodies& input,
   }
 }
 
-void voxel_boxes_cpu(const Executor& executor, const VoxelBodies& input, const Voxel* voxels, const int64_t* counts,
-                     int64_t voxel_count, TriangleBox* boxes) {
+void voxel_boxes(const Executor& executor, const VoxelBodies& input, const Voxel* voxels, const int64_t* counts,
+                 int64_t voxel_count, TriangleBox* boxes) {
   const VoxelGrid grid(input.voxel_size);
   VoxelTable rows(voxel_count);
   std::vector<int64_t> next(voxel_count), ends(voxel_count);

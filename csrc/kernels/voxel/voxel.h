@@ -43,13 +43,13 @@ struct TouchedVoxels {
   Voxel* voxels;
   int64_t* counts;
 };
-void voxels_touched_cpu(const Executor& executor, const VoxelBodies& input,
-                        const std::function<TouchedVoxels(int64_t)>& make_output);
+void voxels_touched(const Executor& executor, const VoxelBodies& input,
+                    const std::function<TouchedVoxels(int64_t)>& make_output);
 
 // The boxes of each voxel, grouped in the given order of voxels, unsorted within a voxel. Throws invalid_argument if
-// voxels or counts are not those of `voxels_touched_cpu`, in any order.
-void voxel_boxes_cpu(const Executor& executor, const VoxelBodies& input, const Voxel* voxels, const int64_t* counts,
-                     int64_t voxel_count, TriangleBox* boxes);
+// voxels or counts are not those of `voxels_touched`, in any order.
+void voxel_boxes(const Executor& executor, const VoxelBodies& input, const Voxel* voxels, const int64_t* counts,
+                 int64_t voxel_count, TriangleBox* boxes);
 
 // Boxes [begin, begin + count) of one sender. `first_body` is the number of its first body.
 struct BoxSegment {
@@ -70,7 +70,7 @@ struct TrianglePair {
 };
 
 // Pairs of triangles of two bodies with overlapping boxes, each once over all voxels; unsorted.
-void voxel_pairs_cpu(const Executor& executor, const VoxelContents& contents,
-                     const std::function<TrianglePair*(int64_t)>& make_output);
+void voxel_pairs(const Executor& executor, const VoxelContents& contents,
+                 const std::function<TrianglePair*(int64_t)>& make_output);
 
 }  // namespace pgccd

@@ -138,8 +138,8 @@ class VoxelSearch {
 
 }  // namespace
 
-void voxel_pairs_cpu(const Executor& executor, const VoxelContents& contents,
-                     const std::function<TrianglePair*(int64_t)>& make_output) {
+void voxel_pairs(const Executor& executor, const VoxelContents& contents,
+                 const std::function<TrianglePair*(int64_t)>& make_output) {
   const VoxelGrid grid(contents.voxel_size);
   std::vector<std::vector<TrianglePair>> found(executor.worker_count());
   parallel_chunks(executor, contents.voxel_count, kVoxelGrain, [&](int worker, int64_t begin, int64_t end) {

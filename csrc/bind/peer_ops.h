@@ -1,13 +1,12 @@
-// Messages between GPUs of one host.
-#if defined(PGCCD_WITH_CUDA)
+// The operators for messages between GPUs of one host.
+#pragma once
 
-#include "bind/cuda_backend.h"
-#include "kernels/peers/peers_cuda.h"
+#include "bind/cuda_session.h"
+#include "kernels/peers/peers.h"
 
 namespace pgccd::bind {
-namespace {
 
-PeerMemory peer_memory(const Tensor& memory, const Tensor& addresses, int64_t stop, int64_t rank) {
+inline PeerMemory peer_memory(const Tensor& memory, const Tensor& addresses, int64_t stop, int64_t rank) {
   PeerMemory view;
   rows<uint8_t, uint64_t>(memory, "memory", {kAnySize});  // flags are aligned
   view.addresses = rows<int64_t>(addresses, "addresses", {kAnySize});
@@ -23,18 +22,18 @@ PeerMemory peer_memory(const Tensor& memory, const Tensor& addresses, int64_t st
   return view;
 }
 
-void check_size(const PeerMemory& memory, int64_t count) {
+inline void check_message_size(const PeerMemory& memory, int64_t count) {
   STD_TORCH_CHECK(8 * count <= memory.slot_bytes(), "memory: too small for a message of ", 8 * count, " bytes");
 }
 
-PeerRows peer_rows(const PeerMemory& memory, const Tensor& given, const std::vector<int64_t>& counts,
-                   const char* name) {
+inline PeerRows peer_rows(const PeerMemory& memory, const Tensor& given, const std::vector<int64_t>& counts,
+                          const char* name) {
   STD_TORCH_CHECK(static_cast<int64_t>(counts.size()) == memory.ranks, name, ": expected ", memory.ranks,
                   " numbers, got ", counts.size());
   PeerRows view{rows<int64_t>(given, name, {kAnySize}), {}};
   for (size_t rank = 0; rank < counts.size(); ++rank) {
     STD_TORCH_CHECK(counts[rank] >= 0, name, ": expected numbers >= 0, got ", counts[rank]);
-    check_size(memory, counts[rank] + 1);
+    check_message_size(memory, counts[rank] + 1);
     view.begin[rank + 1] = view.begin[rank] + counts[rank];
   }
   STD_TORCH_CHECK(view.begin[counts.size()] == given.size(0), name, ": expected numbers that sum up to ", given.size(0),
@@ -42,19 +41,22 @@ PeerRows peer_rows(const PeerMemory& memory, const Tensor& given, const std::vec
   return view;
 }
 
-Tensor peer_gather(const Tensor& values, const Tensor& memory, const Tensor& addresses, int64_t stop, int64_t rank) {
+inline Tensor peer_gather(const Tensor& values, const Tensor& memory, const Tensor& addresses, int64_t stop,
+                          int64_t rank) {
   const PeerMemory view = peer_memory(memory, addresses, stop, rank);
   const int64_t count = values.size(0);
-  check_size(view, count);
+  check_message_size(view, count);
   Tensor gathered = new_tensor<int64_t>(values, {view.ranks, count});
   const CudaSession session(values);
-  peer_gather_cuda(session.context(), view, {rows<int64_t>(values, "values", {count}), count, data<int64_t>(gathered)});
+  pgccd::peer_gather(session.context(), view,
+                     {rows<int64_t>(values, "values", {count}), count, data<int64_t>(gathered)});
   return gathered;
 }
 
-void peer_minimum(Tensor values, const Tensor& sent_rows, std::vector<int64_t> sent, const Tensor& received_rows,
-                  std::vector<int64_t> received, const std::optional<Tensor>& found, std::optional<Tensor> anywhere,
-                  const Tensor& memory, const Tensor& addresses, int64_t stop, int64_t rank) {
+inline void peer_minimum(Tensor values, const Tensor& sent_rows, std::vector<int64_t> sent, const Tensor& received_rows,
+                         std::vector<int64_t> received, const std::optional<Tensor>& found,
+                         std::optional<Tensor> anywhere, const Tensor& memory, const Tensor& addresses, int64_t stop,
+                         int64_t rank) {
   const PeerMemory view = peer_memory(memory, addresses, stop, rank);
   rows<double>(values, "values", {kAnySize});
   PeerMinimum message{data<double>(values), values.size(0), peer_rows(view, sent_rows, sent, "sent"),
@@ -66,16 +68,12 @@ void peer_minimum(Tensor values, const Tensor& sent_rows, std::vector<int64_t> s
     message.anywhere = data<int64_t>(*anywhere);
   }
   const CudaSession session(values);
-  peer_minimum_cuda(session.context(), view, message);
+  pgccd::peer_minimum(session.context(), view, message);
 }
 
-}  // namespace
-
-STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
-  library.impl("peer_gather", TORCH_BOX(&OnOneDevice<&peer_gather>::call));
-  library.impl("peer_minimum", TORCH_BOX(&OnOneDevice<&peer_minimum>::call));
+inline void register_peer_ops(Library& library) {
+  library.impl("peer_gather", PGCCD_BOX(peer_gather));
+  library.impl("peer_minimum", PGCCD_BOX(peer_minimum));
 }
 
 }  // namespace pgccd::bind
-
-#endif

@@ -10,8 +10,8 @@ namespace pgccd {
 bool has_conditional_nodes();
 
 // The value (1,) is read by replays when they reach this part.
-void begin_conditional_cuda(const DeviceContext& context, const int64_t* value, CUstream_st* body);
+void begin_conditional(const DeviceContext& context, const int64_t* value, CUstream_st* body);
 
-void end_conditional_cuda(CUstream_st* body);
+void end_conditional(CUstream_st* body);
 
 }  // namespace pgccd

@@ -1,4 +1,4 @@
-// CUDA operators' interface to torch: current device, stream, and memory from its allocator.
+// What an operator on a CUDA device runs on: the tensor's device, torch's current stream, memory of its allocator.
 #pragma once
 
 #include <torch/csrc/inductor/aoti_torch/c/shim.h>
@@ -9,9 +9,8 @@
 #include <algorithm>
 #include <vector>
 
-#include "bind/device_share.h"
 #include "bind/outputs.h"
-#include "bind/scratch_peak.h"
+#include "bind/thread_state.h"
 #include "kernels/device_context.h"
 
 namespace pgccd::bind {
@@ -55,6 +54,8 @@ class TorchMemory final : public DeviceMemory {
 
 class CudaSession {
  public:
+  static constexpr bool kHostKnowsCounts = false;
+
   explicit CudaSession(const torch::stable::Tensor& like)
       : guard_(like.get_device_index()), memory_(like), context_{current_stream(like), memory_, device_share()} {}
   CudaSession(const CudaSession&) = delete;

@@ -1,7 +1,8 @@
-// Torch's thread pool as the kernels' executor: follows torch.set_num_threads.
+// What an operator on the CPU runs on: torch's thread pool.
 #pragma once
 
 #include <torch/csrc/stable/ops.h>
+#include <torch/csrc/stable/tensor.h>
 
 #include <exception>
 #include <mutex>
@@ -10,6 +11,7 @@
 
 namespace pgccd::bind {
 
+// Follows torch.set_num_threads.
 class TorchExecutor final : public Executor {
  public:
   int worker_count() const override { return static_cast<int>(torch::stable::get_num_threads()); }
@@ -29,6 +31,18 @@ class TorchExecutor final : public Executor {
     });
     if (failure) std::rethrow_exception(failure);
   }
+};
+
+class CpuSession {
+ public:
+  static constexpr bool kHostKnowsCounts = true;  // the host can allocate after counting, without waiting
+
+  explicit CpuSession(const torch::stable::Tensor&) {}
+
+  const Executor& context() const { return executor_; }
+
+ private:
+  TorchExecutor executor_;
 };
 
 }  // namespace pgccd::bind

@@ -1,17 +1,14 @@
-// Operators of the voxel-based baseline, on the CPU.
-#include <functional>
+// Operators of the voxel-based baseline, on the CPU alone.
+#pragma once
 
-#include "bind/cpu_executor.h"
+#include "bind/cpu_session.h"
 #include "bind/outputs.h"
 #include "kernels/voxel/voxel.h"
 
 namespace pgccd::bind {
-namespace {
 
-using TensorList = std::vector<Tensor>;
-
-VoxelBodies voxel_bodies(const TensorList& mesh_set, const TensorList& bodies, bool linear_path, double voxel_size,
-                         double min_separation, double tolerance) {
+inline VoxelBodies voxel_bodies(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
+                                double voxel_size, double min_separation, double tolerance) {
   const KeptDistance kept(min_separation, tolerance);
   STD_TORCH_CHECK(voxel_size > 0.0 && voxel_size <= kLargestLength, "voxel_size: expected a length in (0, 1e150], got ",
                   voxel_size);
@@ -22,11 +19,11 @@ VoxelBodies voxel_bodies(const TensorList& mesh_set, const TensorList& bodies, b
   return input;
 }
 
-std::tuple<Tensor, Tensor> voxels_touched(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
-                                          double voxel_size, double min_separation, double tolerance) {
+inline std::tuple<Tensor, Tensor> voxels_touched(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
+                                                 double voxel_size, double min_separation, double tolerance) {
   const VoxelBodies input = voxel_bodies(mesh_set, bodies, linear_path, voxel_size, min_separation, tolerance);
   std::optional<std::tuple<Tensor, Tensor>> out;
-  voxels_touched_cpu(TorchExecutor(), input, [&](int64_t count) {
+  pgccd::voxels_touched(TorchExecutor(), input, [&](int64_t count) {
     out.emplace(new_tensor<int32_t>(bodies[0], {count, 3}), new_tensor<int64_t>(bodies[0], {count}));
     return TouchedVoxels{data<Voxel>(std::get<0>(*out)), data<int64_t>(std::get<1>(*out))};
   });
@@ -34,7 +31,7 @@ std::tuple<Tensor, Tensor> voxels_touched(const TensorList& mesh_set, const Tens
 }
 
 // Voxel coordinates are packed into a key.
-const Voxel* voxel_rows(const Tensor& voxels, int64_t count) {
+inline const Voxel* voxel_rows(const Tensor& voxels, int64_t count) {
   const Voxel* view = rows<int32_t, Voxel>(voxels, "voxels", {count, 3});
   const auto is_sound = [](int32_t place) { return place > -kVoxelLimit && place < kVoxelLimit; };
   require_rows(TorchExecutor(), voxels.size(0), "voxels", "are below 2^20",
@@ -42,8 +39,8 @@ const Voxel* voxel_rows(const Tensor& voxels, int64_t count) {
   return view;
 }
 
-Tensor voxel_boxes(const TensorList& mesh_set, const TensorList& bodies, bool linear_path, double voxel_size,
-                   double min_separation, double tolerance, const Tensor& voxels, const Tensor& counts) {
+inline Tensor voxel_boxes(const TensorList& mesh_set, const TensorList& bodies, bool linear_path, double voxel_size,
+                          double min_separation, double tolerance, const Tensor& voxels, const Tensor& counts) {
   const VoxelBodies input = voxel_bodies(mesh_set, bodies, linear_path, voxel_size, min_separation, tolerance);
   const int64_t voxel_count = counts.size(0);
   const int64_t* in_voxel = rows<int64_t>(counts, "counts", {kAnySize});
@@ -59,12 +56,12 @@ Tensor voxel_boxes(const TensorList& mesh_set, const TensorList& bodies, bool li
     total += in_voxel[k];
   }
   Tensor boxes = new_tensor<uint8_t>(counts, {total, sizeof(TriangleBox)});
-  voxel_boxes_cpu(TorchExecutor(), input, places, in_voxel, voxel_count, data<TriangleBox>(boxes));
+  pgccd::voxel_boxes(TorchExecutor(), input, places, in_voxel, voxel_count, data<TriangleBox>(boxes));
   return boxes;
 }
 
-Tensor voxel_pairs(const Tensor& boxes, const Tensor& segments, const Tensor& voxels, const Tensor& first_segment,
-                   double voxel_size) {
+inline Tensor voxel_pairs(const Tensor& boxes, const Tensor& segments, const Tensor& voxels,
+                          const Tensor& first_segment, double voxel_size) {
   STD_TORCH_CHECK(voxel_size > 0.0 && voxel_size <= kLargestLength, "voxel_size: expected a length in (0, 1e150], got ",
                   voxel_size);
   const int64_t box_count = boxes.size(0), segment_count = segments.size(0), voxel_count = voxels.size(0);
@@ -86,19 +83,17 @@ Tensor voxel_pairs(const Tensor& boxes, const Tensor& segments, const Tensor& vo
     return contents.first_segment[k] >= least && contents.first_segment[k] <= most;
   });
   Tensor pairs;
-  voxel_pairs_cpu(executor, contents, [&](int64_t count) {
+  pgccd::voxel_pairs(executor, contents, [&](int64_t count) {
     pairs = new_tensor<int64_t>(segments, {count, 4});
     return data<TrianglePair>(pairs);
   });
   return pairs;
 }
 
-}  // namespace
-
-STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
-  library.impl("voxels_touched", TORCH_BOX(&OnOneDevice<&voxels_touched>::call));
-  library.impl("voxel_boxes", TORCH_BOX(&OnOneDevice<&voxel_boxes>::call));
-  library.impl("voxel_pairs", TORCH_BOX(&OnOneDevice<&voxel_pairs>::call));
+inline void register_voxel_ops(Library& library) {
+  library.impl("voxels_touched", PGCCD_BOX(voxels_touched));
+  library.impl("voxel_boxes", PGCCD_BOX(voxel_boxes));
+  library.impl("voxel_pairs", PGCCD_BOX(voxel_pairs));
 }
 
 }  // namespace pgccd::bind
