@@ -12,7 +12,7 @@ from pgccd.detection.capacity import Capacity, CapacityError, Counts
 from pgccd.motion.faults import Faults
 from pgccd.motion.paths import RigidMotion, VertexMotion
 
-M = TypeVar("M", RigidMotion, VertexMotion)
+M = TypeVar("M", bound=RigidMotion | VertexMotion)
 
 
 @dataclass(frozen=True, eq=False)
