@@ -218,8 +218,8 @@ class RigidMotion(MovingColumns):
     def shortened(self, fraction: Tensor | float) -> RigidMotion:
         """The motion along the first part of each path, x(fraction t), in the same step: position_t1 is rounded to
         float64, the rotation vector is fraction times that of the step. Of fraction 1 the path keeps its bits, and at
-        fraction 0 the body is at rest. With path="linear" vertices move straight to the pose at that fraction of the
-        arc.
+        fraction 0 the body is at rest, even if the end of the path is invalid. With path="linear" vertices move
+        straight to the pose at that fraction of the arc.
 
         Args:
             fraction: in [0, 1], a number or one per body (N,).
@@ -233,7 +233,7 @@ class RigidMotion(MovingColumns):
         part = fractions_of(fraction, self.body_count, self.device)[:, None]
         shorter = copy.copy(self)
         shorter.position_t1 = _point_at(part, self.position_t0, self.position_t1)
-        shorter.rotation = part * self.rotation
+        shorter.rotation = _point_at(part, torch.zeros_like(self.rotation), self.rotation)
         return shorter
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> RigidMotion:
@@ -302,7 +302,7 @@ class VertexMotion(MovingColumns):
 
     def shortened(self, fraction: Tensor | float) -> VertexMotion:
         """The motion along the first part of each path, x(fraction t), in the same step: x_t1 is rounded to float64. Of
-        fraction 1 the path keeps its bits, and at fraction 0 the vertex is at rest.
+        fraction 1 the path keeps its bits, and at fraction 0 the vertex is at rest, even if x_t1 is invalid.
 
         Args:
             fraction: in [0, 1], a number or one per vertex (X,). Equal ones for all vertices of a body keep its shape
@@ -324,5 +324,6 @@ class VertexMotion(MovingColumns):
 
 
 def _point_at(fraction: Tensor, start: Tensor, end: Tensor) -> Tensor:
-    """Points on straight paths: `start` at fraction 0, `end` at fraction 1, bit by bit."""
-    return torch.where(fraction == 1.0, end, start + fraction * (end - start))
+    """Points on straight paths: `start` at fraction 0, whatever `end` is, and `end` at fraction 1, bit by bit."""
+    between = torch.where(fraction == 1.0, end, start + fraction * (end - start))
+    return torch.where(fraction == 0.0, start, between)

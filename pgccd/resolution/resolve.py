@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TypedDict, Unpack, cast, overload
 
 import torch
@@ -133,10 +133,19 @@ def resolve(
 
 @dataclass
 class _Plan:
-    """What earlier calls for a scene needed on a GPU."""
+    """What earlier calls for a scene needed on a GPU. It changes how often work is repeated, never the result."""
 
-    pairs: CapacityEstimate = field(default_factory=CapacityEstimate)
-    rounds: RoundPlan = field(default_factory=RoundPlan)
+    pairs: CapacityEstimate
+    rounds: RoundPlan
+
+    @classmethod
+    def of(cls, scene: Scene) -> _Plan:
+        """The plan of a scene."""
+        plans = scene.capacity_estimates
+        if "resolve" not in plans:
+            guess = Capacity.guess(scene.body_count, None, scene.self_colliding_vertices)
+            plans["resolve"] = cls(CapacityEstimate(), RoundPlan.of(guess))
+        return plans["resolve"]
 
 
 @dataclass
@@ -150,7 +159,7 @@ class _Step:
 
     def resolve(self, motion: M) -> Resolution[M]:
         bodies, scene, query = self.bodies, self.bodies.scene, self.query
-        plan: _Plan = scene.capacity_estimates.setdefault("resolve", _Plan())
+        plan = _Plan.of(scene)
         first_faults = bodies.first_faults()
         faults = HostCopy.start(first_faults)
         part = find_part(bodies, query, self.broad_phase, estimate=plan.pairs)

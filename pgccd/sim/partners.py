@@ -19,7 +19,8 @@ _CONTACTS = COUNT_ROWS["contacts"]
 
 class Partners:
     """The PCS of a step, as a `pgccd.resolution.rounds.RoundSearch`: rounds search its pairs with a robot that has
-    changed.
+    changed. Robots outside of the PCS never come near at equal times of the step; that a slowed one meets another at
+    unequal times, such as one that follows close behind, is not tested.
 
     Args:
         model: the rules.

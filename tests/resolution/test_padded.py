@@ -65,6 +65,7 @@ def test_incomplete_results_move_nobody(device: torch.device) -> None:
     motion.position_t1[3, 1] = torch.inf
     padded = pgccd.resolve(scene, motion, capacity=PLENTY)
     assert_nobody_moves(padded)
+    assert torch.equal(padded.motion.position_t1, motion.position_t0)
     with pytest.raises(ValueError, match="position_t1: body 3"):
         padded.trim()
 
