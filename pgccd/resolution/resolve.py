@@ -75,13 +75,13 @@ def resolve(
     have met nobody: the step that a loop may commit.
 
     A body stops at 0.99 of its first toi. Others may then meet it where it stopped, so the step is tested again in
-    rounds, until no body changes. A body that could move by less than 0.01 of its path does not move, and one that
-    still collides after four rounds neither. There is no unique largest choice (either of two bodies may give way);
+    rounds, until no body changes. A body that could move by less than 0.01 of its path does not move, nor does one that
+    still collides in the fourth round or later. There is no unique largest choice (either of two bodies may give way);
     this one is the same in every run, on every device, and bodies of one world do not depend on other worlds.
 
-    Pairs that touch or intersect at t = 0 do not move, and are listed. A body that may not be stopped keeps its whole
-    path; what it meets although the other one has been stopped is listed as unresolved. A body that deforms stops
-    before it meets itself, if it has `self_collision` in the scene.
+    Bodies that touch or intersect another at t = 0 do not move, and the pairs are listed. A body that may not be
+    stopped keeps its whole path; what it meets although the other one has been stopped is listed as unresolved. A body
+    that deforms stops before it meets itself, if it has `self_collision` in the scene.
 
     Args:
         scene: the bodies; its filters and margins apply.
