@@ -19,19 +19,16 @@ orientation = torch.nn.functional.normalize(torch.randn(count, 4, dtype=torch.fl
 velocity = torch.randn(count, 3, dtype=torch.float64).to(device)
 spin = torch.randn(count, 3, dtype=torch.float64).to(device)
 
-dt, time = 0.1, 0.0
+dt = 0.1
 for step in range(20):
     motion = pgccd.RigidMotion.from_velocity(position, orientation, velocity, spin, dt)
-    # nonzero_toi: of bodies that come very close, too, the toi is not 0, so that the loop goes on.
-    hits = pgccd.detect(scene, motion, nonzero_toi=True)
-    # All bodies move by the same fraction of the step: until just before the first contact of the scene. A body that
-    # stopped at its own toi, while others went on, would be in the way of some of them.
-    first = hits.first_toi("body")
-    fraction = (0.9 * first.min()).clamp(max=1.0)
-    position, orientation = motion.at(fraction)
-    # Bodies that would touch soon go back the way they came: their gap grows at first.
-    sign = torch.where(first < 2.0 * fraction, -1.0, 1.0)[:, None]
+    # The part of its path that each body moves, such that all together meet nobody. (A body that stopped at its own
+    # toi, while others went on, would be in the way of some of them.)
+    resolved = pgccd.resolve(scene, motion)
+    position, orientation = resolved.motion.at(1.0)
+    # Bodies that were stopped go back the way they came: their gap grows at first.
+    stopped = resolved.fraction < 1.0
+    sign = torch.where(stopped, -1.0, 1.0)[:, None]
     velocity, spin = sign * velocity, sign * spin
-    time += dt * float(fraction)
-    turned = int((sign < 0.0).sum())
-    print(f"step {step:2d}: {hits.stats.pcs} pairs, {len(hits)} contacts, {turned} bodies turn; time {time:.4f}")
+    moved = float(resolved.fraction.mean())
+    print(f"step {step:2d}: {int(stopped.sum())} bodies turn, {resolved.rounds} rounds; {moved:.1%} of all paths")

@@ -19,6 +19,8 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.rotation import integrate_orientation
 from pgccd.motion.trajectory import Trajectory
+from pgccd.resolution.resolve import resolve
+from pgccd.resolution.results import PaddedResolution, Resolution
 
 if _TYPE_CHECKING:
     from pgccd import about, baselines, distributed, files, sim, viz
@@ -50,6 +52,8 @@ __all__ = [
     "MeshSet",
     "MovingBodies",
     "PaddedContacts",
+    "PaddedResolution",
+    "Resolution",
     "RigidMotion",
     "Scene",
     "Stats",
@@ -66,6 +70,7 @@ __all__ = [
     "files",
     "integrate_orientation",
     "narrow",
+    "resolve",
     "sim",
     "traverse",
     "viz",

@@ -53,8 +53,13 @@ def test_loops_go_on(name: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "problem"),
     [
-        ("motion.at(fraction)", "motion.at(first.clamp(max=1.0))", "bodies overlap"),  # each stops at its own toi
-        ("sign * velocity, sign * spin", "velocity, spin", "the loop stands still"),  # they do not respond
+        # Each stops at its own toi.
+        (
+            "resolved.motion.at(1.0)",
+            'motion.at(pgccd.detect(scene, motion).first_toi("body").clamp(max=1.0))',
+            "overlap",
+        ),
+        ("resolved.motion.at(1.0)", "resolved.motion.at(0.0)", "the loop stands still"),
     ],
 )
 def test_wrong_loops_are_noticed(old: str, new: str, problem: str) -> None:

@@ -13,7 +13,7 @@ from pgccd import arguments, ops
 from pgccd.arguments import real_rows
 from pgccd.motion.columns import MovingColumns
 from pgccd.motion.faults import checks_of
-from pgccd.motion.times import broadcast_times
+from pgccd.motion.times import broadcast_times, fractions_of
 
 PathKind = Literal["rigid", "linear"]
 PATHS = get_args(PathKind)
@@ -215,6 +215,27 @@ class RigidMotion(MovingColumns):
         )
         return position.view(*time.shape, 3), orientation.view(*time.shape, 4)
 
+    def shortened(self, fraction: Tensor | float) -> RigidMotion:
+        """The motion along the first part of each path, x(fraction t), in the same step: position_t1 is rounded to
+        float64, the rotation vector is fraction times that of the step. Of fraction 1 the path keeps its bits, and at
+        fraction 0 the body is at rest, even if the end of the path is invalid. With path="linear" vertices move
+        straight to the pose at that fraction of the arc.
+
+        Args:
+            fraction: in [0, 1], a number or one per body (N,).
+
+        Raises:
+            ValueError: `fraction` has the wrong shape or is outside of [0, 1].
+
+        Example:
+            >>> half = motion.shortened(0.5)
+        """
+        part = fractions_of(fraction, self.body_count, self.device)[:, None]
+        shorter = copy.copy(self)
+        shorter.position_t1 = _point_at(part, self.position_t0, self.position_t1)
+        shorter.rotation = _point_at(part, torch.zeros_like(self.rotation), self.rotation)
+        return shorter
+
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> RigidMotion:
         """The motion of some bodies: a mask (N,), row numbers or a slice.
 
@@ -279,5 +300,30 @@ class VertexMotion(MovingColumns):
         time = broadcast_times(t, self.x_t0.shape[0], self.device)[..., None]
         return (1.0 - time) * self.x_t0 + time * self.x_t1
 
+    def shortened(self, fraction: Tensor | float) -> VertexMotion:
+        """The motion along the first part of each path, x(fraction t), in the same step: x_t1 is rounded to float64. Of
+        fraction 1 the path keeps its bits, and at fraction 0 the vertex is at rest, even if x_t1 is invalid.
+
+        Args:
+            fraction: in [0, 1], a number or one per vertex (X,). Equal ones for all vertices of a body keep its shape
+                that of the path.
+
+        Raises:
+            ValueError: `fraction` has the wrong shape or is outside of [0, 1].
+
+        Example:
+            >>> half = pgccd.VertexMotion(cloth_t0, cloth_t1).shortened(0.5)
+        """
+        part = fractions_of(fraction, len(self.x_t0), self.device)[:, None]
+        shorter = copy.copy(self)
+        shorter.x_t1 = _point_at(part, self.x_t0, self.x_t1)
+        return shorter
+
     def __repr__(self) -> str:
         return f"VertexMotion(vertices={self.x_t0.shape[0]}, device={self.device})"
+
+
+def _point_at(fraction: Tensor, start: Tensor, end: Tensor) -> Tensor:
+    """Points on straight paths: `start` at fraction 0, whatever `end` is, and `end` at fraction 1, bit by bit."""
+    between = torch.where(fraction == 1.0, end, start + fraction * (end - start))
+    return torch.where(fraction == 0.0, start, between)

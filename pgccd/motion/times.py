@@ -6,7 +6,19 @@ from torch import Tensor
 from pgccd import arguments
 
 
-def broadcast_times(t: Tensor | float, count: int, device: torch.device) -> Tensor:
+def fractions_of(fraction: Tensor | float, count: int, device: torch.device) -> Tensor:
+    """`fraction` as (count,) float64.
+
+    Raises:
+        TypeError, ValueError: it is not real, has the wrong shape, or is outside of [0, 1].
+    """
+    made = broadcast_times(fraction, count, device, "fraction")
+    if made.dim() != 1:
+        raise ValueError(f"fraction: expected a number or ({count},), got {tuple(made.shape)}")
+    return made
+
+
+def broadcast_times(t: Tensor | float, count: int, device: torch.device, name: str = "t") -> Tensor:
     """`t` as (..., count) float64.
 
     Raises:
@@ -14,19 +26,19 @@ def broadcast_times(t: Tensor | float, count: int, device: torch.device) -> Tens
     """
     if type(t) in (int, float):  # no copy from the host, which a CUDA graph cannot capture
         if not 0.0 <= t <= 1.0:
-            raise ValueError(f"t: expected times in [0, 1], got {t}")
+            raise ValueError(f"{name}: expected times in [0, 1], got {t}")
         return torch.full((count,), t, dtype=torch.float64, device=device)
-    time = arguments.real_numbers(t, "t", "times in [0, 1]").to(device)
+    time = arguments.real_numbers(t, name, "times in [0, 1]").to(device)
     try:
         shape = torch.broadcast_shapes(time.shape, (count,))
     except RuntimeError:
         shape = torch.Size()
     if shape[-1:] != (count,):
         expected = f"a number, ({count},), (T, 1) or (T, {count})"
-        raise ValueError(f"t: expected {expected}, got {tuple(time.shape)}; for T times of all, pass t[:, None]")
+        raise ValueError(f"{name}: expected {expected}, got {tuple(time.shape)}; for T times of all, pass t[:, None]")
     is_inside = (time >= 0.0) & (time <= 1.0)
     if time.device.type != "cpu":
-        torch._assert_async(is_inside.all(), "t: expected times in [0, 1]")
+        torch._assert_async(is_inside.all(), f"{name}: expected times in [0, 1]")
     elif not bool(is_inside.all()):
-        raise ValueError(f"t: expected times in [0, 1], got {float(time[~is_inside][0])}")
+        raise ValueError(f"{name}: expected times in [0, 1], got {float(time[~is_inside][0])}")
     return time.expand(shape)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
 from pgccd.checkpoint.files import CheckpointError
+from pgccd.resolution.rounds import Fractions
 from pgccd.sim.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from pgccd.sim.hashing import contacts_hash, state_hash
 from pgccd.sim.log import LOG_FILE, read_log
 from pgccd.sim.model import PATTERNS, Model, ModelConfig, RobotState
 from pgccd.sim.replay import StepMaker
-from pgccd.sim.resolution import Resolution
-from pgccd.sim.response import first_collisions, respond
+from pgccd.sim.response import respond
 from pgccd.sim.robot import robot_mesh
 from pgccd.sim.runner import Run, resume, run
 from pgccd.sim.step import Step, StepPlan, make_step
@@ -28,9 +28,9 @@ __all__ = [
     "PATTERNS",
     "Checkpoint",
     "CheckpointError",
+    "Fractions",
     "RobotState",
     "Run",
-    "Resolution",
     "Step",
     "StepMaker",
     "StepPlan",
@@ -38,7 +38,6 @@ __all__ = [
     "ModelConfig",
     "contacts_hash",
     "distributed",
-    "first_collisions",
     "load_checkpoint",
     "make_step",
     "read_log",

@@ -15,13 +15,14 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.capacity import Counts
 from pgccd.detection.parts import Part, first_contacts_of
+from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
+from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution.rounds import Attempt, Exchange
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import TransactionGraph
 from pgccd.sim.model import PLANNED, Model, RobotState
 from pgccd.sim.partners import Partners
-from pgccd.sim.resolution import Attempt, Exchange
-from pgccd.sim.round_plan import RoundPlan
-from pgccd.sim.tally import COUNTED, GatheredCounts, Rows, SearchCounts, Tally, count_step
+from pgccd.sim.tally import COUNTED, Tally, count_step
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Detection in rounds of collision resolution: between slowed robots and all others."""
+"""Detection in rounds of resolution, for robots: between those slowed down and all others."""
 
 import torch
 from torch import Tensor
@@ -18,8 +18,9 @@ _CONTACTS = COUNT_ROWS["contacts"]
 
 
 class Partners:
-    """The PCS of a step. Rounds search its pairs with a robot that has changed: a slowed robot stays within its swept
-    volume, so it can only touch its partners in the PCS.
+    """The PCS of a step, as a `pgccd.resolution.rounds.RoundSearch`: rounds search its pairs with a robot that has
+    changed. Robots outside of the PCS never come near at equal times of the step; that a slowed one meets another at
+    unequal times, such as one that follows close behind, is not tested.
 
     Args:
         model: the rules.
@@ -38,18 +39,7 @@ class Partners:
         self._pairs = pairs
 
     def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
-        """Detection among changed robots, and between them and all others: lowers the first toi of robots in contact.
-        Does not synchronise.
-
-        Args:
-            changed: (N,) uint8.
-            fraction: (N,) float64: the part of the step that each robot moves, at constant velocities.
-            capacity: of the round on a GPU; on a CPU sizes are exact.
-            first: (N,) float64: first toi, relative to the part that each robot moves; lowered in place.
-
-        Returns:
-            (21,) int64 on the device: `pgccd.detection.capacity.Counts`.
-        """
+        """As `RoundSearch.start_round`; robots move at constant velocities. Never synchronises on a GPU."""
         if self._pairs.device.type == "cpu":
             capacity = Capacity(pairs=len(self._pairs), contacts=0)
         pieces = self._pieces(capacity)

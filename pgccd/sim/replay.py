@@ -8,11 +8,11 @@ from torch import Tensor
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.parts import find_part
+from pgccd.resolution.rounds import Fractions, OneRank
 from pgccd.runtime.replayed_steps import GRAPH_SLACK, ReplayedSteps
 from pgccd.sim.captured import CommittedStep, Searches, StepGraph
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
-from pgccd.sim.resolution import OneRank, Resolution
 from pgccd.sim.step import Step, StepPlan, make_step
 
 # A graph has more rounds of collision resolution than any recent step took: the step that needs one more is repeated,
@@ -26,7 +26,7 @@ class MadeStep(Protocol):
     """A step run launch by launch."""
 
     @property
-    def resolution(self) -> Resolution: ...
+    def resolution(self) -> Fractions: ...
 
 
 M = TypeVar("M", bound=MadeStep)

@@ -13,13 +13,13 @@ from pgccd.detection.contacts import Contacts
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.parts import contacts_of_step, find_part
 from pgccd.geometry.scene import Scene
+from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution.rounds import Fractions, resolve_collisions
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
-from pgccd.sim.resolution import Resolution, resolve_collisions
 from pgccd.sim.response import respond
-from pgccd.sim.round_plan import RoundPlan
 from pgccd.sim.tally import Tally, count_step
 
 
@@ -39,7 +39,7 @@ class Step:
 
     index: int  #: from 0
     before: RobotState  #: as planned: poses at t0, velocities of the step
-    resolution: Resolution
+    resolution: Fractions
     after: RobotState
     find: Callable[[], Contacts]  #: computes `contacts`
     make_record: Callable[[], dict[str, Any]]  #: computes `record`

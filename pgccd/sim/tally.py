@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.capacity import COUNT_ROWS, busy_nanoseconds, overflow_flags
+from pgccd.resolution.counts import Rows
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.hashing import hashed_columns
 from pgccd.sim.model import RobotState
-
-#: (ranks, k) int64: one row per rank.
-Rows = NDArray[np.int64]
 
 
 class Tally(NamedTuple):
@@ -69,56 +63,10 @@ class Tally(NamedTuple):
         }
 
 
-#: The columns of a rank's searches; those of `count_step` follow.
+#: The columns of `GatheredCounts.work`; those of `count_step` follow.
 WORK = Tally._fields[:6]
 #: Number of values of `count_step`.
 COUNTED = len(Tally._fields) - len(WORK)
-
-
-class SearchCounts:
-    """The counts of a rank's searches in a step, on the device.
-
-    Args:
-        of_parts: (21,) int64 of each part of the whole step: `pgccd.detection.capacity.Counts`.
-        of_rounds: the same of each round of collision resolution.
-    """
-
-    def __init__(self, of_parts: Sequence[Tensor], of_rounds: Sequence[Tensor]) -> None:
-        self._of_parts = of_parts
-        self._in_rounds = torch.stack([torch.zeros_like(of_parts[0]), *of_rounds]).sum(dim=0)
-
-    def overflow(self) -> list[Tensor]:
-        """Flags (1,) int64: if any is nonzero, a capacity was exceeded."""
-        return [flag for counts in (*self._of_parts, self._in_rounds) for flag in overflow_flags(counts)]
-
-    def values(self) -> list[Tensor]:
-        """What all ranks gather for `GatheredCounts`."""
-        row = COUNT_ROWS["contacts"]
-        return [self._in_rounds[row : row + 1], *self._of_parts]
-
-
-class GatheredCounts(NamedTuple):
-    """The `SearchCounts` of all ranks. Of rounds, only the contacts: the size does not depend on their number."""
-
-    secondary_contacts: NDArray[np.int64]  #: (ranks,)
-    of_parts: NDArray[np.int64]  #: (ranks, parts, 21)
-
-    @staticmethod
-    def width(parts: int) -> int:
-        """Number of values of each rank."""
-        return 1 + parts * len(COUNT_ROWS)
-
-    @classmethod
-    def of(cls, gathered: Rows) -> GatheredCounts:
-        """`gathered`: (ranks, width)."""
-        return cls(gathered[:, 0], gathered[:, 1:].reshape(len(gathered), -1, len(COUNT_ROWS)))
-
-    @property
-    def work(self) -> Rows:
-        """(ranks, 6), columns as in `WORK`."""
-        names = ("pairs_written", "contacts", "candidates", "unresolved")
-        pcs, contacts, *rest = (self.of_parts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in names)
-        return np.stack([pcs, contacts, self.secondary_contacts, *rest, busy_nanoseconds(self.of_parts)], axis=1)
 
 
 def count_step(after: RobotState, fraction: Tensor, id: Tensor, pairs: Tensor, toi: Tensor) -> Tensor:

@@ -91,7 +91,7 @@ def find(
             everything = torch.cat([torch.tensor(rows).view(-1, 2) for rows in to_all(comm, ids_tested.tolist())])
             assert len(everything.unique(dim=0)) == whole.stats.pcs
             if report == "first":
-                first = pgccd.sim.first_collisions(whole.pairs, whole.toi, len(ids))
+                first = whole.first_toi("body")
                 assert torch.equal(world.first_toi(hits).cpu(), first[torch.searchsorted(ids, world.id.cpu())])
             assert int(world.loads().sum()) == len(ids) + 8 * whole.stats.pcs
             owners = world.found.held.owner[world.found.pairs]

@@ -21,11 +21,11 @@ from pgccd.distributed.detection import padded_share
 from pgccd.distributed.halo import capacity as halo_capacity
 from pgccd.distributed.partition.cut import make_partition
 from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import transaction
 from pgccd.sim.distributed import DistributedSimulation, RankStep, starting_share
 from pgccd.sim.distributed import simulation as simulation_module
 from pgccd.sim.distributed.gathering import gather_sample
-from pgccd.sim.round_plan import RoundPlan
 
 TIMES = ("seconds", "stage_seconds", "ranks")
 # Fast robots in a small world, so that few steps suffice.

@@ -20,18 +20,17 @@ def axes_of(orientation: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def least_gap(position: np.ndarray, orientation: np.ndarray, half: np.ndarray) -> float:
-    """The smallest gap of any pair of boxes: the largest distance along one of 15 axes by which a plane separates the
-    two. Negative: a pair overlaps, by that much; inf: all pairs are further apart than their diagonals.
+def near_gaps(position: np.ndarray, orientation: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs (P, 2), i < j, of boxes no further apart than their diagonals, and their gaps (P,): the largest distance
+    along one of 15 axes by which a plane separates the two. Negative: they overlap, by that much.
 
     Args:
         position: (N, 3) centres.
         orientation: (N, 4) unit quaternions (w, x, y, z).
         half: (3,) half the edges.
     """
-    i, j = cKDTree(position).query_pairs(2.0 * float(np.linalg.norm(half)), output_type="ndarray").T
-    if len(i) == 0:
-        return np.inf
+    pairs = cKDTree(position).query_pairs(2.0 * float(np.linalg.norm(half)), output_type="ndarray").reshape(-1, 2)
+    i, j = pairs.T
     axes = axes_of(orientation)
     a, b = axes[i], axes[j]
     edges = np.cross(a[:, :, None], b[:, None]).reshape(-1, 9, 3)
@@ -40,4 +39,10 @@ def least_gap(position: np.ndarray, orientation: np.ndarray, half: np.ndarray) -
     candidates = np.concatenate([a, b, edges / np.maximum(length, _PARALLEL)], axis=1)  # (pairs, 15, 3)
     distance = np.abs(np.einsum("pkc,pc->pk", candidates, position[j] - position[i]))
     reach = sum(np.abs(np.einsum("pkc,pmc->pkm", candidates, box)) @ half for box in (a, b))
-    return float(np.where(is_axis, distance - reach, -np.inf).max(axis=1).min())
+    return pairs, np.where(is_axis, distance - reach, -np.inf).max(axis=1)
+
+
+def least_gap(position: np.ndarray, orientation: np.ndarray, half: np.ndarray) -> float:
+    """The smallest of `near_gaps`; inf if there are none."""
+    _, gaps = near_gaps(position, orientation, half)
+    return float(gaps.min(initial=np.inf))

@@ -11,10 +11,10 @@ import torch
 from support.graphs import graphs_on
 
 from pgccd.detection.capacity import Capacity
+from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import transaction
 from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, make_step, replay
 from pgccd.sim.captured import CommittedStep, StepGraph
-from pgccd.sim.round_plan import RoundPlan
 from pgccd.sim.step import Step
 
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5, "seed": 3}

@@ -16,16 +16,9 @@ from torch import Tensor
 
 import pgccd
 from pgccd import ops
-from pgccd.sim import Model, ModelConfig, first_collisions, make_step, respond
+from pgccd.sim import Model, ModelConfig, make_step, respond
 from pgccd.sim.model import RobotState
 from pgccd.viz.raster import placed
-
-
-def test_first_collisions_takes_the_smallest_of_each_body() -> None:
-    pairs = torch.tensor([[0, 2], [2, 3], [0, 3]])
-    toi = torch.tensor([0.5, 0.25, 0.75], dtype=torch.float64)
-    assert first_collisions(pairs, toi, 5).tolist() == [0.5, torch.inf, 0.25, 0.25, torch.inf]
-    assert first_collisions(pairs[:0], toi[:0], 2).tolist() == [torch.inf, torch.inf]
 
 
 def two_robots(distance: float) -> tuple[Model, RobotState]:

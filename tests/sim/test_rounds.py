@@ -19,12 +19,12 @@ from torch.utils._python_dispatch import TorchDispatchMode
 import pgccd
 from pgccd.detection.capacity import COUNT_ROWS, Capacity
 from pgccd.detection.parts import Part
+from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution.rounds import OneRank, ResolvedStep, resolve_collisions
 from pgccd.runtime.stages import StageClock
-from pgccd.sim import Model, ModelConfig, Resolution, RobotState, StepPlan, make_step, robot_mesh
+from pgccd.sim import Fractions, Model, ModelConfig, RobotState, StepPlan, make_step, robot_mesh
 from pgccd.sim import partners as partners_module
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
-from pgccd.sim.resolution import OneRank, ResolvedStep, resolve_collisions
-from pgccd.sim.round_plan import RoundPlan
 from pgccd.sim.tally import WORK
 
 pipeline_module = sys.modules["pgccd.detection.pipeline"]
@@ -308,5 +308,5 @@ def test_a_round_is_few_operators_and_no_wait() -> None:
     assert calls[1] - calls[0] == 3
 
 
-def same(found: Resolution, expected: Resolution) -> bool:
+def same(found: Fractions, expected: Fractions) -> bool:
     return found.rounds == expected.rounds and torch.equal(found.fraction, expected.fraction)

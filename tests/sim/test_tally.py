@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pgccd.detection.capacity import COUNT_ROWS
+from pgccd.resolution.counts import GatheredCounts
 from pgccd.sim.captured import CommittedStep
-from pgccd.sim.tally import COUNTED, WORK, GatheredCounts
+from pgccd.sim.tally import COUNTED, WORK
 
 intervals = st.tuples(st.integers(0, 30), st.integers(0, 12)).map(lambda given: (given[0], given[0] + given[1]))
 

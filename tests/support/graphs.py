@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.capacity import COUNT_ROWS
+from pgccd.resolution import rounds as rounds_module
 from pgccd.runtime import transaction
-from pgccd.sim import resolution
 
 
 class Recorded:
@@ -51,7 +51,7 @@ class ConditionalRounds:
     """
 
     def __init__(self) -> None:
-        self.skipped, self._unwanted, self._make_round = 0, 0, resolution.Attempt._make_round
+        self.skipped, self._unwanted, self._make_round = 0, 0, rounds_module.Attempt._make_round
 
     @contextmanager
     def conditional(self, value: Tensor) -> Iterator[None]:
@@ -61,7 +61,7 @@ class ConditionalRounds:
         yield
         self._unwanted -= is_unwanted
 
-    def make_round(self, attempt: resolution.Attempt, change: Tensor, anywhere: Tensor | None = None) -> Tensor:
+    def make_round(self, attempt: rounds_module.Attempt, change: Tensor, anywhere: Tensor | None = None) -> Tensor:
         if not self._unwanted:
             return self._make_round(attempt, change, anywhere)
         self.skipped += 1
@@ -82,7 +82,7 @@ def graphs_on(device: torch.device | str) -> Graphs:
         stack.enter_context(mock.patch.object(transaction, "capture", record))
         stack.enter_context(mock.patch.object(transaction, "record_event", lambda timed, sleep=False: Now()))
         stack.rounds = rounds = ConditionalRounds()
-        stack.enter_context(mock.patch.object(resolution, "conditional", rounds.conditional))
+        stack.enter_context(mock.patch.object(rounds_module, "conditional", rounds.conditional))
         make_round = lambda attempt, *given: rounds.make_round(attempt, *given)  # noqa: E731  (a method)
-        stack.enter_context(mock.patch.object(resolution.Attempt, "_make_round", make_round))
+        stack.enter_context(mock.patch.object(rounds_module.Attempt, "_make_round", make_round))
     return stack

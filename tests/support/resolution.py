@@ -13,11 +13,11 @@ from torch import Tensor
 import pgccd
 from pgccd.detection.capacity import COUNT_ROWS, Capacity
 from pgccd.detection.parts import Part
+from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution.rounds import Fractions, resolve_collisions
 from pgccd.runtime.stages import StageClock
-from pgccd.sim import Model, Resolution, RobotState, contacts_hash, respond, state_hash
+from pgccd.sim import Model, RobotState, contacts_hash, respond, state_hash
 from pgccd.sim.partners import Partners, toi_of
-from pgccd.sim.resolution import resolve_collisions
-from pgccd.sim.round_plan import RoundPlan
 
 #: Contacts of the robots that changed (N,) bool, each moving by its fraction (N,) of the step.
 Find = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -27,7 +27,7 @@ Find = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 class PlainStep:
     """A step resolved by the reference."""
 
-    resolution: Resolution
+    resolution: Fractions
     contacts: pgccd.Contacts
 
 
@@ -46,8 +46,8 @@ def plain_step(model: Model, planned: RobotState) -> PlainStep:
     return PlainStep(plain_resolution(contacts.pairs, contacts.toi, len(planned), find), contacts)
 
 
-def plain_resolution(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Resolution:
-    """The rule of `pgccd.sim.resolution`, robot by robot."""
+def plain_resolution(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Fractions:
+    """The rule of `pgccd.resolution.rounds`, robot by robot."""
     fraction, rounds, secondary = [1.0] * count, 0, 0
     while True:
         changed = set()
@@ -62,12 +62,12 @@ def plain_resolution(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Reso
                 changed.add(robot)
         made = torch.tensor(fraction, dtype=torch.float64)
         if not changed:
-            return Resolution(made, rounds, secondary)
+            return Fractions(made, rounds, secondary)
         pairs, toi = find(torch.tensor([robot in changed for robot in range(count)]), made)
         rounds, secondary = rounds + 1, secondary + len(toi)
 
 
-def resolve_given(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Resolution:
+def resolve_given(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Fractions:
     """Result of `resolve_collisions` for these contacts, and for those that `find` returns for later rounds."""
 
     class GivenPart:

@@ -13,12 +13,13 @@ from pgccd.distributed.halo.centres import Centres
 from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.migrate import count_leaving
 from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.resolution.counts import GatheredCounts
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.sim.captured import Searches, clear_rows
 from pgccd.sim.distributed.held_exchange import HeldExchange
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import Partners
-from pgccd.sim.tally import COUNTED, GatheredCounts
+from pgccd.sim.tally import COUNTED
 
 # Number of values of `RankSearches.conclude`.
 _CONCLUDED = 4

@@ -25,6 +25,8 @@ from pgccd.distributed.partition.interface import Partition
 from pgccd.distributed.partition.rebalancing import Balancer
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
+from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution.rounds import Fractions, resolve_collisions
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import Replay
 from pgccd.sim.captured import CommittedStep, StepGraph
@@ -34,9 +36,7 @@ from pgccd.sim.distributed.reports import Reports
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.replay import SimulationSteps
-from pgccd.sim.resolution import Resolution, resolve_collisions
 from pgccd.sim.response import respond
-from pgccd.sim.round_plan import RoundPlan
 from pgccd.sim.tally import Tally, count_step
 
 # Robots that have left their rank's cells migrate once they exceed the number of ghosts over this (each may be a
@@ -69,7 +69,7 @@ class RankStep:
 
     index: int  #: from 0
     before: RobotState  #: own robots, as planned
-    resolution: Resolution  #: of the held robots
+    resolution: Fractions  #: of the held robots
     stop_requested: bool  #: on any rank
     find: Callable[[], Detection]  #: computes `detection`
     make_record: Callable[[], dict[str, Any]]  #: computes `record`

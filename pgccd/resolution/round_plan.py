@@ -1,5 +1,7 @@
 """How many rounds of collision resolution are enqueued at once, and their capacities."""
 
+from __future__ import annotations
+
 from collections import deque
 from collections.abc import Callable, Sequence
 
@@ -22,6 +24,13 @@ class RoundPlan:
         self._recent: deque[int] = deque(maxlen=_RECENT_STEPS)
         self._needed: Callable[[], Sequence[Capacity]] | None = None
         self._capacities: list[Capacity] = []
+
+    @classmethod
+    def of(cls, capacity: Capacity) -> RoundPlan:
+        """A plan with this capacity of each round."""
+        plan = cls()
+        plan._capacities = [capacity]
+        return plan
 
     @property
     def at_once(self) -> int:

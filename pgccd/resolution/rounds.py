@@ -1,8 +1,8 @@
-"""Collision resolution: the part of the step that each robot moves such that none collides.
+"""Rounds of resolution: the part of the step that each body moves such that none collides.
 
-A robot stops just before its first toi. Other robots may then collide with it where they expected it to move on, so the
-step is tested again, among the robots just slowed down and between them and all others, until no pair collides. In the
-resulting step no robot touches another, and the next step starts without contact.
+A body stops just before its first toi. Others may then collide with it where they expected it to move on, so the step
+is tested again, among the bodies just slowed down and between them and all others, until no round changes a body. In
+the resulting step no two bodies touch that started apart and may both be stopped.
 
 Several rounds are enqueued at a time, before it is known whether they are needed: superfluous rounds change nothing.
 """
@@ -21,20 +21,20 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
 from pgccd.detection.parts import Part, pairs_of_step, search_seconds
+from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
+from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution.stoppers import Stoppers
 from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
-from pgccd.sim.partners import Partners
-from pgccd.sim.round_plan import RoundPlan
-from pgccd.sim.tally import GatheredCounts, Rows, SearchCounts
 
-# A robot moves by this fraction of its toi: at the toi itself it may be within the tolerance of contact, which the next
+# A body moves by this fraction of its toi: at the toi itself it may be within the tolerance of contact, which the next
 # step would report again.
 _APPROACH = 0.99
-# A robot that could only move by less than this part of its step does not move. Otherwise the gap between robots
+# A body that could only move by less than this part of its step does not move. Otherwise the gap between bodies
 # pressed together (by a wall or a crowd) would shrink by the same factor in every step, until rounding closed it.
 _SMALLEST_PART = 0.01
-# From this round on a colliding robot does not move at all, which ends the iteration quickly.
+# From this round on a colliding body does not move at all, which ends the iteration quickly.
 _STOPPING_ROUND = 4
 # Rounds added at a time if those of the plan do not suffice.
 _MORE_ROUNDS = 2
@@ -42,12 +42,12 @@ _CONTACTS = COUNT_ROWS["contacts"]
 
 
 @dataclass
-class Resolution:
-    """The part of the step that each robot moves such that none collides."""
+class Fractions:
+    """The part of the step that each body moves such that none collides."""
 
-    fraction: Tensor  #: (N,) float64 in [0, 1]; below 1 for robots that would collide
+    fraction: Tensor  #: (N,) float64 in [0, 1]; below 1 for bodies that would collide
     rounds: int  #: detections after the first
-    secondary_contacts: int  #: contacts found in rounds: with robots that had stopped in the way
+    secondary_contacts: int  #: contacts found in rounds: with bodies that had stopped in the way
 
     @property
     def stopped(self) -> Tensor:
@@ -59,11 +59,35 @@ class Resolution:
 class ResolvedStep:
     """Result of a step."""
 
-    resolution: Resolution
-    work: Rows  #: (ranks, 6), see `pgccd.sim.tally.WORK`
+    resolution: Fractions
+    work: Rows  #: (ranks, 6), see `GatheredCounts.work`
     conclusions: Rows  #: (ranks, k): the values of `conclude` of each rank
     #: Updates the capacity estimates for the next step; deferred, so that the next step can be enqueued first.
     learn: Callable[[], None]
+
+
+class RoundSearch(Protocol):
+    """Detection in rounds: among bodies that have changed, and between them and all others."""
+
+    def look_among(self, pairs: Tensor) -> None:
+        """Takes note that the pairs of the whole step are now these (P, 2): more than before, if these had exceeded
+        their capacity.
+        """
+        ...
+
+    def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+        """Lowers the first toi of bodies in contact. On a GPU does not synchronise, unless memory is short.
+
+        Args:
+            changed: (N,) uint8.
+            fraction: (N,) float64: the part of the step that each body moves.
+            capacity: of the round on a GPU; on a CPU sizes are exact.
+            first: (N,) float64: first toi, relative to the part that each body moves; lowered in place.
+
+        Returns:
+            (21,) int64 on the device: `pgccd.detection.capacity.Counts`.
+        """
+        ...
 
 
 class Exchange(Protocol):
@@ -81,7 +105,7 @@ class Exchange(Protocol):
         ...
 
     def share(self, first: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None) -> None:
-        """Sets the first toi (N,) of all robots to the minimum over all ranks that hold them. If it `shares_found`, it
+        """Sets the first toi (N,) of all bodies to the minimum over all ranks that hold them. If it `shares_found`, it
         also sets `anywhere` (1,) int64 to 1 if the number of contacts `found` (1,) int64 is nonzero on any rank.
         """
         ...
@@ -103,7 +127,7 @@ class OneRank:
         return values[None]
 
 
-#: Concludes a step, given the fractions (N,) float64 that the robots move: returns (k,) int64 values for all ranks. A
+#: Concludes a step, given the fractions (N,) float64 that the bodies move: returns (k,) int64 values for all ranks. A
 #: later call with other fractions replaces the first.
 Conclude = Callable[[Tensor], Tensor]
 
@@ -111,75 +135,86 @@ Conclude = Callable[[Tensor], Tensor]
 def resolve_collisions(
     parts: Sequence[Part],
     body_count: int,
-    partners: Partners,
+    search: RoundSearch,
     plan: RoundPlan,
     conclude: Conclude,
     clock: StageClock,
     exchange: Exchange | None = None,
+    fixed: Tensor | None = None,
+    stoppers: Stoppers | None = None,
 ) -> ResolvedStep:
-    """Finds the part of the step that each robot moves.
+    """Finds the part of the step that each body moves.
 
     The host synchronises once, unless there are more rounds than in recent steps or a capacity was exceeded. All ranks
     make the same decision.
 
     Args:
         parts: of the whole step's pairs, searched for first contacts; the same number on all ranks.
-        body_count: number of robots N.
-        partners: the PCS.
+        body_count: number of bodies N.
+        search: searches the rounds.
         plan: number of rounds enqueued at once, and their capacities.
         conclude: see `Conclude`.
         clock: records stage times.
         exchange: between ranks; default: a single rank.
+        fixed: (N,) bool: bodies that move by their whole step, whatever they meet; default: none.
+        stoppers: takes note of which body stopped which.
     """
     exchange = exchange or OneRank()
     clock.add({"traverse": 0.0, "narrow": 0.0})  # lists the stages in the order of work
     for part in parts:
         part.begin()
     while True:
-        attempt = Attempt(parts, body_count, partners, plan, exchange, clock)
+        attempt = Attempt(parts, body_count, search, plan, exchange, clock, fixed, stoppers)
         resolved = attempt.run(conclude)
         if resolved is not None:
             return resolved
         # The pairs may have exceeded their capacity.
-        partners.look_among(pairs_of_step(parts))
+        search.look_among(pairs_of_step(parts))
 
 
 @dataclass(eq=False)
 class Attempt:
-    """Rounds on the device, in given capacities: `begin`, then `make_rounds` until a round changes no robot.
+    """Rounds on the device, in given capacities: `begin`, then `make_rounds` until a round changes no body.
 
     Arguments as for `resolve_collisions`.
     """
 
     parts: Sequence[Part]
     body_count: int
-    partners: Partners
+    search: RoundSearch
     plan: RoundPlan
     exchange: Exchange
     clock: StageClock
+    fixed: Tensor | None = None
+    stoppers: Stoppers | None = None
 
     def __post_init__(self) -> None:
         self._device = self.parts[0].bodies.device
-        #: (N,) float64: the part of the step that each robot moves.
+        #: (N,) float64: the part of the step that each body moves.
         self.fraction = torch.ones(self.body_count, dtype=torch.float64, device=self._device)
         self._first = torch.full_like(self.fraction, torch.inf)
         self._changed = torch.empty(self.body_count, dtype=torch.uint8, device=self._device)
         #: Capacity of each round.
         self.capacities: list[Capacity] = []
+        if self.stoppers is not None:
+            self.stoppers.clear()
 
     def begin(self) -> Tensor:
-        """Slows down the robots that collide in the whole step. Returns (1,) int64: nonzero if a robot of this rank
+        """Slows down the bodies that collide in the whole step. Returns (1,) int64: nonzero if a body of this rank
         does.
         """
         change = torch.zeros(1, dtype=torch.int64, device=self._device)
-        for part in self.parts:
-            pairs, toi = part.first_contacts()
+        found = [part.first_contacts() for part in self.parts]
+        for pairs, toi in found:
             ops.simulate_first_toi(self._first, None, pairs, toi)
+        if self.stoppers is not None:
+            for pairs, toi in found:
+                self.stoppers.find(pairs, toi, self._first)
         self._slow_down(0, change)
         return change
 
     def make_rounds(self, count: int) -> tuple[Tensor, list[Tensor]]:
-        """Enqueues rounds. Returns (count,) int64: nonzero for each round that changed a robot of this rank; and the
+        """Enqueues rounds. Returns (count,) int64: nonzero for each round that changed a body of this rank; and the
         counts (21,) of each.
         """
         changes, counts = torch.zeros(count, dtype=torch.int64, device=self._device), []
@@ -201,18 +236,18 @@ class Attempt:
             for round in range(count):
                 this, before = slice(round, round + 1), slice(round - 1, round)
                 if round >= max(usual, 1):
-                    # A robot changes only if its rank, or another that holds it, found a contact.
+                    # A body changes only if its rank, or another that holds it, found a contact.
                     nested.enter_context(conditional((changes if is_alone else anywhere)[before]))
                 counts[round].copy_(self._make_round(changes[this], anywhere[this]))
         return changes, list(counts)
 
     def _make_round(self, change: Tensor, anywhere: Tensor | None = None) -> Tensor:
-        """Enqueues a round, which sets `change` (1,) to nonzero if it changed a robot of this rank, and `anywhere` (1,)
+        """Enqueues a round, which sets `change` (1,) to nonzero if it changed a body of this rank, and `anywhere` (1,)
         if any rank found a contact, where the exchange `shares_found`. Returns its counts (21,).
         """
         capacity = self.plan.capacity(len(self.capacities))
         self.capacities.append(capacity)
-        counts = self.partners.start_round(self._changed, self.fraction, capacity, self._first)
+        counts = self.search.start_round(self._changed, self.fraction, capacity, self._first)
         found = counts[_CONTACTS : _CONTACTS + 1] if anywhere is not None else None
         self._slow_down(len(self.capacities), change, found, anywhere)
         return counts
@@ -221,9 +256,13 @@ class Attempt:
         self, round: int, change: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None
     ) -> None:
         self.exchange.share(self._first, found, anywhere)
-        # Every round slows at least one robot, and from _STOPPING_ROUND on stops it at t0, so the iteration terminates.
+        if self.fixed is not None:
+            self._first.masked_fill_(self.fixed, torch.inf)
+        # Every round slows at least one body, and from _STOPPING_ROUND on stops it at t0, so the iteration terminates.
         smallest = _SMALLEST_PART if round < _STOPPING_ROUND else torch.inf
         ops.simulate_slow_all_down(self._first, self.fraction, self._changed, change, _APPROACH, smallest)
+        if self.stoppers is not None:
+            self.stoppers.note(self._changed)
 
     def run(self, conclude: Conclude) -> ResolvedStep | None:
         """Runs all rounds; None, on all ranks, if a rank exceeded a capacity, which has then grown."""
@@ -233,7 +272,7 @@ class Attempt:
             # A single rank on the CPU can read the result of each round.
             at_sight = exchange.ranks == 1 and self._device.type == "cpu"
             more = int(changes) if at_sight else self.plan.at_once
-        went_on: list[bool] = []  # for each round: whether a robot had changed on any rank before it
+        went_on: list[bool] = []  # for each round: whether a body had changed on any rank before it
         made: list[NDArray[np.int64]] = []  # counts of this rank, for each round
         secondary_contacts = np.zeros(exchange.ranks, dtype=np.int64)
         while True:
@@ -263,7 +302,7 @@ class Attempt:
             if not all(went_on):
                 rounds = went_on.index(False)
                 self.plan.learn(rounds, partial(_needed, made[:rounds], self.capacities))
-                resolution = Resolution(self.fraction, rounds, int(secondary_contacts[exchange.rank]))
+                resolution = Fractions(self.fraction, rounds, int(secondary_contacts[exchange.rank]))
                 work = gathered._replace(secondary_contacts=secondary_contacts).work
                 return ResolvedStep(resolution, work, numbers[:, end:], self._learning(of_parts))
             more, changes = _MORE_ROUNDS, changes[:0]

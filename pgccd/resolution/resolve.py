@@ -1,0 +1,241 @@
+"""`resolve`: how far each body of a scene may move such that none meets another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypedDict, Unpack, cast, overload
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.detection import broad
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.capacity import COUNT_ROWS, Capacity, check_capacity, overflow_flags
+from pgccd.detection.checks import Initial, warn_of_only_body
+from pgccd.detection.memory import CapacityEstimate
+from pgccd.detection.padded import search_padded
+from pgccd.detection.parts import Part, find_part
+from pgccd.detection.pipeline import find_contacts
+from pgccd.detection.query import Query
+from pgccd.geometry.columns import bool_column
+from pgccd.geometry.scene import Scene
+from pgccd.resolution.results import M, PaddedResolution, Resolution, union_of_pairs
+from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution.rounds import Attempt, OneRank, resolve_collisions
+from pgccd.resolution.search import ShortenedSearch, at_rest, shortened
+from pgccd.resolution.stoppers import Stoppers
+from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.stages import StageClock
+
+
+class ResolveOptions(TypedDict, total=False):
+    """Options of `resolve`."""
+
+    tolerance: float | None
+    initial: Initial
+    broad_phase: broad.BroadPhase
+
+
+@overload
+def resolve(
+    scene: Scene,
+    motion: M,
+    movable: Tensor | Sequence[bool] | None = None,
+    min_separation: float = 0.0,
+    *,
+    capacity: None = None,
+    **options: Unpack[ResolveOptions],
+) -> Resolution[M]: ...
+@overload
+def resolve(
+    scene: Scene,
+    motion: M,
+    movable: Tensor | Sequence[bool] | None = None,
+    min_separation: float = 0.0,
+    *,
+    capacity: Capacity,
+    rounds: int = 8,
+    **options: Unpack[ResolveOptions],
+) -> PaddedResolution[M]: ...
+def resolve(
+    scene: Scene,
+    motion: M,
+    movable: Tensor | Sequence[bool] | None = None,
+    min_separation: float = 0.0,
+    *,
+    tolerance: float | None = None,
+    initial: Initial = "report",
+    broad_phase: broad.BroadPhase = "auto",
+    capacity: Capacity | None = None,
+    rounds: int | None = None,
+) -> Resolution[M] | PaddedResolution[M]:
+    """Gives each body the part f_i of its path such that all bodies together, body i on x_i(f_i t) for t in [0, 1],
+    have met nobody: the step that a loop may commit.
+
+    A body stops at 0.99 of its first toi. Others may then meet it where it stopped, so the step is tested again in
+    rounds, until no body changes. A body that could move by less than 0.01 of its path does not move, nor does one that
+    still collides in the fourth round or later. There is no unique largest choice (either of two bodies may give way);
+    this one is the same in every run, on every device, and bodies of one world do not depend on other worlds.
+
+    Bodies that touch or intersect another at t = 0 do not move, and the pairs are listed. A body that may not be
+    stopped keeps its whole path; what it meets although the other one has been stopped is listed as unresolved. A body
+    that deforms stops before it meets itself, if it has `self_collision` in the scene.
+
+    Args:
+        scene: the bodies; its filters and margins apply.
+        motion: their paths. With `RigidMotion(path="linear")`, vertices of a stopped body move straight to its pose at
+            f_i on the arc, see `RigidMotion.shortened`.
+        movable: (N,) bool: the bodies that may be stopped. Default: all.
+        min_separation: length >= 0; bodies at most this far apart touch, as for `detect`.
+        tolerance, broad_phase: as for `detect`. Bodies that start further apart than min_separation may move, even if
+            they are within the tolerance.
+        initial: "report": surfaces that intersect at t = 0 count as touching. "assume_free": the caller guarantees that
+            none do, for example because the previous step was resolved; the test is left out.
+        capacity: of each search and of the lists of pairs. Then sizes are fixed, the call does not synchronise, and it
+            can be captured by `torch.cuda.graph` (for deforming bodies, call it once before).
+        rounds: with `capacity`, how many rounds are made, 8 by default: superfluous ones change nothing. If the last
+            one changes a body, the result is incomplete.
+
+    Returns:
+        Resolution, on the scene's device; PaddedResolution if `capacity` is given: an incomplete one reads as fraction
+        0 for every body. On a GPU the host synchronises twice (once if no body is stopped), and again if a step exceeds
+        the capacities or the number of rounds of earlier ones.
+
+    Raises:
+        TypeError, ValueError: naming the argument; also if an input requires grad. A UserWarning names a scene whose
+            only body is not tested against itself.
+
+    Example:
+        >>> resolved = pgccd.resolve(scene, motion)
+        >>> position, orientation = resolved.motion.at(1.0)  # where the bodies are after the step
+        >>> velocity = torch.where(resolved.fraction[:, None] < 1.0, -velocity, velocity)
+    """
+    query = Query("first", min_separation, tolerance, True, initial)
+    arguments.choice(broad_phase, "broad_phase", broad.BROAD_PHASES)
+    if capacity is not None:
+        check_capacity(capacity)
+    elif rounds is not None:
+        raise ValueError("rounds: can only be given with a capacity; without one there are as many as needed")
+    count = arguments.integer(8 if rounds is None else rounds, "rounds", 1, "a number of rounds >= 1")
+    bodies = MovingBodies.of(
+        scene, motion, wait=capacity is None and isinstance(scene, Scene) and scene.device.type == "cpu"
+    )
+    if scene.body_count == 1:
+        warn_of_only_body(scene, motion)
+    fixed = None
+    if movable is not None:
+        fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0
+    step = _Step(bodies, query, broad_phase, fixed)
+    return step.resolve(motion) if capacity is None else step.resolve_padded(motion, capacity, count)
+
+
+@dataclass
+class _Plan:
+    """What earlier calls for a scene needed on a GPU. It changes how often work is repeated, never the result."""
+
+    pairs: CapacityEstimate
+    rounds: RoundPlan
+
+    @classmethod
+    def of(cls, scene: Scene) -> _Plan:
+        """The plan of a scene."""
+        plans = scene.capacity_estimates
+        if "resolve" not in plans:
+            guess = Capacity.guess(scene.body_count, None, scene.self_colliding_vertices)
+            plans["resolve"] = cls(CapacityEstimate(), RoundPlan.of(guess))
+        return plans["resolve"]
+
+
+@dataclass
+class _Step:
+    """The arguments of `resolve`, checked."""
+
+    bodies: MovingBodies
+    query: Query
+    broad_phase: broad.BroadPhase
+    fixed: Tensor | None  #: (N,) bool: bodies that may not be stopped
+
+    def resolve(self, motion: M) -> Resolution[M]:
+        bodies, scene, query = self.bodies, self.bodies.scene, self.query
+        plan = _Plan.of(scene)
+        first_faults = bodies.first_faults()
+        faults = HostCopy.start(first_faults)
+        part = find_part(bodies, query, self.broad_phase, estimate=plan.pairs)
+        stoppers, search = self._search(may_wait=True)
+        given = [part], scene.body_count, search, plan.rounds, _nothing, StageClock()
+        resolved = resolve_collisions(*given, fixed=self.fixed, stoppers=stoppers)
+        bodies.raise_faults(faults.numpy().tolist())
+        resolved.learn()
+        fraction, contacts = resolved.resolution.fraction, part.find()
+        assert contacts.toi is not None
+        touching = contacts.pairs[contacts.toi == 0.0]
+        made = cast(M, shortened(scene, motion, fraction))
+        meeting = contacts.pairs
+        if bool((fraction < 1.0).any()):
+            meeting = find_contacts(MovingBodies.of(scene, made), self._any, self.broad_phase).pairs
+        rest = _are_both(at_rest(scene, made), meeting)
+        touching = union_of_pairs(touching, meeting[rest], scene.body_count)
+        touching, unresolved = touching[touching[:, 0] >= 0], meeting[~rest]
+        return Resolution(made, fraction, stoppers.by, touching, unresolved, resolved.resolution.rounds)
+
+    def resolve_padded(self, motion: M, capacity: Capacity, rounds: int) -> PaddedResolution[M]:
+        bodies, scene, query = self.bodies, self.bodies.scene, self.query
+        faults = bodies.first_faults()
+        chosen, kept = broad.choose(bodies, self.broad_phase), (query.min_separation, query.tolerance)
+        pairs, counts = broad.find_pairs_padded(bodies, kept[0], chosen, capacity, faults[-1:], kept[1])
+        part = Part(query, bodies, pairs, counts, capacity=capacity)
+        part.start()
+        stoppers, search = self._search(may_wait=False)
+        plan = RoundPlan.of(capacity)
+        attempt = Attempt([part], scene.body_count, search, plan, OneRank(), StageClock(), self.fixed, stoppers)
+        first_change = attempt.begin()
+        more_changes, of_rounds = attempt.make_rounds(rounds)
+        changes = torch.cat([first_change, more_changes])
+        moving = MovingBodies.of(scene, shortened(scene, motion, attempt.fraction), wait=False)
+        check = search_padded(moving, self._any, capacity, chosen, None)
+        of_searches = torch.stack([part.counts(), *of_rounds, check.counts[: len(COUNT_ROWS)]])
+        failures = [*overflow_flags(of_searches.sum(dim=0)), faults[-1:], check.counts[-1:], changes[-1:]]
+        incomplete = (torch.cat(failures) != 0).any().reshape(1)
+        fraction = attempt.fraction.masked_fill(incomplete, 0.0)
+        found, toi = part.first_contacts()
+        made, meeting = cast(M, shortened(scene, motion, fraction)), check.rows[0]
+        rest = _are_both(at_rest(scene, made), meeting)
+        touching = union_of_pairs(
+            found.masked_fill((toi != 0.0)[:, None], -1), meeting.masked_fill(~rest[:, None], -1), scene.body_count
+        )
+        return PaddedResolution(
+            motion=made,
+            fraction=fraction,
+            stopped_by=stoppers.by.masked_fill(incomplete, -1),
+            touching_at_start=touching.masked_fill(incomplete, -1),
+            unresolved=meeting.masked_fill(rest[:, None] | incomplete, -1),
+            rounds=(changes != 0).long().cumprod(0).sum().reshape(1),
+            incomplete=incomplete,
+            _counts=of_searches,
+            _first_faults=faults,
+            _changes=changes[-1:],
+            _capacity=capacity,
+            _faults=bodies.faults,
+        )
+
+    def _search(self, may_wait: bool) -> tuple[Stoppers, ShortenedSearch]:
+        bodies, scene = self.bodies, self.bodies.scene
+        stoppers = Stoppers(scene.body_count, scene.device)
+        given = scene, bodies.motion, self.query, self.broad_phase, bodies.first_faults()[-1:], stoppers, may_wait
+        return stoppers, ShortenedSearch(*given)
+
+    @property
+    def _any(self) -> Query:
+        """Options of the test of the shortened motion."""
+        return replace(self.query, report="any")
+
+
+def _are_both(bodies: Tensor, pairs: Tensor) -> Tensor:
+    """(P,) bool: pairs (P, 2) of which both are marked by (N,) bool; also rows of -1."""
+    return torch.cat([bodies, bodies.new_ones(1)])[pairs].all(dim=1)
+
+
+def _nothing(fraction: Tensor) -> Tensor:
+    return torch.empty(0, dtype=torch.int64, device=fraction.device)

@@ -1,0 +1,122 @@
+"""Detection in rounds of resolution, for the bodies of any scene and motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pgccd import ops
+from pgccd.detection import broad
+from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.memory import memory_limit
+from pgccd.detection.parts import Part
+from pgccd.detection.query import Query
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.resolution.stoppers import Stoppers
+
+
+@dataclass(eq=False)
+class ShortenedSearch:
+    """Every round is a detection among all bodies on their shortened paths, broad phase included, of which only pairs
+    with a body that has changed are searched. The pairs of the whole step would not suffice: their test takes both
+    bodies at the same time, and a body that has stopped meets others later than on its whole path.
+
+    Args:
+        scene, motion: the bodies and their whole step.
+        query: options of the search: first contacts.
+        broad_phase: as for `detect`.
+        invalid: (1,) int64 on the device: nonzero if the bodies are invalid; no pairs are then searched.
+        stoppers: takes note of the contacts.
+        may_wait: whether rounds may synchronise: with exact sizes on a CPU, and on a GPU where memory is short.
+            Otherwise sizes are those of the given capacity.
+    """
+
+    scene: Scene
+    motion: RigidMotion | VertexMotion
+    query: Query
+    broad_phase: broad.BroadPhase
+    invalid: Tensor
+    stoppers: Stoppers
+    may_wait: bool
+
+    def look_among(self, pairs: Tensor) -> None:
+        """Every round finds its own pairs."""
+
+    def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+        """As `RoundSearch.start_round`."""
+        motion = shortened(self.scene, self.motion, fraction)
+        motion.is_trusted = True  # it is checked with the whole step
+        bodies = MovingBodies.of(self.scene, motion, wait=False)
+        part = self._exactly(bodies, changed) if self._waits(capacity) else self._within(bodies, changed, capacity)
+        pairs, toi = part.first_contacts()
+        ops.simulate_first_toi(first, None, pairs, toi)
+        self.stoppers.find(pairs, toi, first)
+        return part.counts()
+
+    def _waits(self, capacity: Capacity) -> bool:
+        if not self.may_wait:
+            return False
+        device = self.scene.device
+        return device.type == "cpu" or capacity.bytes > memory_limit(None, capacity.bytes, device)
+
+    def _exactly(self, bodies: MovingBodies, changed: Tensor) -> Part:
+        pairs = torch.empty((0, 2), dtype=torch.int64, device=bodies.device)
+        if not int(self.invalid):
+            kept = self.query.min_separation, self.query.tolerance
+            pairs = broad.find_pairs_of_checked(bodies, kept[0], broad.choose(bodies, self.broad_phase), kept[1])
+        part = Part(self.query, bodies, pairs[has_changed(pairs, changed)])
+        part.find()
+        return part
+
+    def _within(self, bodies: MovingBodies, changed: Tensor, capacity: Capacity) -> Part:
+        kept = self.query.min_separation, self.query.tolerance
+        pairs, counts = broad.find_pairs_padded(bodies, kept[0], self.broad_phase, capacity, self.invalid, kept[1])
+        pairs, count = select_rows(pairs, has_changed(pairs, changed))
+        row = COUNT_ROWS["pairs_written"]
+        counts[row : row + 1].copy_(count)
+        part = Part(self.query, bodies, pairs, counts, capacity=capacity)
+        part.start()
+        return part
+
+
+def shortened(scene: Scene, motion: RigidMotion | VertexMotion, fraction: Tensor) -> RigidMotion | VertexMotion:
+    """The motion x_i(f_i t) of bodies, given f (N,)."""
+    if isinstance(motion, RigidMotion):
+        return motion.shortened(fraction)
+    return motion.shortened(fraction[body_of_vertex(scene)])
+
+
+def at_rest(scene: Scene, motion: RigidMotion | VertexMotion) -> Tensor:
+    """(N,) bool: the bodies that do not move at all."""
+    if isinstance(motion, RigidMotion):
+        return ((motion.position_t0 == motion.position_t1) & (motion.rotation == 0.0)).all(dim=1)
+    moves = (motion.x_t0 != motion.x_t1).any(dim=1)
+    moving = moves.new_zeros(scene.body_count, dtype=torch.int32)
+    return moving.index_add_(0, body_of_vertex(scene), moves.int()) == 0
+
+
+def body_of_vertex(scene: Scene) -> Tensor:
+    """(X,) int64: the body of each vertex of deforming bodies."""
+    layout = scene.layout
+    vertex = torch.arange(layout.vertex_count, device=scene.device)
+    return torch.searchsorted(layout.vertex_begin, vertex, right=True) - 1
+
+
+def has_changed(pairs: Tensor, changed: Tensor) -> Tensor:
+    """(P,) bool: pairs (P, 2) with a body marked by (N,) uint8; rows of -1 have none."""
+    marks = torch.cat([changed, changed.new_zeros(1)])  # the last row is that of -1
+    return (marks[pairs] != 0).any(dim=1)
+
+
+def select_rows(pairs: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+    """The rows of `pairs` (P, 2) marked by (P,) bool in the same order, then rows of -1; and their number (1,) int64.
+    Does not synchronise.
+    """
+    to = torch.where(wanted, wanted.cumsum(0) - 1, len(pairs))
+    chosen = pairs.new_full((len(pairs) + 1, 2), -1)
+    chosen[to] = pairs
+    return chosen[:-1], wanted.sum().reshape(1)
