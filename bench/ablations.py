@@ -154,7 +154,7 @@ def precisions(world: MixedWorld, motions: list[pgccd.RigidMotion], device: str)
     for dtype in (torch.float64, torch.float32):
         given = [end.to(dtype) for end in ends]
         times = [timing.seconds(lambda given=given: pgccd.narrow.vertex_face(*given), device) for _ in range(8)]
-        hits = int((times[0][1].status != pgccd.FREE).sum())
+        hits = int((times[0][1].status != pgccd.Status.FREE).sum())
         ms = timing.summary([duration for duration, _ in times[1:]])
         row = {"question": "elementary tests", "variant": str(dtype).removeprefix("torch."), "ms": ms}
         rows.append(row | {"queries": len(ends[0]), "contacts": hits})
@@ -166,7 +166,7 @@ def _queries(world: MixedWorld, motion: pgccd.RigidMotion, device: str) -> list[
     moving = pgccd.MovingBodies.of(world.scene, with_path(motion, "linear"))
     pairs = pgccd.broad.find_pairs(moving)
     candidates, _ = pgccd.traverse.bvtt(moving, pairs)
-    candidates = candidates[candidates[:, 1] == int(pgccd.VF_AB)].long()
+    candidates = candidates[candidates[:, 1] == pgccd.Kind.VF_AB].long()
     mesh = world.model.meshes.meshes[0]
     corners = torch.cat([candidates[:, 2:3], mesh.faces.to(device).long()[candidates[:, 3]]], dim=1)
     bodies = pairs[candidates[:, 0]]

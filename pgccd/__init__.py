@@ -28,19 +28,7 @@ _LATER = ("about", "baselines", "distributed", "files", "sim", "viz")
 
 __version__: str = _build_information()["version"]
 
-# Plain integers: torch.compile treats the comparison of a tensor with an enum member as constant.
-FREE, TOUCH, UNRESOLVED = int(Status.FREE), int(Status.TOUCH), int(Status.UNRESOLVED)
-VF_AB, VF_BA, EE, EF_AB, EF_BA = (int(kind) for kind in Kind)
-
 __all__ = [
-    "EE",
-    "EF_AB",
-    "EF_BA",
-    "FREE",
-    "TOUCH",
-    "UNRESOLVED",
-    "VF_AB",
-    "VF_BA",
     "Capacity",
     "CapacityError",
     "CapturedDetection",

@@ -310,7 +310,7 @@ def _contact_rows(hits: pgccd.Contacts) -> list[dict[str, Any]]:
             columns[name] = column.tolist()
     for name, values in (("kind", Kind), ("status", Status)):
         if name in columns:
-            columns[name] = [values(value).name for value in columns[name]]
+            columns[name] = [values.names()[value] for value in columns[name]]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 

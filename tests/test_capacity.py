@@ -69,7 +69,7 @@ def test_padding(device: torch.device) -> None:
     count = len(expected)
     assert len(hits.pairs) == capacity.contacts > count
     assert torch.equal(hits.pairs[:count], expected.pairs) and torch.equal(hits.toi[:count], expected.toi)
-    padding = {"pairs": -1, "features": -1, "toi": torch.inf, "kind": 0, "status": pgccd.FREE, "coordinates": 0}
+    padding = {"pairs": -1, "features": -1, "toi": torch.inf, "kind": 0, "status": pgccd.Status.FREE, "coordinates": 0}
     for column, value in (padding | {"point": 0, "normal": 0}).items():
         assert bool((getattr(hits, column)[count:] == value).all()), column
     assert torch.equal(hits.toi.min(), expected.toi.min())

@@ -36,7 +36,11 @@ def enumerators(header: str, name: str) -> dict[str, int]:
         ("kernels/broad/broad_phase.h", "BroadPhase", broad.BROAD_PHASE_NUMBERS),
         ("kernels/narrow/narrow.h", "Report", {name: k for name, k in narrow.REPORTS.items() if name != "earliest"}),
         ("kernels/bounds/faults.h", "RowCheck", CHECK_NUMBERS),
-        ("kernels/narrow/search_state.h", "Status", {each.name.lower(): each.value for each in narrow.Status}),
+        (
+            "kernels/narrow/search_state.h",
+            "Status",
+            {name.lower(): value for value, name in narrow.Status.names().items()},
+        ),
         (
             "core/candidate.h",
             "FeatureKind",

@@ -38,8 +38,8 @@ def test_points_that_cross(device: torch.device, exponent: int) -> None:
     candidates, _ = pgccd.traverse.bvtt(bodies, torch.tensor([[0, 1]], device=device))
     # All vertex-face and edge-edge pairs; and edge-face pairs where the bodies' distance is within rounding at t = 0.
     kinds = candidates[:, 1]
-    assert int((kinds <= pgccd.EE).sum()) == 2 * 12 * 20 + 30**2
-    assert int((kinds > pgccd.EE).sum()) in (0, 2 * 30 * 20)
+    assert int((kinds <= pgccd.Kind.EE).sum()) == 2 * 12 * 20 + 30**2
+    assert int((kinds > pgccd.Kind.EE).sum()) in (0, 2 * 30 * 20)
 
 
 @pytest.mark.parametrize("far", [1e6, 1e30, 1e38, 1e39, 1e42, 1e45, 1e100, 1e149])

@@ -268,4 +268,4 @@ def test_no_tolerance_means_the_default() -> None:
     for test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
         expected, found = test(points, ends), test(points, ends, tolerance=None)
         assert torch.equal(found.toi, expected.toi) and torch.equal(found.status, expected.status)
-        assert 0 < int((found.status != pgccd.FREE).sum()) < 400
+        assert 0 < int((found.status != pgccd.Status.FREE).sum()) < 400

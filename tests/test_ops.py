@@ -203,14 +203,16 @@ def test_compile_the_elementary_tests(device: torch.device, test: Callable[..., 
     @torch.compile(fullgraph=True, dynamic=True, backend="aot_eager")
     def earliest(start: torch.Tensor, end: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         found = test(start, end, 0.01)
-        return found.toi.clamp(max=1.0), (found.status != pgccd.FREE).sum()
+        return found.toi.clamp(max=1.0), (found.status != pgccd.Status.FREE).sum()
 
     rng = np.random.default_rng(2)
     for count in (100, 33):
         points = tensors(*rng.normal(size=(2, count, 4, 3)), device=device)
         toi, contacts = earliest(*points)
         found = test(*points, 0.01)
-        assert torch.equal(toi, found.toi.clamp(max=1.0)) and int(contacts) == int((found.status != pgccd.FREE).sum())
+        assert torch.equal(toi, found.toi.clamp(max=1.0)) and int(contacts) == int(
+            (found.status != pgccd.Status.FREE).sum()
+        )
         assert int(contacts) > 0
 
 

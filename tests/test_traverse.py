@@ -154,9 +154,9 @@ def test_bodies_in_one_place(device: torch.device) -> None:
     )
     found = candidates(moving(same, device))[0]
     faces, edges = bodies.meshes[0].faces.tolist(), bodies.meshes[0].edges.tolist()
-    touching = {(pgccd.VF_AB, v, f) for f, face in enumerate(faces) for v in face}
-    touching |= {(pgccd.VF_BA, f, v) for f, face in enumerate(faces) for v in face}
-    touching |= {(pgccd.EE, a, b) for a, e in enumerate(edges) for b, f in enumerate(edges) if set(e) & set(f)}
+    touching = {(pgccd.Kind.VF_AB, v, f) for f, face in enumerate(faces) for v in face}
+    touching |= {(pgccd.Kind.VF_BA, f, v) for f, face in enumerate(faces) for v in face}
+    touching |= {(pgccd.Kind.EE, a, b) for a, e in enumerate(edges) for b, f in enumerate(edges) if set(e) & set(f)}
     assert touching - set(found) == set()
 
 

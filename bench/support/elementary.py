@@ -52,7 +52,7 @@ class Batch:
     @property
     def collides(self) -> np.ndarray:
         """Colliding queries (n,) bool; unresolved ones count."""
-        return self.status != pgccd.FREE
+        return self.status != pgccd.Status.FREE
 
 
 class Pgccd:

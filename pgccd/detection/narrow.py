@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Literal
+from typing import Final, Literal
 
 import torch
 from torch import Tensor
@@ -28,22 +27,57 @@ REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 1}
 _ELEMENTARY_TOLERANCE = 1e-6
 
 
-class Kind(IntEnum):
-    """Values of `kind`: which features of a pair (i, j) touch."""
+class _NamedIntegers:
+    # Not an IntEnum: torch.compile treats the comparison of a tensor with a member of an enumeration as constant.
 
-    VF_AB = 0  #: vertex of i, face of j
-    VF_BA = 1  #: vertex of j, face of i; `features` still lists i's feature first
-    EE = 2  #: edge of i, edge of j
-    EF_AB = 3  #: edge of i that passes through a face of j at t = 0
-    EF_BA = 4  #: edge of j that passes through a face of i at t = 0; `features` still lists i's feature first
+    @classmethod
+    def names(cls) -> dict[int, str]:
+        """The name of each value.
+
+        Example:
+            >>> pgccd.Kind.names()[2]
+            'EE'
+        """
+        return {value: name for name, value in vars(cls).items() if name.isupper()}
 
 
-class Status(IntEnum):
-    """Values of `status`: how a test ended."""
+class Kind(_NamedIntegers):
+    """Values of `kind`, plain integers: which features of a pair (i, j) touch. `features` lists that of i first.
 
-    FREE = 0  #: certainly no contact
-    TOUCH = 1  #: the primitives come within min_separation + tolerance
-    UNRESOLVED = 2  #: iteration budget spent; counts as a contact
+    Attributes:
+        VF_AB: vertex of i, face of j.
+        VF_BA: face of i, vertex of j.
+        EE: edge of i, edge of j.
+        EF_AB: edge of i that passes through a face of j at t = 0.
+        EF_BA: face of i, edge of j that passes through it at t = 0.
+
+    Example:
+        >>> edges = hits[hits.kind == pgccd.Kind.EE]
+    """
+
+    VF_AB: Final = 0
+    VF_BA: Final = 1
+    EE: Final = 2
+    EF_AB: Final = 3
+    EF_BA: Final = 4
+
+
+class Status(_NamedIntegers):
+    """Values of `status`, plain integers: how a test ended.
+
+    Attributes:
+        FREE: certainly no contact.
+        TOUCH: the features come within min_separation + tolerance.
+        UNRESOLVED: the iteration budget was spent; counts as a contact.
+
+    Example:
+        >>> hits[hits.status == pgccd.Status.UNRESOLVED]
+        Contacts(count=0, pcs=1, device=cpu)
+    """
+
+    FREE: Final = 0
+    TOUCH: Final = 1
+    UNRESOLVED: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +117,7 @@ def vertex_face(
 
     Example:
         >>> hit = pgccd.narrow.vertex_face(x0, x1)
-        >>> colliding = hit.status != pgccd.FREE
+        >>> colliding = hit.status != pgccd.Status.FREE
     """
     return _solve(ops.vertex_face, points_t0, points_t1, min_separation, tolerance, nonzero_toi)
 
@@ -158,7 +192,7 @@ def contacts(
 def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> Tensor:
     """Mask of candidates with a valid pair, kind and features."""
     row, kind, *features = (column.long() for column in candidates.unbind(dim=1))
-    known = (row >= 0) & (row < len(pairs)) & (kind >= 0) & (kind <= int(max(Kind)))
+    known = (row >= 0) & (row < len(pairs)) & (kind >= 0) & (kind <= max(Kind.names()))
     offsets = bodies.scene.meshes.offsets.to(bodies.device)
     counts = offsets[1:] - offsets[:-1]  # vertices, faces, edges
     row, kind = torch.where(known, row, 0), torch.where(known, kind, 0)
