@@ -165,7 +165,7 @@ def _queries(world: MixedWorld, motion: pgccd.RigidMotion, device: str) -> list[
     """Points (n, 4, 3) at both ends, relative to the first body's position, where float32 has spare digits."""
     moving = pgccd.MovingBodies.of(world.scene, with_path(motion, "linear"))
     pairs = pgccd.broad.find_pairs(moving)
-    candidates, _ = pgccd.traverse.bvtt(moving, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(moving, pairs)
     candidates = candidates[candidates[:, 1] == pgccd.Kind.VF_AB].long()
     mesh = world.model.meshes.meshes[0]
     corners = torch.cat([candidates[:, 2:3], mesh.faces.to(device).long()[candidates[:, 3]]], dim=1)

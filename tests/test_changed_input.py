@@ -103,13 +103,13 @@ def test_stages_called_alone_check_too(column: str) -> None:
     scene, motion = make(column)
     moving = pgccd.MovingBodies.of(scene, motion)
     pairs = pgccd.broad.sweep(moving)
-    candidates, _ = pgccd.traverse.bvtt(moving, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(moving, pairs)
     stages: list[Callable[[], Any]] = [
         lambda: pgccd.broad.sweep(moving),
         lambda: pgccd.broad.grid(moving),
         lambda: pgccd.broad.lbvh(moving),
-        lambda: pgccd.traverse.bvtt(moving, pairs),
-        lambda: pgccd.narrow.contacts(moving, pairs, candidates),
+        lambda: pgccd.traverse.find_candidates(moving, pairs),
+        lambda: pgccd.narrow.find_contacts(moving, pairs, candidates),
     ]
     for stage in stages:
         stage()

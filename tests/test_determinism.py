@@ -72,13 +72,13 @@ def test_stages_do_not_depend_on_threads(device: torch.device) -> None:
     for threads in (1, 2, 3):
         torch.set_num_threads(threads)
         pairs = pgccd.broad.sweep(moved, 0.1)
-        candidates, _ = pgccd.traverse.bvtt(moved, pairs)
+        candidates, _ = pgccd.traverse.find_candidates(moved, pairs)
         order = sorted(map(tuple, candidates.tolist()))
         found.append((pairs, order))
     assert all(torch.equal(found[0][0], pairs) and found[0][1] == order for pairs, order in found)
     shuffled = candidates[torch.randperm(len(candidates), device=candidates.device)]
     for report in REPORTS:
-        rows = [pgccd.narrow.contacts(moved, pairs, c, report) for c in (candidates, shuffled)]
+        rows = [pgccd.narrow.find_contacts(moved, pairs, c, report) for c in (candidates, shuffled)]
         if report == "any":  # which contact is found first depends on the order of work
             assert torch.equal(rows[0][0], rows[1][0])
         else:

@@ -68,7 +68,7 @@ def two_bodies() -> dict[str, Any]:
     scene, motion = pgccd.Scene([mesh], [0, 0]), pgccd.RigidMotion(x, q, x + v, q)
     bodies = pgccd.MovingBodies.of(scene, motion)
     pairs = pgccd.broad.sweep(bodies)
-    candidates, _ = pgccd.traverse.bvtt(bodies, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(bodies, pairs)
     names = {"robot": mesh, "rock": mesh, "mesh": mesh, "scene": scene, "motion": motion, "m": motion, "bodies": bodies}
     names |= {"x": x, "x0": x, "x1": x + v, "q": q, "q0": q, "q1": q, "v": v, "w": v, "omega": v, "dt": 1.0}
     names |= {"position": x, "orientation": q, "velocity": v, "rows": torch.tensor([1]), "pairs": pairs}

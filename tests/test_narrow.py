@@ -54,12 +54,12 @@ def test_culling_loses_nothing(device: torch.device, kind: str, separation: floa
     bodies = crowd(0)
     moved = moving(bodies, device, kind)
     pairs = pgccd.broad.sweep(moved, separation)
-    candidates, _ = pgccd.traverse.bvtt(moved, pairs, separation)
+    candidates, _ = pgccd.traverse.find_candidates(moved, pairs, separation)
     whole = everything(bodies, pairs)
     assert len(pairs) > 3 and 0 < len(candidates) < len(whole) / 2
     reports: tuple[Any, ...] = ("all", "first", "earliest", "any")
     for report in reports:
-        few, many = (pgccd.narrow.contacts(moved, pairs, c, report, separation) for c in (candidates, whole))
+        few, many = (pgccd.narrow.find_contacts(moved, pairs, c, report, separation) for c in (candidates, whole))
         assert len(few) == len(many) == COLUMNS
         columns = range(1) if report == "any" else range(COLUMNS)
         assert all(torch.equal(few[c], many[c]) for c in columns), report
@@ -70,7 +70,7 @@ def test_rows_are_as_detect_gives_them(device: torch.device) -> None:
     bodies = crowd(1)
     moved = moving(bodies, device, "rigid")
     pairs = pgccd.broad.sweep(moved)
-    rows = pgccd.narrow.contacts(moved, pairs, pgccd.traverse.bvtt(moved, pairs)[0], "all")
+    rows = pgccd.narrow.find_contacts(moved, pairs, pgccd.traverse.find_candidates(moved, pairs)[0], "all")
     hits = pgccd.detect(bodies.scene(device), bodies.motion(device=device), "all")
     assert torch.equal(pairs[rows[0].long()], hits.pairs)
     columns = (hits.kind, hits.features, hits.status, hits.toi, hits.coordinates, hits.point, hits.normal)
@@ -84,7 +84,7 @@ def test_brute_force_candidates_against_the_oracle(device: torch.device) -> None
     bodies = crowd(2, 2)
     pairs = torch.tensor([[0, 1]], device=device)
     moved = moving(bodies, device, "rigid")
-    pair, kind, features, status, toi, coordinates, point, normal = pgccd.narrow.contacts(
+    pair, kind, features, status, toi, coordinates, point, normal = pgccd.narrow.find_contacts(
         moved, pairs, everything(bodies, pairs), "all"
     )
     stats = pgccd.Stats()
@@ -99,7 +99,7 @@ def test_deforming_rows_are_the_elementary_ones(device: torch.device) -> None:
     bodies = crowd(3, 2)
     pairs = torch.tensor([[0, 1]], device=device)
     moved = moving(bodies, device, "deforming")
-    rows = pgccd.narrow.contacts(moved, pairs, everything(bodies, pairs), "all", 0.01, 1e-7)
+    rows = pgccd.narrow.find_contacts(moved, pairs, everything(bodies, pairs), "all", 0.01, 1e-7)
     ends = [end_positions(bodies, b) for b in (0, 1)]
     faces = (bodies.meshes[0].faces.long().numpy(), bodies.meshes[1].faces.long().numpy())
     for kind in (pgccd.Kind.VF_AB, pgccd.Kind.VF_BA, pgccd.Kind.EE):
@@ -136,7 +136,7 @@ def test_no_candidates(device: torch.device) -> None:
     none = torch.zeros((0, 4), dtype=torch.int32, device=device)
     reports: tuple[Any, ...] = ("all", "first", "earliest", "any")
     for report in reports:
-        rows = pgccd.narrow.contacts(moved, torch.tensor([[0, 1]], device=device), none, report)
+        rows = pgccd.narrow.find_contacts(moved, torch.tensor([[0, 1]], device=device), none, report)
         assert [tuple(r.shape) for r in rows] == [(0,), (0,), (0, 2), (0,), (0,), (0, 2), (0, 3), (0, 3)]
 
 

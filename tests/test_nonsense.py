@@ -69,7 +69,7 @@ def calls(folder: Path) -> dict[str, Call]:
     scene, motion = b.scene(), b.motion()
     moving = pgccd.MovingBodies.of(scene, motion)
     pairs = torch.tensor([[0, 1]])
-    candidates, _ = pgccd.traverse.bvtt(moving, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(moving, pairs)
     poses: dict[str, Any] = {"position_t0": motion.position_t0, "orientation_t0": motion.orientation_t0}
     poses["position_t1"] = motion.position_t1
     spins = {"position": motion.position_t0, "orientation": motion.orientation_t0}
@@ -160,12 +160,12 @@ def calls(folder: Path) -> dict[str, Call]:
         "broad.lbvh": Call(pgccd.broad.lbvh, on_bodies),
         "broad.find_pairs": Call(pgccd.broad.find_pairs, on_bodies | {"broad_phase": "grid"}),
         "broad.choose": Call(pgccd.broad.choose, {"bodies": moving, "broad_phase": "grid"}),
-        "traverse.bvtt": Call(
-            pgccd.traverse.bvtt,
+        "traverse.find_candidates": Call(
+            pgccd.traverse.find_candidates,
             on_bodies | {"pairs": pairs, "tolerance": None, "horizon": torch.ones(1).double(), "initial": "report"},
         ),
-        "narrow.contacts": Call(
-            pgccd.narrow.contacts,
+        "narrow.find_contacts": Call(
+            pgccd.narrow.find_contacts,
             {"bodies": moving, "pairs": pairs, "candidates": candidates, "report": "all", **options},
         ),
         "narrow.vertex_face": Call(pgccd.narrow.vertex_face, points | options),

@@ -81,9 +81,9 @@ def stages_alone(bodies: pgccd.MovingBodies) -> None:
     """Calls the operators that `detect` uses on only one kind of device."""
     for find in (pgccd.broad.sweep, pgccd.broad.grid, pgccd.broad.lbvh):
         pairs = find(bodies)
-    candidates, _ = pgccd.traverse.bvtt(bodies, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(bodies, pairs)
     for report in ("any", "first", "all"):
-        pgccd.narrow.contacts(bodies, pairs, candidates, report)
+        pgccd.narrow.find_contacts(bodies, pairs, candidates, report)
 
 
 @functools.cache

@@ -16,7 +16,7 @@ from pgccd.detection.capacity import Capacity
 from pgccd.detection.memory import CapacityEstimate, estimate_of
 from pgccd.detection.padded import counts_of_given
 from pgccd.detection.parts import Part, contacts_of_step, find_part, pairs_of_step
-from pgccd.detection.pipeline import find_contacts
+from pgccd.detection.pipeline import detect_moving
 from pgccd.detection.query import Query
 
 parts_module = sys.modules["pgccd.detection.parts"]
@@ -49,7 +49,7 @@ class Divided:
         count = len(crowd.position)
         bodies = moving(torch.arange(count))
         self.pairs = pgccd.broad.find_pairs(bodies, 0.01)
-        self.expected = find_contacts(bodies, self.query, pairs=self.pairs)
+        self.expected = detect_moving(bodies, self.query, pairs=self.pairs)
         turn = torch.rand(len(self.pairs), generator=torch.Generator().manual_seed(1)).to(device) < 0.5
         first, second = self.pairs[turn], self.pairs[~turn]
         rows = second.unique().flip(0)

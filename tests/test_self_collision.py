@@ -188,7 +188,7 @@ def test_any_mesh(shape: TriMesh, seed: int, shake: float) -> None:
     bodies = pgccd.MovingBodies.of(
         pgccd.Scene([mesh], self_collision=True), motion_of(ends, device=torch.device("cpu"))
     )
-    found, _ = pgccd.traverse.bvtt(bodies, torch.tensor([[0, 0]]))
+    found, _ = pgccd.traverse.find_candidates(bodies, torch.tensor([[0, 0]]))
     assert_canonical(mesh, found[:, 1], found[:, 2:])
     truth = self_truth(ends, shape.faces[chosen])
     assert truth.keys() <= {tuple(row) for row in found[:, 1:].tolist()}

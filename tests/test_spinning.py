@@ -210,7 +210,7 @@ def test_arc_of_an_edge_that_ends_on_the_axis(device: torch.device, half: float)
     moving = pgccd.MovingBodies.of(pgccd.Scene([needle, hook], device=device), motion)
     edges = [int((mesh.edges == torch.tensor([0, 1])).all(dim=1).nonzero()) for mesh in (needle, hook)]
     candidate = torch.tensor([[0, pgccd.Kind.EE, *edges]], dtype=torch.int32, device=device)
-    rows = pgccd.narrow.contacts(moving, torch.tensor([[0, 1]], device=device), candidate, "all")
+    rows = pgccd.narrow.find_contacts(moving, torch.tensor([[0, 1]], device=device), candidate, "all")
     assert len(rows[0]) == 1
     away = np.linspace(0.0, 0.5, 100_001)
     reach = np.sqrt(arm**2 + (arm + 1 - depth) ** 2 - 2 * arm * (arm + 1 - depth) * np.cos(2 * half * away))

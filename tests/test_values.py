@@ -159,13 +159,13 @@ def test_stages_called_alone_validate_margins(kind: str) -> None:
     scene, motion = moving(kind)
     made = pgccd.MovingBodies.of(scene, motion)
     pairs = pgccd.broad.sweep(made)
-    candidates, _ = pgccd.traverse.bvtt(made, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(made, pairs)
     assert scene.margin is not None
     scene.margin[0] = -1.0
     for stage in (
         lambda: pgccd.broad.grid(made),
-        lambda: pgccd.traverse.bvtt(made, pairs),
-        lambda: pgccd.narrow.contacts(made, pairs, candidates),
+        lambda: pgccd.traverse.find_candidates(made, pairs),
+        lambda: pgccd.narrow.find_contacts(made, pairs, candidates),
     ):
         with pytest.raises(ValueError, match="^margin: body 0: .*, got -1.0"):
             stage()

@@ -11,7 +11,7 @@ _VERTEX, _EDGE, _FACE, _REPRESENTED = slice(0, 3), slice(3, 6), 6, 7
 
 
 def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor, tests_start: bool) -> tuple[Tensor, Tensor]:
-    """Body pairs (P, 2) int64, ascending, and candidates (C, 4) int32 as from `pgccd.traverse.bvtt`.
+    """Body pairs (P, 2) int64, ascending, and candidates (C, 4) int32 as from `pgccd.traverse.find_candidates`.
 
     Every vertex and edge is represented by one triangle of its mesh (Curtis, Tamstorf & Manocha 2008), so the two
     representing triangles list a feature pair exactly once.

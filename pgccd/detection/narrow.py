@@ -151,7 +151,7 @@ def _solve(
     return ElementaryResult(*test(points_t0, points_t1, *settings))
 
 
-def contacts(
+def find_contacts(
     bodies: MovingBodies,
     pairs: Tensor,
     candidates: Tensor,
@@ -163,15 +163,15 @@ def contacts(
     """Solves candidates and returns the contacts selected by `report`; see `pgccd.detect` for the options.
 
     Args:
-        bodies, pairs: as for `pgccd.traverse.bvtt`.
-        candidates: (C, 4) int32, as returned by `bvtt`.
+        bodies, pairs: as for `pgccd.traverse.find_candidates`.
+        candidates: (C, 4) int32, as returned by `find_candidates`.
 
     Returns:
         Contacts in canonical order: index into `pairs` (K,), kind (K,), features (K, 2), status (K,), toi (K,),
         coordinates (K, 2), point (K, 3), normal (K, 3).
 
     Example:
-        >>> rows = pgccd.narrow.contacts(bodies, pairs, candidates, report="all")
+        >>> rows = pgccd.narrow.find_contacts(bodies, pairs, candidates, report="all")
     """
     require_bodies(bodies)
     pairs = check_pairs(pairs, bodies)

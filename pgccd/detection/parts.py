@@ -14,7 +14,7 @@ from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
 from pgccd.detection.contacts import Contacts, Stats
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import Search
-from pgccd.detection.pipeline import expected_capacity, find_contacts, start_search
+from pgccd.detection.pipeline import detect_moving, expected_capacity, start_search
 from pgccd.detection.query import Query
 from pgccd.detection.streaming import join_contacts
 
@@ -91,7 +91,7 @@ class Part:
                 self.pairs = self.find_pairs()
             else:
                 self.pairs = self.pairs[: numbers[COUNT_ROWS["pairs_written"]]]
-        self._contacts = find_contacts(self.bodies, self.query, pairs=self.pairs)
+        self._contacts = detect_moving(self.bodies, self.query, pairs=self.pairs)
         needed = self._contacts.stats.needed
         if needed is not None:
             if self._counts is not None:  # only the first search counts the broad phase
@@ -158,7 +158,7 @@ def find_part(
     estimate fits in memory. Then the bodies need not be validated: if they are invalid there are no pairs.
 
     Args:
-        bodies, query, broad_phase: as for `find_contacts`.
+        bodies, query, broad_phase: as for `detect_moving`.
         select: selects the pairs to search. Default: all.
         discard: (1,) int64 on the device; if nonzero, the result will be discarded and the search returns immediately.
         rows, estimate: as for `Part`.

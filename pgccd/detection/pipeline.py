@@ -161,13 +161,13 @@ def detect(
         pairs = check_pairs(pairs, bodies, ascending=True)
     if capacity is not None:
         return search_padded(bodies, query, capacity, broad_phase, pairs, marks_invalid=True).padded()
-    found = find_contacts(bodies, query, broad_phase, pairs, memory_budget)
+    found = detect_moving(bodies, query, broad_phase, pairs, memory_budget)
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
     found.scene = scene
     return found
 
 
-def find_contacts(
+def detect_moving(
     bodies: MovingBodies,
     query: Query,
     broad_phase: broad.BroadPhase = "auto",
@@ -204,10 +204,10 @@ def start_search(
     capacity: Capacity | None = None,
     estimate: CapacityEstimate | None = None,
 ) -> Search:
-    """Starts `find_contacts` without synchronising; `Search.contacts` completes it.
+    """Starts `detect_moving` without synchronising; `Search.contacts` completes it.
 
     Args:
-        bodies, query, pairs: as for `find_contacts`.
+        bodies, query, pairs: as for `detect_moving`.
         pair_counts: (7,) int64 on the device: the first of `Counts`, if some of the pairs are padding.
         capacity: of the search. Default: `expected_capacity`; if that is None, a capacity of zero, which overflows.
         estimate: see `expected_capacity`.

@@ -17,7 +17,7 @@ from pgccd.detection.checks import (
 )
 
 
-def bvtt(
+def find_candidates(
     bodies: MovingBodies,
     pairs: Tensor,
     min_separation: float = 0.0,
@@ -43,7 +43,7 @@ def bvtt(
         node_tests (1,) int64: number of node pairs tested.
 
     Example:
-        >>> candidates, node_tests = pgccd.traverse.bvtt(bodies, pgccd.broad.sweep(bodies))
+        >>> candidates, node_tests = pgccd.traverse.find_candidates(bodies, pgccd.broad.sweep(bodies))
     """
     require_bodies(bodies)
     pairs = check_pairs(pairs, bodies)

@@ -67,7 +67,7 @@ def solve_candidates(
     moving = pgccd.MovingBodies.of(scene, motion)
     pairs = torch.arange(2 * n, device=device).view(n, 2)
     rows = np.column_stack([np.arange(n), np.full(n, int(kind)), features]).astype(np.int32)
-    found = pgccd.narrow.contacts(moving, pairs, torch.from_numpy(rows).to(device), "all", separation, tolerance)
+    found = pgccd.narrow.find_contacts(moving, pairs, torch.from_numpy(rows).to(device), "all", separation, tolerance)
     pair, _, _, its_status, its_toi, its_coordinates, *_ = (c.cpu().numpy() for c in found)
     status, toi, coordinates = np.full(n, pgccd.Status.FREE), np.full(n, np.inf), np.zeros((n, 2))
     status[pair], toi[pair], coordinates[pair] = its_status, its_toi, its_coordinates
