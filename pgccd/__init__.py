@@ -9,9 +9,10 @@ from pgccd.detection import broad, narrow, traverse
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import Capacity, CapacityError
 from pgccd.detection.captured import CapturedDetection
-from pgccd.detection.contacts import Contacts, PaddedContacts, Stats
+from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
 from pgccd.detection.enclosed import enclosed
-from pgccd.detection.narrow import Kind, Status
+from pgccd.detection.narrow import Kind, Report, Status
+from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts
 from pgccd.detection.pipeline import detect
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.geometry.mesh import Mesh, MeshSet
@@ -32,12 +33,15 @@ __all__ = [
     "Capacity",
     "CapacityError",
     "CapturedDetection",
+    "CollidingPairs",
     "Contacts",
     "Kind",
     "Mesh",
     "MeshSet",
     "MovingBodies",
+    "PaddedCollidingPairs",
     "PaddedContacts",
+    "Report",
     "RigidMotion",
     "Scene",
     "Stats",

@@ -17,7 +17,7 @@ from pgccd import distributed, sim
 from pgccd.about import describe_installation
 from pgccd.checkpoint.lock import FolderError
 from pgccd.detection.broad import BROAD_PHASES
-from pgccd.detection.narrow import REPORTS, Kind, Status
+from pgccd.detection.narrow import REPORTS
 from pgccd.files import load_motion, load_scene
 from pgccd.geometry.origin import Origin
 from pgccd.runtime.memory import is_out_of_memory
@@ -302,15 +302,12 @@ def _detect(options: argparse.Namespace) -> int:
     return 0
 
 
-def _contact_rows(hits: pgccd.Contacts) -> list[dict[str, Any]]:
-    columns = {"pair": hits.pairs.tolist()}
-    for name in ("toi", "kind", "features", "point", "normal", "status"):
-        column = getattr(hits, name)
-        if column is not None:
-            columns[name] = column.tolist()
-    for name, values in (("kind", Kind), ("status", Status)):
-        if name in columns:
-            columns[name] = [values.names()[value] for value in columns[name]]
+def _contact_rows(hits: pgccd.Contacts | pgccd.CollidingPairs) -> list[dict[str, Any]]:
+    columns: dict[str, list[Any]] = {"pair": hits.pairs.tolist()}
+    if isinstance(hits, pgccd.Contacts):
+        columns |= {name: getattr(hits, name).tolist() for name in ("toi", "kind", "features", "point", "normal")}
+        columns["kind"] = [pgccd.Kind.names()[kind] for kind in columns["kind"]]
+        columns["status"] = [pgccd.Status.names()[status] for status in hits.status.tolist()]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import torch
 from support.crowds import crowds
+from support.same_bits import assert_same
 
 import pgccd
 from pgccd.detection.capacity import Capacity
@@ -29,12 +30,6 @@ def crowd(device: torch.device) -> tuple[pgccd.Scene, list[pgccd.RigidMotion]]:
         )
         motions.append(pgccd.RigidMotion.from_rotation(*(x.to(device) for x in (*pose, motion.rotation))))
     return scene, motions
-
-
-def assert_same(found: pgccd.Contacts, expected: pgccd.Contacts) -> None:
-    for name in ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status"):
-        one, other = getattr(found, name), getattr(expected, name)
-        assert (one is None and other is None) or torch.equal(one, other), name
 
 
 @pytest.mark.parametrize("report", REPORTS)

@@ -12,6 +12,7 @@ from support.shapes import Bodies, approaching, tensors
 from support.truth import assert_nothing_missed, end_positions, feature_indices, rigid_truth, rows_of
 
 import pgccd
+from pgccd.detection.contacts import contacts_of
 
 COLUMNS = 8
 
@@ -84,11 +85,8 @@ def test_brute_force_candidates_against_the_oracle(device: torch.device) -> None
     bodies = crowd(2, 2)
     pairs = torch.tensor([[0, 1]], device=device)
     moved = moving(bodies, device, "rigid")
-    pair, kind, features, status, toi, coordinates, point, normal = pgccd.narrow.find_contacts(
-        moved, pairs, everything(bodies, pairs), "all"
-    )
-    stats = pgccd.Stats()
-    hits = pgccd.Contacts(pairs[pair.long()], toi, kind, features, coordinates, point, normal, status, stats)
+    pair, *columns = pgccd.narrow.find_contacts(moved, pairs, everything(bodies, pairs), "all")
+    hits = contacts_of((pairs[pair.long()], *columns), "all", pgccd.Stats())
     truth = rigid_truth(bodies)
     assert len(truth.contacts) > 0
     assert_nothing_missed(rows_of(hits), truth)

@@ -20,6 +20,8 @@ from pgccd.detection.checks import (
 from pgccd.detection.contacts import ContactRows, take_earliest
 
 Report = Literal["any", "first", "all", "earliest"]
+#: The reports that give contacts, not only pairs.
+ContactReport = Literal["first", "all", "earliest"]
 # The operators' numbers; "earliest" selects from the first contacts.
 REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 1}
 

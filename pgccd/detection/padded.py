@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -10,7 +11,8 @@ from pgccd import ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts, overflow_flags
-from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, named_columns, stats_of, take_earliest
+from pgccd.detection.contacts import COLUMNS, CollidingPairs, ContactRows, Contacts, contacts_of, take_earliest
+from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts, stats_of
 from pgccd.detection.query import Query
 from pgccd.motion.faults import CHECK_NUMBERS
 
@@ -39,7 +41,7 @@ class Search:
         self.bodies.raise_faults(values[len(COUNT_ROWS) :])
         return Counts.of(values[: len(COUNT_ROWS)])
 
-    def contacts(self, counts: Counts) -> Contacts:
+    def contacts(self, counts: Counts) -> Contacts | CollidingPairs:
         """The contacts, given the counts, if nothing overflowed."""
         count = counts.contacts
         rows = self.rows
@@ -49,30 +51,31 @@ class Search:
             rows = take_earliest(rows)
         bodies, waits = self.bodies.scene.body_count, int(self.counts.is_cuda)
         stats = stats_of(counts, self.capacity, bodies, rows[0].shape[0], self.broad_phase, waits)
-        contacts = Contacts(**named_columns(rows, self.query.report), stats=stats)
-        contacts._is_earliest = self.query.report == "earliest"
-        return contacts
+        return contacts_of(rows, self.query.report, stats)
 
-    def padded(self) -> PaddedContacts:
+    def padded(self) -> PaddedContacts | PaddedCollidingPairs:
         """The padded contacts, without reading the counts. Sets every toi to 0 if they are incomplete."""
         rows, count = self.rows, self.counts[COUNT_ROWS["contacts"]].reshape(1)
         if self.query.report == "earliest":
             rows, count = take_earliest(rows), count.clamp(max=1)
         incomplete = torch.cat([*overflow_flags(self.counts), self.counts[-1:]]).any().reshape(1)
-        columns = named_columns(rows, self.query.report)
+        of_search: dict[str, Any] = {
+            "count": count,
+            "overflow": incomplete,
+            "counts": self.counts,
+            "capacity": self.capacity,
+            "broad_phase": self.broad_phase,
+            "bodies": self.bodies.scene.body_count,
+            "faults": self.bodies.faults,
+        }
+        if self.query.report == "any":
+            pairs = PaddedCollidingPairs(pairs=rows[0], **of_search)
+            pairs.scene, pairs._reach = self.bodies.scene, self.reach
+            return pairs
+        columns: dict[str, Any] = dict(zip(COLUMNS, rows, strict=True))
         found_toi = columns["toi"]
-        if found_toi is not None:
-            columns["toi"] = found_toi.masked_fill(incomplete, 0.0)
-        padded = PaddedContacts(
-            **columns,
-            count=count,
-            overflow=incomplete,
-            counts=self.counts,
-            capacity=self.capacity,
-            broad_phase=self.broad_phase,
-            bodies=self.bodies.scene.body_count,
-            faults=self.bodies.faults,
-        )
+        columns["toi"] = found_toi.masked_fill(incomplete, 0.0)
+        padded = PaddedContacts(**columns, **of_search)
         padded.scene, padded._found_toi, padded._reach = self.bodies.scene, found_toi, self.reach
         padded._is_earliest = self.query.report == "earliest"
         return padded

@@ -11,7 +11,7 @@ from pgccd import ops
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
-from pgccd.detection.contacts import Contacts, Stats
+from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import Search
 from pgccd.detection.pipeline import detect_moving, expected_capacity, start_search
@@ -40,7 +40,7 @@ class Part:
     _search: Search | None = field(default=None, init=False)
     _counts: Counts | None = field(default=None, init=False)
     _scratch_bytes: int = field(default=0, init=False)
-    _contacts: Contacts | None = field(default=None, init=False)
+    _contacts: Contacts | CollidingPairs | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         # The capacity is proportional to the number of pairs, or of bodies if it was chosen before the pairs were
@@ -73,7 +73,7 @@ class Part:
         if not counts.overflow:
             self.estimate.learn(self._size, counts.needed(self.start().capacity))
 
-    def find(self) -> Contacts:
+    def find(self) -> Contacts | CollidingPairs:
         """The contacts, as rows of `bodies`. Synchronises."""
         if self._contacts is not None:
             return self._contacts
@@ -110,7 +110,7 @@ class Part:
         """
         if self._contacts is None:
             return self._padded_first_contacts
-        if self._contacts.toi is None:
+        if isinstance(self._contacts, CollidingPairs):
             raise ValueError('report: "any" gives no toi')
         return self.in_step(self._contacts.pairs), self._contacts.toi
 
@@ -210,7 +210,7 @@ def _looks_ahead(bodies: MovingBodies) -> bool:
     return bodies.device.type != "cpu"
 
 
-def contacts_of_step(parts: Sequence[Part]) -> Contacts:
+def contacts_of_step(parts: Sequence[Part]) -> Contacts | CollidingPairs:
     """The contacts of all parts, concatenated, as rows of the step's bodies. Synchronises."""
     found = [part.find() for part in parts]
     if len(parts) == 1:

@@ -2,7 +2,7 @@
 
 import time
 from functools import partial
-from typing import TypedDict, Unpack, overload
+from typing import Literal, TypedDict, Unpack, overload
 
 from torch import Tensor
 
@@ -11,9 +11,10 @@ from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import EXACTLY, Capacity, check_capacity
 from pgccd.detection.checks import Initial, check_pairs, warn_of_only_body
-from pgccd.detection.contacts import Contacts, PaddedContacts
+from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
 from pgccd.detection.padded import Search, search_padded, search_rigid
+from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts
 from pgccd.detection.query import Query
 from pgccd.detection.streaming import stream
 from pgccd.detection.trajectories import TrajectoryContacts, detect_trajectory
@@ -35,11 +36,13 @@ class Options(TypedDict, total=False):
     memory_budget: int | None
 
 
+# Of a step, of a step in a given capacity, and of a trajectory: by report contacts, colliding pairs, or either, if the
+# report is a variable.
 @overload
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
-    report: narrow.Report = "first",
+    report: narrow.ContactReport = "first",
     min_separation: float = 0.0,
     *,
     pairs: Tensor | None = None,
@@ -50,7 +53,29 @@ def detect(
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
-    report: narrow.Report = "first",
+    report: Literal["any"],
+    min_separation: float = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: None = None,
+    **options: Unpack[Options],
+) -> CollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.Report,
+    min_separation: float = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: None = None,
+    **options: Unpack[Options],
+) -> Contacts | CollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.ContactReport = "first",
     min_separation: float = 0.0,
     *,
     pairs: Tensor | None = None,
@@ -60,11 +85,49 @@ def detect(
 @overload
 def detect(
     scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: Literal["any"],
+    min_separation: float = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: Capacity,
+    **options: Unpack[Options],
+) -> PaddedCollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.Report,
+    min_separation: float = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: Capacity,
+    **options: Unpack[Options],
+) -> PaddedContacts | PaddedCollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
     motion: Trajectory,
-    report: narrow.Report = "first",
+    report: narrow.ContactReport = "first",
     min_separation: float = 0.0,
     **options: Unpack[Options],
 ) -> TrajectoryContacts: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: Trajectory,
+    report: Literal["any"],
+    min_separation: float = 0.0,
+    **options: Unpack[Options],
+) -> CollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: Trajectory,
+    report: narrow.Report,
+    min_separation: float = 0.0,
+    **options: Unpack[Options],
+) -> TrajectoryContacts | CollidingPairs: ...
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion | Trajectory,
@@ -78,7 +141,7 @@ def detect(
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
     capacity: Capacity | None = None,
-) -> Contacts | PaddedContacts:
+) -> Contacts | CollidingPairs | PaddedContacts | PaddedCollidingPairs:
     """Finds the collisions that happen during one step, or during all steps of a trajectory.
 
     Nothing is missed: if the surfaces of two bodies come within min_separation at some t in [0, 1] on the paths the
@@ -115,9 +178,9 @@ def detect(
             `trim` raises: see `PaddedContacts`. (For deforming bodies, call it once before capturing.)
 
     Returns:
-        Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts for a trajectory. On
-        a GPU the host synchronises once, to read the counts; again only if a step exceeds the capacity estimated from
-        the last one.
+        Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts for a trajectory.
+        With report="any" CollidingPairs, also for a trajectory, or PaddedCollidingPairs. On a GPU the host synchronises
+        once, to read the counts; again only if a step exceeds the capacity estimated from the last one.
 
     Raises:
         ValueError, TypeError: naming the argument; also if an input requires grad: there are no gradients yet. A
@@ -173,7 +236,7 @@ def detect_moving(
     broad_phase: broad.BroadPhase = "auto",
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
-) -> Contacts:
+) -> Contacts | CollidingPairs:
     """`detect` without its checks, for bodies in motion.
 
     Args:
@@ -187,7 +250,7 @@ def detect_moving(
     if found is not None:
         return found
 
-    def solve(chunk: Tensor, budget: int | None) -> Contacts | None:
+    def solve(chunk: Tensor, budget: int | None) -> Contacts | CollidingPairs | None:
         if not on_cpu:
             return _detect_at_once(bodies, query, "auto", chunk, budget)
         search = search_padded(bodies, query, EXACTLY, "auto", chunk)
@@ -231,7 +294,7 @@ def expected_capacity(
 
 def _detect_exactly(
     bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
-) -> Contacts | None:
+) -> Contacts | CollidingPairs | None:
     """Runs all stages by one operator, on a CPU; None for deforming bodies or given pairs, or if the pairs exceed the
     memory budget.
     """
@@ -251,7 +314,7 @@ def _detect_exactly(
 
 def _detect_at_once(
     bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
-) -> Contacts | None:
+) -> Contacts | CollidingPairs | None:
     """Runs all stages in the estimated capacity, and again in larger ones on overflow; None if that needs too much
     memory.
     """

@@ -4,7 +4,6 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.capacity import COUNT_ROWS, Capacity
-from pgccd.detection.contacts import Contacts
 from pgccd.detection.memory import memory_limit
 from pgccd.detection.padded import lower_first_toi
 from pgccd.detection.query import Query
@@ -81,10 +80,3 @@ class Partners:
         if count > len(self._copies):
             self._copies = torch.arange(2 * count, device=self._pairs.device).view(count, 2)
         return self._copies[:count]
-
-
-def toi_of(contacts: Contacts) -> Tensor:
-    """(K,) float64: toi, which is never None for report="first"."""
-    if contacts.toi is None:
-        raise AssertionError("detect(report='first') gives a toi")
-    return contacts.toi

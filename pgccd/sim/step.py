@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 from torch import Tensor
@@ -16,7 +16,7 @@ from pgccd.geometry.scene import Scene
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.model import Model, RobotState
-from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
+from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.resolution import Resolution, resolve_collisions
 from pgccd.sim.response import respond
 from pgccd.sim.round_plan import RoundPlan
@@ -52,7 +52,7 @@ class Step:
     @property
     def toi(self) -> Tensor:
         """(K,) float64 toi of `contacts`."""
-        return toi_of(self.contacts)
+        return self.contacts.toi
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -111,4 +111,9 @@ def make_step(
     def make_record() -> dict[str, Any]:
         return Tally.of(resolved.work, resolved.conclusions).record(index, resolved.resolution.rounds, clock)
 
-    return Step(index, before, resolved.resolution, after, partial(contacts_of_step, [part]), make_record)
+    def find() -> Contacts:
+        found = contacts_of_step([part])
+        assert isinstance(found, Contacts)  # of report="first"
+        return found
+
+    return Step(index, before, resolved.resolution, after, find, make_record)

@@ -15,7 +15,7 @@ from pgccd.detection.capacity import COUNT_ROWS, Capacity
 from pgccd.detection.parts import Part
 from pgccd.runtime.stages import StageClock
 from pgccd.sim import Model, Resolution, RobotState, contacts_hash, respond, state_hash
-from pgccd.sim.partners import Partners, toi_of
+from pgccd.sim.partners import Partners
 from pgccd.sim.resolution import resolve_collisions
 from pgccd.sim.round_plan import RoundPlan
 
@@ -113,7 +113,7 @@ def plain_run(model: Model, steps: int) -> list[dict[str, Any]]:
         lines.append(
             {
                 "contacts": len(made.contacts),
-                "contacts_hash": f"{contacts_hash(state.id[made.contacts.pairs], toi_of(made.contacts)):016x}",
+                "contacts_hash": f"{contacts_hash(state.id[made.contacts.pairs], made.toi):016x}",
                 "state_hash": f"{state_hash(state):016x}",
                 "stopped": int(made.resolution.stopped.sum()),
                 "resolution_rounds": made.resolution.rounds,

@@ -64,7 +64,7 @@ class Options:
 
     def check(self) -> None:
         """Raises TypeError or ValueError, naming the option, if one is invalid."""
-        arguments.choice(self.report, "report", [*narrow.REPORTS, "earliest"])
+        arguments.choice(self.report, "report", narrow.REPORTS)
         _ = self.query  # checks its own
         arguments.choice(self.broad_phase, "broad_phase", broad.BROAD_PHASES)
         arguments.flag(self.overlap, "overlap")
