@@ -206,7 +206,7 @@ class Counts:
     def add(self, motion: Any, radius: torch.Tensor) -> None:
         """Counts a block of bodies."""
         partition, ranks = self.partition, self.partition.ranks
-        centres = [motion.position_t0, motion.position_t1, radius]
+        centres = motion.position_t0, motion.position_t1, radius
         centre = partition.cell_of(motion.position_t0)
         self.bodies += torch.bincount(centre, minlength=partition.cell_count)
         owner = partition.owner[centre]

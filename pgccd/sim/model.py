@@ -17,7 +17,7 @@ from pgccd.motion.paths import RigidMotion
 from pgccd.sim.robot import robot_mesh
 
 Pattern = Literal["random", "skewed"]
-PATTERNS: tuple[str, ...] = get_args(Pattern)
+PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
 #: The columns that a plan changes, in the order of `ops.simulate_plan` and `ops.simulate_commit`.
 PLANNED = ("velocity", "angular_velocity", "target", "stay_until")
 # In the order of `ops.simulate_affected_motion`.
