@@ -10,7 +10,7 @@ from support.crowds import crowds
 from support.same_bits import assert_same
 
 import pgccd
-from pgccd.detection.capacity import Capacity
+from pgccd.detection.capacity import BufferSizes
 
 REPORTS = ["any", "first", "all", "earliest"]
 
@@ -69,7 +69,7 @@ def test_deforming_bodies(device: torch.device) -> None:
 def test_capacity_grows(device: torch.device) -> None:
     scene, motions = crowd(device)
     expected = pgccd.detect(scene, motions[2], "all")
-    captured = pgccd.CapturedDetection(scene, motions[0], "all", capacity=Capacity(4, 3))
+    captured = pgccd.CapturedDetection(scene, motions[0], "all", capacity=BufferSizes(4, 3))
     hits = captured(motions[2])
     assert bool(hits.overflow)
     with pytest.raises(pgccd.CapacityError):

@@ -45,7 +45,7 @@ def make(column: str, device: torch.device | str = "cpu") -> tuple[pgccd.Scene, 
 def test_what_is_written_to_a_column_is_checked_at_use(device: torch.device, column: str) -> None:
     scene, motion = make(column, device)
     assert len(pgccd.detect(scene, motion)) == 1
-    capacity = Capacity.guess(100)
+    capacity = Capacity.of(100)
     former = getattr(motion, column)[1].clone()
     getattr(motion, column)[1, 2] = (RIGID | VERTICES)[column]
     for _ in range(2):
@@ -128,7 +128,7 @@ def test_trusted_columns_are_never_looked_at(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(faults.ops, "first_faults", fail)
     trusted = pgccd.RigidMotion.of_checked(*columns)
-    assert len(pgccd.detect(scene, trusted)) == len(pgccd.detect(scene, trusted[:], capacity=Capacity.guess(9)).trim())
+    assert len(pgccd.detect(scene, trusted)) == len(pgccd.detect(scene, trusted[:], capacity=Capacity.of(9)).trim())
     pgccd.broad.sweep(pgccd.MovingBodies.of(scene, trusted))
     with pytest.raises(AssertionError, match="looked at"):
         pgccd.broad.sweep(pgccd.MovingBodies.of(scene, motion))

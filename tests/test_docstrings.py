@@ -72,7 +72,7 @@ def two_bodies() -> dict[str, Any]:
     names = {"robot": mesh, "rock": mesh, "mesh": mesh, "scene": scene, "motion": motion, "m": motion, "bodies": bodies}
     names |= {"x": x, "x0": x, "x1": x + v, "q": q, "q0": q, "q1": q, "v": v, "w": v, "omega": v, "dt": 1.0}
     names |= {"position": x, "orientation": q, "velocity": v, "rows": torch.tensor([1]), "pairs": pairs}
-    names |= {"candidates": candidates, "hits": pgccd.detect(scene, motion), "capacity": pgccd.Capacity.guess(100)}
+    names |= {"candidates": candidates, "hits": pgccd.detect(scene, motion), "capacity": pgccd.Capacity.of(100)}
     names |= {"cloth_t0": corners, "cloth_t1": corners, "ball_t0": corners + 2.0, "ball_t1": corners}
     return names | {"meshes": scene.meshes, "device": torch.device("cpu")}
 

@@ -43,7 +43,7 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     subdomain = partition.subdomain(1)
     reach, boundary, _ = ops.boundary_bodies(centres, 0.01, -1e-6, *subdomain)
     pgccd.broad.find_pairs_of_checked(moving, 0.01, "sweep", elsewhere=reach)
-    capacity, invalid = pgccd.Capacity.guess(moving.scene.body_count), torch.zeros_like(boundary[:1])
+    capacity, invalid = pgccd.Capacity.of(moving.scene.body_count), torch.zeros_like(boundary[:1])
     pgccd.broad.find_pairs_padded(moving, 0.01, "grid", capacity, invalid, elsewhere=reach)
     rows = torch.arange(len(boundary), device=moving.device)
     replica_ranks, counts = ops.replica_ranks(centres, 0.01, -1e-6, *subdomain, rows, [2, len(boundary) - 2], 2)
@@ -106,7 +106,7 @@ def recorded(device: torch.device) -> list[Call]:
                 for broad_phase in ("grid", "lbvh"):  # with few bodies the default is the sweep
                     pgccd.detect(scene, bodies.motion(device=device), "any", broad_phase=broad_phase)
             pgccd.detect(scene, bodies.motion("linear", device))
-            capacity = pgccd.Capacity.guess(scene.body_count)
+            capacity = pgccd.Capacity.of(scene.body_count)
             pgccd.detect(scene, bodies.motion(device=device), "all", capacity=capacity)
             x = torch.cat(
                 [m.vertices + torch.from_numpy(p) for m, p in zip(bodies.meshes, bodies.position_t0, strict=True)]

@@ -101,7 +101,7 @@ def test_first_times(worlds: bool, far: bool, device: torch.device) -> None:
         min([b for b, w in zip(body, of_world, strict=True) if w == k], default=float("inf"))
         for k in range(max(of_world) + 1)
     ]
-    capacity = pgccd.Capacity.guess(40).times(50.0)
+    capacity = pgccd.Capacity.of(40).times(50.0)
     padded = pgccd.detect(scene, motion, capacity=capacity)
     for found in (
         hits,

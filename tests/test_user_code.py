@@ -93,10 +93,36 @@ def test_capacities() -> None:
     assert_type(padded, pgccd.PaddedContacts)
     assert_type(padded.trim(), pgccd.Contacts)
     assert float(padded.toi.min()) == float(padded.first_toi()) and int(padded.count) == 1
-    pairs = pgccd.detect(scene, motion, "any", capacity=pgccd.Capacity.guess(scene.body_count))
+    pairs = pgccd.detect(scene, motion, "any", capacity=pgccd.Capacity.of(scene.body_count))
     assert_type(pairs, pgccd.PaddedCollidingPairs)
     assert_type(pairs.trim(), pgccd.CollidingPairs)
     assert bool(pairs.may_collide()) and len(pairs.trim()) == 1
+    with pytest.raises(
+        TypeError, match=r"^Capacity: it is made by Capacity.of\(body_count\), or taken from Stats.needed"
+    ):
+        pgccd.Capacity(100)  # type: ignore[arg-type]
+    with pytest.raises(
+        TypeError, match="^capacity: expected a pgccd.Capacity, got 100: see Capacity.of and Stats.needed"
+    ):
+        pgccd.detect(scene, motion, capacity=100)  # type: ignore[call-overload]
+
+
+def test_a_capacity_that_is_too_small_grows() -> None:
+    scene, motion = two_bodies()
+    capacity = pgccd.Capacity.of(0)
+    scene = pgccd.Scene(scene.meshes, torch.zeros(4096, dtype=torch.int32))
+    x = torch.zeros(4096, 3)
+    motion = pgccd.RigidMotion.at_rest(x, torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(4096, 1))
+    pairs = torch.combinations(torch.arange(4096))[:6000]
+    for attempt in range(4):
+        try:
+            hits = pgccd.detect(scene, motion, pairs=pairs, capacity=capacity).trim()
+        except pgccd.CapacityError as error:
+            assert attempt < 3
+            capacity = error.larger
+        else:
+            break
+    assert attempt > 0 and len(hits) == 6000
 
 
 def test_trajectories() -> None:

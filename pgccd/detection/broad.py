@@ -8,7 +8,7 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
 from pgccd.detection.checks import check_separation, operator_tolerance, require_bodies
 
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
@@ -113,7 +113,7 @@ def find_pairs_padded(
     bodies: MovingBodies,
     min_separation: float,
     broad_phase: BroadPhase,
-    capacity: Capacity,
+    capacity: BufferSizes,
     invalid: Tensor,
     tolerance: float | None = None,
     elsewhere: Tensor | None = None,

@@ -7,7 +7,7 @@ import torch
 
 from pgccd import arguments
 from pgccd.detection import broad, narrow
-from pgccd.detection.capacity import Capacity, CapacityError, check_capacity
+from pgccd.detection.capacity import BufferSizes, Capacity, CapacityError, sizes_of
 from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts, checked_counts
 from pgccd.detection.pipeline import Options, detect
@@ -27,7 +27,7 @@ class _Record:
     """What the host reads of a replay, two calls later."""
 
     counts: HostCopy  #: of `PaddedContacts.counts`
-    capacity: Capacity
+    capacity: BufferSizes
     faults: Faults
 
     def check(self) -> None:
@@ -125,7 +125,7 @@ class CapturedDetection(Generic[P]):
         Query(report, min_separation, *of_query)  # checks them
         arguments.choice(options.get("broad_phase", "auto"), "broad_phase", broad.BROAD_PHASES)
         if capacity is not None:
-            check_capacity(capacity)
+            sizes_of(capacity)
         self.scene = scene
         self._report, self._min_separation, self._options = report, min_separation, options
         #: Capacity of the result and of all intermediate lists; None before the first replay, unless it was given.
@@ -223,7 +223,7 @@ class CapturedDetection(Generic[P]):
         found = self._run()
         self._call_of_found = self._calls
         with torch.cuda.device_of(found.counts):  # the event that is waited for belongs to the current device
-            self._records[self._calls] = _Record(HostCopy.start(found.counts), found.capacity, found.faults)
+            self._records[self._calls] = _Record(HostCopy.start(found.counts), sizes_of(found.capacity), found.faults)
         return found
 
     def _run(self) -> P:
@@ -244,13 +244,12 @@ class CapturedDetection(Generic[P]):
     def _grow(self, error: CapacityError) -> None:
         """Chooses a capacity for a step that exceeded one; the graph is captured again with it."""
         assert self.capacity is not None
-        names = [field.name for field in fields(Capacity)]
-        if error.capacity is not self.capacity and all(
-            getattr(error.needed, name) <= getattr(self.capacity, name) for name in names
-        ):
+        present, needed = sizes_of(self.capacity), sizes_of(error.needed)
+        names = [field.name for field in fields(BufferSizes)]
+        if error.capacity is not present and all(getattr(needed, name) <= getattr(present, name) for name in names):
             return  # it has grown since then
-        larger = self.capacity.grown(error.needed)
-        if larger == self.capacity:
+        larger = present.grown(needed)
+        if larger == present:
             raise error
         self.capacity = larger
         self._drop_graph()

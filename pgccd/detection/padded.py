@@ -10,7 +10,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts, overflow_flags
+from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, BufferSizes, Counts, overflow_flags
 from pgccd.detection.contacts import COLUMNS, CollidingPairs, ContactRows, Contacts, contacts_of, take_earliest
 from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts, stats_of
 from pgccd.detection.query import Query
@@ -23,7 +23,7 @@ class Search:
 
     bodies: MovingBodies
     query: Query
-    capacity: Capacity
+    capacity: BufferSizes
     broad_phase: str
     rows: ContactRows  #: padded; the first column is body pairs (., 2)
     counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies.first_faults`
@@ -101,7 +101,7 @@ _REPORTS = narrow.REPORTS | {"earliest": 3}
 def search_padded(
     bodies: MovingBodies,
     query: Query,
-    capacity: Capacity,
+    capacity: BufferSizes,
     broad_phase: broad.BroadPhase,
     pairs: Tensor | None,
     pair_counts: Tensor | None = None,
@@ -139,7 +139,7 @@ def search_padded(
 def search_rigid(
     bodies: MovingBodies,
     query: Query,
-    capacity: Capacity,
+    capacity: BufferSizes,
     broad_phase: broad.BroadPhase,
     pair_capacity: Sequence[int],
     marks_invalid: bool = False,
@@ -192,7 +192,7 @@ def lower_first_toi(
     pairs: Tensor,
     pair_counts: Tensor,
     query: Query,
-    capacity: Capacity,
+    capacity: BufferSizes,
 ) -> Tensor:
     """Traversal and narrow phase of rigid bodies for the first toi of each pair alone. Surfaces are assumed not to
     intersect at t = 0. Does not synchronise.

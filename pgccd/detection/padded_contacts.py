@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import COUNT_ROWS, Capacity, CapacityError, Counts, overflow_flags
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Capacity, CapacityError, Counts, overflow_flags, sizes_of
 from pgccd.detection.contacts import CollidingPairs, ContactColumns, Contacts, PairColumns, Stats, WithoutTimes
 from pgccd.detection.grouping import By, any_contact, first_time
 from pgccd.motion.faults import Faults
@@ -56,11 +56,12 @@ class PaddedRows(PairColumns):
 
     def _trimmed(self) -> dict[str, Any]:
         """The columns without padding, and stats. Synchronises."""
-        counts = checked_counts(self.counts.tolist(), self.capacity, self.faults)
+        capacity = sizes_of(self.capacity)
+        counts = checked_counts(self.counts.tolist(), capacity, self.faults)
         count = min(counts.contacts, len(self.pairs))  # "earliest" has one row
         columns = {name: column[:count] for name, column in self.columns.items()}
         waits = int(self.counts.is_cuda)
-        return columns | {"stats": stats_of(counts, self.capacity, self.bodies, count, self.broad_phase, waits)}
+        return columns | {"stats": stats_of(counts, capacity, self.bodies, count, self.broad_phase, waits)}
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(capacity={len(self.pairs)}, device={self.pairs.device})"
@@ -140,7 +141,7 @@ class PaddedCollidingPairs(WithoutTimes, PaddedRows):
         return colliding
 
 
-def checked_counts(values: Sequence[int], capacity: Capacity, faults: Faults, later: bool = False) -> Counts:
+def checked_counts(values: Sequence[int], capacity: BufferSizes, faults: Faults, later: bool = False) -> Counts:
     """The counts of a padded step, from the values of `PaddedContacts.counts`; faults, later: see `Faults.raise_from`.
 
     Raises:
@@ -154,7 +155,7 @@ def checked_counts(values: Sequence[int], capacity: Capacity, faults: Faults, la
     return counts
 
 
-def stats_of(counts: Counts, capacity: Capacity, bodies: int, contacts: int, broad_phase: str, waits: int) -> Stats:
+def stats_of(counts: Counts, capacity: BufferSizes, bodies: int, contacts: int, broad_phase: str, waits: int) -> Stats:
     """Statistics of a step that was run at once, in `capacity`."""
     return Stats(
         bodies=bodies,

@@ -10,7 +10,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts, sizes_of
 from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import Search
@@ -33,7 +33,7 @@ class Part:
     pairs: Tensor
     pair_counts: Tensor | None = None  #: (7,) int64, left on the device: the first of `Counts`. Default: P pairs
     rows: Tensor | None = None  #: (B,) int64: index of each of `bodies` in the step. Default: the same
-    capacity: Capacity | None = None  #: of the search, chosen before the pairs were known. Default: as estimated
+    capacity: BufferSizes | None = None  #: of the search, chosen before the pairs were known. Default: as estimated
     find_pairs: Callable[[], Tensor] | None = None  #: finds all pairs, called if they exceeded the capacity
     #: Capacity estimate of this part, updated with what the search needed.
     estimate: CapacityEstimate = field(default_factory=CapacityEstimate)
@@ -92,8 +92,8 @@ class Part:
             else:
                 self.pairs = self.pairs[: numbers[COUNT_ROWS["pairs_written"]]]
         self._contacts = detect_moving(self.bodies, self.query, pairs=self.pairs)
-        needed = self._contacts.stats.needed
-        if needed is not None:
+        if self._contacts.stats.needed is not None:
+            needed = sizes_of(self._contacts.stats.needed)
             if self._counts is not None:  # only the first search counts the broad phase
                 needed = replace(
                     needed,

@@ -9,7 +9,7 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import EXACTLY, Capacity, check_capacity
+from pgccd.detection.capacity import EXACTLY, BufferSizes, Capacity, sizes_of
 from pgccd.detection.checks import Initial, check_pairs, warn_of_only_body
 from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
@@ -194,8 +194,7 @@ def detect(
     query = Query(report, min_separation, tolerance, nonzero_toi, initial)
     if memory_budget is not None:
         memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
-    if capacity is not None:
-        check_capacity(capacity)
+    sizes = None if capacity is None else sizes_of(capacity)
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
     if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
@@ -222,8 +221,8 @@ def detect(
     broad.choose(bodies, broad_phase)  # raises for an unknown name
     if pairs is not None:
         pairs = check_pairs(pairs, bodies, ascending=True)
-    if capacity is not None:
-        return search_padded(bodies, query, capacity, broad_phase, pairs, marks_invalid=True).padded()
+    if sizes is not None:
+        return search_padded(bodies, query, sizes, broad_phase, pairs, marks_invalid=True).padded()
     found = detect_moving(bodies, query, broad_phase, pairs, memory_budget)
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
     found.scene = scene
@@ -264,7 +263,7 @@ def start_search(
     query: Query,
     pairs: Tensor,
     pair_counts: Tensor | None = None,
-    capacity: Capacity | None = None,
+    capacity: BufferSizes | None = None,
     estimate: CapacityEstimate | None = None,
 ) -> Search:
     """Starts `detect_moving` without synchronising; `Search.contacts` completes it.
@@ -278,13 +277,13 @@ def start_search(
     if bodies.device.type != "cpu":
         ops.take_scratch_peak()  # discards the peak of earlier steps
     if capacity is None:
-        capacity = expected_capacity(bodies, pairs, estimate or CapacityEstimate()) or Capacity(0, 0)
+        capacity = expected_capacity(bodies, pairs, estimate or CapacityEstimate()) or BufferSizes(0, 0)
     return search_padded(bodies, query, capacity, "auto", pairs, pair_counts)
 
 
 def expected_capacity(
     bodies: MovingBodies, pairs: Tensor | None, estimate: CapacityEstimate, **slack: float
-) -> Capacity | None:
+) -> BufferSizes | None:
     """The estimated capacity; None if it needs too much memory."""
     if bodies.device.type == "cpu":
         return EXACTLY

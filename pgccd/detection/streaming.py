@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import Capacity
+from pgccd.detection.capacity import BufferSizes
 from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
 from pgccd.detection.memory import estimate_of, pairs_a_chunk
 from pgccd.detection.query import Query
@@ -88,5 +88,5 @@ def join_contacts(parts: Sequence[Contacts | CollidingPairs], pairs: Sequence[Te
     stats.contacts = len(columns["pairs"])
     stats.scratch_bytes = max(part.stats.scratch_bytes for part in parts)
     if columns["pairs"].device.type == "cpu":
-        stats.needed = Capacity(pairs=stats.pcs, contacts=stats.contacts, candidates=stats.candidates)
+        stats.needed = BufferSizes(pairs=stats.pcs, contacts=stats.contacts, candidates=stats.candidates)
     return type(parts[0])(**columns, stats=stats)

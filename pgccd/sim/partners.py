@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
 from pgccd.detection.memory import memory_limit
 from pgccd.detection.padded import lower_first_toi
 from pgccd.detection.query import Query
@@ -36,7 +36,7 @@ class Partners:
         """Replaces the PCS."""
         self._pairs = pairs
 
-    def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+    def start_round(self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
         """Detection among changed robots, and between them and all others: lowers the first toi of robots in contact.
         Does not synchronise.
 
@@ -50,7 +50,7 @@ class Partners:
             (21,) int64 on the device: `pgccd.detection.capacity.Counts`.
         """
         if self._pairs.device.type == "cpu":
-            capacity = Capacity(pairs=len(self._pairs), contacts=0)
+            capacity = BufferSizes(pairs=len(self._pairs), contacts=0)
         pieces = self._pieces(capacity)
         if pieces == 1:
             return self._search(changed, fraction, self._pairs, capacity, first)
@@ -61,12 +61,12 @@ class Partners:
         together[_CONTACTS] = counts[:, _CONTACTS].sum()
         return together
 
-    def _pieces(self, capacity: Capacity) -> int:
+    def _pieces(self, capacity: BufferSizes) -> int:
         """Number of parts in which the PCS is searched sequentially to fit into memory; at most one per pair."""
         limit = memory_limit(None, capacity.bytes, self._pairs.device)
         return max(1, min(-(-capacity.bytes // limit), len(self._pairs)))
 
-    def _search(self, changed: Tensor, fraction: Tensor, pairs: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+    def _search(self, changed: Tensor, fraction: Tensor, pairs: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
         given = self._own, self._ghosts, fraction, changed, pairs
         count = capacity.pairs
         if pairs.device.type == "cpu":

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts
 from pgccd.detection.parts import Part, pairs_of_step, search_seconds
 from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
@@ -165,7 +165,7 @@ class Attempt:
         self._first = torch.full_like(self.fraction, torch.inf)
         self._changed = torch.empty(self.body_count, dtype=torch.uint8, device=self._device)
         #: Capacity of each round.
-        self.capacities: list[Capacity] = []
+        self.capacities: list[BufferSizes] = []
 
     def begin(self) -> Tensor:
         """Slows down the robots that collide in the whole step. Returns (1,) int64: nonzero if a robot of this rank
@@ -290,7 +290,7 @@ class Attempt:
         return learn
 
 
-def _needed(made: Sequence[NDArray[np.int64]], capacities: Sequence[Capacity]) -> list[Capacity]:
+def _needed(made: Sequence[NDArray[np.int64]], capacities: Sequence[BufferSizes]) -> list[BufferSizes]:
     return [
         Counts.of(numbers.tolist()).needed(capacity)
         for numbers, capacity in zip(made, capacities[: len(made)], strict=True)

@@ -38,7 +38,6 @@ def plain_step(model: Model, planned: RobotState) -> PlainStep:
 
     def find(changed: Tensor, fraction: Tensor) -> tuple[Tensor, Tensor]:
         found = pgccd.detect(scene, model.motion(planned, fraction), nonzero_toi=True)
-        assert found.toi is not None
         affected = changed[found.pairs].any(dim=1)
         return found.pairs[affected], found.toi[affected]
 
@@ -113,7 +112,7 @@ def plain_run(model: Model, steps: int) -> list[dict[str, Any]]:
         lines.append(
             {
                 "contacts": len(made.contacts),
-                "contacts_hash": f"{contacts_hash(state.id[made.contacts.pairs], made.toi):016x}",
+                "contacts_hash": f"{contacts_hash(state.id[made.contacts.pairs], made.contacts.toi):016x}",
                 "state_hash": f"{state_hash(state):016x}",
                 "stopped": int(made.resolution.stopped.sum()),
                 "resolution_rounds": made.resolution.rounds,
