@@ -40,8 +40,8 @@ import torch
 from support import results, timing
 
 from pgccd import ops, sim
-from pgccd.distributed import BalanceOptions, CellLoads, Cells, imbalance, rebalance
-from pgccd.distributed.partition.balance import rank_loads
+from pgccd.distributed import BalanceOptions, Cells
+from pgccd.distributed.partition.balance import CellLoads, imbalance, rank_loads, rebalance
 
 _BLOCK = 1 << 20
 _STATE_BYTES = 112  # per robot in the halo

@@ -21,6 +21,7 @@ import torch
 
 import pgccd
 from pgccd import distributed, sim
+from pgccd.distributed.partition.balance import CellLoads
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.sim.step import FIRST_CONTACTS
 
@@ -88,7 +89,7 @@ def of_robots() -> dict[str, Any]:
     hits = pgccd.detect(scene, model.motion(moved), FIRST_CONTACTS.report)
     names = {"model": model, "state": state, "scene": scene, "step": step, "hits": hits, "comm": comm}
     partition = distributed.Cells.uniform((0, 0, 0), (30, 30, 30), 1)
-    loads = distributed.CellLoads(*(torch.zeros(len(partition.owner), dtype=torch.int64) for _ in range(3)))
+    loads = CellLoads(*(torch.zeros(len(partition.owner), dtype=torch.int64) for _ in range(3)))
     names |= {"resolved": step.resolution, "partition": partition, "loads": loads}
     names["decomposition"] = Decomposition(comm, partition)
     return names | {"id": state.id, "mood": state.position, "x": state.position}

@@ -11,6 +11,8 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
 from pgccd.detection.checks import check_separation, operator_tolerance, require_bodies
 
+__all__ = ["BroadPhase", "choose", "find_pairs", "grid", "lbvh", "sweep"]
+
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
 #: The operators' numbers (enum BroadPhase of csrc/kernels/broad/broad_phase.h).
@@ -131,7 +133,7 @@ def find_pairs_padded(
         `pgccd.detection.capacity.Counts`. After overflow, pairs may be missing.
     """
     number = BROAD_PHASE_NUMBERS[choose(bodies, broad_phase)]
-    own = 0 if bodies.scene.self_collision is None else len(bodies.self_colliding)
+    own = 0 if bodies.scene.self_collision is None else len(bodies._self_colliding)
     pair_capacity, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_padded(
         *_columns(bodies),
@@ -185,7 +187,7 @@ def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
     """
     if bodies.scene.self_collision is None:
         return pairs
-    own = bodies.self_colliding
+    own = bodies._self_colliding
     if not len(own):
         return pairs
     if bodies.scene.body_count == 1:  # the body has no other partner
@@ -218,3 +220,7 @@ def _columns(bodies: MovingBodies) -> tuple[Tensor, Tensor, Tensor, *_Filters]:
 
 def _kept(min_separation: float, tolerance: float | None) -> tuple[float, float]:
     return check_separation(min_separation), operator_tolerance(tolerance)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -223,7 +223,7 @@ class CapturedDetection(Generic[P]):
         found = self._run()
         self._call_of_found = self._calls
         with torch.cuda.device_of(found.counts):  # the event that is waited for belongs to the current device
-            self._records[self._calls] = _Record(HostCopy.start(found.counts), sizes_of(found.capacity), found.faults)
+            self._records[self._calls] = _Record(HostCopy.start(found.counts), sizes_of(found.capacity), found._faults)
         return found
 
     def _run(self) -> P:
@@ -297,7 +297,7 @@ def _mark_given_faults(copied: RigidMotion | VertexMotion, motion: RigidMotion |
     """Makes rotations of a copy of a motion invalid from its first invalid end orientation on. These are not columns,
     and only the first one is known.
     """
-    first = motion.first_given_fault
+    first = motion._first_given_fault
     if first is not None and isinstance(copied, RigidMotion):
         rows = torch.arange(copied.body_count, device=first.device)
         copied.rotation.masked_fill_((rows >= first)[:, None], torch.nan)

@@ -62,7 +62,7 @@ class CapacityEstimate:
             slack: factor over what the last step needed.
         """
         size, given = (scene.body_count, None) if pairs is None else (len(pairs), len(pairs))
-        guess = sizes_of(Capacity.of(scene.body_count, given, scene.self_colliding_vertices))
+        guess = sizes_of(Capacity.of(scene.body_count, given, scene._self_colliding_vertices))
         if self.needed is None:
             return guess
         capacity = self.needed.times(slack * size / self._size)
@@ -74,7 +74,7 @@ def estimate_of(scene: Scene, query: Query, pairs: Tensor | None) -> CapacityEst
     repeating part of a step may need very different memory per pair than the whole step.
     """
     octave = None if pairs is None else len(pairs).bit_length()
-    estimates, key = scene.capacity_estimates, (query.report, octave)
+    estimates, key = scene._capacity_estimates, (query.report, octave)
     if key not in estimates:
         estimates[key] = CapacityEstimate()
     return estimates[key]

@@ -19,6 +19,8 @@ from pgccd.detection.checks import (
 )
 from pgccd.detection.contacts import ContactRows, take_earliest
 
+__all__ = ["ContactReport", "ElementaryResult", "Kind", "Report", "Status", "edge_edge", "find_contacts", "vertex_face"]
+
 Report = Literal["any", "first", "all", "earliest"]
 #: The reports that give contacts, not only pairs.
 ContactReport = Literal["first", "all", "earliest"]
@@ -214,3 +216,7 @@ def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:
         raise TypeError(f"points_t1: expected dtype {points_t0.dtype}, got {points_t1.dtype}")
     arguments.shape(points_t1, "points_t1", points_t0.shape, points_t0.device)
     return points_t0.detach().contiguous(), points_t1.detach().contiguous()
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

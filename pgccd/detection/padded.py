@@ -26,7 +26,7 @@ class Search:
     capacity: BufferSizes
     broad_phase: str
     rows: ContactRows  #: padded; the first column is body pairs (., 2)
-    counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies.first_faults`
+    counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies._first_faults`
     #: (N,) float64, negative for bodies whose pose is invalid: those of the others were searched. None: if a pose is
     #: invalid, nothing was.
     reach: Tensor | None = None
@@ -38,7 +38,7 @@ class Search:
             ValueError: the input is invalid.
         """
         values = self.counts.tolist()
-        self.bodies.raise_faults(values[len(COUNT_ROWS) :])
+        self.bodies._raise_faults(values[len(COUNT_ROWS) :])
         return Counts.of(values[: len(COUNT_ROWS)])
 
     def contacts(self, counts: Counts) -> Contacts | CollidingPairs:
@@ -66,7 +66,7 @@ class Search:
             "capacity": self.capacity,
             "broad_phase": self.broad_phase,
             "bodies": self.bodies.scene.body_count,
-            "faults": self.bodies.faults,
+            "_faults": self.bodies._faults,
         }
         if self.query.report == "any":
             pairs = PaddedCollidingPairs(pairs=rows[0], **of_search)
@@ -120,7 +120,7 @@ def search_padded(
     """
     if pairs is None and not bodies.deforming:
         return search_rigid(bodies, query, capacity, broad_phase, capacity.of_pairs, marks_invalid)
-    faults = bodies.first_faults()
+    faults = bodies._first_faults()
     if pairs is None:
         chosen = broad.choose(bodies, broad_phase)
         pairs, pair_counts = broad.find_pairs_padded(
@@ -153,10 +153,10 @@ def search_rigid(
         marks_invalid: whether to search the other bodies if a pose is invalid, unless faults are known: see
             `Search.reach`.
     """
-    faults = bodies.known_faults()
-    of_scene = [] if faults is not None else bodies.checked_by_operator
+    faults = bodies._known_faults()
+    of_scene = [] if faults is not None else bodies._checked_by_operator
     more = [column.values.to(torch.float64)[:, None] for column in of_scene]
-    checks, limits = bodies.motion.checks
+    checks, limits = bodies.motion._checks
     reach = torch.empty_like(bodies.reach) if marks_invalid and faults is None else None
     chosen = broad.choose(bodies, broad_phase)
     min_separation, tolerance, nonzero_toi = query.settings

@@ -25,7 +25,7 @@ class PaddedRows(PairColumns):
     capacity: Capacity
     broad_phase: str
     bodies: int
-    faults: Faults
+    _faults: Faults
     # `Search.reach`.
     _reach: Tensor | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -57,7 +57,7 @@ class PaddedRows(PairColumns):
     def _trimmed(self) -> dict[str, Any]:
         """The columns without padding, and stats. Synchronises."""
         capacity = sizes_of(self.capacity)
-        counts = checked_counts(self.counts.tolist(), capacity, self.faults)
+        counts = checked_counts(self.counts.tolist(), capacity, self._faults)
         count = min(counts.contacts, len(self.pairs))  # "earliest" has one row
         columns = {name: column[:count] for name, column in self.columns.items()}
         waits = int(self.counts.is_cuda)

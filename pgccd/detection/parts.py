@@ -183,9 +183,9 @@ def find_part(
     capacity = expected_capacity(bodies, None, estimate, slack=slack) if _looks_ahead(bodies) else None
     if capacity is None:
         if not bodies.checked:
-            bodies.raise_faults(bodies.first_faults().tolist())
+            bodies._raise_faults(bodies._first_faults().tolist())
         return Part(query, bodies, find_pairs(), rows=rows)
-    invalid = bodies.first_faults()[-1:]
+    invalid = bodies._first_faults()[-1:]
     if discard is not None:
         invalid = torch.maximum(invalid, discard)
     pairs, counts = broad.find_pairs_padded(bodies, separation, broad_phase, capacity, invalid, tolerance, elsewhere)

@@ -16,6 +16,8 @@ from pgccd.detection.checks import (
     tests_start,
 )
 
+__all__ = ["find_candidates"]
+
 
 def find_candidates(
     bodies: MovingBodies,
@@ -54,3 +56,7 @@ def find_candidates(
         require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]", horizon)
     settings = (check_separation(min_separation), operator_tolerance(tolerance), tests_start(initial))
     return ops.traverse(bodies.operands, pairs, horizon, *settings)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -255,7 +255,7 @@ class Model:
         """The scene of the robots `id` (N,) int64."""
         kinds = len(self.meshes)
         index = (id % kinds).to(torch.int32) if kinds > 1 else torch.zeros_like(id, dtype=torch.int32)
-        return Scene.of_checked(self.meshes, index)
+        return Scene._of_checked(self.meshes, index)
 
     def describe(self) -> dict[str, Any]:
         """The configuration and values derived from it, as plain numbers."""

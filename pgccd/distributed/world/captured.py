@@ -263,7 +263,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
             part.begin()
         counts = [part.counts() for part in share.parts]
         overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
-        incomplete = torch.cat([self._failed, share.failed, motion.first_faults()[-1:], *overflow]).sum().reshape(1)
+        incomplete = torch.cat([self._failed, share.failed, motion._first_faults()[-1:], *overflow]).sum().reshape(1)
         first, incomplete = _first_toi(share, comm, incomplete)
         new = _with_position(self._response(bodies, motion, first))
         is_body = id >= 0
