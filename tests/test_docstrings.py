@@ -7,10 +7,13 @@ import contextlib
 import doctest
 import functools
 import importlib
+import inspect
 import io
 import json
 import pkgutil
+import re
 import sys
+import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -163,3 +166,28 @@ def test_examples_of_docstrings(module: str, folder: Path) -> None:
 def test_all_examples_are_found() -> None:
     assert sum(len(examples_of(name)) for name in WITH_EXAMPLES) > 50
     assert all(examples_of(name) for name in NOT_ALONE)
+
+
+def test_attributes_are_in_the_help() -> None:
+    """Every public attribute of an object is named in the docstring of its class, or is a property with one."""
+    names = two_bodies()
+    scene, motion, x = names["scene"], names["motion"], names["x"]
+    still, captured = pgccd.RigidMotion.at_rest(x, names["q"]), pgccd.CapturedDetection(scene, motion)
+    voxels = pgccd.baselines.PCCCD.create([names["rock"]])
+    voxels.detect(motion)
+    objects: list[Any] = [names["mesh"], scene.meshes, scene, motion, still, names["bodies"], captured, voxels]
+    objects += [pgccd.VertexMotion(x, x), pgccd.Trajectory(torch.stack([x, x])), names["hits"].stats, voxels.stats]
+    objects += [pgccd.detect(scene, motion, report) for report in ("first", "any")]
+    objects += [pgccd.detect(scene, motion, report, capacity=names["capacity"]) for report in ("first", "any")]
+    objects += [pgccd.detect(scene, pgccd.Trajectory(torch.stack([x, x]), torch.stack([names["q"]] * 2)))]
+    objects += [pgccd.narrow.vertex_face(*[torch.rand(2, 4, 3)] * 2)]
+    unknown = []
+    for each in objects:
+        known = set(re.findall(r"\w+", type(each).__doc__ or ""))
+        shown = [name for name in {*vars(each), *dir(type(each))} if not name.startswith("_")]
+        for name in shown:
+            member = inspect.getattr_static(type(each), name, None)
+            is_defined = isinstance(member, (property, classmethod, types.FunctionType))
+            if not (inspect.getdoc(getattr(type(each), name)) if is_defined else name in known):
+                unknown.append(f"{type(each).__name__}.{name}")
+    assert unknown == []

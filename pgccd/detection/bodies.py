@@ -17,6 +17,18 @@ from pgccd.motion.paths import PATHS, RigidMotion, VertexMotion
 class MovingBodies:
     """The bodies of a scene during one step of motion, as the operators read them; made by `of`.
 
+    Attributes:
+        scene: the bodies.
+        motion: their paths.
+        linear_path: whether vertices move on straight lines instead of arcs.
+        deforming: whether the bodies are given by their vertices.
+        tensors: the operators' `bodies` argument. Entries 1 to 3: positions at t0 and t1 (N, 3), of the origins or, for
+            deforming bodies, of the SBV centres; and SBV radius (N,).
+        centre_t0, centre_t1, reach: (N, 3), (N, 3), (N,) float64: the swept spheres that broad phases test. At every t
+            the body and its margin are within `reach` of the point at fraction t of the way from `centre_t0` to
+            `centre_t1`, its SBV centres at t0 and t1.
+        checked: whether poses and columns have been validated.
+
     Example:
         >>> bodies = pgccd.MovingBodies.of(scene, motion)
         >>> pairs = pgccd.broad.sweep(bodies)
@@ -31,19 +43,12 @@ class MovingBodies:
         swept_spheres: tuple[Tensor, Tensor, Tensor],
     ) -> None:
         self.scene, self.motion, self._columns = scene, motion, columns
-        #: True if vertices move on straight lines instead of arcs.
         self.linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
-        #: True for explicit vertex streams.
         self.deforming = isinstance(motion, VertexMotion)
-        #: The operators' `bodies` argument. Entries 1 to 3: positions at t0 and t1 (N, 3), of the origins or, for
-        #: deforming bodies, of the SBV centres; and SBV radius (N,).
         self.tensors = tensors
-        #: (N, 3), (N, 3), (N,): the swept spheres that broad phases test. At every t the body and its margin are within
-        #: `reach` of the point at fraction t of the way from `centre_t0` to `centre_t1`, its SBV centres at t0 and t1.
         self.centre_t0, self.centre_t1, self.reach = swept_spheres
         # Columns of the scene that are checked.
         self._of_scene: list[Checked] = []
-        #: Whether poses and columns have been validated.
         self.checked = False
         self._found_faults: Tensor | None = None
 
@@ -134,6 +139,7 @@ class MovingBodies:
 
     @property
     def device(self) -> torch.device:
+        """The device of the scene and of the motion."""
         return self.scene.device
 
     @property
@@ -148,14 +154,17 @@ class MovingBodies:
 
     @property
     def position_t0(self) -> Tensor:
+        """(N, 3) float64 at t0: positions of the origins or, of deforming bodies, of the SBV centres."""
         return self.tensors[1]
 
     @property
     def position_t1(self) -> Tensor:
+        """(N, 3) float64: as `position_t0`, at t1."""
         return self.tensors[2]
 
     @property
     def radius(self) -> Tensor:
+        """(N,) float64: SBV radii; of deforming bodies, over the step."""
         return self.tensors[3]
 
     @property

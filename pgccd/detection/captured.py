@@ -63,6 +63,11 @@ class CapturedDetection(Generic[P]):
         capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
         options: tolerance, nonzero_toi, initial, broad_phase: as for `detect`.
 
+    Attributes:
+        scene: the bodies.
+        motion: the motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
+        capacity: of the result and of all intermediate lists; None before the first replay, unless it was given.
+
     Raises:
         TypeError, ValueError: naming the argument.
 
@@ -128,9 +133,7 @@ class CapturedDetection(Generic[P]):
             sizes_of(capacity)
         self.scene = scene
         self._report, self._min_separation, self._options = report, min_separation, options
-        #: Capacity of the result and of all intermediate lists; None before the first replay, unless it was given.
         self.capacity = capacity
-        #: The motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
         self.motion = _copy_of(motion)
         self._graph: Graph | None = None
         self._read: list[object] = []  # inputs of the graph

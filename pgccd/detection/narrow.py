@@ -86,14 +86,20 @@ class Status(_NamedIntegers):
 
 @dataclass(frozen=True, eq=False)
 class ElementaryResult:
-    """Results of elementary tests; `toi` and `coordinates` have the dtype of the points."""
+    """Results of elementary tests.
 
-    status: Tensor  #: (n,) int8
-    toi: Tensor  #: (n,) not late, rounded down; inf when free
-    #: (n, 2): (u, v) of the face point f0 + u (f1 - f0) + v (f2 - f0), or of the edge points ea0 + u (ea1 - ea0) and
-    #: eb0 + v (eb1 - eb0)
+    Attributes:
+        status: (n,) int8, see `Status`.
+        toi: (n,) of the dtype of the points: not late, rounded down; inf when free.
+        coordinates: (n, 2) of the dtype of the points: (u, v) of the face point f0 + u (f1 - f0) + v (f2 - f0), or of
+            the edge points ea0 + u (ea1 - ea0) and eb0 + v (eb1 - eb0).
+        significant_bits: (n,) int8: significand bits of the arithmetic that decided: 24 (float32), 53 (float64) or 106
+            (pairs of float64).
+    """
+
+    status: Tensor
+    toi: Tensor
     coordinates: Tensor
-    #: (n,) int8: significand bits of the arithmetic that decided: 24 (float32), 53 (float64) or 106 (pairs of float64)
     significant_bits: Tensor
 
 

@@ -65,6 +65,17 @@ class Scene:
     at each use, as the poses of a motion are; the bodies that are tested against themselves are fixed. A margin given
     as a Python number or list is float64; a float64 tensor or array is shared, not copied.
 
+    Attributes:
+        meshes: the meshes, concatenated: a `MeshSet`.
+        mesh_index: (N,) int32.
+        body_count: number of bodies N.
+        group, mask: (N,) int64, or None.
+        world: (N,) int32, or None.
+        static: (N,) uint8, or None.
+        margin: (N,) float64, or None if no body has a margin.
+        self_collision: (N,) bool, or None if no body is tested against itself.
+        device: of all tensors.
+
     Raises:
         ValueError, TypeError: naming the argument.
 
@@ -96,16 +107,13 @@ class Scene:
         if not isinstance(meshes, MeshSet):
             several = isinstance(meshes, Iterable) and not isinstance(meshes, (str, dict, Tensor, np.ndarray))
             meshes = MeshSet(list(meshes) if several else meshes, device)
-        #: The meshes, concatenated.
         self.meshes = meshes
         self.device = meshes.device
         if device.type != self.device.type or device.index not in (None, self.device.index):
             raise ValueError(f"device: the MeshSet is on {self.device}, not {device}")
         if mesh_index is None:
             mesh_index = list(range(len(meshes)))
-        #: (N,) int32.
         self.mesh_index = integer_column(mesh_index, "mesh_index", None, self.device)
-        #: Number of bodies N.
         self.body_count = len(self.mesh_index)
         require_meshes(self.mesh_index, len(meshes))
         self.mesh_index = self.mesh_index.to(torch.int32)
@@ -115,9 +123,7 @@ class Scene:
         self.world = None if world is None else world_column(world, count, self.device)
         self.static = None if static is None else bool_column(static, "static", count, self.device)
         _ = self.world_count  # computed now, so that a step need not synchronise
-        #: (N,) float64, or None if no body has a margin.
         self.margin = None if margin is None else margin_column(margin, count, self.device)
-        #: (N,) bool, or None if no body is tested against itself.
         self.self_collision = self_column(self_collision, count, self.device)
         if self.self_collision is not None and self.static is not None:
             self.self_collision &= self.static == 0
