@@ -148,9 +148,9 @@ class PCCCD:
         self.comm.guard.activity = "step"
         clock = StageClock()
 
-        kept = self._query.settings[:2]
+        lengths = self._query.settings[:2]
         contents, boxes_sent = send_boxes(
-            self.comm, self._directory, bodies, bodies_before[:-1], self.voxel_size, kept, clock
+            self.comm, self._directory, bodies, bodies_before[:-1], self.voxel_size, lengths, clock
         )
         self._contents = contents
         with clock.stage("synchronize"):

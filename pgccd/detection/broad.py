@@ -139,7 +139,7 @@ def find_pairs_padded(
         *_columns(bodies),
         elsewhere,
         invalid,
-        *_kept(min_separation, tolerance),
+        *_lengths(min_separation, tolerance),
         number,
         [max(0, pair_capacity - own), *rest],
     )
@@ -177,7 +177,7 @@ def find_pairs_of_checked(
 ) -> Tensor:
     """As `find_pairs`, without checks; `chosen` comes from `choose`. elsewhere: see `find_pairs_padded`."""
     number = BROAD_PHASE_NUMBERS[chosen]
-    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *_kept(min_separation, tolerance), number, axis)
+    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *_lengths(min_separation, tolerance), number, axis)
     return with_self_pairs(bodies, pairs)
 
 
@@ -218,7 +218,7 @@ def _columns(bodies: MovingBodies) -> tuple[Tensor, Tensor, Tensor, *_Filters]:
     return bodies.centre_t0, bodies.centre_t1, bodies.reach, *filters(bodies)
 
 
-def _kept(min_separation: float, tolerance: float | None) -> tuple[float, float]:
+def _lengths(min_separation: float, tolerance: float | None) -> tuple[float, float]:
     return check_separation(min_separation), operator_tolerance(tolerance)
 
 

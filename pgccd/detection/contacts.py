@@ -229,7 +229,7 @@ class CountedRows(PairColumns):
         """A copy of all columns.
 
         Example:
-            >>> kept = hits.clone()
+            >>> copied = hits.clone()
         """
         return self._map(Tensor.clone)
 

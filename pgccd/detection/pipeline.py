@@ -213,8 +213,8 @@ def detect(
     on_cpu = scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
     # An operator for the whole step also checks the poses.
-    at_once = pairs is None and isinstance(motion, RigidMotion)
-    bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not at_once)
+    is_one_operator = pairs is None and isinstance(motion, RigidMotion)
+    bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not is_one_operator)
     if scene.body_count == 1:
         warn_of_only_body(scene, motion)
     seconds = time.perf_counter() - start if capacity is None else 0.0
@@ -244,14 +244,14 @@ def detect_moving(
         pairs: (P, 2) int64, or None. Where bodies have ids that rows do not follow, the body named first is i.
     """
     on_cpu = bodies.device.type == "cpu"
-    at_once = _detect_exactly if on_cpu else _detect_at_once
-    found = at_once(bodies, query, broad_phase, pairs, memory_budget)
+    in_one_pass = _detect_exactly if on_cpu else _detect_in_capacity
+    found = in_one_pass(bodies, query, broad_phase, pairs, memory_budget)
     if found is not None:
         return found
 
     def solve(chunk: Tensor, budget: int | None) -> Contacts | CollidingPairs | None:
         if not on_cpu:
-            return _detect_at_once(bodies, query, "auto", chunk, budget)
+            return _detect_in_capacity(bodies, query, "auto", chunk, budget)
         search = search_padded(bodies, query, EXACTLY, "auto", chunk)
         return search.contacts(search.read())
 
@@ -311,7 +311,7 @@ def _detect_exactly(
     return None
 
 
-def _detect_at_once(
+def _detect_in_capacity(
     bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
 ) -> Contacts | CollidingPairs | None:
     """Runs all stages in the estimated capacity, and again in larger ones on overflow; None if that needs too much
