@@ -16,7 +16,7 @@ import pgccd
 from pgccd.detection.capacity import BufferSizes, Capacity, Counts
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import counts_of_given, lower_first_toi
-from pgccd.detection.pipeline import _detect_at_once as detect_at_once
+from pgccd.detection.pipeline import _detect_in_capacity as detect_at_once
 from pgccd.detection.query import Query
 
 REPORTS = ("any", "first", "all", "earliest")
