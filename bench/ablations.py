@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -21,6 +22,7 @@ from support.scenes import MixedWorld
 from torch import Tensor
 
 import pgccd
+from pgccd.detection.broad import BroadPhase
 
 _ROBOTS = {"cpu": 4_000, "cuda": 100_000}
 # Limit for separate vertices per body: these take 17 kB per robot, hierarchies 30 kB.
@@ -56,23 +58,26 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-Variant = Callable[[pgccd.RigidMotion], pgccd.Contacts]
+Result = pgccd.Contacts | pgccd.CollidingPairs | pgccd.PaddedContacts
+Variant = Callable[[pgccd.RigidMotion], Result]
 
 
 def broad_phases(world: MixedWorld) -> dict[str, Variant]:
     """The broad phases."""
-    return {
-        name: lambda motion, name=name: pgccd.detect(world.scene, motion, broad_phase=name)
-        for name in ("grid", "sweep", "lbvh")
-    }
+
+    def using(name: BroadPhase) -> Variant:
+        return lambda motion: pgccd.detect(world.scene, motion, broad_phase=name)
+
+    return {"grid": using("grid"), "sweep": using("sweep"), "lbvh": using("lbvh")}
 
 
 def reports(world: MixedWorld) -> dict[str, Variant]:
     """The reports."""
-    return {
-        name: lambda motion, name=name: pgccd.detect(world.scene, motion, name)
-        for name in ("first", "any", "all", "earliest")
-    }
+
+    def asking(report: pgccd.Report) -> Variant:
+        return lambda motion: pgccd.detect(world.scene, motion, report)
+
+    return {"first": asking("first"), "any": asking("any"), "all": asking("all"), "earliest": asking("earliest")}
 
 
 def geometries(world: MixedWorld, device: str) -> dict[str, Variant]:
@@ -131,7 +136,7 @@ def compare(
     for index, motion in enumerate(motions):
         seen = None
         for name, variant in variants.items():
-            duration, hits = timing.seconds(lambda variant=variant, motion=motion: variant(motion), device)
+            duration, hits = timing.seconds(partial(variant, motion), device)
             if isinstance(hits, pgccd.PaddedContacts):
                 hits = hits.trim()
             pairs = hits.pairs.unique(dim=0)
@@ -152,9 +157,9 @@ def precisions(world: MixedWorld, motions: list[pgccd.RigidMotion], device: str)
     ends = [torch.cat(parts) for parts in zip(*(_queries(world, motion, device) for motion in motions), strict=True)]
     rows = []
     for dtype in (torch.float64, torch.float32):
-        given = [end.to(dtype) for end in ends]
-        times = [timing.seconds(lambda given=given: pgccd.narrow.vertex_face(*given), device) for _ in range(8)]
-        hits = int((times[0][1].status != pgccd.FREE).sum())
+        start, end = (each.to(dtype) for each in ends)
+        times = [timing.seconds(partial(pgccd.narrow.vertex_face, start, end), device) for _ in range(8)]
+        hits = int((times[0][1].status != pgccd.Status.FREE).sum())
         ms = timing.summary([duration for duration, _ in times[1:]])
         row = {"question": "elementary tests", "variant": str(dtype).removeprefix("torch."), "ms": ms}
         rows.append(row | {"queries": len(ends[0]), "contacts": hits})
@@ -165,8 +170,8 @@ def _queries(world: MixedWorld, motion: pgccd.RigidMotion, device: str) -> list[
     """Points (n, 4, 3) at both ends, relative to the first body's position, where float32 has spare digits."""
     moving = pgccd.MovingBodies.of(world.scene, with_path(motion, "linear"))
     pairs = pgccd.broad.find_pairs(moving)
-    candidates, _ = pgccd.traverse.bvtt(moving, pairs)
-    candidates = candidates[candidates[:, 1] == int(pgccd.VF_AB)].long()
+    candidates, _ = pgccd.traverse.find_candidates(moving, pairs)
+    candidates = candidates[candidates[:, 1] == pgccd.Kind.VF_AB].long()
     mesh = world.model.meshes.meshes[0]
     corners = torch.cat([candidates[:, 2:3], mesh.faces.to(device).long()[candidates[:, 3]]], dim=1)
     bodies = pairs[candidates[:, 0]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from comparison import broad_phases
@@ -11,10 +12,7 @@ from support.scenes import MovingSpheres, clustered_spheres, random_spheres, sph
 
 _SCENES: dict[str, Callable[[int, int], MovingSpheres]] = {
     "standard": random_spheres,
-    **{
-        f"{pairs:g} pairs a body": lambda count, seed, pairs=pairs: random_spheres(count, seed, fraction=pairs / 4.0)
-        for pairs in (0.25, 4.0, 16.0)
-    },
+    **{f"{pairs:g} pairs a body": partial(random_spheres, fraction=pairs / 4.0) for pairs in (0.25, 4.0, 16.0)},
     "sizes 1:10": lambda count, seed: random_spheres(count, seed, size_ratio=10.0),
     "sizes 1:1000": lambda count, seed: random_spheres(count, seed, size_ratio=1000.0),
     "pebbles on a huge body": spheres_on_a_huge_one,

@@ -26,6 +26,10 @@ from pgccd.distributed import Cells
 _ROWS = 1 << 18  # (body, rank) entries per chunk
 
 
+#: Positions at both ends (N, 3), and radii (N,).
+Centres = tuple[Tensor, Tensor, Tensor]
+
+
 def main() -> None:
     """Runs the benchmark."""
     parser = results.parser(__doc__)
@@ -54,7 +58,7 @@ def count(
     """The row of one number of ranks."""
     x, y, z = model.half_extent
     partition = Cells.uniform((-x, -y, -z), (x, y, z), ranks, cells=arguments.cells)
-    centres = [bodies.position_t0, bodies.position_t1, bodies.radius]
+    centres = bodies.position_t0, bodies.position_t1, bodies.radius
     lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
     # Largest distance of a box's faces from the centre that determines the owner.
     extent = float(torch.maximum(upper - bodies.position_t0, bodies.position_t0 - lower).max())
@@ -74,7 +78,7 @@ def count(
     }
 
 
-def ghosts(partition: Cells, centres: list[Tensor], owner: Tensor, separation: float) -> int:
+def ghosts(partition: Cells, centres: Centres, owner: Tensor, separation: float) -> int:
     """Ghosts with boxes grown by half the separation: bodies times the other ranks that they reach."""
     total = 0
     for rows in torch.arange(len(owner)).split(max(1, _ROWS // partition.ranks)):
@@ -84,7 +88,7 @@ def ghosts(partition: Cells, centres: list[Tensor], owner: Tensor, separation: f
     return total
 
 
-def reach(partition: Cells, centres: list[Tensor], rows: Tensor, separation: float = 0.0) -> Tensor:
+def reach(partition: Cells, centres: Centres, rows: Tensor, separation: float = 0.0) -> Tensor:
     """Entry (B, ranks) uint8: 1 where one of the rows (B,) reaches a cell of the rank."""
     ranks = partition.ranks
     reached, _ = ops.replica_ranks(centres, separation, 0.0, *partition.subdomain(0), rows, [], ranks)
@@ -95,7 +99,7 @@ def reach(partition: Cells, centres: list[Tensor], rows: Tensor, separation: flo
     return reached
 
 
-def unseen(partition: Cells, centres: list[Tensor], pairs: Tensor, owners: Tensor) -> int:
+def unseen(partition: Cells, centres: Centres, pairs: Tensor, owners: Tensor) -> int:
     """Pairs (P, 2) with different owners (P, 2) in which neither owner has the other body."""
     seen = torch.zeros(len(pairs), dtype=torch.bool)
     for side in range(2):

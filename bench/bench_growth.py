@@ -20,6 +20,7 @@ import itertools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import torch
@@ -193,7 +194,7 @@ def measure(case: Case, arguments: argparse.Namespace) -> dict[str, Any]:
     done: list[pgccd.Stats] = []
     begin = time.perf_counter()
     for index, motion in enumerate(itertools.islice(motions, arguments.warm_up + arguments.rounds)):
-        duration, hits = timing.seconds(lambda motion=motion: pgccd.detect(scene, motion, report="first"), device)
+        duration, hits = timing.seconds(partial(pgccd.detect, scene, motion, "first"), device)
         if index >= arguments.warm_up:
             spent.append(duration)
             done.append(hits.stats)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +100,7 @@ def run(world: MixedWorld, arguments: argparse.Namespace, rates: dict[str, float
     counts: dict[str, list[int]] = {}
     for index, state in enumerate(itertools.islice(world, arguments.warm_up + arguments.rounds)):
         motion = world.model.motion(state)
-        duration, hits = timing.seconds(lambda motion=motion: pgccd.detect(world.scene, motion, report="first"), device)
+        duration, hits = timing.seconds(partial(pgccd.detect, world.scene, motion, "first"), device)
         if index < arguments.warm_up:
             continue
         spent.append(duration)

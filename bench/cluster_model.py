@@ -40,8 +40,8 @@ import torch
 from support import results, timing
 
 from pgccd import ops, sim
-from pgccd.distributed import BalanceOptions, CellLoads, Cells, imbalance, rebalance
-from pgccd.distributed.partition.balance import rank_loads
+from pgccd.distributed import BalanceOptions, Cells
+from pgccd.distributed.partition.balance import CellLoads, imbalance, rank_loads, rebalance
 
 _BLOCK = 1 << 20
 _STATE_BYTES = 112  # per robot in the halo
@@ -206,7 +206,7 @@ class Counts:
     def add(self, motion: Any, radius: torch.Tensor) -> None:
         """Counts a block of bodies."""
         partition, ranks = self.partition, self.partition.ranks
-        centres = [motion.position_t0, motion.position_t1, radius]
+        centres = motion.position_t0, motion.position_t1, radius
         centre = partition.cell_of(motion.position_t0)
         self.bodies += torch.bincount(centre, minlength=partition.cell_count)
         owner = partition.owner[centre]

@@ -26,6 +26,7 @@ from support import results, timing
 
 from pgccd import distributed, sim
 from pgccd.distributed.launch.connect import TRANSPORTS
+from pgccd.distributed.partition.balance import POLICIES
 from pgccd.distributed.partition.cut import make_partition
 from pgccd.sim.runner import HasRecord
 
@@ -65,7 +66,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--transport", choices=TRANSPORTS, default="auto")
     parser.add_argument("--pattern", choices=sim.PATTERNS, default="random")
-    parser.add_argument("--balance", choices=distributed.POLICIES, default="cost")
+    parser.add_argument("--balance", choices=POLICIES, default="cost")
     parser.add_argument("--cells", type=int, default=16, help="of each rank: M x M")
     parser.add_argument("--partition", choices=("cells", "bisection"), default="bisection", help="how space is cut")
     parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)

@@ -99,7 +99,7 @@ def _label_1_2_5(axes: Axes) -> None:
 
 
 def _narrow_phase(result: Result) -> Figure:
-    panels = (
+    panels: tuple[tuple[str, str, str], ...] = (
         ("exact list", "colliding_us", "Colliding queries of the scenes"),
         ("candidates", "mean_us", "Pairs with overlapping boxes"),
         ("queries", "free_us", "Free queries of the query files"),

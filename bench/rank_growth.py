@@ -66,8 +66,8 @@ def measure(ranks: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """One row per partition."""
     torch.set_num_threads(1)  # as for a rank that shares a machine
     world = sim.Model(sim.ModelConfig(robots=arguments.robots_a_rank * ranks))
-    upper = world.half_extent
-    lower = tuple(-x for x in upper)
+    x, y, z = world.half_extent
+    lower, upper = (-x, -y, -z), (x, y, z)
     return [
         measure_partition(kind, make(), world, ranks, arguments)
         for kind, make in {
@@ -98,13 +98,13 @@ def measure_partition(
         samples = [timing.seconds(work)[0] for _ in range(arguments.rounds)]
         return timing.summary(samples)["median"]
 
-    reach, rows, count = ops.boundary_bodies(centres, *_KEPT, *near.subdomain)
+    reach, rows, count = ops.boundary_bodies(centres, 0.0, 0.0, *near.subdomain)
     rows = rows[: int(count)]
     ghosts = [column[rows] for column in centres]
     row: dict[str, Any] = {"ranks": ranks, "partition": kind, "boundary bodies": len(rows)}
     row["neighbours"] = len(near.neighbours.ranks) - 1
     row["neighbours ms"] = median_ms(lambda: Decomposition(comm, partition))
-    row["boundary ms"] = median_ms(lambda: ops.boundary_bodies(centres, *_KEPT, *near.subdomain))
+    row["boundary ms"] = median_ms(lambda: ops.boundary_bodies(centres, 0.0, 0.0, *near.subdomain))
     for name, decomposition in (("replicas", near), ("replicas of all ranks", everywhere)):
         found = find_replicas(decomposition, centres, _KEPT, rows)
         counts = found.counts.tolist()
@@ -115,7 +115,7 @@ def measure_partition(
     row["reached ranks"] = sum(count > 0 for count in counts)
     row["bodies beyond neighbours"] = int(find_replicas(near, centres, _KEPT, rows).counts[-1])
     row["count messages"], row["count messages of all ranks"] = 2 * row["neighbours"], 2 * (ranks - 1)
-    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, reach, ghosts, *_KEPT, *near.subdomain))
+    row["near ms"] = median_ms(lambda: ops.near_ghosts(centres, reach, ghosts, 0.0, 0.0, *near.subdomain))
     row["leaving ms"] = median_ms(lambda: ops.leaving_bodies(centres[1], *near.subdomain, near.neighbours.size))
     frame, owner, _ = near.subdomain
     row["partition kB"] = round(owner.nbytes / 1e3)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -78,7 +79,7 @@ def measure(scene: pgccd.Scene, sort: str, motions: Sequence[pgccd.RigidMotion],
             found = pgccd.detect(scene, motion, report="first")
         if len(found) != (sort == "colliding"):
             raise SystemExit(f"{sort}: {len(found)} contacts")
-        works.setdefault("detect", []).append(lambda motion=motion: pgccd.detect(scene, motion, report="first"))
+        works.setdefault("detect", []).append(partial(pgccd.detect, scene, motion, "first"))
         for number, (name, call) in enumerate(zip(recorded.names, recorded.calls, strict=True), 1):
             works.setdefault(f"  operator {number}: {name}", []).append(call)
     spent: dict[str, list[float]] = {name: [] for name in works}

@@ -17,4 +17,4 @@ turned = torch.tensor([[1.0, 0.0, 0.0, 0.0], [0.8, 0.0, 0.6, 0.0]])
 
 hits = pgccd.detect(scene, pgccd.RigidMotion(position_t0, upright, position_t1, turned))
 for pair, toi, kind, point in zip(hits.pairs.tolist(), hits.toi.tolist(), hits.kind.tolist(), hits.point, strict=True):
-    print(f"bodies {pair} touch at t = {toi:.6f} ({pgccd.Kind(kind).name}) at {point.tolist()}")
+    print(f"bodies {pair} touch at t = {toi:.6f} ({pgccd.Kind.names()[kind]}) at {point.tolist()}")

@@ -22,17 +22,17 @@ with distributed.connect(sys.argv[1] if len(sys.argv) > 1 else "cpu") as comm:
     velocity, spin = torch.randn(2, 1000, 3, dtype=torch.float64)
 
     # Each rank starts with every size-th body; World.create migrates them to their owners.
-    mine = torch.arange(comm.rank, 1000, comm.size)
+    share = torch.arange(comm.rank, 1000, comm.size)
     world = distributed.World.create(
         [box],
         (0.0, 0.0, 0.0),
         (13.5, 13.5, 13.5),
-        position[mine].to(device),
-        id=mine,
+        position[share].to(device),
+        id=share,
         payload={
-            "orientation": orientation[mine].to(device),
-            "velocity": velocity[mine].to(device),
-            "spin": spin[mine].to(device),
+            "orientation": orientation[share].to(device),
+            "velocity": velocity[share].to(device),
+            "spin": spin[share].to(device),
         },
         comm=comm,
         nonzero_toi=True,

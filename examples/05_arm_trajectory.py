@@ -18,8 +18,6 @@ reach from the first joint.
 This bound is the link's margin. It is quadratic in the step: doubling the waypoints quarters it.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 
@@ -47,14 +45,14 @@ def forward(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     position, orientation = [np.zeros(3)], [np.array([1.0, 0.0, 0.0, 0.0])]
     for axis, angle in zip(AXES, angles, strict=True):
         orientation.append(product(orientation[-1], np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])))
-        position.append(tip_of(position[-1:], orientation[-1:]))
+        position.append(tip_of(position[-1], orientation[-1]))
     return np.array(position[:-1]), np.array(orientation[1:])
 
 
-def tip_of(position: Sequence[np.ndarray], orientation: Sequence[np.ndarray]) -> np.ndarray:
-    """Far end (3,) of the last of the given links: the position of the next joint."""
-    q, along = orientation[-1], np.array([LENGTH, 0.0, 0.0])
-    return position[-1] + along + 2 * np.cross(q[1:], np.cross(q[1:], along) + q[0] * along)
+def tip_of(position: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Far end (3,) of a link at a position (3,) with orientation q (4,): the position of the next joint."""
+    along = np.array([LENGTH, 0.0, 0.0])
+    return position + along + 2 * np.cross(q[1:], np.cross(q[1:], along) + q[0] * along)
 
 
 link = box((0.05, -WIDTH / 2, -WIDTH / 2), (LENGTH - 0.05, WIDTH / 2, WIDTH / 2))
@@ -93,7 +91,8 @@ print(f"free for certain: the first {100 * free:.2f} % of the path")
 strays = 0.0
 for k in range(WAYPOINTS - 1):
     x, q = (pose.numpy()[:LINKS] for pose in trajectory.segment(k).at(0.5))
-    tips = [tip_of(*pose) for pose in ((x, q), forward(0.5 * (joints[k] + joints[k + 1])))]
+    true_x, true_q = forward(0.5 * (joints[k] + joints[k + 1]))
+    tips = tip_of(x[-1], q[-1]), tip_of(true_x[-1], true_q[-1])
     strays = max(strays, float(np.linalg.norm(tips[0] - tips[1])))
 print(f"the tip strays from its arc by {strays:.2g}, within its margin {margin[-1]:.2g}")
 assert strays <= margin[-1]

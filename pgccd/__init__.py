@@ -9,9 +9,10 @@ from pgccd.detection import broad, narrow, traverse
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import Capacity, CapacityError
 from pgccd.detection.captured import CapturedDetection
-from pgccd.detection.contacts import Contacts, PaddedContacts, Stats
+from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
 from pgccd.detection.enclosed import enclosed
-from pgccd.detection.narrow import Kind, Status
+from pgccd.detection.narrow import Kind, Report, Status
+from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts
 from pgccd.detection.pipeline import detect
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.geometry.mesh import Mesh, MeshSet
@@ -30,29 +31,20 @@ _LATER = ("about", "baselines", "distributed", "files", "sim", "viz")
 
 __version__: str = _build_information()["version"]
 
-# Plain integers: torch.compile treats the comparison of a tensor with an enum member as constant.
-FREE, TOUCH, UNRESOLVED = int(Status.FREE), int(Status.TOUCH), int(Status.UNRESOLVED)
-VF_AB, VF_BA, EE, EF_AB, EF_BA = (int(kind) for kind in Kind)
-
 __all__ = [
-    "EE",
-    "EF_AB",
-    "EF_BA",
-    "FREE",
-    "TOUCH",
-    "UNRESOLVED",
-    "VF_AB",
-    "VF_BA",
     "Capacity",
     "CapacityError",
     "CapturedDetection",
+    "CollidingPairs",
     "Contacts",
     "Kind",
     "Mesh",
     "MeshSet",
     "MovingBodies",
+    "PaddedCollidingPairs",
     "PaddedContacts",
     "PaddedResolution",
+    "Report",
     "Resolution",
     "RigidMotion",
     "Scene",
@@ -84,4 +76,4 @@ def __getattr__(name: str) -> _Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LATER})
+    return sorted([*__all__, "__version__"])

@@ -4,6 +4,8 @@ import torch
 
 from pgccd._host import build_information
 
+__all__ = ["describe_installation"]
+
 
 def describe_installation() -> dict[str, str]:
     """Version, commit, compiler, CUDA, torch, devices and backends, by name.
@@ -43,3 +45,7 @@ def _communication_backends() -> list[str]:
         "mpi": torch.distributed.is_mpi_available,
     }
     return [name for name, check in checks.items() if check()]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

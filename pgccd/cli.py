@@ -17,7 +17,8 @@ from pgccd import distributed, sim
 from pgccd.about import describe_installation
 from pgccd.checkpoint.lock import FolderError
 from pgccd.detection.broad import BROAD_PHASES
-from pgccd.detection.narrow import REPORTS, Kind, Status
+from pgccd.detection.narrow import REPORTS
+from pgccd.distributed.launch.agreement import on_first, together
 from pgccd.files import load_motion, load_scene
 from pgccd.geometry.origin import Origin
 from pgccd.runtime.memory import is_out_of_memory
@@ -146,7 +147,7 @@ def _simulate(options: argparse.Namespace) -> int:
         raise ArgumentError("", error) from error
     with command.stopping(comm):
         try:
-            device = distributed.together(comm, lambda: _device(options.device))
+            device = together(comm, lambda: _device(options.device))
             finished, folder = _run_or_resume(options, device, comm)
         except NotImplementedError as error:
             raise ArgumentError("--device", f"this build of pgccd has no kernels for {options.device}") from error
@@ -195,10 +196,10 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     try:
         folder = command.folder_to_resume(comm, options.resume, out)
         if folder is not None:
-            header = distributed.on_first(comm, lambda: require_checkpoint(folder)).run
+            header = on_first(comm, lambda: require_checkpoint(folder)).run
             _require_same_world(folder, header, given)
-            files = options.mesh or distributed.on_first(comm, lambda: mesh_files(folder))
-            meshes = distributed.together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))
+            files = options.mesh or on_first(comm, lambda: mesh_files(folder))
+            meshes = together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))
             with _progress(comm, header.steps_made, options.steps or header.steps_wanted) as progress:
                 return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
     except (ValueError, OSError) as error:
@@ -208,7 +209,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     except ValueError as error:
         field, _, problem = str(error).partition(": ")
         raise ArgumentError(_option(field), problem) from error
-    meshes = distributed.together(comm, lambda: _load_meshes(options.mesh, "--mesh", "centroid"))
+    meshes = together(comm, lambda: _load_meshes(options.mesh, "--mesh", "centroid"))
     steps = 20 if options.steps is None else options.steps
     notes = {"mesh_files": [str(Path(name).resolve()) for name in options.mesh or []]}
     settings |= {"notes": notes, "overwrite": options.overwrite}
@@ -302,15 +303,12 @@ def _detect(options: argparse.Namespace) -> int:
     return 0
 
 
-def _contact_rows(hits: pgccd.Contacts) -> list[dict[str, Any]]:
-    columns = {"pair": hits.pairs.tolist()}
-    for name in ("toi", "kind", "features", "point", "normal", "status"):
-        column = getattr(hits, name)
-        if column is not None:
-            columns[name] = column.tolist()
-    for name, values in (("kind", Kind), ("status", Status)):
-        if name in columns:
-            columns[name] = [values(value).name for value in columns[name]]
+def _contact_rows(hits: pgccd.Contacts | pgccd.CollidingPairs) -> list[dict[str, Any]]:
+    columns: dict[str, list[Any]] = {"pair": hits.pairs.tolist()}
+    if isinstance(hits, pgccd.Contacts):
+        columns |= {name: getattr(hits, name).tolist() for name in ("toi", "kind", "features", "point", "normal")}
+        columns["kind"] = [pgccd.Kind.names()[kind] for kind in columns["kind"]]
+        columns["status"] = [pgccd.Status.names()[status] for status in hits.status.tolist()]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 

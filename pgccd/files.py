@@ -14,6 +14,8 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion
 
+__all__ = ["load_motion", "load_scene"]
+
 _START = ("position_t0", "orientation_t0")
 _END = ("position_t1", "orientation_t1")
 _VELOCITY = ("linear_velocity", "angular_velocity", "dt")
@@ -115,3 +117,7 @@ def _as_column(path: str | PathLike[str], name: str, values: np.ndarray) -> torc
     if values.dtype.kind not in "fiu":
         raise ValueError(f"{path}: {name}: expected numbers, got {values.dtype}")
     return torch.from_numpy(values.astype(np.float64))
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -209,7 +209,7 @@ def test_pairs_found_elsewhere(device: torch.device, has_static: bool) -> None:
     kept = truth[~torch.as_tensor(elsewhere)[truth].all(dim=1)]
     assert 10 < len(kept) < len(truth) - 10
     marks = torch.as_tensor(elsewhere, device=device).to(torch.uint8)
-    capacity = pgccd.Capacity.guess(80).times(20.0)
+    capacity = pgccd.Capacity.of(80).times(20.0)
     for broad_phase in get_args(pgccd.broad.BroadPhase):
         chosen = pgccd.broad.choose(bodies, broad_phase)
         found = pgccd.broad.find_pairs_of_checked(bodies, 0.0, chosen, elsewhere=marks)

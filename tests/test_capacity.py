@@ -13,10 +13,10 @@ from support.same_bits import assert_same
 from support.shapes import approaching, bumpy
 
 import pgccd
-from pgccd.detection.capacity import Capacity, Counts
+from pgccd.detection.capacity import BufferSizes, Capacity, Counts
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import counts_of_given, lower_first_toi
-from pgccd.detection.pipeline import _detect_at_once as detect_at_once
+from pgccd.detection.pipeline import _detect_in_capacity as detect_at_once
 from pgccd.detection.query import Query
 
 REPORTS = ("any", "first", "all", "earliest")
@@ -69,7 +69,7 @@ def test_padding(device: torch.device) -> None:
     count = len(expected)
     assert len(hits.pairs) == capacity.contacts > count
     assert torch.equal(hits.pairs[:count], expected.pairs) and torch.equal(hits.toi[:count], expected.toi)
-    padding = {"pairs": -1, "features": -1, "toi": torch.inf, "kind": 0, "status": pgccd.FREE, "coordinates": 0}
+    padding = {"pairs": -1, "features": -1, "toi": torch.inf, "kind": 0, "status": pgccd.Status.FREE, "coordinates": 0}
     for column, value in (padding | {"point": 0, "normal": 0}).items():
         assert bool((getattr(hits, column)[count:] == value).all()), column
     assert torch.equal(hits.toi.min(), expected.toi.min())
@@ -88,7 +88,7 @@ def test_deforming_bodies_and_given_pairs(device: torch.device) -> None:
     assert int(nothing.count) == 0 and not bool(nothing.overflow) and len(nothing.trim()) == 0
 
 
-@pytest.mark.parametrize("part", [f.name for f in fields(Capacity) if f.name not in ("launches", "long_rows")])
+@pytest.mark.parametrize("part", [f.name for f in fields(BufferSizes) if f.name not in ("launches", "long_rows")])
 def test_too_little_capacity_is_reported(device: torch.device, part: str) -> None:
     if device.type == "cpu" and part not in ("pairs", "contacts"):
         pytest.skip("a CPU takes the memory it needs")
@@ -102,9 +102,9 @@ def test_too_little_capacity_is_reported(device: torch.device, part: str) -> Non
     assert bool(hits.overflow)
     with pytest.raises(pgccd.CapacityError, match=part) as error:
         hits.trim()
-    # Growing to the reported needs reaches a sufficient capacity in a few steps.
+    # Growing reaches a sufficient capacity in a few steps.
     for _ in range(6):
-        more = error.value.capacity.grown(error.value.needed)
+        more = error.value.larger
         hits = pgccd.detect(scene, motion, "all", broad_phase="grid", capacity=more)
         if not bool(hits.overflow):
             break
@@ -115,7 +115,7 @@ def test_too_little_capacity_is_reported(device: torch.device, part: str) -> Non
 
 def test_no_capacity_at_all(device: torch.device) -> None:
     scene, motion = crowd(device)
-    hits = pgccd.detect(scene, motion, capacity=Capacity(0, 0))
+    hits = pgccd.detect(scene, motion, capacity=BufferSizes(0, 0))
     assert bool(hits.overflow) and len(hits.pairs) == 0
     with pytest.raises(pgccd.CapacityError, match="in 0"):
         hits.trim()
@@ -138,7 +138,7 @@ def test_a_body_with_many_partners(device: torch.device) -> None:
 
 def test_invalid_poses_are_reported_later(device: torch.device) -> None:
     scene, motion = crowd(device)
-    capacity = Capacity.guess(scene.body_count)
+    capacity = Capacity.of(scene.body_count)
     for broad_phase in ("sweep", "grid", "lbvh"):
         columns = columns_of(motion)
         columns[2] = columns[2].clone()
@@ -213,7 +213,7 @@ def test_one_wait_a_step() -> None:
         pgccd.detect(scene, motion, report)
         assert pgccd.detect(scene, motion, report).stats.waits == 1
     # In a fixed capacity there is no wait, and no copy to the host.
-    capacity = Capacity.guess(scene.body_count)
+    capacity = Capacity.of(scene.body_count)
     torch.cuda.set_sync_debug_mode("error")
     try:
         pgccd.detect(scene, motion, capacity=capacity)
@@ -226,7 +226,7 @@ def test_capacity_grows_until_a_step_fits(device: torch.device, report: Any) -> 
     scene, motion = crowd(device)
     expected = pgccd.detect(scene, motion, report, broad_phase="grid")
     query = Query(report, 0.0, None, False)
-    for names in (("pairs", "contacts"), tuple(field.name for field in fields(Capacity) if field.type == "int")):
+    for names in (("pairs", "contacts"), tuple(field.name for field in fields(BufferSizes) if field.type == "int")):
         assert expected.stats.needed is not None
         # As if the last step had needed almost no capacity.
         little = replace(expected.stats.needed, **dict.fromkeys(names, 0))
@@ -285,7 +285,7 @@ def test_first_toi_alone(device: torch.device) -> None:
 def test_capacities_for_like_needs_are_mostly_of_one_size() -> None:
     capacities = set()
     for pairs in range(100_000, 103_000, 100):
-        capacity = Capacity(pairs=pairs, contacts=pairs // 20).times(1.25)
+        capacity = BufferSizes(pairs=pairs, contacts=pairs // 20).times(1.25)
         assert 1.25 * pairs + 4096 <= capacity.pairs <= 1.125 * (1.25 * pairs + 4097)
         capacities.add(capacity.pairs)
     assert len(capacities) <= 2

@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 import torch
 from support.crowds import crowds
+from support.same_bits import assert_same
 
 import pgccd
-from pgccd.detection.capacity import Capacity
+from pgccd.detection.capacity import BufferSizes
 from pgccd.runtime.graph import capture
 
 REPORTS = ["any", "first", "all", "earliest"]
@@ -30,12 +31,6 @@ def crowd(device: torch.device) -> tuple[pgccd.Scene, list[pgccd.RigidMotion]]:
         )
         motions.append(pgccd.RigidMotion.from_rotation(*(x.to(device) for x in (*pose, motion.rotation))))
     return scene, motions
-
-
-def assert_same(found: pgccd.Contacts, expected: pgccd.Contacts) -> None:
-    for name in ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status"):
-        one, other = getattr(found, name), getattr(expected, name)
-        assert (one is None and other is None) or torch.equal(one, other), name
 
 
 @pytest.mark.parametrize("report", REPORTS)
@@ -75,7 +70,7 @@ def test_deforming_bodies(device: torch.device) -> None:
 def test_capacity_grows(device: torch.device) -> None:
     scene, motions = crowd(device)
     expected = pgccd.detect(scene, motions[2], "all")
-    captured = pgccd.CapturedDetection(scene, motions[0], "all", capacity=Capacity(4, 3))
+    captured = pgccd.CapturedDetection(scene, motions[0], "all", capacity=BufferSizes(4, 3))
     hits = captured(motions[2])
     assert bool(hits.overflow)
     with pytest.raises(pgccd.CapacityError):

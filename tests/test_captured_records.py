@@ -14,7 +14,7 @@ from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
 from pgccd.detection import captured as captured_module
-from pgccd.detection.capacity import Capacity
+from pgccd.detection.capacity import BufferSizes, Capacity
 
 REPORTS = ("any", "first", "all", "earliest")
 NAN = float("nan")
@@ -39,7 +39,7 @@ def needs(scene: pgccd.Scene, motion: pgccd.RigidMotion, report: Any) -> Capacit
 
 
 @pytest.mark.parametrize("report", REPORTS)
-@pytest.mark.parametrize("part", [f.name for f in fields(Capacity) if f.name not in ("launches", "long_rows")])
+@pytest.mark.parametrize("part", [f.name for f in fields(BufferSizes) if f.name not in ("launches", "long_rows")])
 def test_capacity_grows_two_calls_later(device: torch.device, part: str, report: Any) -> None:
     if device.type == "cpu" and part not in ("pairs", "contacts"):
         pytest.skip("a CPU takes the memory it needs")
@@ -73,21 +73,21 @@ def test_capacity_grows_two_calls_later(device: torch.device, part: str, report:
 def test_a_loop_never_stands_still(device: torch.device, report: Any) -> None:
     """From capacities of zero, one stage after the other overflows."""
     scene, motion = lattice(device), at_spacing(1.9, device)
-    captured = pgccd.CapturedDetection(scene, motion, report, capacity=Capacity(0, 0))
+    captured = pgccd.CapturedDetection(scene, motion, report, capacity=BufferSizes(0, 0))
     overflows = [bool(captured(motion).overflow) for _ in range(30)]
     assert overflows[0] and overflows[1] and not overflows[-1]
     assert overflows == sorted(overflows, reverse=True)
     if report in ("any", "all"):  # on a GPU the needs of the others depend on the order of threads
-        again = pgccd.CapturedDetection(scene, motion, report, capacity=Capacity(0, 0))
+        again = pgccd.CapturedDetection(scene, motion, report, capacity=BufferSizes(0, 0))
         assert [bool(again(motion).overflow) for _ in range(30)] == overflows
     assert torch.equal(captured.contacts().pairs, pgccd.detect(scene, motion, report).pairs)
 
 
 def test_a_step_that_needs_more_than_the_largest_capacity(device: torch.device) -> None:
     scene, motion = lattice(device), at_spacing(1.9, device)
-    captured = pgccd.CapturedDetection(scene, motion, capacity=Capacity(0, 0))
+    captured = pgccd.CapturedDetection(scene, motion, capacity=BufferSizes(0, 0))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Capacity, "grown", lambda self, needed: self)
+        patch.setattr(BufferSizes, "grown", lambda self, needed: self)
         for _ in range(2):
             assert bool(captured(motion).overflow)
         for _ in range(2):
@@ -231,7 +231,7 @@ def test_captured_again_when_inputs_are_replaced(device: torch.device) -> None:
         patch.setattr(pgccd.CapturedDetection, "is_graph", True)
         if device.type == "cpu":
             patch.setattr(torch.cuda, "synchronize", lambda _: None)
-        captured = pgccd.CapturedDetection(scene, motion, capacity=Capacity.guess(1000))
+        captured = pgccd.CapturedDetection(scene, motion, capacity=Capacity.of(1000))
         seen = set()
 
         def check(expected_captures: int) -> None:

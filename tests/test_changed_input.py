@@ -45,7 +45,7 @@ def make(column: str, device: torch.device | str = "cpu") -> tuple[pgccd.Scene, 
 def test_what_is_written_to_a_column_is_checked_at_use(device: torch.device, column: str) -> None:
     scene, motion = make(column, device)
     assert len(pgccd.detect(scene, motion)) == 1
-    capacity = Capacity.guess(100)
+    capacity = Capacity.of(100)
     former = getattr(motion, column)[1].clone()
     getattr(motion, column)[1, 2] = (RIGID | VERTICES)[column]
     for _ in range(2):
@@ -103,13 +103,13 @@ def test_stages_called_alone_check_too(column: str) -> None:
     scene, motion = make(column)
     moving = pgccd.MovingBodies.of(scene, motion)
     pairs = pgccd.broad.sweep(moving)
-    candidates, _ = pgccd.traverse.bvtt(moving, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(moving, pairs)
     stages: list[Callable[[], Any]] = [
         lambda: pgccd.broad.sweep(moving),
         lambda: pgccd.broad.grid(moving),
         lambda: pgccd.broad.lbvh(moving),
-        lambda: pgccd.traverse.bvtt(moving, pairs),
-        lambda: pgccd.narrow.contacts(moving, pairs, candidates),
+        lambda: pgccd.traverse.find_candidates(moving, pairs),
+        lambda: pgccd.narrow.find_contacts(moving, pairs, candidates),
     ]
     for stage in stages:
         stage()
@@ -127,8 +127,8 @@ def test_trusted_columns_are_never_looked_at(monkeypatch: pytest.MonkeyPatch) ->
         raise AssertionError("looked at")
 
     monkeypatch.setattr(faults.ops, "first_faults", fail)
-    trusted = pgccd.RigidMotion.of_checked(*columns)
-    assert len(pgccd.detect(scene, trusted)) == len(pgccd.detect(scene, trusted[:], capacity=Capacity.guess(9)).trim())
+    trusted = pgccd.RigidMotion._of_checked(*columns)
+    assert len(pgccd.detect(scene, trusted)) == len(pgccd.detect(scene, trusted[:], capacity=Capacity.of(9)).trim())
     pgccd.broad.sweep(pgccd.MovingBodies.of(scene, trusted))
     with pytest.raises(AssertionError, match="looked at"):
         pgccd.broad.sweep(pgccd.MovingBodies.of(scene, motion))
@@ -155,7 +155,7 @@ def test_verdict_on_what_is_not_kept_stays(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(ValueError, match="^orientation_t1: body 1"):
         _ = motion[1:]
     motion.position_t0[0, 0] = NAN
-    assert pgccd.MovingBodies.of(scene, motion, wait=False).first_faults().tolist() == [1, 0, 2, 2, 2, 1]
+    assert pgccd.MovingBodies.of(scene, motion, wait=False)._first_faults().tolist() == [1, 0, 2, 2, 2, 1]
 
 
 def sizes() -> tuple[pgccd.Scene, pgccd.RigidMotion, list[pgccd.Mesh]]:

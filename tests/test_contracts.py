@@ -39,7 +39,11 @@ def enumerators(header: str, name: str) -> dict[str, int]:
         ("kernels/broad/broad.h", "BroadPhase", broad.BROAD_PHASE_NUMBERS),
         ("kernels/narrow/narrow.h", "Report", narrow.REPORTS),
         ("kernels/bounds/faults.h", "RowCheck", CHECK_NUMBERS),
-        ("kernels/narrow/search_state.h", "Status", {each.name.lower(): each.value for each in narrow.Status}),
+        (
+            "kernels/narrow/search_state.h",
+            "Status",
+            {name.lower(): value for value, name in narrow.Status.names().items()},
+        ),
         (
             "core/candidate.h",
             "FeatureKind",
@@ -64,7 +68,7 @@ def test_enumerations(header: str, name: str, expected: dict[str, int]) -> None:
     [
         ("kernels/broad/broad.h", "kBroadPhases", broad.BROAD_PHASE_NUMBERS),
         ("kernels/narrow/narrow.h", "kReports", narrow.REPORTS),
-        ("core/candidate.h", "kFeatureKinds", narrow.Kind),
+        ("core/candidate.h", "kFeatureKinds", narrow.Kind.names()),
     ],
 )
 def test_numbers_of_enumerators(header: str, constant: str, names: Any) -> None:

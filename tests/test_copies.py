@@ -15,6 +15,7 @@ from support.same_bits import COLUMNS, assert_same
 from support.shapes import approaching
 
 import pgccd
+from pgccd.detection.capacity import BufferSizes
 
 COPIES = [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))]
 
@@ -47,17 +48,17 @@ def test_results(copied: Callable[[Any], Any], report: Any, device: torch.device
 def test_what_overflowed_or_was_invalid(copied: Callable[[Any], Any], device: torch.device) -> None:
     scene, motion = step(device)
     with pytest.raises(pgccd.CapacityError, match="needs more: .*: 3 in 0") as caught:
-        copied(pgccd.detect(scene, motion, capacity=pgccd.Capacity(0, 0))).trim()
+        copied(pgccd.detect(scene, motion, capacity=BufferSizes(0, 0))).trim()
     again = copied(caught.value)
     assert str(again) == str(caught.value) and again.needed == caught.value.needed
     ends = torch.zeros((scene.layout.vertex_count, 3), dtype=torch.float64, device=device)
     deforming = pgccd.VertexMotion(ends, ends.clone())
     deforming.x_t1[5, 0] = torch.nan
-    padded = copied(pgccd.detect(scene, deforming, capacity=pgccd.Capacity.guess(9)))
+    padded = copied(pgccd.detect(scene, deforming, capacity=pgccd.Capacity.of(9)))
     with pytest.raises(ValueError, match="^x_t1: vertex 5: expected"):
         padded.trim()
     deforming.x_t1[5, 0] = 1e40
-    padded = copied(pgccd.detect(scene, deforming, capacity=pgccd.Capacity.guess(9)))
+    padded = copied(pgccd.detect(scene, deforming, capacity=pgccd.Capacity.of(9)))
     with pytest.raises(ValueError, match="^motion: body 0 has SBV radius"):
         padded.trim()
 
@@ -69,7 +70,7 @@ def test_scenes_meshes_and_motions(copied: Callable[[Any], Any]) -> None:
     assert_same(pgccd.detect(copied(scene), copied(motion), "all"), expected)
     meshes = [copied(mesh) for mesh in scene.meshes.meshes]
     assert_same(pgccd.detect(pgccd.Scene(meshes), motion, "all"), expected)
-    trusted = pgccd.RigidMotion.of_checked(
+    trusted = pgccd.RigidMotion._of_checked(
         motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
     )
     assert_same(pgccd.detect(scene, copied(trusted), "all"), expected)
@@ -113,16 +114,16 @@ def test_rows(device: torch.device) -> None:
         motion[[3]]
     pairs = pgccd.detect(pgccd.Scene(scene.meshes, scene.mesh_index[:2]), motion[:2], "all")
     assert_same(pairs, hits[(hits.pairs[:, 1] < 2)])
-    trusted = pgccd.RigidMotion.of_checked(
+    trusted = pgccd.RigidMotion._of_checked(
         motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
     )
-    assert trusted[:2].is_trusted and trusted[:2].body_count == 2
+    assert trusted[:2]._is_trusted and trusted[:2].body_count == 2
 
 
 def test_words() -> None:
     scene, motion = step()
     ends = torch.zeros(4, 3)
-    hits = pgccd.detect(scene, motion, capacity=pgccd.Capacity.guess(3))
+    hits = pgccd.detect(scene, motion, capacity=pgccd.Capacity.of(3))
     found = [repr(each) for each in (scene, scene.meshes, motion, pgccd.VertexMotion(ends, ends), hits)]
     assert found == [
         "Scene(bodies=3, meshes=3, device=cpu)",
@@ -131,7 +132,7 @@ def test_words() -> None:
         "VertexMotion(vertices=4, device=cpu)",
         f"PaddedContacts(capacity={hits.capacity.contacts}, device=cpu)",
     ]
-    assert repr(pgccd.Capacity(1, 2)).startswith("Capacity(pairs=1, contacts=2, overlaps=0")
+    assert repr(BufferSizes(1, 2)).startswith("Capacity(pairs=1, contacts=2, overlaps=0")
 
 
 def test_orientations_turn() -> None:

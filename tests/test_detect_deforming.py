@@ -38,7 +38,7 @@ def check(
     size = max(np.ptp(np.concatenate([a[t], b[t]])) for t in (0, 1) for a, b in [ends])
     assert_linear_rows_close(rows, ends, faces, separation + tolerance + 1e-13 * size)
     assert_nothing_invented(rows, truth)
-    assert hits.stats.unresolved == sum(row.status == pgccd.UNRESOLVED for row in rows.values())
+    assert hits.stats.unresolved == sum(row.status == pgccd.Status.UNRESOLVED for row in rows.values())
     return len(truth.contacts)
 
 

@@ -72,13 +72,13 @@ def test_stages_do_not_depend_on_threads(device: torch.device) -> None:
     for threads in (1, 2, 3):
         torch.set_num_threads(threads)
         pairs = pgccd.broad.sweep(moved, 0.1)
-        candidates, _ = pgccd.traverse.bvtt(moved, pairs)
+        candidates, _ = pgccd.traverse.find_candidates(moved, pairs)
         order = sorted(map(tuple, candidates.tolist()))
         found.append((pairs, order))
     assert all(torch.equal(found[0][0], pairs) and found[0][1] == order for pairs, order in found)
     shuffled = candidates[torch.randperm(len(candidates), device=candidates.device)]
     for report in REPORTS:
-        rows = [pgccd.narrow.contacts(moved, pairs, c, report) for c in (candidates, shuffled)]
+        rows = [pgccd.narrow.find_contacts(moved, pairs, c, report) for c in (candidates, shuffled)]
         if report == "any":  # which contact is found first depends on the order of work
             assert torch.equal(rows[0][0], rows[1][0])
         else:
@@ -125,8 +125,10 @@ def test_order_of_a_pair_keeps_the_contacts(device: torch.device) -> None:
         *(getattr(bodies, c)[::-1].copy() for c in ("position_t0", "orientation_t0", "velocity", "rotation")),
     )
     one, other = (pgccd.detect(b.scene(device), b.motion(device=device), "all") for b in (bodies, turned))
-    kinds = (pgccd.VF_AB, pgccd.VF_BA, pgccd.EE, pgccd.EF_AB, pgccd.EF_BA)
-    exchanged = dict(zip(kinds, (pgccd.VF_BA, pgccd.VF_AB, pgccd.EE, pgccd.EF_BA, pgccd.EF_AB), strict=True))
+    kinds = (pgccd.Kind.VF_AB, pgccd.Kind.VF_BA, pgccd.Kind.EE, pgccd.Kind.EF_AB, pgccd.Kind.EF_BA)
+    exchanged = dict(
+        zip(kinds, (pgccd.Kind.VF_BA, pgccd.Kind.VF_AB, pgccd.Kind.EE, pgccd.Kind.EF_BA, pgccd.Kind.EF_AB), strict=True)
+    )
     tables: list[dict[tuple[int, ...], float]] = [{}, {}]
     for hits, table in zip((one, other), tables, strict=True):
         for kind, (a, b), toi in zip(hits.kind.tolist(), hits.features.tolist(), hits.toi.tolist(), strict=True):

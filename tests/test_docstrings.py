@@ -7,10 +7,13 @@ import contextlib
 import doctest
 import functools
 import importlib
+import inspect
 import io
 import json
 import pkgutil
+import re
 import sys
+import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +24,7 @@ import torch
 
 import pgccd
 from pgccd import distributed, sim
+from pgccd.distributed.partition.balance import CellLoads
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.sim.step import FIRST_CONTACTS
 
@@ -68,11 +72,11 @@ def two_bodies() -> dict[str, Any]:
     scene, motion = pgccd.Scene([mesh], [0, 0]), pgccd.RigidMotion(x, q, x + v, q)
     bodies = pgccd.MovingBodies.of(scene, motion)
     pairs = pgccd.broad.sweep(bodies)
-    candidates, _ = pgccd.traverse.bvtt(bodies, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(bodies, pairs)
     names = {"robot": mesh, "rock": mesh, "mesh": mesh, "scene": scene, "motion": motion, "m": motion, "bodies": bodies}
     names |= {"x": x, "x0": x, "x1": x + v, "q": q, "q0": q, "q1": q, "v": v, "w": v, "omega": v, "dt": 1.0}
     names |= {"position": x, "orientation": q, "velocity": v, "rows": torch.tensor([1]), "pairs": pairs}
-    names |= {"candidates": candidates, "hits": pgccd.detect(scene, motion), "capacity": pgccd.Capacity.guess(100)}
+    names |= {"candidates": candidates, "hits": pgccd.detect(scene, motion), "capacity": pgccd.Capacity.of(100)}
     names |= {"cloth_t0": corners, "cloth_t1": corners, "ball_t0": corners + 2.0, "ball_t1": corners}
     return names | {"meshes": scene.meshes, "device": torch.device("cpu")}
 
@@ -88,7 +92,7 @@ def of_robots() -> dict[str, Any]:
     hits = pgccd.detect(scene, model.motion(moved), FIRST_CONTACTS.report)
     names = {"model": model, "state": state, "scene": scene, "step": step, "hits": hits, "comm": comm}
     partition = distributed.Cells.uniform((0, 0, 0), (30, 30, 30), 1)
-    loads = distributed.CellLoads(*(torch.zeros(len(partition.owner), dtype=torch.int64) for _ in range(3)))
+    loads = CellLoads(*(torch.zeros(len(partition.owner), dtype=torch.int64) for _ in range(3)))
     names |= {"resolved": step.resolution, "partition": partition, "loads": loads}
     names["decomposition"] = Decomposition(comm, partition)
     return names | {"id": state.id, "mood": state.position, "x": state.position}
@@ -162,3 +166,28 @@ def test_examples_of_docstrings(module: str, folder: Path) -> None:
 def test_all_examples_are_found() -> None:
     assert sum(len(examples_of(name)) for name in WITH_EXAMPLES) > 50
     assert all(examples_of(name) for name in NOT_ALONE)
+
+
+def test_attributes_are_in_the_help() -> None:
+    """Every public attribute of an object is named in the docstring of its class, or is a property with one."""
+    names = two_bodies()
+    scene, motion, x = names["scene"], names["motion"], names["x"]
+    still, captured = pgccd.RigidMotion.at_rest(x, names["q"]), pgccd.CapturedDetection(scene, motion)
+    voxels = pgccd.baselines.PCCCD.create([names["rock"]])
+    voxels.detect(motion)
+    objects: list[Any] = [names["mesh"], scene.meshes, scene, motion, still, names["bodies"], captured, voxels]
+    objects += [pgccd.VertexMotion(x, x), pgccd.Trajectory(torch.stack([x, x])), names["hits"].stats, voxels.stats]
+    objects += [pgccd.detect(scene, motion, report) for report in ("first", "any")]
+    objects += [pgccd.detect(scene, motion, report, capacity=names["capacity"]) for report in ("first", "any")]
+    objects += [pgccd.detect(scene, pgccd.Trajectory(torch.stack([x, x]), torch.stack([names["q"]] * 2)))]
+    objects += [pgccd.narrow.vertex_face(*[torch.rand(2, 4, 3)] * 2)]
+    unknown = []
+    for each in objects:
+        known = set(re.findall(r"\w+", type(each).__doc__ or ""))
+        shown = [name for name in {*vars(each), *dir(type(each))} if not name.startswith("_")]
+        for name in shown:
+            member = inspect.getattr_static(type(each), name, None)
+            is_defined = isinstance(member, (property, classmethod, types.FunctionType))
+            if not (inspect.getdoc(getattr(type(each), name)) if is_defined else name in known):
+                unknown.append(f"{type(each).__name__}.{name}")
+    assert unknown == []

@@ -194,15 +194,19 @@ for _test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
     case(f"{_name} separation", lambda t=_test: t(QUERY, QUERY, min_separation=-1.0), "min_separation")
     case(f"{_name} tolerance", lambda t=_test: t(QUERY, QUERY, tolerance=NAN), "tolerance")
 PAIR = torch.tensor([[0, 1]])
-case("pairs dtype", lambda: pgccd.traverse.bvtt(moved(), PAIR.int()), "pairs", "int64")
-case("pairs shape", lambda: pgccd.traverse.bvtt(moved(), PAIR[0]), "pairs", "shape")
+case("pairs dtype", lambda: pgccd.traverse.find_candidates(moved(), PAIR.int()), "pairs", "int64")
+case("pairs shape", lambda: pgccd.traverse.find_candidates(moved(), PAIR[0]), "pairs", "shape")
 for _rows in ([[0, 2]], [[-1, 1]], [[1, 0]], [[0, 1], [1, 1]]):
-    case(f"pairs {_rows}", lambda r=_rows: pgccd.traverse.bvtt(moved(), torch.tensor(r)), "pairs")
+    case(f"pairs {_rows}", lambda r=_rows: pgccd.traverse.find_candidates(moved(), torch.tensor(r)), "pairs")
 for _kind in ("other body", "rigid motion"):
     case(f"pair of one body, {_kind}", lambda k=_kind: one_body_as_pair(k), "pairs", "i < j")
-case("horizon", lambda: pgccd.traverse.bvtt(moved(), PAIR, horizon=torch.ones(2)), "horizon")
-case("horizon nan", lambda: pgccd.traverse.bvtt(moved(), PAIR, horizon=torch.tensor([NAN]).double()), "horizon")
-case("candidates", lambda: pgccd.narrow.contacts(moved(), PAIR, torch.zeros(1, 4)), "candidates", "int32")
+case("horizon", lambda: pgccd.traverse.find_candidates(moved(), PAIR, horizon=torch.ones(2)), "horizon")
+case(
+    "horizon nan",
+    lambda: pgccd.traverse.find_candidates(moved(), PAIR, horizon=torch.tensor([NAN]).double()),
+    "horizon",
+)
+case("candidates", lambda: pgccd.narrow.find_contacts(moved(), PAIR, torch.zeros(1, 4)), "candidates", "int32")
 
 
 def one_body_as_pair(kind: str) -> pgccd.Contacts:
@@ -245,7 +249,7 @@ for row in (
     child = os.fork()
     if child == 0:
         try:
-            pgccd.narrow.contacts(bodies, torch.tensor([[0, 1]]), torch.tensor([row], dtype=torch.int32))
+            pgccd.narrow.find_contacts(bodies, torch.tensor([[0, 1]]), torch.tensor([row], dtype=torch.int32))
         except (ValueError, RuntimeError) as error:
             os._exit(0 if "candidates" in str(error) else 2)
         os._exit(1)

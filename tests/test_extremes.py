@@ -35,11 +35,11 @@ def test_points_that_cross(device: torch.device, exponent: int) -> None:
     assert bodies.radius.tolist() == [0.0, 0.0]
     for broad_phase in ("sweep", "grid", "lbvh"):
         assert found(pgccd.detect(scene, motion, "any", broad_phase=broad_phase)) == [[0, 1]]
-    candidates, _ = pgccd.traverse.bvtt(bodies, torch.tensor([[0, 1]], device=device))
+    candidates, _ = pgccd.traverse.find_candidates(bodies, torch.tensor([[0, 1]], device=device))
     # All vertex-face and edge-edge pairs; and edge-face pairs where the bodies' distance is within rounding at t = 0.
     kinds = candidates[:, 1]
-    assert int((kinds <= pgccd.EE).sum()) == 2 * 12 * 20 + 30**2
-    assert int((kinds > pgccd.EE).sum()) in (0, 2 * 30 * 20)
+    assert int((kinds <= pgccd.Kind.EE).sum()) == 2 * 12 * 20 + 30**2
+    assert int((kinds > pgccd.Kind.EE).sum()) in (0, 2 * 30 * 20)
 
 
 @pytest.mark.parametrize("far", [1e6, 1e30, 1e38, 1e39, 1e42, 1e45, 1e100, 1e149])
@@ -53,7 +53,7 @@ def test_a_body_from_far_away(device: torch.device, far: float) -> None:
     bodies = pgccd.MovingBodies.of(scene, motion)
     pairs = torch.tensor([[0, 1]], device=device)
     assert torch.equal(pgccd.broad.find_pairs(bodies), pairs)
-    candidates, _ = pgccd.traverse.bvtt(bodies, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(bodies, pairs)
     assert len(candidates) > 0
 
 

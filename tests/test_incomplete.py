@@ -16,11 +16,11 @@ from support.origins import recentred
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
-from pgccd.detection.capacity import Capacity
+from pgccd.detection.capacity import BufferSizes, Capacity
 
 REPORTS = ("any", "first", "all", "earliest")
 GROUPINGS: tuple[Any, ...] = ("scene", "world", "body")
-PARTS = [f.name for f in fields(Capacity) if f.name not in ("launches", "long_rows")]
+PARTS = [f.name for f in fields(BufferSizes) if f.name not in ("launches", "long_rows")]
 NAN, INF = float("nan"), float("inf")
 WORLDS = 4
 
@@ -58,18 +58,18 @@ def worlds(device: torch.device, **columns: Any) -> tuple[pgccd.Scene, pgccd.Rig
     return scene, pgccd.RigidMotion.from_velocity(*given, dt=1.0)
 
 
-def assert_contact_at_once(hits: pgccd.PaddedContacts) -> None:
+def assert_contact_at_once(hits: pgccd.PaddedContacts | pgccd.PaddedCollidingPairs) -> None:
     """For the scene, each world and each body."""
     assert bool(hits.overflow)
     for by in GROUPINGS:
         assert bool(hits.may_collide(by).all())
-        if hits.toi is None:
-            with pytest.raises(ValueError, match='^report: "any" gives no times'):
-                hits.first_toi(by)
-        else:
+        if isinstance(hits, pgccd.PaddedContacts):
             assert bool((hits.first_toi(by) == 0.0).all())
-    if hits.toi is not None:
+    if isinstance(hits, pgccd.PaddedContacts):
         assert bool((hits.toi == 0.0).all())
+    else:
+        with pytest.raises(AttributeError, match='^report: "any" gives pairs without contacts, and no `first_toi`'):
+            _ = hits.first_toi  # type: ignore[attr-defined]
     assert hits.scene is not None
     assert hits.may_collide().shape == () and hits.may_collide("body").shape == (hits.scene.body_count,)
     assert hits.may_collide("world").shape == (hits.scene.world_count,)
@@ -137,7 +137,7 @@ def test_complete_results_read_as_found(device: torch.device, report: Any) -> No
 
 def test_groupings_are_checked(device: torch.device) -> None:
     scene, motion = worlds(device)
-    for hits in (pgccd.detect(scene, motion), pgccd.detect(scene, motion, capacity=Capacity.guess(50))):
+    for hits in (pgccd.detect(scene, motion), pgccd.detect(scene, motion, capacity=Capacity.of(50))):
         with pytest.raises(ValueError, match=r"^by: .*'rank'"):
             hits.may_collide("rank")  # type: ignore[arg-type]
         hits.scene = None
@@ -152,7 +152,7 @@ INVALID = {"position_t0": NAN, "position_t1": -INF, "orientation_t0": 0.1, "rota
 @pytest.mark.parametrize("report", REPORTS)
 @pytest.mark.parametrize("column", INVALID)
 def test_an_invalid_pose_concerns_its_world(device: torch.device, column: str, report: Any) -> None:
-    capacity = Capacity.guess(1000)
+    capacity = Capacity.of(1000)
     for broad_phase, body in (("sweep", 0), ("grid", 21), ("lbvh", 12 * WORLDS - 3)):
         scene, motion = worlds(device, margin=0.01 if broad_phase == "grid" else None)
         true = pgccd.detect(scene, motion, report, broad_phase=broad_phase)
@@ -185,18 +185,18 @@ def test_invalid_poses_of_several_worlds(device: torch.device) -> None:
     motion.position_t0[0] = NAN
     motion.rotation[5] = INF
     motion.position_t1[8] = 1e151
-    hits = pgccd.detect(scene, motion, capacity=Capacity.guess(1000))
+    hits = pgccd.detect(scene, motion, capacity=Capacity.of(1000))
     assert torch.equal(hits.first_toi("world")[2:], true.first_toi("world")[2:])
     assert hits.first_toi("world")[:2].tolist() == [0.0, 0.0]
     motion.position_t0.fill_(NAN)
-    assert_contact_at_once(pgccd.detect(scene, motion, capacity=Capacity.guess(1000)))
+    assert_contact_at_once(pgccd.detect(scene, motion, capacity=Capacity.of(1000)))
 
 
 def test_overflow_and_an_invalid_pose(device: torch.device) -> None:
     scene, motion = worlds(device)
     motion.position_t0[0] = NAN
-    assert_contact_at_once(pgccd.detect(scene, motion, capacity=replace(Capacity.guess(1000), contacts=1)))
-    assert_contact_at_once(pgccd.detect(scene, motion, capacity=replace(Capacity.guess(1000), pairs=1)))
+    assert_contact_at_once(pgccd.detect(scene, motion, capacity=replace(Capacity.of(1000), contacts=1)))
+    assert_contact_at_once(pgccd.detect(scene, motion, capacity=replace(Capacity.of(1000), pairs=1)))
 
 
 @pytest.mark.parametrize("report", REPORTS)
@@ -204,7 +204,7 @@ def test_one_world(device: torch.device, report: Any) -> None:
     scene, motion = worlds(device)
     scene = pgccd.Scene(scene.meshes, scene.mesh_index)
     motion.position_t0[3] = NAN
-    assert_contact_at_once(pgccd.detect(scene, motion, report, capacity=Capacity.guess(1000)))
+    assert_contact_at_once(pgccd.detect(scene, motion, report, capacity=Capacity.of(1000)))
 
 
 @pytest.mark.parametrize("report", REPORTS)
@@ -213,13 +213,13 @@ def test_invalid_input_that_concerns_every_world(device: torch.device, report: A
     scene, motion = worlds(device)
     pairs = pgccd.broad.sweep(pgccd.MovingBodies.of(scene, motion))
     motion.position_t0[0] = NAN
-    assert_contact_at_once(pgccd.detect(scene, motion, report, pairs=pairs, capacity=Capacity.guess(1000)))
+    assert_contact_at_once(pgccd.detect(scene, motion, report, pairs=pairs, capacity=Capacity.of(1000)))
     scene, motion = worlds(device)
     end = motion.orientation_t0.clone()
     end[3] *= 2.0
     with unchecked():
         motion = pgccd.RigidMotion(motion.position_t0, motion.orientation_t0, motion.position_t1, end)
-    hits = pgccd.detect(scene, motion, report, capacity=Capacity.guess(1000))
+    hits = pgccd.detect(scene, motion, report, capacity=Capacity.of(1000))
     assert_contact_at_once(hits)
     with pytest.raises(ValueError, match="^orientation_t1: body 3"):
         hits.trim()
@@ -266,7 +266,7 @@ def test_trajectories(device: torch.device, report: Any) -> None:
 
 def test_compile(device: torch.device) -> None:
     scene, motion = worlds(device)
-    capacity = Capacity.guess(1000)
+    capacity = Capacity.of(1000)
     expected = pgccd.detect(scene, motion).first_toi("world")
 
     @torch.compile(fullgraph=True, backend="aot_eager")

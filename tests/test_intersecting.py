@@ -117,7 +117,7 @@ def test_other_ways_of_searching(device: torch.device, kind: str, report: narrow
     pairs = torch.arange(2 * len(a), device=device).view(-1, 2)
     assert_same(pgccd.detect(scene, motion, report, pairs=pairs), expected)
     assert_same(pgccd.detect(scene, motion, report, memory_budget=20_000), expected)
-    capacity = replace(pgccd.Capacity.guess(2 * len(a)), candidates=100_000, contacts=100_000)
+    capacity = replace(pgccd.Capacity.of(2 * len(a)), candidates=100_000, contacts=100_000)
     assert_same(pgccd.detect(scene, motion, report, capacity=capacity).trim(), expected)
     captured = pgccd.CapturedDetection(scene, motion, report)
     for _ in range(2):

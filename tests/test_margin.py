@@ -82,7 +82,7 @@ def test_ways_of_asking_agree(device: torch.device) -> None:
     streamed = heap.detect(margin=heap.margin, memory_budget=1)
     assert streamed.stats.chunks > 5
     assert_same(streamed, hits)
-    capacity = (hits.stats.needed or pgccd.Capacity.guess(120).times(100.0)).times(1.5)
+    capacity = (hits.stats.needed or pgccd.Capacity.of(120).times(100.0)).times(1.5)
     assert_same(heap.detect(margin=heap.margin, capacity=capacity).trim(), hits)  # type: ignore[attr-defined]
 
 

@@ -112,7 +112,7 @@ def test_arcs_are_not_late(which: int) -> None:
     moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion())
     for k in range(len(meetings)):
         (key,) = meetings.touching(k)
-        assert key[0] == pgccd.EE
+        assert key[0] == pgccd.Kind.EE
         assert contacts.distance_at(meetings, k) <= 1e-12
         rows = found_contact(meetings, moving, k, key, 1e-12)
         assert rows is not None and float(rows[4]) <= meetings.time[k], f"pair {k}: late"
@@ -151,7 +151,7 @@ def test_normals_of_bodies_in_touch(kind: str, is_swapped: bool) -> None:
         if is_swapped:
             meetings = swapped(meetings)
         (key,) = meetings.touching(0)
-        assert key[0] == (pgccd.EE if kind == "edges" else (pgccd.VF_BA if is_swapped else pgccd.VF_AB))
+        assert key[0] == (pgccd.Kind.EE if kind == "edges" else (pgccd.Kind.VF_BA if is_swapped else pgccd.Kind.VF_AB))
         for path in ("rigid", "linear"):
             moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion(path))  # type: ignore[arg-type]
             rows = found_contact(meetings, moving, 0, key, 0.0)

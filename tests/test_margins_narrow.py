@@ -69,7 +69,7 @@ def assert_found_at_its_own_distance(start: np.ndarray, end: np.ndarray, t: floa
     for k in range(len(start)):
         least = contacts.separation_at(start[k], end[k], t, is_face)
         found = ask(start[k], end[k], is_face, least)
-        assert int(found.status) != pgccd.FREE, f"query {k} is missed"
+        assert int(found.status) != pgccd.Status.FREE, f"query {k} is missed"
         assert float(found.toi) <= t, f"query {k} is late"
 
 
@@ -159,9 +159,9 @@ def test_corners_at_distances_that_are_exact(is_face: bool) -> None:
         points[3 if is_face else 1] = np.round((1.75 if is_face else -0.5) * offset - 0.25 * side)
         points *= 2.0**-52
         found = ask(points, points, is_face, length * 2.0**-52)
-        assert int(found.status) != pgccd.FREE and float(found.toi) == 0.0, f"query {k} is missed"
+        assert int(found.status) != pgccd.Status.FREE and float(found.toi) == 0.0, f"query {k} is missed"
         far = ask(points, points, is_face, np.nextafter(length * 2.0**-52, 0.0))
-        assert int(far.status) == pgccd.FREE, f"query {k} is further apart than the separation"
+        assert int(far.status) == pgccd.Status.FREE, f"query {k} is further apart than the separation"
 
 
 # Certificates of touching.
@@ -198,8 +198,8 @@ def test_proofs_of_touching_are_right(is_face: bool, boundary: bool, tolerance: 
     touching = np.array([hit is not None for hit in hits])
     status = found.status.numpy()
     assert 50 < touching.sum() < 350
-    assert (status[touching] != pgccd.FREE).all(), "missed"
-    assert (status[~touching] == pgccd.FREE).all(), "a near miss is no contact"
+    assert (status[touching] != pgccd.Status.FREE).all(), "missed"
+    assert (status[~touching] == pgccd.Status.FREE).all(), "a near miss is no contact"
     assert all(Fraction(float(t)) <= hit.toi_upper for t, hit in zip(found.toi, hits, strict=True) if hit)
 
 
@@ -218,7 +218,7 @@ def test_edges_that_cross_just_beyond_an_end_are_free(beyond: int) -> None:
     end = start.copy()
     start[:, :2] += axes[:, 2:]
     end[:, :2] -= rng.uniform(0.5, 2.0, (n, 1, 1)) * axes[:, 2:]
-    assert bool((ask(start, end, False, tolerance=1e-3).status == pgccd.FREE).all())
+    assert bool((ask(start, end, False, tolerance=1e-3).status == pgccd.Status.FREE).all())
 
 
 @KINDS
@@ -228,7 +228,7 @@ def test_proofs_of_coming_within_the_separation_are_right(is_face: bool) -> None
     for k in range(120):
         too_small = float(np.nextafter(contacts.separation_at(start[k], end[k], 1.0, is_face), 0.0))
         if separation.within_many(start[k][None], end[k][None], too_small, is_face)[0] is None:
-            assert int(ask(start[k], end[k], is_face, too_small, 1e-6).status) == pgccd.FREE
+            assert int(ask(start[k], end[k], is_face, too_small, 1e-6).status) == pgccd.Status.FREE
 
 
 @KINDS
@@ -266,7 +266,7 @@ def test_fast_features_are_not_late(is_face: bool, speed: float) -> None:
         found = ask(start, end, is_face, tolerance=tolerance)
         for k, hit in enumerate(hits):
             if hit is not None:
-                assert int(found.status[k]) != pgccd.FREE, f"query {k} is missed"
+                assert int(found.status[k]) != pgccd.Status.FREE, f"query {k} is missed"
                 assert Fraction(float(found.toi[k])) <= hit.toi_upper, f"query {k} is late"
 
 
@@ -285,5 +285,5 @@ def test_slender_features_are_measured_by_their_boundaries(is_face: bool) -> Non
     points += 2.0**-53 * rng.integers(-2, 3, points.shape)
     least = [contacts.separation_at(p, p, 0.0, is_face) for p in points]
     for k in range(n):
-        assert int(ask(points[k], points[k], is_face, 0.5 * least[k], 1e-6).status) == pgccd.FREE
-        assert int(ask(points[k], points[k], is_face, least[k], 1e-6).status) != pgccd.FREE
+        assert int(ask(points[k], points[k], is_face, 0.5 * least[k], 1e-6).status) == pgccd.Status.FREE
+        assert int(ask(points[k], points[k], is_face, least[k], 1e-6).status) != pgccd.Status.FREE

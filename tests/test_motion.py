@@ -124,7 +124,7 @@ def test_positions_along_arcs_through_contacts(device: torch.device, turn: float
         assert_rigid_rows_close(
             rows, bodies, 1e-12 + 1e-13 * (1 + turn) + 1e-15 * offset
         )  # the oracle's enclosures widen with the angle
-        assert (hits.status == pgccd.UNRESOLVED).float().mean() < 0.05 or not rows
+        assert (hits.status == pgccd.Status.UNRESOLVED).float().mean() < 0.05 or not rows
         if turn < 60:
             assert len(rows) > 0
 
@@ -133,7 +133,7 @@ def test_positions_along_arcs_through_contacts(device: torch.device, turn: float
 def test_points_of_contact_against_mpmath(turn: float) -> None:
     bodies = approaching(np.random.default_rng(11), turn=turn, closeness=0.7)
     hits = pgccd.detect(bodies.scene(), bodies.motion(), report="all", tolerance=1e-12)
-    is_vertex = (hits.kind == pgccd.VF_AB) & (hits.status == pgccd.TOUCH)
+    is_vertex = (hits.kind == pgccd.Kind.VF_AB) & (hits.status == pgccd.Status.TOUCH)
     assert int(is_vertex.sum()) > 5
     for row in is_vertex.nonzero().flatten()[:20].tolist():
         vertex = bodies.meshes[0].vertices[hits.features[row, 0]].numpy()

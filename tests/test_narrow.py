@@ -12,6 +12,7 @@ from support.shapes import Bodies, approaching, tensors
 from support.truth import assert_nothing_missed, end_positions, feature_indices, rigid_truth, rows_of
 
 import pgccd
+from pgccd.detection.contacts import contacts_of
 
 COLUMNS = 8
 
@@ -22,11 +23,11 @@ def everything(bodies: Bodies, pairs: torch.Tensor) -> torch.Tensor:
     for row, (i, j) in enumerate(pairs.tolist()):
         a, b = bodies.meshes[i], bodies.meshes[j]
         counts = (
-            (pgccd.VF_AB, len(a.vertices), len(b.faces)),
-            (pgccd.VF_BA, len(a.faces), len(b.vertices)),
-            (pgccd.EE, len(a.edges), len(b.edges)),
-            (pgccd.EF_AB, len(a.edges), len(b.faces)),
-            (pgccd.EF_BA, len(a.faces), len(b.edges)),
+            (pgccd.Kind.VF_AB, len(a.vertices), len(b.faces)),
+            (pgccd.Kind.VF_BA, len(a.faces), len(b.vertices)),
+            (pgccd.Kind.EE, len(a.edges), len(b.edges)),
+            (pgccd.Kind.EF_AB, len(a.edges), len(b.faces)),
+            (pgccd.Kind.EF_BA, len(a.faces), len(b.edges)),
         )
         for kind, first, second in counts:
             grid = torch.cartesian_prod(torch.arange(first), torch.arange(second))
@@ -54,12 +55,12 @@ def test_culling_loses_nothing(device: torch.device, kind: str, separation: floa
     bodies = crowd(0)
     moved = moving(bodies, device, kind)
     pairs = pgccd.broad.sweep(moved, separation)
-    candidates, _ = pgccd.traverse.bvtt(moved, pairs, separation)
+    candidates, _ = pgccd.traverse.find_candidates(moved, pairs, separation)
     whole = everything(bodies, pairs)
     assert len(pairs) > 3 and 0 < len(candidates) < len(whole) / 2
     reports: tuple[Any, ...] = ("all", "first", "earliest", "any")
     for report in reports:
-        few, many = (pgccd.narrow.contacts(moved, pairs, c, report, separation) for c in (candidates, whole))
+        few, many = (pgccd.narrow.find_contacts(moved, pairs, c, report, separation) for c in (candidates, whole))
         assert len(few) == len(many) == COLUMNS
         columns = range(1) if report == "any" else range(COLUMNS)
         assert all(torch.equal(few[c], many[c]) for c in columns), report
@@ -70,7 +71,7 @@ def test_rows_are_as_detect_gives_them(device: torch.device) -> None:
     bodies = crowd(1)
     moved = moving(bodies, device, "rigid")
     pairs = pgccd.broad.sweep(moved)
-    rows = pgccd.narrow.contacts(moved, pairs, pgccd.traverse.bvtt(moved, pairs)[0], "all")
+    rows = pgccd.narrow.find_contacts(moved, pairs, pgccd.traverse.find_candidates(moved, pairs)[0], "all")
     hits = pgccd.detect(bodies.scene(device), bodies.motion(device=device), "all")
     assert torch.equal(pairs[rows[0].long()], hits.pairs)
     columns = (hits.kind, hits.features, hits.status, hits.toi, hits.coordinates, hits.point, hits.normal)
@@ -84,11 +85,8 @@ def test_brute_force_candidates_against_the_oracle(device: torch.device) -> None
     bodies = crowd(2, 2)
     pairs = torch.tensor([[0, 1]], device=device)
     moved = moving(bodies, device, "rigid")
-    pair, kind, features, status, toi, coordinates, point, normal = pgccd.narrow.contacts(
-        moved, pairs, everything(bodies, pairs), "all"
-    )
-    stats = pgccd.Stats()
-    hits = pgccd.Contacts(pairs[pair.long()], toi, kind, features, coordinates, point, normal, status, stats)
+    pair, *columns = pgccd.narrow.find_contacts(moved, pairs, everything(bodies, pairs), "all")
+    hits = contacts_of((pairs[pair.long()], *columns), "all", pgccd.Stats())
     truth = rigid_truth(bodies)
     assert len(truth.contacts) > 0
     assert_nothing_missed(rows_of(hits), truth)
@@ -99,17 +97,17 @@ def test_deforming_rows_are_the_elementary_ones(device: torch.device) -> None:
     bodies = crowd(3, 2)
     pairs = torch.tensor([[0, 1]], device=device)
     moved = moving(bodies, device, "deforming")
-    rows = pgccd.narrow.contacts(moved, pairs, everything(bodies, pairs), "all", 0.01, 1e-7)
+    rows = pgccd.narrow.find_contacts(moved, pairs, everything(bodies, pairs), "all", 0.01, 1e-7)
     ends = [end_positions(bodies, b) for b in (0, 1)]
     faces = (bodies.meshes[0].faces.long().numpy(), bodies.meshes[1].faces.long().numpy())
-    for kind in (pgccd.VF_AB, pgccd.VF_BA, pgccd.EE):
+    for kind in (pgccd.Kind.VF_AB, pgccd.Kind.VF_BA, pgccd.Kind.EE):
         whole = everything(bodies, pairs)[:, 1:].tolist()
         keys = [tuple(k) for k in whole if k[0] == kind]
-        first, second = (1, 0) if kind == pgccd.VF_BA else (0, 1)
+        first, second = (1, 0) if kind == pgccd.Kind.VF_BA else (0, 1)
         index = feature_indices(faces, keys, kind)
         start, end = (np.concatenate([ends[first][t][index[0]], ends[second][t][index[1]]], axis=1) for t in (0, 1))
-        status, toi, coordinates = solve(start, end, kind != pgccd.EE, 0.01, 1e-7, device=device)
-        touching = np.flatnonzero(status != pgccd.FREE)
+        status, toi, coordinates = solve(start, end, kind != pgccd.Kind.EE, 0.01, 1e-7, device=device)
+        touching = np.flatnonzero(status != pgccd.Status.FREE)
         mine = (rows[1] == int(kind)).cpu()
         assert [keys[k][1:] for k in touching] == [tuple(f) for f in rows[2].cpu()[mine].tolist()]
         assert np.array_equal(toi[touching], rows[4].cpu()[mine].numpy())
@@ -136,12 +134,12 @@ def test_no_candidates(device: torch.device) -> None:
     none = torch.zeros((0, 4), dtype=torch.int32, device=device)
     reports: tuple[Any, ...] = ("all", "first", "earliest", "any")
     for report in reports:
-        rows = pgccd.narrow.contacts(moved, torch.tensor([[0, 1]], device=device), none, report)
+        rows = pgccd.narrow.find_contacts(moved, torch.tensor([[0, 1]], device=device), none, report)
         assert [tuple(r.shape) for r in rows] == [(0,), (0,), (0, 2), (0,), (0,), (0, 2), (0, 3), (0, 3)]
 
 
 def test_names_of_the_outcomes() -> None:
-    assert (pgccd.FREE, pgccd.TOUCH, pgccd.UNRESOLVED) == (0, 1, 2)
-    assert (pgccd.VF_AB, pgccd.VF_BA, pgccd.EE, pgccd.EF_AB, pgccd.EF_BA) == (0, 1, 2, 3, 4)
-    assert [k.name for k in pgccd.Kind] == ["VF_AB", "VF_BA", "EE", "EF_AB", "EF_BA"]
-    assert [s.name for s in pgccd.Status] == ["FREE", "TOUCH", "UNRESOLVED"]
+    assert pgccd.Kind.names() == {0: "VF_AB", 1: "VF_BA", 2: "EE", 3: "EF_AB", 4: "EF_BA"}
+    assert pgccd.Status.names() == {0: "FREE", 1: "TOUCH", 2: "UNRESOLVED"}
+    # Subclasses of int are constants to torch.compile, whatever they are compared with.
+    assert type(pgccd.Kind.EE) is int and type(pgccd.Status.FREE) is int

@@ -55,9 +55,9 @@ def test_arcs_at_length(device: torch.device) -> None:
 
 def broken(fault: str, status: np.ndarray, toi: np.ndarray, coordinates: np.ndarray) -> tuple[np.ndarray, ...]:
     """Results with one contact in ten falsified."""
-    some = (status == pgccd.TOUCH) & (np.arange(len(status)) % 10 == 0)
+    some = (status == pgccd.Status.TOUCH) & (np.arange(len(status)) % 10 == 0)
     if fault == "missed":
-        status, toi = np.where(some, pgccd.FREE, status), np.where(some, np.inf, toi)
+        status, toi = np.where(some, pgccd.Status.FREE, status), np.where(some, np.inf, toi)
     elif fault == "late":
         toi = np.where(some, np.minimum(toi + 1e-6, 1.0), toi)
     elif fault == "invented":
@@ -81,6 +81,6 @@ def test_every_fault_is_seen(fault: str, path: str, monkeypatch: pytest.MonkeyPa
         for family in (crossing, unknown):
             tally.add(bulk.check_straight(family, True, 1e-9, torch.float64, "cpu", "broken"))
     else:
-        tally = bulk_arcs.check_arcs(rng, PLANS["meeting"], pgccd.VF_BA, 500, "cpu", "broken")
+        tally = bulk_arcs.check_arcs(rng, PLANS["meeting"], pgccd.Kind.VF_BA, 500, "cpu", "broken")
     assert getattr(tally, fault) > 20
     assert any(fault in line for line in tally.complaints("broken"))

@@ -31,7 +31,7 @@ def test_tiny_face_at_a_separation(device: torch.device, dtype: torch.dtype, cor
         for z in (1.0, 0.45)
     )
     hit = pgccd.narrow.vertex_face(start, end, min_separation=0.5)
-    assert hit.status.tolist() == [pgccd.TOUCH] * len(sizes)
+    assert hit.status.tolist() == [pgccd.Status.TOUCH] * len(sizes)
     assert float(hit.toi.max()) <= 10 / 11 and float(hit.toi.min()) > 10 / 11 - 1e-5
 
 
@@ -49,7 +49,7 @@ def test_tiny_edge(device: torch.device, dtype: torch.dtype, order: tuple[int, .
     )
     hit = pgccd.narrow.edge_edge(start, end, min_separation=separation)
     toi = (1.0 - separation) / (1.0 - z)
-    assert hit.status.tolist() == [pgccd.TOUCH] * len(sizes)
+    assert hit.status.tolist() == [pgccd.Status.TOUCH] * len(sizes)
     assert float(hit.toi.max()) <= toi and float(hit.toi.min()) > toi - 1e-5
 
 
@@ -64,7 +64,7 @@ def test_tiny_features_that_pass(device: torch.device, dtype: torch.dtype) -> No
         for h in (1.0, 0.5 + 2e-3)
     )
     hit = pgccd.narrow.edge_edge(start, end, min_separation=0.5, tolerance=1e-3)
-    assert hit.status.tolist() == [pgccd.FREE] * len(sizes)
+    assert hit.status.tolist() == [pgccd.Status.FREE] * len(sizes)
 
 
 def nearly_parallel(rng: np.random.Generator, count: int, angle: float, kind: int) -> list[pgccd.Mesh]:
@@ -80,14 +80,14 @@ def nearly_parallel(rng: np.random.Generator, count: int, angle: float, kind: in
     length = rng.uniform(0.5, 1.5, (2, count, 1))
     corners[1][:, 1] = corners[1][:, 0] + length[0] * along
     tilted = length[1] * signs * (along + angle * aside)
-    if kind == pgccd.EE:
+    if kind == pgccd.Kind.EE:
         corners[0][:, 1] = corners[0][:, 0] + tilted
     else:
         corners[1][:, 2] = corners[1][:, 0] + tilted
     return [pgccd.Mesh(c.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)) for c in corners]
 
 
-@pytest.mark.parametrize("kind", [pgccd.VF_AB, pgccd.EE])
+@pytest.mark.parametrize("kind", [pgccd.Kind.VF_AB, pgccd.Kind.EE])
 @pytest.mark.parametrize("angle", [1e-14, 9e-11, 1e-6, 1e-3])
 @pytest.mark.parametrize("tolerance", [1e-10, 1e-6])
 def test_nearly_parallel_on_arcs(device: torch.device, kind: int, angle: float, tolerance: float) -> None:
@@ -98,15 +98,15 @@ def test_nearly_parallel_on_arcs(device: torch.device, kind: int, angle: float, 
     vertices = [m.vertices.numpy() for m in meshes]
     rows = np.arange(count)
     edge = np.array([k for k in range(len(meshes[0].edges)) if tuple(meshes[0].edges[k].tolist())[1] % 3 == 1])
-    features = np.stack([rows * 3, rows] if kind == pgccd.VF_AB else [edge, edge], axis=1)
+    features = np.stack([rows * 3, rows] if kind == pgccd.Kind.VF_AB else [edge, edge], axis=1)
     first, second = (
         v[f] for v, f in zip(vertices, _corners(meshes, kind, features), strict=True)
     )  # (n, 1, 3) and (n, 3, 3), or (n, 2, 3) each
     # In their own frames they meet at t, at a random point of both, with the identity orientation at that time.
     t, weight = rng.uniform(0.1, 0.9, (count, 1)), rng.uniform(0.1, 0.4, (2, count, 1))
-    on_first = first[:, 0] if kind == pgccd.VF_AB else first[:, 0] + weight[0] * (first[:, 1] - first[:, 0])
+    on_first = first[:, 0] if kind == pgccd.Kind.VF_AB else first[:, 0] + weight[0] * (first[:, 1] - first[:, 0])
     on_second = second[:, 0] + weight[1] * (second[:, 1] - second[:, 0])
-    if kind == pgccd.VF_AB:
+    if kind == pgccd.Kind.VF_AB:
         on_second = on_second + weight[0] * (second[:, 2] - second[:, 0])
     bodies = []
     for place in (on_first, on_second):
@@ -117,8 +117,8 @@ def test_nearly_parallel_on_arcs(device: torch.device, kind: int, angle: float, 
         velocity = rng.normal(size=(count, 3))
         bodies.append(Turning(-place - t * velocity, quaternion, -place + (1 - t) * velocity, spin))
     status, toi, _ = solve_candidates(meshes, (bodies[0], bodies[1]), kind, features, 0.0, tolerance, device)
-    assert (status != pgccd.UNRESOLVED).all()
-    touched = np.flatnonzero(status == pgccd.TOUCH)
+    assert (status != pgccd.Status.UNRESOLVED).all()
+    touched = np.flatnonzero(status == pgccd.Status.TOUCH)
     assert len(touched) > count // 20
     for k in touched:
         at = [
@@ -126,7 +126,7 @@ def test_nearly_parallel_on_arcs(device: torch.device, kind: int, angle: float, 
             for points, b in zip((first, second), bodies, strict=True)
             for x in points[k]
         ]
-        assert distance.distance_high_precision(at, kind != pgccd.EE) <= tolerance
+        assert distance.distance_high_precision(at, kind != pgccd.Kind.EE) <= tolerance
 
 
 def _corners(meshes: list[pgccd.Mesh], kind: int, features: np.ndarray) -> list[np.ndarray]:
@@ -146,8 +146,8 @@ def test_what_is_not_a_finite_number_is_never_free(device: torch.device, dtype: 
     for k in range(24):
         ends[k // 12][k, k % 12 // 3, k % 3] = value
     for test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
-        assert (test(points, points).status == pgccd.FREE).all()
-        assert (test(*ends).status != pgccd.FREE).all()
+        assert (test(points, points).status == pgccd.Status.FREE).all()
+        assert (test(*ends).status != pgccd.Status.FREE).all()
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -169,6 +169,6 @@ def test_starts_less_than_a_rounding_above_the_separation(device: torch.device, 
         end = start + np.array([normal, [0] * 3, [0] * 3, [0] * 3])
         points = (torch.tensor(x[None], dtype=dtype, device=device) for x in (start, end))
         hit = pgccd.narrow.vertex_face(*points, min_separation=separation, tolerance=1.0)
-        assert int(hit.status) == pgccd.FREE
+        assert int(hit.status) == pgccd.Status.FREE
         precise += int(hit.significant_bits) == 106
     assert precise > 50

@@ -35,7 +35,7 @@ def run_at_once(generator: Generator, is_face: bool, count: int, seed: int, devi
     status = solve(*points, is_face, tolerance=1e-20, device=device)[0]
     size = np.abs(np.concatenate(points, axis=1)).max(axis=(1, 2))
     clear = (queries.truth == FREE) & (generator.__name__ == "short_of_end") & (size < 2.0**40)
-    assert (status[clear] == pgccd.FREE).all()
+    assert (status[clear] == pgccd.Status.FREE).all()
 
 
 def run_separated(generator: Generator, is_face: bool, count: int, seed: int, device: torch.device) -> None:
@@ -73,10 +73,10 @@ def test_float32_settles_most_free_queries_itself(is_face: bool, device: torch.d
     start, end = (torch.tensor(x, dtype=torch.float32, device=device) for x in rng.normal(size=(2, 4000, 4, 3)))
     test = pgccd.narrow.vertex_face if is_face else pgccd.narrow.edge_edge
     single, double = test(start, end), test(start.double(), end.double())
-    assert torch.equal(single.status == pgccd.FREE, double.status == pgccd.FREE)
+    assert torch.equal(single.status == pgccd.Status.FREE, double.status == pgccd.Status.FREE)
     assert single.toi.dtype == single.coordinates.dtype == torch.float32
     assert (single.toi.double() - double.toi)[double.toi < 1].abs().max() < 1e-6
-    free = single.status == pgccd.FREE
+    free = single.status == pgccd.Status.FREE
     assert (single.significant_bits[free] == 24).float().mean() > 0.95
 
 
@@ -88,8 +88,8 @@ def test_near_misses_are_free(is_face: bool, device: torch.device) -> None:
     touching = np.array([hit is not None for hit in hits])
     status = solve(queries.points_t0, queries.points_t1, is_face, tolerance=1e-3, device=device)[0]
     assert 40 < touching.sum() < 360
-    assert (status[touching] != pgccd.FREE).all()
-    assert (status[~touching] == pgccd.FREE).all()
+    assert (status[touching] != pgccd.Status.FREE).all()
+    assert (status[~touching] == pgccd.Status.FREE).all()
 
 
 @KINDS
@@ -132,7 +132,7 @@ def test_tight_tolerance_is_resolved(name: str, is_face: bool, device: torch.dev
     both = np.concatenate([queries.points_t0, queries.points_t1], axis=1)
     unit = 2.0 ** -np.ceil(np.log2(np.ptp(both, axis=1).max(axis=1)))[:, None, None]  # exact scaling to about unit size
     status = solve(queries.points_t0 * unit, queries.points_t1 * unit, is_face, tolerance=1e-12, device=device)[0]
-    assert (status == pgccd.UNRESOLVED).mean() <= 0.02
+    assert (status == pgccd.Status.UNRESOLVED).mean() <= 0.02
 
 
 @KINDS
@@ -149,7 +149,7 @@ def test_extreme_sizes_are_never_missed(is_face: bool, size: float) -> None:
         status, toi, _ = solve(*points, is_face, tolerance=min(1e-6 * size, 1e150))
         for k, hit in enumerate(truth(*points, is_face)):
             if hit is not None:
-                assert status[k] != pgccd.FREE, f"{generator.__name__} {k}: missed"
+                assert status[k] != pgccd.Status.FREE, f"{generator.__name__} {k}: missed"
                 assert Fraction(toi[k]) <= hit.toi_upper, f"{generator.__name__} {k}: late"
 
 
@@ -177,7 +177,7 @@ def test_toi_is_close_where_the_crossing_is_clear(is_face: bool, device: torch.d
     speed = np.abs((points[1] - points[1][:, -1:]) - (points[0] - points[0][:, -1:])).max(axis=(1, 2))
     tolerance = 1e-9 * float(speed.min())
     status, toi, _ = solve(*points, is_face, tolerance=tolerance, device=device)
-    assert (status == pgccd.TOUCH).all()
+    assert (status == pgccd.Status.TOUCH).all()
     assert (toi <= queries.toi).all() and (queries.toi - toi < 1e-8).all()
 
 
@@ -216,7 +216,7 @@ def test_a_near_miss_does_not_hide_a_later_touch(
     assert check(start, end, is_face, tolerance=tolerance, most_unresolved=0.0, device=device) == 1
     hit = truth(start, end, is_face)[0]
     status, toi, _ = solve(start, end, is_face, tolerance=tolerance, device=device)
-    assert hit is not None and status[0] == pgccd.TOUCH
+    assert hit is not None and status[0] == pgccd.Status.TOUCH
     assert Fraction(toi[0]) >= hit.toi_lower - Fraction(1, 1000), "far too early"
 
 
@@ -231,7 +231,7 @@ def test_rows_do_not_depend_on_their_neighbours(is_face: bool, device: torch.dev
     for column in range(3):
         assert np.array_equal(together[column][order], apart[column], equal_nan=True)
         assert np.array_equal(together[column][:20], np.concatenate([a[column] for a in alone]), equal_nan=True)
-    assert (together[0] == pgccd.TOUCH).sum() > 100
+    assert (together[0] == pgccd.Status.TOUCH).sum() > 100
 
 
 @KINDS
@@ -247,4 +247,4 @@ def test_no_number_is_never_free(is_face: bool, bad: float) -> None:
     start, end = rng.normal(size=(2, 24, 4, 3))
     for k in range(24):
         (start if k % 2 else end)[k].flat[k // 2] = bad
-    assert (solve(start, end, is_face)[0] != pgccd.FREE).all()
+    assert (solve(start, end, is_face)[0] != pgccd.Status.FREE).all()

@@ -16,6 +16,7 @@ from support.shapes import Bodies, approaching, tetrahedron
 
 import pgccd
 from pgccd import distributed, files, sim
+from pgccd.detection.capacity import BufferSizes
 
 NAN = float("nan")
 NONSENSE: dict[str, Callable[[], Any]] = {
@@ -69,7 +70,7 @@ def calls(folder: Path) -> dict[str, Call]:
     scene, motion = b.scene(), b.motion()
     moving = pgccd.MovingBodies.of(scene, motion)
     pairs = torch.tensor([[0, 1]])
-    candidates, _ = pgccd.traverse.bvtt(moving, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(moving, pairs)
     poses: dict[str, Any] = {"position_t0": motion.position_t0, "orientation_t0": motion.orientation_t0}
     poses["position_t1"] = motion.position_t1
     spins = {"position": motion.position_t0, "orientation": motion.orientation_t0}
@@ -144,14 +145,14 @@ def calls(folder: Path) -> dict[str, Call]:
             pgccd.VertexMotion, {"x_t0": torch.ones(5, 3), "x_t1": torch.ones(5, 3)}, {"x_t0": ("x_t1",)}
         ),
         "MovingBodies.of": Call(pgccd.MovingBodies.of, {"scene": scene, "motion": motion}),
-        "Capacity": Call(pgccd.Capacity, {"pairs": 9, "contacts": 9, "overlaps": 9, "launches": 4, "long_rows": True}),
-        "Capacity.guess": Call(pgccd.Capacity.guess, {"body_count": 9, "pair_count": 9, "self_vertex_count": 0}),
-        "Capacity.times": Call(pgccd.Capacity(9, 9).times, {"factor": 1.5}),
+        "BufferSizes": Call(BufferSizes, {"pairs": 9, "contacts": 9, "overlaps": 9, "launches": 4, "long_rows": True}),
+        "Capacity.of": Call(pgccd.Capacity.of, {"body_count": 9, "pair_count": 9, "self_vertex_count": 0}),
+        "Capacity.times": Call(BufferSizes(9, 9).times, {"factor": 1.5}),
         "detect": Call(
             pgccd.detect,
             {"scene": scene, "motion": motion, "report": "first", **options, "broad_phase": "auto", "pairs": pairs}
             | initial
-            | {"memory_budget": 1 << 20, "capacity": pgccd.Capacity.guess(9)},
+            | {"memory_budget": 1 << 20, "capacity": pgccd.Capacity.of(9)},
         ),
         "Contacts[]": Call(hits.__getitem__, {"rows": [0]}),
         "Contacts.to": Call(hits.to, {"device": "cpu"}),
@@ -160,12 +161,12 @@ def calls(folder: Path) -> dict[str, Call]:
         "broad.lbvh": Call(pgccd.broad.lbvh, on_bodies),
         "broad.find_pairs": Call(pgccd.broad.find_pairs, on_bodies | {"broad_phase": "grid"}),
         "broad.choose": Call(pgccd.broad.choose, {"bodies": moving, "broad_phase": "grid"}),
-        "traverse.bvtt": Call(
-            pgccd.traverse.bvtt,
+        "traverse.find_candidates": Call(
+            pgccd.traverse.find_candidates,
             on_bodies | {"pairs": pairs, "tolerance": None, "horizon": torch.ones(1).double(), "initial": "report"},
         ),
-        "narrow.contacts": Call(
-            pgccd.narrow.contacts,
+        "narrow.find_contacts": Call(
+            pgccd.narrow.find_contacts,
             {"bodies": moving, "pairs": pairs, "candidates": candidates, "report": "all", **options},
         ),
         "narrow.vertex_face": Call(pgccd.narrow.vertex_face, points | options),
@@ -245,7 +246,7 @@ def test_arguments_swapped() -> None:
         ),
         (lambda: pgccd.Scene(b.meshes[0]), r"^meshes: expected a list of meshes, got Mesh: write \[mesh\]"),  # type: ignore
         (lambda: pgccd.detect(scene, motion, capacity=100), "^capacity: expected a pgccd.Capacity, got 100"),  # type: ignore
-        (lambda: pgccd.detect(scene, motion, capacity=pgccd.Capacity(2**31, 1)), "^capacity: pairs: .*2147483648"),
+        (lambda: pgccd.detect(scene, motion, capacity=BufferSizes(2**31, 1)), "^capacity: pairs: .*2147483648"),
     ]
     for call, message in cases:
         with pytest.raises((TypeError, ValueError), match=message):
@@ -268,4 +269,4 @@ def test_no_tolerance_means_the_default() -> None:
     for test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
         expected, found = test(points, ends), test(points, ends, tolerance=None)
         assert torch.equal(found.toi, expected.toi) and torch.equal(found.status, expected.status)
-        assert 0 < int((found.status != pgccd.FREE).sum()) < 400
+        assert 0 < int((found.status != pgccd.Status.FREE).sum()) < 400

@@ -43,7 +43,7 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     subdomain = partition.subdomain(1)
     reach, boundary, _ = ops.boundary_bodies(centres, 0.01, -1e-6, *subdomain)
     pgccd.broad.find_pairs_of_checked(moving, 0.01, "sweep", elsewhere=reach)
-    capacity, invalid = pgccd.Capacity.guess(moving.scene.body_count), torch.zeros_like(boundary[:1])
+    capacity, invalid = pgccd.Capacity.of(moving.scene.body_count), torch.zeros_like(boundary[:1])
     pgccd.broad.find_pairs_padded(moving, 0.01, "grid", capacity, invalid, elsewhere=reach)
     rows = torch.arange(len(boundary), device=moving.device)
     replica_ranks, counts = ops.replica_ranks(centres, 0.01, -1e-6, *subdomain, rows, [2, len(boundary) - 2], 2)
@@ -81,9 +81,9 @@ def stages_alone(bodies: pgccd.MovingBodies) -> None:
     """Calls the operators that `detect` uses on only one kind of device."""
     for find in (pgccd.broad.sweep, pgccd.broad.grid, pgccd.broad.lbvh):
         pairs = find(bodies)
-    candidates, _ = pgccd.traverse.bvtt(bodies, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(bodies, pairs)
     for report in ("any", "first", "all"):
-        pgccd.narrow.contacts(bodies, pairs, candidates, report)
+        pgccd.narrow.find_contacts(bodies, pairs, candidates, report)
 
 
 @functools.cache
@@ -106,7 +106,7 @@ def recorded(device: torch.device) -> list[Call]:
                 for broad_phase in ("grid", "lbvh"):  # with few bodies the default is the sweep
                     pgccd.detect(scene, bodies.motion(device=device), "any", broad_phase=broad_phase)
             pgccd.detect(scene, bodies.motion("linear", device))
-            capacity = pgccd.Capacity.guess(scene.body_count)
+            capacity = pgccd.Capacity.of(scene.body_count)
             pgccd.detect(scene, bodies.motion(device=device), "all", capacity=capacity)
             x = torch.cat(
                 [m.vertices + torch.from_numpy(p) for m, p in zip(bodies.meshes, bodies.position_t0, strict=True)]
@@ -203,14 +203,16 @@ def test_compile_the_elementary_tests(device: torch.device, test: Callable[..., 
     @torch.compile(fullgraph=True, dynamic=True, backend="aot_eager")
     def earliest(start: torch.Tensor, end: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         found = test(start, end, 0.01)
-        return found.toi.clamp(max=1.0), (found.status != pgccd.FREE).sum()
+        return found.toi.clamp(max=1.0), (found.status != pgccd.Status.FREE).sum()
 
     rng = np.random.default_rng(2)
     for count in (100, 33):
         points = tensors(*rng.normal(size=(2, count, 4, 3)), device=device)
         toi, contacts = earliest(*points)
         found = test(*points, 0.01)
-        assert torch.equal(toi, found.toi.clamp(max=1.0)) and int(contacts) == int((found.status != pgccd.FREE).sum())
+        assert torch.equal(toi, found.toi.clamp(max=1.0)) and int(contacts) == int(
+            (found.status != pgccd.Status.FREE).sum()
+        )
         assert int(contacts) > 0
 
 

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -44,6 +45,24 @@ def test_type_checkers_see_what_is_imported_later() -> None:
     names = {alias.name for alias in imported.names}
     assert names == set(pgccd._LATER) and names <= set(pgccd.__all__) <= set(dir(pgccd))
     assert (ROOT / "pgccd" / "py.typed").is_file()
+
+
+def test_public_modules_show_what_is_public() -> None:
+    assert sorted([*pgccd.__all__, "__version__"]) == dir(pgccd)
+    modules = [value for name in pgccd.__all__ if isinstance(value := getattr(pgccd, name), ModuleType)]
+    assert len(modules) == 9
+    for module in (*modules, pgccd.sim.distributed):
+        assert dir(module) == sorted(module.__all__) and all(hasattr(module, name) for name in module.__all__)
+
+
+@pytest.mark.parametrize(
+    "public",
+    [pgccd.Scene, pgccd.RigidMotion, pgccd.VertexMotion, pgccd.MovingBodies, pgccd.Capacity, pgccd.PaddedContacts],
+)
+def test_private_helpers_are_hidden(public: type) -> None:
+    hidden = {"of_checked", "first_faults", "known_faults", "faults", "raise_faults", "has_verdict", "is_trusted"}
+    hidden |= {"capacity_estimates", "leave_out", "current_radius", "sound_index", "guess", "grown", "pairs_written"}
+    assert not hidden & set(dir(public))
 
 
 @pytest.mark.parametrize("name", ["bootstrap.py", "README.md"])

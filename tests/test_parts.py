@@ -12,11 +12,11 @@ from support.crowds import crowds
 from support.same_bits import assert_same
 
 import pgccd
-from pgccd.detection.capacity import Capacity
+from pgccd.detection.capacity import BufferSizes, Capacity
 from pgccd.detection.memory import CapacityEstimate, estimate_of
 from pgccd.detection.padded import counts_of_given
 from pgccd.detection.parts import Part, contacts_of_step, find_part, pairs_of_step
-from pgccd.detection.pipeline import find_contacts
+from pgccd.detection.pipeline import detect_moving
 from pgccd.detection.query import Query
 
 parts_module = sys.modules["pgccd.detection.parts"]
@@ -44,12 +44,12 @@ class Divided:
             motion = crowd.motion(rows)
             pose = (motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation)
             scene = pgccd.Scene(crowd.meshes, crowd.mesh_index[rows], device)
-            return pgccd.MovingBodies.of(scene, pgccd.RigidMotion.of_checked(*(x.to(device) for x in pose), "rigid"))
+            return pgccd.MovingBodies.of(scene, pgccd.RigidMotion._of_checked(*(x.to(device) for x in pose), "rigid"))
 
         count = len(crowd.position)
         bodies = moving(torch.arange(count))
         self.pairs = pgccd.broad.find_pairs(bodies, 0.01)
-        self.expected = find_contacts(bodies, self.query, pairs=self.pairs)
+        self.expected = detect_moving(bodies, self.query, pairs=self.pairs)
         turn = torch.rand(len(self.pairs), generator=torch.Generator().manual_seed(1)).to(device) < 0.5
         first, second = self.pairs[turn], self.pairs[~turn]
         rows = second.unique().flip(0)
@@ -102,7 +102,7 @@ def test_same_contacts(device: torch.device, report: Any, padded: bool) -> None:
 def test_too_little_capacity(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
     divided = Divided(device, "first", padded=True)
     with monkeypatch.context() as patch:
-        little = Capacity(0, 1)
+        little = BufferSizes(0, 1)
         patch.setattr(sys.modules["pgccd.detection.pipeline"], "EXACTLY", little)
         patch.setattr(CapacityEstimate, "capacity", lambda *_: little)
         counts = [part.start().read() for part in divided.parts]
@@ -131,12 +131,12 @@ def test_what_is_learnt_of_steps() -> None:
     """In proportion to pairs where they are given, otherwise to bodies."""
     divided = Divided(torch.device("cpu"), "first", padded=False)
     scene, query, pairs = divided.parts[0].bodies.scene, divided.query, divided.pairs
-    needed = replace(Capacity.guess(100_000), launches=9)
+    needed = replace(Capacity.of(100_000), launches=9)
     of_bodies, of_pairs = CapacityEstimate(), CapacityEstimate()
-    assert of_bodies.capacity(scene, None) == Capacity.guess(scene.body_count)
+    assert of_bodies.capacity(scene, None) == Capacity.of(scene.body_count)
     of_bodies.learn(scene.body_count, needed)
     of_pairs.learn(len(pairs), replace(needed, launches=10))
-    of_bodies.learn(0, Capacity(0, 0))  # zero bodies change nothing
+    of_bodies.learn(0, BufferSizes(0, 0))  # zero bodies change nothing
     assert of_bodies.capacity(scene, None) == needed.times(1.25)
     assert of_bodies.capacity(scene, None, slack=2.0) == needed.times(2.0)
     half = pairs[: len(pairs) // 2]
@@ -152,7 +152,7 @@ def test_what_is_learnt_of_steps() -> None:
 def test_pairs_found_in_a_fixed_capacity(device: torch.device, capacity: str, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = Divided(device, "first", False)
     bodies = whole.parts[0].bodies
-    capacity = Capacity.guess(bodies.scene.body_count).times(4.0) if capacity == "enough" else Capacity(3, 1)
+    capacity = Capacity.of(bodies.scene.body_count).times(4.0) if capacity == "enough" else BufferSizes(3, 1)
     monkeypatch.setattr(parts_module, "_looks_ahead", lambda _: True)
     monkeypatch.setattr(parts_module, "expected_capacity", lambda *_, slack: capacity)
 

@@ -38,9 +38,9 @@ def test_queries(name: str) -> None:
     with np.load(DATA / "queries" / name) as file:
         points, collides = file["points"], file["collides"]
     status, toi, _ = solve(points[:, :4], points[:, 4:], ".vf." in name)
-    assert int((collides & (status == pgccd.FREE)).sum()) == 0, "missed"
-    false_positives = int((~collides & (status != pgccd.FREE)).sum())
-    unresolved = int((status == pgccd.UNRESOLVED).sum())
+    assert int((collides & (status == pgccd.Status.FREE)).sum()) == 0, "missed"
+    false_positives = int((~collides & (status != pgccd.Status.FREE)).sum())
+    unresolved = int((status == pgccd.Status.UNRESOLVED).sum())
     print(f"{name}: {len(points)} queries, {false_positives} false positives, {unresolved} unresolved")  # noqa: T201
     assert false_positives <= QUERY_FALSE_POSITIVES.get(name, 0)
 
@@ -64,9 +64,9 @@ def pair_points(scene: dict[str, np.ndarray], is_face: bool) -> tuple[np.ndarray
 def test_scene_pairs(name: str, is_face: bool) -> None:
     start, end, collides = pair_points(load_scene(name), is_face)
     status, _, _ = solve(start, end, is_face)
-    assert int((collides & (status == pgccd.FREE)).sum()) == 0, "missed"
-    false_positives = int((~collides & (status != pgccd.FREE)).sum())
-    unresolved = int((status == pgccd.UNRESOLVED).sum())
+    assert int((collides & (status == pgccd.Status.FREE)).sum()) == 0, "missed"
+    false_positives = int((~collides & (status != pgccd.Status.FREE)).sum())
+    unresolved = int((status == pgccd.Status.UNRESOLVED).sum())
     key = f"{name}.{'vf' if is_face else 'ee'}"
     print(f"{key}: {len(start)} pairs, {false_positives} false positives, {unresolved} unresolved")  # noqa: T201
     assert false_positives <= SCENE_FALSE_POSITIVES.get(key, 0)
@@ -111,10 +111,10 @@ def test_contacts_between_components(name: str) -> None:
     found = set()
     global_edges = [rows[k][m.edges.numpy()] for k, m in enumerate(meshes)]
     for (i, j), kind, (a, b) in zip(hits.pairs.tolist(), hits.kind.tolist(), hits.features.tolist(), strict=True):
-        if kind == pgccd.EE:
+        if kind == pgccd.Kind.EE:
             pair = sorted([tuple(sorted(global_edges[i][a].tolist())), tuple(sorted(global_edges[j][b].tolist()))])
             found.add(("ee", *pair))
-        elif kind == pgccd.VF_AB:
+        elif kind == pgccd.Kind.VF_AB:
             found.add(("vf", int(rows[i][a]), int(face_of[j][b])))
         else:
             found.add(("vf", int(rows[j][b]), int(face_of[i][a])))
@@ -157,7 +157,7 @@ def test_contacts_of_one_body(name: str, device: torch.device) -> None:
         scene["vf_pairs"][scene["vf_collides"]],
         np.sort(renumbered[scene["ee_pairs"]], axis=1)[scene["ee_collides"]],
     )
-    rows = [np.insert(pairs, 0, kind, axis=1) for kind, pairs in ((pgccd.VF_AB, vf), (pgccd.EE, ee))]
+    rows = [np.insert(pairs, 0, kind, axis=1) for kind, pairs in ((pgccd.Kind.VF_AB, vf), (pgccd.Kind.EE, ee))]
     true = np.concatenate(rows).astype(np.int64) @ key
     found = torch.cat([hits.kind.long()[:, None], hits.features.long()], dim=1).cpu().numpy() @ key
     assert len(np.unique(found)) == len(found), "a contact is listed twice"

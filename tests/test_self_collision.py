@@ -39,8 +39,8 @@ def assert_canonical(mesh: pgccd.Mesh, kinds: torch.Tensor, features: torch.Tens
     """
     rows = torch.cat([kinds.long()[:, None], features.long()], dim=1).cpu()
     assert len(torch.unique(rows, dim=0)) == len(rows), "listed twice"
-    is_edges, is_crossing = rows[:, 0] == pgccd.EE, rows[:, 0] == pgccd.EF_AB
-    assert bool((is_edges | is_crossing | (rows[:, 0] == pgccd.VF_AB)).all())
+    is_edges, is_crossing = rows[:, 0] == pgccd.Kind.EE, rows[:, 0] == pgccd.Kind.EF_AB
+    assert bool((is_edges | is_crossing | (rows[:, 0] == pgccd.Kind.VF_AB)).all())
     assert bool((rows[:, 1] < rows[:, 2])[is_edges].all())
     faces, edges = mesh.faces.long(), mesh.edges.long()
     edge_rows, face_rows, crossings = rows[is_edges], rows[~is_edges & ~is_crossing], rows[is_crossing]
@@ -60,7 +60,7 @@ def check(mesh: pgccd.Mesh, ends: Ends, device: torch.device, separation: float 
     size = max(float(np.ptp(x, axis=0).max()) for x in ends)
     assert_linear_rows_close(rows, [ends, ends], [faces, faces], separation + tolerance + 1e-13 * size)
     assert_nothing_invented(rows, truth)
-    assert hits.stats.unresolved == sum(row.status == pgccd.UNRESOLVED for row in rows.values())
+    assert hits.stats.unresolved == sum(row.status == pgccd.Status.UNRESOLVED for row in rows.values())
     return len(truth.contacts)
 
 
@@ -188,7 +188,7 @@ def test_any_mesh(shape: TriMesh, seed: int, shake: float) -> None:
     bodies = pgccd.MovingBodies.of(
         pgccd.Scene([mesh], self_collision=True), motion_of(ends, device=torch.device("cpu"))
     )
-    found, _ = pgccd.traverse.bvtt(bodies, torch.tensor([[0, 0]]))
+    found, _ = pgccd.traverse.find_candidates(bodies, torch.tensor([[0, 0]]))
     assert_canonical(mesh, found[:, 1], found[:, 2:])
     truth = self_truth(ends, shape.faces[chosen])
     assert truth.keys() <= {tuple(row) for row in found[:, 1:].tolist()}

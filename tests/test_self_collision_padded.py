@@ -109,5 +109,5 @@ def test_capacity_expected_of_a_first_step(device: torch.device) -> None:
     plain, own = (pgccd.Scene(meshes, self_collision=wanted) for wanted in (False, True))
     estimate = CapacityEstimate()
     assert estimate.capacity(own, None).candidates > estimate.capacity(plain, None).candidates
-    estimate.learn(2, Capacity.guess(2))
+    estimate.learn(2, Capacity.of(2))
     assert estimate.capacity(own, None).launches > estimate.capacity(plain, None).launches

@@ -82,7 +82,7 @@ def test_tip_just_reaches_the_wall(device: torch.device, angle: float, depth: fl
     assert len(found) == 1
     assert float(found.toi) <= turned / angle * (1 + 1e-12)
     assert float(found.toi) >= turned / angle - 2e-3 * math.sqrt(1e-6 / depth) / angle
-    assert found.status.tolist() == [pgccd.TOUCH]
+    assert found.status.tolist() == [pgccd.Status.TOUCH]
 
 
 @pytest.mark.parametrize("depth", [1e-3, 1e-2])
@@ -126,7 +126,7 @@ def test_tip_comes_within_reach_after_many_turns(device: torch.device, separatio
     nearest = (math.pi - start + 2 * math.pi * np.arange(100)) / 300.0
     first = float(nearest[nearest > 0.5].min())
     assert 0.5 - first + 2 * math.pi / 300.0 > 2e-3  # a turn earlier it is outside the tolerance too
-    assert len(found) == 1 and found.status.tolist() == [pgccd.TOUCH]
+    assert len(found) == 1 and found.status.tolist() == [pgccd.Status.TOUCH]
     assert first - 1e-4 < float(found.toi) <= first
 
 
@@ -209,8 +209,8 @@ def test_arc_of_an_edge_that_ends_on_the_axis(device: torch.device, half: float)
     motion = pgccd.RigidMotion.from_rotation(position, columns[0], position, columns[1])
     moving = pgccd.MovingBodies.of(pgccd.Scene([needle, hook], device=device), motion)
     edges = [int((mesh.edges == torch.tensor([0, 1])).all(dim=1).nonzero()) for mesh in (needle, hook)]
-    candidate = torch.tensor([[0, int(pgccd.EE), *edges]], dtype=torch.int32, device=device)
-    rows = pgccd.narrow.contacts(moving, torch.tensor([[0, 1]], device=device), candidate, "all")
+    candidate = torch.tensor([[0, pgccd.Kind.EE, *edges]], dtype=torch.int32, device=device)
+    rows = pgccd.narrow.find_contacts(moving, torch.tensor([[0, 1]], device=device), candidate, "all")
     assert len(rows[0]) == 1
     away = np.linspace(0.0, 0.5, 100_001)
     reach = np.sqrt(arm**2 + (arm + 1 - depth) ** 2 - 2 * arm * (arm + 1 - depth) * np.cos(2 * half * away))

@@ -74,14 +74,14 @@ def test_order_of_candidates(device: torch.device, path: str) -> None:
     crowd = meetings(np.random.default_rng(5), 100, 0, turning=path != "vertices")
     bodies = pgccd.MovingBodies.of(crowd.scene(device), crowd.motion(path, device))
     pairs = pgccd.broad.sweep(bodies)
-    candidates, _ = pgccd.traverse.bvtt(bodies, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(bodies, pairs)
     canonical = torch.from_numpy(np.lexsort(candidates.cpu().numpy().T[::-1]).copy()).to(device)
     candidates = candidates[canonical]
-    expected = [c.cpu() for c in pgccd.narrow.contacts(bodies, pairs, candidates)]
+    expected = [c.cpu() for c in pgccd.narrow.find_contacts(bodies, pairs, candidates)]
     rng = np.random.default_rng(6)
     for order in (np.arange(len(candidates))[::-1], *(rng.permutation(len(candidates)) for _ in range(4))):
         shuffled = candidates[torch.from_numpy(order.copy()).to(device)]
-        found = [c.cpu() for c in pgccd.narrow.contacts(bodies, pairs, shuffled)]
+        found = [c.cpu() for c in pgccd.narrow.find_contacts(bodies, pairs, shuffled)]
         assert are_equal(found, expected)
 
 

@@ -24,7 +24,7 @@ def candidates(
     if pairs is None:
         pairs = torch.tensor([[0, 1]], device=bodies.device)
     until = None if horizon is None else torch.tensor(horizon, dtype=torch.float64, device=bodies.device)
-    found, node_tests = pgccd.traverse.bvtt(bodies, pairs, min_separation, horizon=until)
+    found, node_tests = pgccd.traverse.find_candidates(bodies, pairs, min_separation, horizon=until)
     assert found.dtype == torch.int32 and node_tests.shape == (1,)
     rows = [tuple(row) for row in found.tolist()]
     assert len(set(rows)) == len(rows), "a candidate is listed twice"
@@ -154,15 +154,17 @@ def test_bodies_in_one_place(device: torch.device) -> None:
     )
     found = candidates(moving(same, device))[0]
     faces, edges = bodies.meshes[0].faces.tolist(), bodies.meshes[0].edges.tolist()
-    touching = {(pgccd.VF_AB, v, f) for f, face in enumerate(faces) for v in face}
-    touching |= {(pgccd.VF_BA, f, v) for f, face in enumerate(faces) for v in face}
-    touching |= {(pgccd.EE, a, b) for a, e in enumerate(edges) for b, f in enumerate(edges) if set(e) & set(f)}
+    touching = {(pgccd.Kind.VF_AB, v, f) for f, face in enumerate(faces) for v in face}
+    touching |= {(pgccd.Kind.VF_BA, f, v) for f, face in enumerate(faces) for v in face}
+    touching |= {(pgccd.Kind.EE, a, b) for a, e in enumerate(edges) for b, f in enumerate(edges) if set(e) & set(f)}
     assert touching - set(found) == set()
 
 
 def test_no_pairs(device: torch.device) -> None:
     bodies = approaching(np.random.default_rng(16))
-    found, tests = pgccd.traverse.bvtt(moving(bodies, device), torch.zeros((0, 2), dtype=torch.int64, device=device))
+    found, tests = pgccd.traverse.find_candidates(
+        moving(bodies, device), torch.zeros((0, 2), dtype=torch.int64, device=device)
+    )
     assert found.shape == (0, 4) and int(tests) == 0
 
 

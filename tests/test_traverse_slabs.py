@@ -99,7 +99,7 @@ def test_a_sheet_on_arcs_meets_a_speck_before_the_horizon(device: torch.device, 
             found += 1
             horizon = torch.tensor([until], dtype=torch.float64, device=device)
             pair = torch.tensor([[0, 1]], device=device)
-            rows, _ = pgccd.traverse.bvtt(pgccd.MovingBodies.of(scene, motion), pair, horizon=horizon)
+            rows, _ = pgccd.traverse.find_candidates(pgccd.MovingBodies.of(scene, motion), pair, horizon=horizon)
             assert len(rows) > 0
     assert found >= 10
 

@@ -122,7 +122,7 @@ def test_contacts_come_within_the_tolerance(
     tolerance = 1e-6 * meetings.bodies.meshes[1].radius
     for pairs in (meetings, exchanged(meetings)):
         hits = first_contacts(pairs, path, device)
-        assert hits.status.tolist() == [pgccd.TOUCH] * 6
+        assert hits.status.tolist() == [pgccd.Status.TOUCH] * 6
         early = speed * (time - hits.toi)
         assert float(early.min()) >= -1e-14 and float(early.max()) <= tolerance
 
@@ -187,7 +187,7 @@ def test_tiny_features_far_from_the_origins_of_bodies_at_rest() -> None:
         meetings = Meetings(bodies, np.zeros(1), [((0, 1, 2), (0,))])
         assert abs(contacts.distance_at(meetings, 0) - unit) < 1e-30  # in 50 digits; exactly so
         moving = pgccd.MovingBodies.of(bodies.scene(), bodies.motion("linear"))
-        key = (int(pgccd.VF_BA), 0, 0)
+        key = (pgccd.Kind.VF_BA, 0, 0)
         assert found_contact(meetings, moving, 0, key, float(unit)) is not None, f"pair {k} is missed"
         assert found_contact(meetings, moving, 0, key, float(np.nextafter(unit, 0.0))) is None, f"pair {k} is free"
 

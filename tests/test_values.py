@@ -130,8 +130,8 @@ def test_a_margin_written_later_is_validated(kind: str, value: float, device: to
     expected = pgccd.detect(scene, motion)
     assert len(expected) == 1 and scene.margin is not None
     pairs = torch.tensor([[0, 1]], device=device)
-    trusted = pgccd.VertexMotion.of_checked(motion.x_t0, motion.x_t1) if kind == "deforming" else motion[:]
-    trusted.is_trusted = True
+    trusted = pgccd.VertexMotion._of_checked(motion.x_t0, motion.x_t1) if kind == "deforming" else motion[:]
+    trusted._is_trusted = True
     scene.margin[1] = value
     named = r"^margin: body 1: expected a finite length >= 0, at most 1e\+150, got " + str(value).replace("+", r"\+")
     calls: list[Callable[[], Any]] = [
@@ -141,17 +141,17 @@ def test_a_margin_written_later_is_validated(kind: str, value: float, device: to
         lambda: pgccd.detect(scene, trusted),
         lambda: pgccd.MovingBodies.of(scene, motion),
         lambda: pgccd.MovingBodies.of(scene, trusted),
-        lambda: pgccd.detect(scene, motion, capacity=Capacity.guess(9)).trim(),
-        lambda: pgccd.detect(scene, trusted, capacity=Capacity.guess(9)).trim(),
-        lambda: pgccd.detect(scene, motion, capacity=Capacity.guess(9), pairs=pairs).trim(),
+        lambda: pgccd.detect(scene, motion, capacity=Capacity.of(9)).trim(),
+        lambda: pgccd.detect(scene, trusted, capacity=Capacity.of(9)).trim(),
+        lambda: pgccd.detect(scene, motion, capacity=Capacity.of(9), pairs=pairs).trim(),
     ]
     for call in calls:
         with pytest.raises(ValueError, match=named):
             call()
-    assert bool(pgccd.detect(scene, motion, capacity=Capacity.guess(9)).overflow)
+    assert bool(pgccd.detect(scene, motion, capacity=Capacity.of(9)).overflow)
     scene.margin[1] = 0.001
     assert pgccd.detect(scene, motion) == expected
-    assert pgccd.detect(scene, motion, capacity=Capacity.guess(9)).trim() == expected
+    assert pgccd.detect(scene, motion, capacity=Capacity.of(9)).trim() == expected
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -159,13 +159,13 @@ def test_stages_called_alone_validate_margins(kind: str) -> None:
     scene, motion = moving(kind)
     made = pgccd.MovingBodies.of(scene, motion)
     pairs = pgccd.broad.sweep(made)
-    candidates, _ = pgccd.traverse.bvtt(made, pairs)
+    candidates, _ = pgccd.traverse.find_candidates(made, pairs)
     assert scene.margin is not None
     scene.margin[0] = -1.0
     for stage in (
         lambda: pgccd.broad.grid(made),
-        lambda: pgccd.traverse.bvtt(made, pairs),
-        lambda: pgccd.narrow.contacts(made, pairs, candidates),
+        lambda: pgccd.traverse.find_candidates(made, pairs),
+        lambda: pgccd.narrow.find_contacts(made, pairs, candidates),
     ):
         with pytest.raises(ValueError, match="^margin: body 0: .*, got -1.0"):
             stage()
@@ -222,7 +222,7 @@ def test_captured_loops_validate_margins(kind: str, device: torch.device) -> Non
     scene.margin = torch.tensor([0.0, NAN], dtype=torch.float64, device=device)  # another tensor: captured again
     with pytest.raises(ValueError, match="^margin: body 1: .*, got nan"):
         captured(motion).trim()
-    captured = pgccd.CapturedDetection(scene, motion, capacity=Capacity.guess(9))
+    captured = pgccd.CapturedDetection(scene, motion, capacity=Capacity.of(9))
     scene.margin = None
     assert len(captured(motion).trim()) == 1
 
@@ -231,7 +231,7 @@ def test_captured_loops_follow_the_meshes(device: torch.device) -> None:
     b = bodies()
     small = pgccd.Mesh(1e-3 * b.meshes[0].vertices, b.meshes[0].faces)
     scene, motion = pgccd.Scene([small, b.meshes[0]], [0, 0], device), b.motion(device=device)
-    captured = pgccd.CapturedDetection(scene, motion, capacity=Capacity.guess(100))
+    captured = pgccd.CapturedDetection(scene, motion, capacity=Capacity.of(100))
     assert len(captured(motion).trim()) == 0
     scene.mesh_index[:] = 1
     expected = pgccd.detect(pgccd.Scene([small, b.meshes[0]], [1, 1], device), motion)
@@ -243,7 +243,7 @@ def test_a_mesh_written_later_is_validated(wrong: int, device: torch.device) -> 
     scene, motion = moving("rigid", device)
     expected = pgccd.detect(scene, motion)
     scene.mesh_index[1] = wrong
-    for options in ({}, {"capacity": Capacity.guess(9)}):
+    for options in ({}, {"capacity": Capacity.of(9)}):
         with pytest.raises(ValueError, match=f"^mesh_index: body 1: expected a mesh from 0 to 1 .*, got {wrong}"):
             pgccd.detect(scene, motion, **options).trim()  # type: ignore[call-overload]
     scene.mesh_index[1] = 1
@@ -270,9 +270,9 @@ def test_what_is_recorded_for_later_values_carries_their_check(monkeypatch: pyte
     scene, motion = moving("rigid")
     expected = pgccd.detect(scene, motion)
     monkeypatch.setattr(Scene, "_is_recorded", lambda self: True)
-    assert pgccd.detect(scene, motion, capacity=Capacity.guess(9)).trim() == expected
+    assert pgccd.detect(scene, motion, capacity=Capacity.of(9)).trim() == expected
     scene.mesh_index[1] = 5
-    found = pgccd.detect(scene, motion, capacity=Capacity.guess(9))
+    found = pgccd.detect(scene, motion, capacity=Capacity.of(9))
     assert bool(found.overflow)
     with pytest.raises(ValueError, match="^mesh_index: body 1: expected a mesh from 0 to 1 .*, got 5"):
         found.trim()
@@ -284,7 +284,7 @@ def test_compiled_steps_validate_margins(device: torch.device) -> None:
 
     @torch.compile(fullgraph=True, backend="aot_eager")
     def step(x0: torch.Tensor, q0: torch.Tensor, x1: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        found = pgccd.detect(scene, pgccd.RigidMotion(x0, q0, x1, q0), capacity=Capacity.guess(100))
+        found = pgccd.detect(scene, pgccd.RigidMotion(x0, q0, x1, q0), capacity=Capacity.of(100))
         return found.toi[:1], found.overflow
 
     columns = motion.position_t0, motion.orientation_t0, motion.position_t1
@@ -356,7 +356,7 @@ def test_errors_give_the_value(device: torch.device) -> None:
         getattr(motion, name)[1, 2] = value
         with pytest.raises(ValueError, match=f"^{name}: body 1: expected {message}$"):
             pgccd.detect(scene, motion)
-        padded = pgccd.detect(scene, motion, capacity=Capacity.guess(9))
+        padded = pgccd.detect(scene, motion, capacity=Capacity.of(9))
         getattr(motion, name)[1] = former
         with pytest.raises(ValueError, match=f"^{name}: body 1: expected [^[]*$"):  # the value has been overwritten
             padded.trim()

@@ -9,6 +9,7 @@ form before timing.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ def measure(
             find = programs[program](scene)
             duration, read = timing.seconds(find, device)
             pairs = read()
-            test_duration, meeting = timing.seconds(lambda scene=scene, pairs=pairs: scene.meet(pairs))
+            test_duration, meeting = timing.seconds(partial(scene.meet, pairs))
             keys[program] = np.sort(pairs[meeting] @ np.array([bodies, 1]))
             if index >= 0:
                 tally[program]["found"] += len(pairs)
@@ -62,10 +63,13 @@ def measure(
                 tally[program]["missed"] += int((gap < -_ROUNDING).sum())
                 tally[program]["missed_within_rounding"] += int((gap >= -_ROUNDING).sum())
     rows = []
-    for program, found in tally.items():
+    for program, numbers in tally.items():
         exact_test = {} if "exact" in program.answers else {"exact_test_ms": timing.summary(removing[program])}
-        counts = {"true": true, "extra": found.pop("found") - true + found["missed"] + found["missed_within_rounding"]}
-        measured = row("broad phase", program, spent[program], **counts, **found, **exact_test, bodies=bodies)
+        counts = {
+            "true": true,
+            "extra": numbers.pop("found") - true + numbers["missed"] + numbers["missed_within_rounding"],
+        }
+        measured = row("broad phase", program, spent[program], **counts, **numbers, **exact_test, bodies=bodies)
         rows.append(measured | {"pairs_a_body": timing.rounded(true / (bodies * rounds))})
     return rows
 

@@ -7,6 +7,7 @@ read them as an array (not timed). The caller removes excess pairs, whose boxes 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,7 @@ def available(device: str) -> dict[Program, Prepare]:
         # BruteForce is quadratic and omitted.
         for name in ("LBVH", "HashGrid", "SpatialHash", "SweepAndPrune"):
             program = Program(f"ipctk {name}", "ipctk", "pairs of boxes", "radii of several sizes")
-            found[program] = lambda scene, name=name: _ipctk(ipctk, getattr(ipctk, name), scene)
+            found[program] = partial(_ipctk, ipctk, getattr(ipctk, name))
     spatial = peers.load("scipy.spatial")
     if spatial is not None:
         program = Program(

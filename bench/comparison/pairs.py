@@ -11,6 +11,7 @@ results on straight paths.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ import pgccd
 from comparison import pairs_peers
 from comparison.pairs_peers import PairsProgram
 from comparison.program import Program, row
+from pgccd.motion.paths import PathKind
 
 # Tois that differ by more than this fraction of the step are counted as different.
 _DIFFERENT_TOI = 1e-3
@@ -65,10 +67,11 @@ def _run(programs: list[PairsProgram], count: int) -> tuple[dict[str, np.ndarray
             spent[name][pair], toi = timing.seconds(each.prepare(pair))
             answers[name][pair] = np.inf if toi is None else toi
     first = 2 * _WARM_UP
-    return tuple({name: values[first:] for name, values in columns.items()} for columns in (answers, spent))
+    found, seconds = ({name: values[first:] for name, values in columns.items()} for columns in (answers, spent))
+    return found, seconds
 
 
-def _pgccd(pairs: near_pairs.Pairs, path: str, tolerance: float) -> PairsProgram:
+def _pgccd(pairs: near_pairs.Pairs, path: PathKind, tolerance: float) -> PairsProgram:
     scene = pairs[:1].scene()
 
     def prepare(row: int) -> pairs_peers.FirstToi:
@@ -83,22 +86,20 @@ def _pgccd(pairs: near_pairs.Pairs, path: str, tolerance: float) -> PairsProgram
     return PairsProgram(_described(path, "one pair a call"), path, prepare)
 
 
-def _together(pairs: near_pairs.Pairs, path: str, tolerance: float) -> dict[str, Any]:
+def _together(pairs: near_pairs.Pairs, path: PathKind, tolerance: float) -> dict[str, Any]:
     """All pairs in one call; time per pair."""
     seconds: list[float] = []
     random = torch.Generator().manual_seed(0)
     for index in range(23):
         shuffled = pairs[torch.randperm(len(pairs), generator=random)]
         scene, motion = shuffled.scene(), shuffled.motion(path)
-        duration, _ = timing.seconds(
-            lambda scene=scene, motion=motion: pgccd.detect(scene, motion, report="first", tolerance=tolerance)
-        )
+        duration, _ = timing.seconds(partial(pgccd.detect, scene, motion, "first", tolerance=tolerance))
         if index >= 3:
             seconds.append(duration / len(pairs))
     return row("pairs", _described(path, "all pairs in one call"), seconds, missed=0, extra=0)
 
 
-def _described(path: str, how: str) -> Program:
+def _described(path: PathKind, how: str) -> Program:
     straight = ", straight paths" if path == "linear" else ""
     paths = "straight paths" if path == "linear" else "arcs"
     return Program(f"pgccd{straight}, {how}", "pgccd", f"certified toi and features; meshes on {paths}")

@@ -14,6 +14,7 @@ from support import near_pairs, peers
 from support.near_pairs import Pairs
 
 from comparison.program import Program
+from pgccd.motion.paths import PathKind
 
 FirstToi = Callable[[], float | None]
 Prepare = Callable[[int], FirstToi]
@@ -26,7 +27,7 @@ class PairsProgram:
     """A program ready to solve pairs."""
 
     program: Program
-    path: str  #: "rigid" or "linear"
+    path: PathKind  #: "rigid" or "linear"
     prepare: Prepare
 
 

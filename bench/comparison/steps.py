@@ -5,6 +5,7 @@ move vertices along straight lines; one CPU thread.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,10 +41,10 @@ def line_search(robots: int, directions: int, device: str, seed: int = 0) -> lis
     scene = pgccd.Scene([mesh], torch.zeros(robots, dtype=torch.int32), device=device, self_collision=True)
     count = len(mesh.vertices)
     shift = count * torch.arange(robots, dtype=torch.int32)[:, None, None]
-    features = [(rows + shift).reshape(-1, rows.shape[1]).numpy() for rows in (mesh.edges, mesh.faces)]
+    edges, faces = ((rows + shift).reshape(-1, rows.shape[1]).numpy() for rows in (mesh.edges, mesh.faces))
     programs = {_ours("line search", device): _pgccd(scene, distance, device)}
     if device == "cpu":
-        programs |= _ipctk(start.reshape(-1, 3).numpy(), *features, distance)
+        programs |= _ipctk(start.reshape(-1, 3).numpy(), edges, faces, distance)
     pairs = [(start.reshape(-1, 3).numpy(), end.numpy()) for end in ends]
     return _measure("line search", programs, pairs, device, robots=robots, vertices=robots * count)
 
@@ -130,6 +131,6 @@ def _ipctk(start: np.ndarray, edges: np.ndarray, faces: np.ndarray, distance: fl
             "ipctk",
             "step, shortened to keep some distance",
             "which features; contacts at the start",
-        ): (lambda start, end, method=method: prepare(method, start, end))
+        ): partial(prepare, method)
         for name, method in methods.items()
     }

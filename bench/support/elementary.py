@@ -52,7 +52,7 @@ class Batch:
     @property
     def collides(self) -> np.ndarray:
         """Colliding queries (n,) bool; unresolved ones count."""
-        return self.status != pgccd.FREE
+        return self.status != pgccd.Status.FREE
 
 
 class Pgccd:
@@ -177,7 +177,8 @@ def peers_of(ipctk: Any | None, kind: str, tolerance: float) -> list[Ipctk]:
 
 
 def _ends(points: Queries, dtype: type[np.floating]) -> tuple[torch.Tensor, torch.Tensor]:
-    return tuple(torch.from_numpy(np.ascontiguousarray(points[:, k : k + 4], dtype=dtype)) for k in (0, 4))
+    start, end = (torch.from_numpy(np.ascontiguousarray(points[:, k : k + 4], dtype=dtype)) for k in (0, 4))
+    return start, end
 
 
 def _timed_call(call: Callable[..., tuple[bool, float]], row: list[np.ndarray]) -> tuple[float, tuple[bool, float]]:

@@ -26,7 +26,7 @@ class Tally:
         """Adds a batch and its truth."""
         for key, count in errors(batch.collides, truth).items():
             self._counts[key] += count
-        self._counts["unresolved"] += int((batch.status == pgccd.UNRESOLVED).sum())
+        self._counts["unresolved"] += int((batch.status == pgccd.Status.UNRESOLVED).sum())
         self._settled += [int((batch.significant_bits == bits).sum()) for bits in SIGNIFICANT_BITS]
         self._seconds += batch.seconds
 
@@ -73,7 +73,7 @@ def slowest(seconds: np.ndarray, batch: Batch, names: np.ndarray) -> dict[str, A
     return {
         "us": microseconds(float(seconds[k])),
         "query": names[k].tolist(),
-        "status": pgccd.narrow.Status(int(batch.status[k])).name.lower(),
+        "status": pgccd.Status.names()[int(batch.status[k])].lower(),
         "significant_bits": int(batch.significant_bits[k]),
     }
 

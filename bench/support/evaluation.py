@@ -21,6 +21,7 @@ from typing import Any
 import torch
 
 from pgccd import sim
+from pgccd.sim.model import Pattern
 from support import results
 
 _RANKS_PROGRAM = Path(__file__).resolve().parents[1] / "evaluation_ranks.py"
@@ -30,7 +31,7 @@ _RANKS_PROGRAM = Path(__file__).resolve().parents[1] / "evaluation_ranks.py"
 class Space:
     """A model, and the partition of its space."""
 
-    pattern: str
+    pattern: Pattern
     axes: int = 3  #: along which space is cut: 3 gives boxes, 1 slabs
     stretch: float = 1.0  #: length along x of the partitioned space over that of the world, which fills its lower part
 
@@ -69,7 +70,7 @@ class Case:
     device: str  #: "cpu" or "cuda"
     ranks: int
     robots: int
-    pattern: str
+    pattern: Pattern
     threshold: float = 0.15  #: of the paper's policy, in "PGCCD+LB"
     axes: int = 3  #: see `Space`
     stretch: float = 1.0

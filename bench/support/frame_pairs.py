@@ -44,7 +44,9 @@ class FramePair:
         of_mesh, of_scene = (np.sort(edges, axis=1) @ weights for edges in both)
         edge_pairs = np.sort(np.searchsorted(of_mesh, of_scene)[self.arrays["ee_pairs"]], axis=1)
         face_pairs = self.arrays["vf_pairs"][self.arrays["vf_collides"]]
-        true = np.concatenate([_keys(pgccd.VF_AB, face_pairs), _keys(pgccd.EE, edge_pairs[self.arrays["ee_collides"]])])
+        true = np.concatenate(
+            [_keys(pgccd.Kind.VF_AB, face_pairs), _keys(pgccd.Kind.EE, edge_pairs[self.arrays["ee_collides"]])]
+        )
         found = _keys(hits.kind.cpu().numpy(), hits.features.cpu().numpy())
         missed, extra = np.setdiff1d(true, found), np.setdiff1d(found, true)
         return {"true": len(true), "missed": len(missed), "extra": len(extra)}

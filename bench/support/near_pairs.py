@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 import pgccd
+from pgccd.motion.paths import PathKind
 from support.scenes import MixedWorld
 
 
@@ -30,10 +31,11 @@ class Pairs:
         columns = (self.position, self.orientation, self.velocity, self.spin)
         return Pairs(self.mesh, *(column[rows] for column in columns))
 
-    def motion(self, path: str) -> pgccd.RigidMotion:
+    def motion(self, path: PathKind) -> pgccd.RigidMotion:
         """The motion of all bodies; 2 p and 2 p + 1 are pair p."""
         columns = (self.position, self.orientation, self.velocity, self.spin)
-        return pgccd.RigidMotion.from_velocity(*(column.flatten(0, 1) for column in columns), dt=1.0, path=path)
+        position, orientation, velocity, spin = (column.flatten(0, 1) for column in columns)
+        return pgccd.RigidMotion.from_velocity(position, orientation, velocity, spin, dt=1.0, path=path)
 
     def scene(self) -> pgccd.Scene:
         """The scene of all pairs, each in its own world."""

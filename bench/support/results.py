@@ -108,7 +108,7 @@ def describe_device(device: torch.device | str) -> dict[str, Any]:
 
 
 def _cpu_model() -> str:
-    fields = {}
+    fields: dict[str, str] = {}
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         key, _, value = line.partition(":")
         fields.setdefault(key.strip(), value.strip())

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from pgccd import sim
+from pgccd.sim.model import Pattern
 
 
 class MixedWorld:
@@ -19,7 +20,12 @@ class MixedWorld:
     """
 
     def __init__(
-        self, robots: int, steps_before: int, device: torch.device | str = "cpu", seed: int = 0, pattern: str = "random"
+        self,
+        robots: int,
+        steps_before: int,
+        device: torch.device | str = "cpu",
+        seed: int = 0,
+        pattern: Pattern = "random",
     ) -> None:
         model = sim.Model(sim.ModelConfig(robots=robots, pattern=pattern, seed=seed), device=device)
         self._set(model, model.start(), 0)

@@ -54,8 +54,8 @@ class PebblesOnTerrain:
             spin = _TURN * unit_vectors(self._random, count, 3)
             position[0], velocity[0], spin[0] = 0.0, 0.0, 0.0
             orientation[0] = torch.tensor([1.0, 0.0, 0.0, 0.0])
-            columns = (column.to(self.scene.device) for column in (position, orientation, velocity, spin))
-            yield pgccd.RigidMotion.from_velocity(*columns, dt=1.0)
+            columns = [column.to(self.scene.device) for column in (position, orientation, velocity, spin)]
+            yield pgccd.RigidMotion.from_velocity(columns[0], columns[1], columns[2], columns[3], dt=1.0)
 
 
 class Ground:

@@ -40,20 +40,34 @@ _EDGES_A_VOXEL = 8.0
 
 @dataclass(frozen=True)
 class VoxelStats:
-    """Statistics of one rank in one call of `PCCCD.detect`."""
+    """Statistics of one rank in one call of `PCCCD.detect`.
 
-    boxes: int  #: boxes sent: one per voxel that a swept triangle touches
-    voxels: int  #: voxels of this rank with boxes
-    box_pairs: int  #: pairs of triangle boxes accepted on this rank
-    body_pairs: int  #: body pairs of these
-    candidates: int  #: feature pairs solved on this rank
-    unresolved: int  #: contacts reported because the iteration budget was spent
-    #: By stage: contribute, locate, exchange, synchronize, bisect, fetch, narrow, report.
+    Attributes:
+        boxes: boxes sent: one per voxel that a swept triangle touches.
+        voxels: voxels of this rank with boxes.
+        box_pairs: pairs of triangle boxes accepted on this rank.
+        body_pairs: body pairs of these.
+        candidates: feature pairs solved on this rank.
+        unresolved: contacts reported because the iteration budget was spent.
+        seconds: by stage: contribute, locate, exchange, synchronize, bisect, fetch, narrow, report.
+    """
+
+    boxes: int
+    voxels: int
+    box_pairs: int
+    body_pairs: int
+    candidates: int
+    unresolved: int
     seconds: dict[str, float] = field(default_factory=dict)
 
 
 class PCCCD:
     """Finds the collisions of rigid bodies on any number of CPU ranks; made by `create`, on all ranks together.
+
+    Attributes:
+        comm: between the ranks.
+        voxel_size: length of a voxel's edge.
+        stats: of the last call of `detect`; None before the first.
 
     Example:
         >>> hits = pgccd.baselines.PCCCD.create([rock]).detect(pgccd.RigidMotion(x0, q0, x1, q1))
@@ -63,7 +77,7 @@ class PCCCD:
         self.comm, self._meshes, self._query, self.voxel_size = comm, meshes, query, voxel_size
         self._directory = VoxelDirectory(comm)
         self._contents: VoxelContents | None = None
-        self.stats: VoxelStats | None = None  #: of the last call of `detect`
+        self.stats: VoxelStats | None = None
 
     @classmethod
     def create(
@@ -134,9 +148,9 @@ class PCCCD:
         self.comm.guard.activity = "step"
         clock = StageClock()
 
-        kept = self._query.settings[:2]
+        lengths = self._query.settings[:2]
         contents, boxes_sent = send_boxes(
-            self.comm, self._directory, bodies, bodies_before[:-1], self.voxel_size, kept, clock
+            self.comm, self._directory, bodies, bodies_before[:-1], self.voxel_size, lengths, clock
         )
         self._contents = contents
         with clock.stage("synchronize"):
@@ -149,7 +163,7 @@ class PCCCD:
             columns, owner, triangle_pairs = self._fetch(own, bodies_before, triangle_pairs)
         with clock.stage("narrow"):
             pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
-            scene = Scene.of_checked(self._meshes, columns["mesh_index"])
+            scene = Scene._of_checked(self._meshes, columns["mesh_index"])
             found = MovingBodies.of(scene, RigidMotion.from_rotation(*pose, path=motion.path))
             pairs, candidates = feature_candidates(found, triangle_pairs, self._query.tests_start)
             rest = (pairs, candidates, *self._query.settings, narrow.REPORTS[self._query.report])

@@ -11,7 +11,7 @@ _VERTEX, _EDGE, _FACE, _REPRESENTED = slice(0, 3), slice(3, 6), 6, 7
 
 
 def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor, tests_start: bool) -> tuple[Tensor, Tensor]:
-    """Body pairs (P, 2) int64, ascending, and candidates (C, 4) int32 as from `pgccd.traverse.bvtt`.
+    """Body pairs (P, 2) int64, ascending, and candidates (C, 4) int32 as from `pgccd.traverse.find_candidates`.
 
     Every vertex and edge is represented by one triangle of its mesh (Curtis, Tamstorf & Manocha 2008), so the two
     representing triangles list a feature pair exactly once.
@@ -31,8 +31,8 @@ def feature_candidates(bodies: MovingBodies, triangle_pairs: Tensor, tests_start
     vertices_i, edges_i = represents_i[:, :3], represents_i[:, 3:]
     vertices_j, edges_j = represents_j[:, :3], represents_j[:, 3:]
 
-    def listed(kind: Kind, pair: Tensor, feature_i: Tensor, feature_j: Tensor) -> Tensor:
-        return torch.stack([row[pair].int(), torch.full_like(feature_i, int(kind)), feature_i, feature_j], dim=1)
+    def listed(kind: int, pair: Tensor, feature_i: Tensor, feature_j: Tensor) -> Tensor:
+        return torch.stack([row[pair].int(), torch.full_like(feature_i, kind), feature_i, feature_j], dim=1)
 
     pair, corner = vertices_i.nonzero(as_tuple=True)
     vertex_face = listed(Kind.VF_AB, pair, of_i[:, _VERTEX][pair, corner], of_j[pair, _FACE])

@@ -17,6 +17,18 @@ from pgccd.motion.paths import PATHS, RigidMotion, VertexMotion
 class MovingBodies:
     """The bodies of a scene during one step of motion, as the operators read them; made by `of`.
 
+    Attributes:
+        scene: the bodies.
+        motion: their paths.
+        linear_path: whether vertices move on straight lines instead of arcs.
+        deforming: whether the bodies are given by their vertices.
+        tensors: the operators' `bodies` argument. Entries 1 to 3: positions at t0 and t1 (N, 3), of the origins or, for
+            deforming bodies, of the SBV centres; and SBV radius (N,).
+        centre_t0, centre_t1, reach: (N, 3), (N, 3), (N,) float64: the swept spheres that broad phases test. At every t
+            the body and its margin are within `reach` of the point at fraction t of the way from `centre_t0` to
+            `centre_t1`, its SBV centres at t0 and t1.
+        checked: whether poses and columns have been validated.
+
     Example:
         >>> bodies = pgccd.MovingBodies.of(scene, motion)
         >>> pairs = pgccd.broad.sweep(bodies)
@@ -31,21 +43,14 @@ class MovingBodies:
         swept_spheres: tuple[Tensor, Tensor, Tensor],
     ) -> None:
         self.scene, self.motion, self._columns = scene, motion, columns
-        #: True if vertices move on straight lines instead of arcs.
         self.linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
-        #: True for explicit vertex streams.
         self.deforming = isinstance(motion, VertexMotion)
-        #: The operators' `bodies` argument. Entries 1 to 3: positions at t0 and t1 (N, 3), of the origins or, for
-        #: deforming bodies, of the SBV centres; and SBV radius (N,).
         self.tensors = tensors
-        #: (N, 3), (N, 3), (N,): the swept spheres that broad phases test. At every t the body and its margin are within
-        #: `reach` of the point at fraction t of the way from `centre_t0` to `centre_t1`, its SBV centres at t0 and t1.
         self.centre_t0, self.centre_t1, self.reach = swept_spheres
         # Columns of the scene that are checked.
         self._of_scene: list[Checked] = []
-        #: Whether poses and columns have been validated.
         self.checked = False
-        self._faults: Tensor | None = None
+        self._found_faults: Tensor | None = None
 
     @classmethod
     def of(cls, scene: Scene, motion: RigidMotion | VertexMotion, *, wait: bool = True) -> MovingBodies:
@@ -53,8 +58,8 @@ class MovingBodies:
         once for all stages; if vertices change later, make new moving bodies.
 
         Args:
-            wait: whether to raise for an invalid pose now. Otherwise this does not synchronise: `first_faults` stays on
-                the device, and stages must be passed it as `invalid`.
+            wait: whether to raise for an invalid pose now. Otherwise this does not synchronise, and poses are validated
+                on the device.
 
         Raises:
             TypeError, ValueError: if scene and motion disagree in number or device, or a pose is invalid.
@@ -65,43 +70,43 @@ class MovingBodies:
             kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
         columns = motion.columns()
-        scene.check_columns()
+        scene._check_columns()
         if scene.device != motion.device:
             raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
         if isinstance(motion, RigidMotion) and motion.path not in PATHS:
             arguments.choice(motion.path, "path", PATHS)
         of_scene = scene_columns(scene)
-        checks = wait and (bool(of_scene) or not motion.is_trusted)
-        of_columns = motion.first_faults(columns, of_scene) if checks else None
+        checks = wait and (bool(of_scene) or not motion._is_trusted)
+        of_columns = motion._first_faults(columns, of_scene) if checks else None
         if of_columns is not None and (first := of_columns.tolist())[-1]:
-            Faults([*motion.faults.columns, *of_scene]).raise_from(first)
+            Faults([*motion._faults.columns, *of_scene]).raise_from(first)
         tensors = (_deforming if isinstance(motion, VertexMotion) else _rigid)(scene, columns)
         if of_scene:
-            tensors[0] = scene.sound_index()
+            tensors[0] = scene._sound_index()
         if scene.margin is not None:
             tensors.append(scene.margin)
         bodies = cls(scene, motion, columns, tensors, _swept_spheres(scene, motion, tensors))
         bodies.checked, bodies._of_scene = wait, of_scene
         if of_columns is not None:
-            bodies._faults = bodies._with_radius(of_columns)
+            bodies._found_faults = bodies._with_radius(of_columns)
             if bodies.deforming:
-                bodies.raise_faults(bodies._faults.tolist())
+                bodies._raise_faults(bodies._found_faults.tolist())
         return bodies
 
-    def first_faults(self) -> Tensor:
+    def _first_faults(self) -> Tensor:
         """(F,) int64: for each check the first faulty row, or a number past the last row; then 1 if any row is faulty,
         else 0. Computed once and cached.
         """
-        if self._faults is None:
-            self._faults = self._find_faults()
-        return self._faults
+        if self._found_faults is None:
+            self._found_faults = self._find_faults()
+        return self._found_faults
 
-    def known_faults(self) -> Tensor | None:
-        """`first_faults`, or None if an operator finds them from the columns of `checked_by_operator`."""
-        return self.first_faults() if self.motion.has_verdict else self._faults
+    def _known_faults(self) -> Tensor | None:
+        """`_first_faults`, or None if an operator finds them from the columns of `checked_by_operator`."""
+        return self._first_faults() if self.motion._has_verdict else self._found_faults
 
     @property
-    def checked_by_operator(self) -> list[Checked]:
+    def _checked_by_operator(self) -> list[Checked]:
         """Columns of the scene that an operator checks besides those of the motion."""
         return self._of_scene
 
@@ -112,28 +117,29 @@ class MovingBodies:
             ValueError: naming the column, the row and the value.
         """
         self._of_scene = scene_columns(self.scene)
-        if (self._of_scene or not self.motion.is_trusted) and not torch.compiler.is_compiling():
-            self.raise_faults(self._find_faults().tolist())
+        if (self._of_scene or not self.motion._is_trusted) and not torch.compiler.is_compiling():
+            self._raise_faults(self._find_faults().tolist())
 
     def _find_faults(self) -> Tensor:
-        return self._with_radius(self.motion.first_faults(self._columns, self._of_scene))
+        return self._with_radius(self.motion._first_faults(self._columns, self._of_scene))
 
     def _with_radius(self, faults: Tensor) -> Tensor:
         return joined(faults, first_faulty_radius(self.radius)) if self.deforming else faults
 
     @property
-    def faults(self) -> Faults:
-        """The meaning of the values of `first_faults`."""
-        columns = [*self.motion.faults.columns, *self._of_scene]
+    def _faults(self) -> Faults:
+        """The meaning of the values of `_first_faults`."""
+        columns = [*self.motion._faults.columns, *self._of_scene]
         return Faults(columns, self.radius if self.deforming else None)
 
-    def raise_faults(self, first: Sequence[int]) -> None:
-        """Raises ValueError if the values of `first_faults` include a faulty row."""
+    def _raise_faults(self, first: Sequence[int]) -> None:
+        """Raises ValueError if the values of `_first_faults` include a faulty row."""
         if first[-1]:
-            self.faults.raise_from(first)
+            self._faults.raise_from(first)
 
     @property
     def device(self) -> torch.device:
+        """The device of the scene and of the motion."""
         return self.scene.device
 
     @property
@@ -148,40 +154,43 @@ class MovingBodies:
 
     @property
     def position_t0(self) -> Tensor:
+        """(N, 3) float64 at t0: positions of the origins or, of deforming bodies, of the SBV centres."""
         return self.tensors[1]
 
     @property
     def position_t1(self) -> Tensor:
+        """(N, 3) float64: as `position_t0`, at t1."""
         return self.tensors[2]
 
     @property
     def radius(self) -> Tensor:
+        """(N,) float64: SBV radii; of deforming bodies, over the step."""
         return self.tensors[3]
 
     @property
-    def self_colliding(self) -> Tensor:
+    def _self_colliding(self) -> Tensor:
         """(S,) int64, ascending: the bodies tested against themselves. Empty unless the bodies deform: within a rigid
         body distances are constant, and on straight paths it changes by an affine map, which keeps separate points
         apart (except midway through exactly half a turn).
         """
-        rows = self.scene.self_colliding
+        rows = self.scene._self_colliding
         return rows if self.deforming else rows[:0]
 
 
 def scene_columns(scene: Scene) -> list[Checked]:
     """The columns of a scene whose values are validated at each use; none of a validated scene."""
     columns = []
-    if scene.must_check_index:
+    if scene._must_check_index:
         count = len(scene.meshes)
         columns = [Checked("mesh_index", scene.mesh_index, Check("range", count - 1.0, mesh_expected(count)), "body")]
-    if scene.margin is not None and not scene.is_trusted:
+    if scene.margin is not None and not scene._is_trusted:
         columns.append(Checked("margin", scene.margin, MARGIN, "body"))
     return columns
 
 
 def check_scene(scene: Scene) -> None:
     """Raises ValueError if a value of a column of a scene is invalid. Synchronises with a GPU if one may be."""
-    scene.check_columns()
+    scene._check_columns()
     if columns := scene_columns(scene):
         Faults(columns).raise_from(first_faults(columns).tolist())
 
@@ -201,7 +210,7 @@ def _rigid(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
     position_t0, position_t1, orientation_t0, rotation = columns.values()
     if position_t0.shape[0] != scene.body_count:
         raise ValueError(f"motion: has {position_t0.shape[0]} bodies, the scene {scene.body_count}")
-    return [scene.mesh_index, position_t0, position_t1, scene.current_radius(), orientation_t0, rotation]
+    return [scene.mesh_index, position_t0, position_t1, scene._current_radius(), orientation_t0, rotation]
 
 
 def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
@@ -211,6 +220,6 @@ def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
         expected = f"the scene's bodies have {layout.vertex_count}"
         raise ValueError(f"motion: x_t0 has {len(vertices[0])} vertices, {expected}")
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
-        scene.meshes.tensors, scene.sound_index(), vertices[0], vertices[1], *begins, layout.block_count
+        scene.meshes.tensors, scene._sound_index(), vertices[0], vertices[1], *begins, layout.block_count
     )
     return [scene.mesh_index, position_t0, position_t1, radius, *vertices, blocks_t0, blocks_t1, *begins]

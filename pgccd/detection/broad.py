@@ -8,8 +8,10 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
 from pgccd.detection.checks import check_separation, operator_tolerance, require_bodies
+
+__all__ = ["BroadPhase", "choose", "find_pairs", "grid", "lbvh", "sweep"]
 
 BroadPhase = Literal["auto", "sweep", "grid", "lbvh"]
 BROAD_PHASES: tuple[str, ...] = get_args(BroadPhase)
@@ -113,7 +115,7 @@ def find_pairs_padded(
     bodies: MovingBodies,
     min_separation: float,
     broad_phase: BroadPhase,
-    capacity: Capacity,
+    capacity: BufferSizes,
     invalid: Tensor,
     tolerance: float | None = None,
     elsewhere: Tensor | None = None,
@@ -131,13 +133,13 @@ def find_pairs_padded(
         `pgccd.detection.capacity.Counts`. After overflow, pairs may be missing.
     """
     number = BROAD_PHASE_NUMBERS[choose(bodies, broad_phase)]
-    own = 0 if bodies.scene.self_collision is None else len(bodies.self_colliding)
+    own = 0 if bodies.scene.self_collision is None else len(bodies._self_colliding)
     pair_capacity, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_padded(
         *_columns(bodies),
         elsewhere,
         invalid,
-        *_kept(min_separation, tolerance),
+        *_lengths(min_separation, tolerance),
         number,
         [max(0, pair_capacity - own), *rest],
     )
@@ -175,7 +177,7 @@ def find_pairs_of_checked(
 ) -> Tensor:
     """As `find_pairs`, without checks; `chosen` comes from `choose`. elsewhere: see `find_pairs_padded`."""
     number = BROAD_PHASE_NUMBERS[chosen]
-    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *_kept(min_separation, tolerance), number, axis)
+    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *_lengths(min_separation, tolerance), number, axis)
     return with_self_pairs(bodies, pairs)
 
 
@@ -185,7 +187,7 @@ def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
     """
     if bodies.scene.self_collision is None:
         return pairs
-    own = bodies.self_colliding
+    own = bodies._self_colliding
     if not len(own):
         return pairs
     if bodies.scene.body_count == 1:  # the body has no other partner
@@ -216,5 +218,9 @@ def _columns(bodies: MovingBodies) -> tuple[Tensor, Tensor, Tensor, *_Filters]:
     return bodies.centre_t0, bodies.centre_t1, bodies.reach, *filters(bodies)
 
 
-def _kept(min_separation: float, tolerance: float | None) -> tuple[float, float]:
+def _lengths(min_separation: float, tolerance: float | None) -> tuple[float, float]:
     return check_separation(min_separation), operator_tolerance(tolerance)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,15 +30,66 @@ _MOST = 2**31 - 1  # rows have 32-bit numbers
 _EXACT = -1  # number of contacts that stands for "as many as found"
 
 
-@dataclass(frozen=True)
 class Capacity:
-    """Buffer sizes for one step of `detect`, or those that a step needed (`Stats.needed`).
+    """Buffer sizes for one step of `detect`: of the result and of all intermediate lists. Made by `of`, or taken from
+    an earlier step (`Stats.needed`, `CapacityError.larger`).
 
     On a CPU only pairs and contacts can overflow; the rest is scratch memory of a GPU.
 
     Example:
         >>> capacity = pgccd.detect(scene, motion).stats.needed.times(1.5)
         >>> hits = pgccd.detect(scene, motion, capacity=capacity)
+    """
+
+    def __init__(self, *given: Never, **named: Never) -> None:
+        raise TypeError("Capacity: it is made by Capacity.of(body_count), or taken from Stats.needed")
+
+    @classmethod
+    def of(cls, body_count: int, pair_count: int | None = None, self_vertex_count: int = 0) -> Capacity:
+        """For a first step: nearly twice the capacity that the nanorobot simulation and folded cloth need.
+
+        Args:
+            body_count: bodies of the scene.
+            pair_count: number of body pairs, if they are given.
+            self_vertex_count: number of vertices of bodies tested against themselves.
+
+        Raises:
+            TypeError, ValueError: naming the argument.
+
+        Example:
+            >>> capacity = pgccd.Capacity.of(scene.body_count)
+        """
+        arguments.integer(body_count, "body_count", 0, "a number of bodies >= 0")
+        arguments.integer(self_vertex_count, "self_vertex_count", 0, "a number of vertices >= 0")
+        if pair_count is not None:
+            arguments.integer(pair_count, "pair_count", 0, "a number of pairs >= 0")
+        pairs = 5 * body_count // 4 if pair_count is None else pair_count
+        return BufferSizes(
+            pairs=pairs,
+            contacts=pairs // 2 + 4 * self_vertex_count,
+            overlaps=3 * body_count if pair_count is None else 0,
+            poses=pairs,
+            tasks=pairs + 4 * self_vertex_count,
+            leaf_pairs=12 * pairs + 12 * self_vertex_count,
+            candidates=8 * pairs + 20 * self_vertex_count,
+            open=3 * pairs + 8 * self_vertex_count,
+            launches=12 if self_vertex_count else 4,  # most of the work is in a few parts of such a body
+        ).times(1.0)
+
+    def times(self, factor: float) -> Capacity:
+        """This capacity, each part at least `factor` times as large, plus a minimum.
+
+        Raises:
+            TypeError, ValueError: `factor` is not a finite number >= 0.
+        """
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, repr=False)
+class BufferSizes(Capacity):
+    """A capacity as stages know it.
+
+    On a CPU only pairs and contacts can overflow; the rest is scratch memory of a GPU.
     """
 
     pairs: int  #: body pairs of the PCS
@@ -61,43 +112,13 @@ class Capacity:
                 arguments.integer(number, name, _EXACT if name == "contacts" else 0, "a number of rows >= 0")
 
     @classmethod
-    def _of_checked(cls, **parts: Any) -> Capacity:
+    def _of_checked(cls, **parts: Any) -> BufferSizes:
         """A capacity of valid parts, without checks: each call of `detect` makes one."""
         made = object.__new__(cls)
         made.__dict__.update(parts)
         return made
 
-    @classmethod
-    def guess(cls, body_count: int, pair_count: int | None = None, self_vertex_count: int = 0) -> Capacity:
-        """Nearly twice the capacity that the nanorobot simulation and folded cloth need.
-
-        Args:
-            body_count: bodies of the scene.
-            pair_count: number of body pairs, if they are given.
-            self_vertex_count: number of vertices of bodies tested against themselves.
-
-        Example:
-            >>> capacity = pgccd.Capacity.guess(scene.body_count)
-        """
-        arguments.integer(body_count, "body_count", 0, "a number of bodies >= 0")
-        arguments.integer(self_vertex_count, "self_vertex_count", 0, "a number of vertices >= 0")
-        if pair_count is not None:
-            arguments.integer(pair_count, "pair_count", 0, "a number of pairs >= 0")
-        pairs = 5 * body_count // 4 if pair_count is None else pair_count
-        return cls(
-            pairs=pairs,
-            contacts=pairs // 2 + 4 * self_vertex_count,
-            overlaps=3 * body_count if pair_count is None else 0,
-            poses=pairs,
-            tasks=pairs + 4 * self_vertex_count,
-            leaf_pairs=12 * pairs + 12 * self_vertex_count,
-            candidates=8 * pairs + 20 * self_vertex_count,
-            open=3 * pairs + 8 * self_vertex_count,
-            launches=12 if self_vertex_count else 4,  # most of the work is in a few parts of such a body
-        ).times(1.0)
-
-    def times(self, factor: float) -> Capacity:
-        """This capacity, each part at least `factor` times as large, plus a minimum."""
+    def times(self, factor: float) -> BufferSizes:
         factor = arguments.length(factor, "factor")
         scaled: dict[str, Any] = {
             name: min(_MOST, _round_up(math.ceil(factor * getattr(self, name)) + _SMALLEST))
@@ -106,7 +127,7 @@ class Capacity:
         }
         return replace(self, **scaled)
 
-    def grown(self, needed: Capacity) -> Capacity:
+    def grown(self, needed: BufferSizes) -> BufferSizes:
         """A capacity for a step that needed at least `needed` and stopped at the first overflow."""
         # Later stages saw only part of the pairs, so their counts are scaled up.
         more = max(1.0, needed.pairs / max(1, self.pairs), needed.overlaps / max(1, self.overlaps))
@@ -116,7 +137,10 @@ class Capacity:
             **{name: math.ceil(more * getattr(needed, name)) for name in _BYTES if name not in ("pairs", "overlaps")},
         ).times(1.25)
         larger = {field.name: max(getattr(self, field.name), getattr(enough, field.name)) for field in fields(self)}
-        return Capacity(**larger)
+        return BufferSizes(**larger)
+
+    def __repr__(self) -> str:
+        return f"Capacity({', '.join(f'{name}={getattr(self, name)}' for name in _NAMES)})"
 
     @property
     def bytes(self) -> int:
@@ -134,18 +158,19 @@ class Capacity:
         return [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches, self.open, self.contacts]
 
 
-_NAMES = tuple(field.name for field in fields(Capacity))
+_NAMES = tuple(field.name for field in fields(BufferSizes))
 
 
-def check_capacity(capacity: Capacity) -> None:
-    """Raises TypeError or ValueError unless this is a Capacity whose rows fit 32-bit numbers."""
-    if not isinstance(capacity, Capacity):
-        hint = ": see Capacity.guess and Stats.needed" if isinstance(capacity, int) else ""
+def sizes_of(capacity: Capacity) -> BufferSizes:
+    """The sizes of a user's capacity. Raises TypeError or ValueError unless its rows fit 32-bit numbers."""
+    if not isinstance(capacity, BufferSizes):
+        hint = ": see Capacity.of and Stats.needed" if isinstance(capacity, int) else ""
         raise TypeError(f"capacity: expected a pgccd.Capacity, got {arguments.describe(capacity)}{hint}")
     for name in _NAMES:
         number = getattr(capacity, name)
         if not 0 <= number <= _MOST:
             raise ValueError(f"capacity: {name}: expected a number of rows from 0 to 2^31 - 1, got {number}")
+    return capacity
 
 
 def _round_up(number: int) -> int:
@@ -157,21 +182,40 @@ def _round_up(number: int) -> int:
 
 
 #: On a CPU: as many rows as contacts are found.
-EXACTLY = Capacity(pairs=0, contacts=_EXACT)
+EXACTLY = BufferSizes(pairs=0, contacts=_EXACT)
 
 
 class CapacityError(RuntimeError):
-    """A step exceeded its capacity; `needed` is a lower bound of what it takes."""
+    """A step exceeded its capacity.
 
-    def __init__(self, capacity: Capacity, needed: Capacity) -> None:
+    Attributes:
+        capacity: that of the step.
+        needed: a lower bound of what it takes: stages after the first overflow saw only part of the work.
+        larger: a capacity for the next attempt.
+
+    Example:
+        >>> try:
+        ...     hits = pgccd.detect(scene, motion, capacity=capacity).trim()
+        ... except pgccd.CapacityError as error:
+        ...     capacity = error.larger
+    """
+
+    capacity: Capacity
+    needed: Capacity
+
+    def __init__(self, capacity: BufferSizes, needed: BufferSizes) -> None:
         short = [
             f"{name}: {getattr(needed, name)} in {getattr(capacity, name)}"
-            for name in capacity.__dataclass_fields__
+            for name in _NAMES
             if getattr(needed, name) > getattr(capacity, name)
         ]
         super().__init__(capacity, needed)
-        self._message = f"capacity: the step needs more: {', '.join(short)}; see Capacity.grown"
+        self._message = f"capacity: the step needs more: {', '.join(short)}; CapacityError.larger may do"
         self.capacity, self.needed = capacity, needed
+
+    @property
+    def larger(self) -> Capacity:
+        return sizes_of(self.capacity).grown(sizes_of(self.needed))
 
     def __str__(self) -> str:
         return self._message
@@ -212,9 +256,9 @@ class Counts(NamedTuple):
         """Whether any capacity was exceeded."""
         return bool(self.pairs_overflow or self.traverse_overflow or self.contacts_overflow)
 
-    def needed(self, capacity: Capacity) -> Capacity:
+    def needed(self, capacity: BufferSizes) -> BufferSizes:
         """The capacity that the step, run in `capacity`, would have needed."""
-        return Capacity._of_checked(
+        return BufferSizes._of_checked(
             pairs=self.pairs,
             contacts=self.contacts,
             overlaps=self.overlaps,

@@ -1,14 +1,15 @@
 """Detection as one CUDA graph, for loops that must not be limited by kernel launches from the host."""
 
 from dataclasses import dataclass, fields
-from typing import Unpack
+from typing import Generic, Literal, TypeVar, Unpack, cast, overload
 
 import torch
 
 from pgccd import arguments
 from pgccd.detection import broad, narrow
-from pgccd.detection.capacity import Capacity, CapacityError, check_capacity
-from pgccd.detection.contacts import Contacts, PaddedContacts, checked_counts
+from pgccd.detection.capacity import BufferSizes, Capacity, CapacityError, sizes_of
+from pgccd.detection.contacts import CollidingPairs, Contacts
+from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts, checked_counts
 from pgccd.detection.pipeline import Options, detect
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
@@ -26,7 +27,7 @@ class _Record:
     """What the host reads of a replay, two calls later."""
 
     counts: HostCopy  #: of `PaddedContacts.counts`
-    capacity: Capacity
+    capacity: BufferSizes
     faults: Faults
 
     def check(self) -> None:
@@ -34,7 +35,10 @@ class _Record:
         checked_counts(self.counts.numpy().tolist(), self.capacity, self.faults, later=True)
 
 
-class CapturedDetection:
+P = TypeVar("P", bound=PaddedContacts | PaddedCollidingPairs)
+
+
+class CapturedDetection(Generic[P]):
     """`pgccd.detect` for the steps of a loop: poses are loaded into fixed memory, one CUDA graph is replayed, and
     contacts are read from fixed memory. The result is bitwise equal to that of `detect`.
 
@@ -47,6 +51,9 @@ class CapturedDetection:
     incomplete result reads as contact at the start of the step, see `PaddedContacts`: a loop that moves bodies by
     `first_toi` stands still for such a step, and goes on once the capacity suffices.
 
+    Type checkers know it as `CapturedDetection[PaddedContacts]`, or of report="any" as
+    `CapturedDetection[PaddedCollidingPairs]`; of a report in a variable, as that of both types.
+
     Args:
         scene: the bodies. Its columns are read at each call and may be written. If columns of the scene or of `motion`
             are replaced, or `mesh_index` is written, the graph is captured again. The `mesh_index` of bodies that
@@ -55,6 +62,11 @@ class CapturedDetection:
         report, min_separation: as for `detect`.
         capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
         options: tolerance, nonzero_toi, initial, broad_phase: as for `detect`.
+
+    Attributes:
+        scene: the bodies.
+        motion: the motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
+        capacity: of the result and of all intermediate lists; None before the first replay, unless it was given.
 
     Raises:
         TypeError, ValueError: naming the argument.
@@ -66,6 +78,39 @@ class CapturedDetection:
         >>> contacts = captured.contacts()  # trimmed copy; synchronises
     """
 
+    @overload
+    def __init__(
+        self: "CapturedDetection[PaddedContacts]",
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        report: narrow.ContactReport = "first",
+        min_separation: float = 0.0,
+        *,
+        capacity: Capacity | None = None,
+        **options: Unpack[Options],
+    ) -> None: ...
+    @overload
+    def __init__(
+        self: "CapturedDetection[PaddedCollidingPairs]",
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        report: Literal["any"],
+        min_separation: float = 0.0,
+        *,
+        capacity: Capacity | None = None,
+        **options: Unpack[Options],
+    ) -> None: ...
+    @overload
+    def __init__(
+        self: "CapturedDetection[PaddedContacts | PaddedCollidingPairs]",
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        report: narrow.Report,
+        min_separation: float = 0.0,
+        *,
+        capacity: Capacity | None = None,
+        **options: Unpack[Options],
+    ) -> None: ...
     def __init__(
         self,
         scene: Scene,
@@ -85,16 +130,14 @@ class CapturedDetection:
         Query(report, min_separation, *of_query)  # checks them
         arguments.choice(options.get("broad_phase", "auto"), "broad_phase", broad.BROAD_PHASES)
         if capacity is not None:
-            check_capacity(capacity)
+            sizes_of(capacity)
         self.scene = scene
         self._report, self._min_separation, self._options = report, min_separation, options
-        #: Capacity of the result and of all intermediate lists; None before the first replay, unless it was given.
         self.capacity = capacity
-        #: The motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
         self.motion = _copy_of(motion)
         self._graph: Graph | None = None
         self._read: list[object] = []  # inputs of the graph
-        self._found: PaddedContacts | None = None
+        self._found: P | None = None
         # Calls so far, the one that made the result, and the records of the last two by number.
         self._calls = self._call_of_found = 0
         self._records: dict[int, _Record] = {}
@@ -119,7 +162,7 @@ class CapturedDetection:
             column.copy_(given[name])
         _mark_given_faults(self.motion, motion)
 
-    def replay(self) -> PaddedContacts:
+    def replay(self) -> P:
         """Detects the collisions of the loaded motion. Waits for the call before the last, and synchronises to capture
         the graph. The next call overwrites the result, or returns one in new memory.
 
@@ -131,13 +174,19 @@ class CapturedDetection:
         self._begin_call()
         return self._replay()
 
-    def __call__(self, motion: RigidMotion | VertexMotion) -> PaddedContacts:
+    def __call__(self, motion: RigidMotion | VertexMotion) -> P:
         """`load`, then `replay`; raises before the motion is loaded."""
         self._begin_call()
         self.load(motion)
         return self._replay()
 
-    def contacts(self) -> Contacts:
+    @overload
+    def contacts(self: "CapturedDetection[PaddedContacts]") -> Contacts: ...
+    @overload
+    def contacts(self: "CapturedDetection[PaddedCollidingPairs]") -> CollidingPairs: ...
+    @overload
+    def contacts(self) -> Contacts | CollidingPairs: ...
+    def contacts(self) -> Contacts | CollidingPairs:
         """A copy of the contacts of the last call; replays first if there was none. Synchronises. If a capacity was
         exceeded, the step is captured again with a larger one, and replayed.
 
@@ -173,14 +222,14 @@ class CapturedDetection:
         except ValueError as error:
             raise ValueError(f"{error} (in the call before the last)") from None
 
-    def _replay(self) -> PaddedContacts:
+    def _replay(self) -> P:
         found = self._run()
         self._call_of_found = self._calls
         with torch.cuda.device_of(found.counts):  # the event that is waited for belongs to the current device
-            self._records[self._calls] = _Record(HostCopy.start(found.counts), found.capacity, found.faults)
+            self._records[self._calls] = _Record(HostCopy.start(found.counts), sizes_of(found.capacity), found._faults)
         return found
 
-    def _run(self) -> PaddedContacts:
+    def _run(self) -> P:
         self.capacity = self.capacity or self._estimate()
         if not self.is_graph:
             self._found = self._detect()
@@ -198,13 +247,12 @@ class CapturedDetection:
     def _grow(self, error: CapacityError) -> None:
         """Chooses a capacity for a step that exceeded one; the graph is captured again with it."""
         assert self.capacity is not None
-        names = [field.name for field in fields(Capacity)]
-        if error.capacity is not self.capacity and all(
-            getattr(error.needed, name) <= getattr(self.capacity, name) for name in names
-        ):
+        present, needed = sizes_of(self.capacity), sizes_of(error.needed)
+        names = [field.name for field in fields(BufferSizes)]
+        if error.capacity is not present and all(getattr(needed, name) <= getattr(present, name) for name in names):
             return  # it has grown since then
-        larger = self.capacity.grown(error.needed)
-        if larger == self.capacity:
+        larger = present.grown(needed)
+        if larger == present:
             raise error
         self.capacity = larger
         self._drop_graph()
@@ -230,10 +278,10 @@ class CapturedDetection:
             raise ValueError("motion: this step does not fit in memory in one pass; use pgccd.detect")
         return needed.times(_SLACK)
 
-    def _detect(self) -> PaddedContacts:
+    def _detect(self) -> P:
         assert self.capacity is not None
         given = self.scene, self.motion, self._report, self._min_separation
-        return detect(*given, capacity=self.capacity, **self._options)
+        return cast(P, detect(*given, capacity=self.capacity, **self._options))
 
     def __repr__(self) -> str:
         return f"CapturedDetection(bodies={self.scene.body_count}, graph={self.is_graph}, device={self.scene.device})"
@@ -252,7 +300,7 @@ def _mark_given_faults(copied: RigidMotion | VertexMotion, motion: RigidMotion |
     """Makes rotations of a copy of a motion invalid from its first invalid end orientation on. These are not columns,
     and only the first one is known.
     """
-    first = motion.first_given_fault
+    first = motion._first_given_fault
     if first is not None and isinstance(copied, RigidMotion):
         rows = torch.arange(copied.body_count, device=first.device)
         copied.rotation.masked_fill_((rows >= first)[:, None], torch.nan)

@@ -165,7 +165,7 @@ def _meet(
     if not len(rows):
         return np.zeros(0, dtype=bool)
     thick = copy.copy(scene)
-    thick.capacity_estimates = {}
+    thick._capacity_estimates = {}
     thick.margin = None if margin is None else torch.from_numpy(margin).to(scene.device)
     ascending = np.sort(rows, axis=1)
     pairs = torch.from_numpy(np.unique(ascending, axis=0)).to(scene.device)

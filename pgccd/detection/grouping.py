@@ -18,15 +18,11 @@ By = Literal["scene", "world", "body"]
 _BY = get_args(By)
 
 
-def first_time(
-    pairs: Tensor, time: Tensor | None, scene: Scene | None, by: By, incomplete: Tensor | None = None
-) -> Tensor:
+def first_time(pairs: Tensor, time: Tensor, scene: Scene | None, by: By, incomplete: Tensor | None = None) -> Tensor:
     """The smallest `time` (K,) of rows of `pairs` (K, 2), which may be padded with -1; see `Contacts.first_toi`. 0 if
     `incomplete` (1,) bool.
     """
     arguments.choice(by, "by", _BY)
-    if time is None:
-        raise ValueError('report: "any" gives no times; ask for "first" or "earliest", or see `may_collide`')
     if by == "scene":
         found = torch.cat([time, time.new_full((1,), torch.inf)]).min()
     else:

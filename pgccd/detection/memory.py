@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import Capacity
+from pgccd.detection.capacity import BufferSizes, Capacity, sizes_of
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import Scene
 
@@ -46,14 +46,14 @@ class CapacityEstimate:
     def __init__(self) -> None:
         self._size = 0  # number of bodies of the last step, or of pairs if they were given
         #: The capacity that the last step needed; None before the first.
-        self.needed: Capacity | None = None
+        self.needed: BufferSizes | None = None
 
-    def learn(self, size: int, needed: Capacity) -> None:
+    def learn(self, size: int, needed: BufferSizes) -> None:
         """Records what a step of `size` bodies (or given pairs) needed."""
         if size > 0:
             self._size, self.needed = size, needed
 
-    def capacity(self, scene: Scene, pairs: Tensor | None, slack: float = _SLACK) -> Capacity:
+    def capacity(self, scene: Scene, pairs: Tensor | None, slack: float = _SLACK) -> BufferSizes:
         """The expected capacity, from the last step or, before the first, from the standard scene.
 
         Args:
@@ -62,7 +62,7 @@ class CapacityEstimate:
             slack: factor over what the last step needed.
         """
         size, given = (scene.body_count, None) if pairs is None else (len(pairs), len(pairs))
-        guess = Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
+        guess = sizes_of(Capacity.of(scene.body_count, given, scene._self_colliding_vertices))
         if self.needed is None:
             return guess
         capacity = self.needed.times(slack * size / self._size)
@@ -74,7 +74,7 @@ def estimate_of(scene: Scene, query: Query, pairs: Tensor | None) -> CapacityEst
     repeating part of a step may need very different memory per pair than the whole step.
     """
     octave = None if pairs is None else len(pairs).bit_length()
-    estimates, key = scene.capacity_estimates, (query.report, octave)
+    estimates, key = scene._capacity_estimates, (query.report, octave)
     if key not in estimates:
         estimates[key] = CapacityEstimate()
     return estimates[key]

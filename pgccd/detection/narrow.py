@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Literal
+from typing import Final, Literal
 
 import torch
 from torch import Tensor
@@ -20,7 +19,11 @@ from pgccd.detection.checks import (
 )
 from pgccd.detection.contacts import ContactRows, take_earliest
 
+__all__ = ["ContactReport", "ElementaryResult", "Kind", "Report", "Status", "edge_edge", "find_contacts", "vertex_face"]
+
 Report = Literal["any", "first", "all", "earliest"]
+#: The reports that give contacts, not only pairs.
+ContactReport = Literal["first", "all", "earliest"]
 # Numbers of the enum Report in csrc/kernels/narrow/narrow.h. For "earliest", operators may leave out later contacts.
 REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 3}
 
@@ -28,34 +31,75 @@ REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 3}
 _ELEMENTARY_TOLERANCE = 1e-6
 
 
-class Kind(IntEnum):
-    """Values of `kind`: which features of a pair (i, j) touch."""
+class _NamedIntegers:
+    # Not an IntEnum: torch.compile treats the comparison of a tensor with a member of an enumeration as constant.
 
-    VF_AB = 0  #: vertex of i, face of j
-    VF_BA = 1  #: vertex of j, face of i; `features` still lists i's feature first
-    EE = 2  #: edge of i, edge of j
-    EF_AB = 3  #: edge of i that passes through a face of j at t = 0
-    EF_BA = 4  #: edge of j that passes through a face of i at t = 0; `features` still lists i's feature first
+    @classmethod
+    def names(cls) -> dict[int, str]:
+        """The name of each value.
+
+        Example:
+            >>> pgccd.Kind.names()[2]
+            'EE'
+        """
+        return {value: name for name, value in vars(cls).items() if name.isupper()}
 
 
-class Status(IntEnum):
-    """Values of `status`: how a test ended."""
+class Kind(_NamedIntegers):
+    """Values of `kind`, plain integers: which features of a pair (i, j) touch. `features` lists that of i first.
 
-    FREE = 0  #: certainly no contact
-    TOUCH = 1  #: the primitives come within min_separation + tolerance
-    UNRESOLVED = 2  #: iteration budget spent; counts as a contact
+    Attributes:
+        VF_AB: vertex of i, face of j.
+        VF_BA: face of i, vertex of j.
+        EE: edge of i, edge of j.
+        EF_AB: edge of i that passes through a face of j at t = 0.
+        EF_BA: face of i, edge of j that passes through it at t = 0.
+
+    Example:
+        >>> edges = hits[hits.kind == pgccd.Kind.EE]
+    """
+
+    VF_AB: Final = 0
+    VF_BA: Final = 1
+    EE: Final = 2
+    EF_AB: Final = 3
+    EF_BA: Final = 4
+
+
+class Status(_NamedIntegers):
+    """Values of `status`, plain integers: how a test ended.
+
+    Attributes:
+        FREE: certainly no contact.
+        TOUCH: the features come within min_separation + tolerance.
+        UNRESOLVED: the iteration budget was spent; counts as a contact.
+
+    Example:
+        >>> hits[hits.status == pgccd.Status.UNRESOLVED]
+        Contacts(count=0, pcs=1, device=cpu)
+    """
+
+    FREE: Final = 0
+    TOUCH: Final = 1
+    UNRESOLVED: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
 class ElementaryResult:
-    """Results of elementary tests; `toi` and `coordinates` have the dtype of the points."""
+    """Results of elementary tests.
 
-    status: Tensor  #: (n,) int8
-    toi: Tensor  #: (n,) not late, rounded down; inf when free
-    #: (n, 2): (u, v) of the face point f0 + u (f1 - f0) + v (f2 - f0), or of the edge points ea0 + u (ea1 - ea0) and
-    #: eb0 + v (eb1 - eb0)
+    Attributes:
+        status: (n,) int8, see `Status`.
+        toi: (n,) of the dtype of the points: not late, rounded down; inf when free.
+        coordinates: (n, 2) of the dtype of the points: (u, v) of the face point f0 + u (f1 - f0) + v (f2 - f0), or of
+            the edge points ea0 + u (ea1 - ea0) and eb0 + v (eb1 - eb0).
+        significant_bits: (n,) int8: significand bits of the arithmetic that decided: 24 (float32), 53 (float64) or 106
+            (pairs of float64).
+    """
+
+    status: Tensor
+    toi: Tensor
     coordinates: Tensor
-    #: (n,) int8: significand bits of the arithmetic that decided: 24 (float32), 53 (float64) or 106 (pairs of float64)
     significant_bits: Tensor
 
 
@@ -83,7 +127,7 @@ def vertex_face(
 
     Example:
         >>> hit = pgccd.narrow.vertex_face(x0, x1)
-        >>> colliding = hit.status != pgccd.FREE
+        >>> colliding = hit.status != pgccd.Status.FREE
     """
     return _solve(ops.vertex_face, points_t0, points_t1, min_separation, tolerance, nonzero_toi)
 
@@ -117,7 +161,7 @@ def _solve(
     return ElementaryResult(*test(points_t0, points_t1, *settings))
 
 
-def contacts(
+def find_contacts(
     bodies: MovingBodies,
     pairs: Tensor,
     candidates: Tensor,
@@ -129,15 +173,15 @@ def contacts(
     """Solves candidates and returns the contacts selected by `report`; see `pgccd.detect` for the options.
 
     Args:
-        bodies, pairs: as for `pgccd.traverse.bvtt`.
-        candidates: (C, 4) int32, as returned by `bvtt`.
+        bodies, pairs: as for `pgccd.traverse.find_candidates`.
+        candidates: (C, 4) int32, as returned by `find_candidates`.
 
     Returns:
         Contacts in canonical order: index into `pairs` (K,), kind (K,), features (K, 2), status (K,), toi (K,),
         coordinates (K, 2), point (K, 3), normal (K, 3).
 
     Example:
-        >>> rows = pgccd.narrow.contacts(bodies, pairs, candidates, report="all")
+        >>> rows = pgccd.narrow.find_contacts(bodies, pairs, candidates, report="all")
     """
     require_bodies(bodies)
     pairs = check_pairs(pairs, bodies)
@@ -158,7 +202,7 @@ def contacts(
 def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> Tensor:
     """Mask of candidates with a valid pair, kind and features."""
     row, kind, *features = (column.long() for column in candidates.unbind(dim=1))
-    known = (row >= 0) & (row < len(pairs)) & (kind >= 0) & (kind <= int(max(Kind)))
+    known = (row >= 0) & (row < len(pairs)) & (kind >= 0) & (kind <= max(Kind.names()))
     offsets = bodies.scene.meshes.offsets.to(bodies.device)
     counts = offsets[1:] - offsets[:-1]  # vertices, faces, edges
     row, kind = torch.where(known, row, 0), torch.where(known, kind, 0)
@@ -178,3 +222,7 @@ def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:
         raise TypeError(f"points_t1: expected dtype {points_t0.dtype}, got {points_t1.dtype}")
     arguments.shape(points_t1, "points_t1", points_t0.shape, points_t0.device)
     return points_t0.detach().contiguous(), points_t1.detach().contiguous()
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -9,8 +10,9 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, Capacity, Counts, overflow_flags
-from pgccd.detection.contacts import ContactRows, Contacts, PaddedContacts, named_columns, stats_of, take_earliest
+from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, BufferSizes, Counts, overflow_flags
+from pgccd.detection.contacts import COLUMNS, CollidingPairs, ContactRows, Contacts, contacts_of, take_earliest
+from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts, stats_of
 from pgccd.detection.query import Query
 from pgccd.motion.faults import CHECK_NUMBERS
 
@@ -21,10 +23,10 @@ class Search:
 
     bodies: MovingBodies
     query: Query
-    capacity: Capacity
+    capacity: BufferSizes
     broad_phase: str
     rows: ContactRows  #: padded; the first column is body pairs (., 2)
-    counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies.first_faults`
+    counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies._first_faults`
     #: (N,) float64, negative for bodies whose pose is invalid: those of the others were searched. None: if a pose is
     #: invalid, nothing was.
     reach: Tensor | None = None
@@ -36,10 +38,10 @@ class Search:
             ValueError: the input is invalid.
         """
         values = self.counts.tolist()
-        self.bodies.raise_faults(values[len(COUNT_ROWS) :])
+        self.bodies._raise_faults(values[len(COUNT_ROWS) :])
         return Counts.of(values[: len(COUNT_ROWS)])
 
-    def contacts(self, counts: Counts) -> Contacts:
+    def contacts(self, counts: Counts) -> Contacts | CollidingPairs:
         """The contacts, given the counts, if nothing overflowed."""
         count = counts.contacts
         rows = self.rows
@@ -49,30 +51,31 @@ class Search:
             rows = take_earliest(rows)
         bodies, waits = self.bodies.scene.body_count, int(self.counts.is_cuda)
         stats = stats_of(counts, self.capacity, bodies, rows[0].shape[0], self.broad_phase, waits)
-        contacts = Contacts(**named_columns(rows, self.query.report), stats=stats)
-        contacts._is_earliest = self.query.report == "earliest"
-        return contacts
+        return contacts_of(rows, self.query.report, stats)
 
-    def padded(self) -> PaddedContacts:
+    def padded(self) -> PaddedContacts | PaddedCollidingPairs:
         """The padded contacts, without reading the counts. Sets every toi to 0 if they are incomplete."""
         rows, count = self.rows, self.counts[COUNT_ROWS["contacts"]].reshape(1)
         if self.query.report == "earliest":
             rows, count = take_earliest(rows), count.clamp(max=1)
         incomplete = torch.cat([*overflow_flags(self.counts), self.counts[-1:]]).any().reshape(1)
-        columns = named_columns(rows, self.query.report)
+        of_search: dict[str, Any] = {
+            "count": count,
+            "overflow": incomplete,
+            "counts": self.counts,
+            "capacity": self.capacity,
+            "broad_phase": self.broad_phase,
+            "bodies": self.bodies.scene.body_count,
+            "_faults": self.bodies._faults,
+        }
+        if self.query.report == "any":
+            pairs = PaddedCollidingPairs(pairs=rows[0], **of_search)
+            pairs.scene, pairs._reach = self.bodies.scene, self.reach
+            return pairs
+        columns: dict[str, Any] = dict(zip(COLUMNS, rows, strict=True))
         found_toi = columns["toi"]
-        if found_toi is not None:
-            columns["toi"] = found_toi.masked_fill(incomplete, 0.0)
-        padded = PaddedContacts(
-            **columns,
-            count=count,
-            overflow=incomplete,
-            counts=self.counts,
-            capacity=self.capacity,
-            broad_phase=self.broad_phase,
-            bodies=self.bodies.scene.body_count,
-            faults=self.bodies.faults,
-        )
+        columns["toi"] = found_toi.masked_fill(incomplete, 0.0)
+        padded = PaddedContacts(**columns, **of_search)
         padded.scene, padded._found_toi, padded._reach = self.bodies.scene, found_toi, self.reach
         padded._is_earliest = self.query.report == "earliest"
         return padded
@@ -94,7 +97,7 @@ def counts_of_given(pairs: Tensor, count: Tensor | None = None) -> Tensor:
 def search_padded(
     bodies: MovingBodies,
     query: Query,
-    capacity: Capacity,
+    capacity: BufferSizes,
     broad_phase: broad.BroadPhase,
     pairs: Tensor | None,
     pair_counts: Tensor | None = None,
@@ -113,7 +116,7 @@ def search_padded(
     """
     if pairs is None and not bodies.deforming:
         return search_rigid(bodies, query, capacity, broad_phase, capacity.of_pairs, marks_invalid)
-    faults = bodies.first_faults()
+    faults = bodies._first_faults()
     if pairs is None:
         chosen = broad.choose(bodies, broad_phase)
         pairs, pair_counts = broad.find_pairs_padded(
@@ -132,7 +135,7 @@ def search_padded(
 def search_rigid(
     bodies: MovingBodies,
     query: Query,
-    capacity: Capacity,
+    capacity: BufferSizes,
     broad_phase: broad.BroadPhase,
     pair_capacity: Sequence[int],
     marks_invalid: bool = False,
@@ -146,10 +149,10 @@ def search_rigid(
         marks_invalid: whether to search the other bodies if a pose is invalid, unless faults are known: see
             `Search.reach`.
     """
-    faults = bodies.known_faults()
-    of_scene = [] if faults is not None else bodies.checked_by_operator
+    faults = bodies._known_faults()
+    of_scene = [] if faults is not None else bodies._checked_by_operator
     more = [column.values.to(torch.float64)[:, None] for column in of_scene]
-    checks, limits = bodies.motion.checks
+    checks, limits = bodies.motion._checks
     reach = torch.empty_like(bodies.reach) if marks_invalid and faults is None else None
     chosen = broad.choose(bodies, broad_phase)
     min_separation, tolerance, nonzero_toi = query.settings
@@ -185,7 +188,7 @@ def lower_first_toi(
     pairs: Tensor,
     pair_counts: Tensor,
     query: Query,
-    capacity: Capacity,
+    capacity: BufferSizes,
 ) -> Tensor:
     """Traversal and narrow phase of rigid bodies for the first toi of each pair alone. Surfaces are assumed not to
     intersect at t = 0. Does not synchronise.

@@ -10,11 +10,11 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
-from pgccd.detection.contacts import Contacts, Stats
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts, sizes_of
+from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import Search
-from pgccd.detection.pipeline import expected_capacity, find_contacts, start_search
+from pgccd.detection.pipeline import detect_moving, expected_capacity, start_search
 from pgccd.detection.query import Query
 from pgccd.detection.streaming import join_contacts
 
@@ -33,14 +33,14 @@ class Part:
     pairs: Tensor
     pair_counts: Tensor | None = None  #: (7,) int64, left on the device: the first of `Counts`. Default: P pairs
     rows: Tensor | None = None  #: (B,) int64: index of each of `bodies` in the step. Default: the same
-    capacity: Capacity | None = None  #: of the search, chosen before the pairs were known. Default: as estimated
+    capacity: BufferSizes | None = None  #: of the search, chosen before the pairs were known. Default: as estimated
     find_pairs: Callable[[], Tensor] | None = None  #: finds all pairs, called if they exceeded the capacity
     #: Capacity estimate of this part, updated with what the search needed.
     estimate: CapacityEstimate = field(default_factory=CapacityEstimate)
     _search: Search | None = field(default=None, init=False)
     _counts: Counts | None = field(default=None, init=False)
     _scratch_bytes: int = field(default=0, init=False)
-    _contacts: Contacts | None = field(default=None, init=False)
+    _contacts: Contacts | CollidingPairs | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         # The capacity is proportional to the number of pairs, or of bodies if it was chosen before the pairs were
@@ -73,7 +73,7 @@ class Part:
         if not counts.overflow:
             self.estimate.learn(self._size, counts.needed(self.start().capacity))
 
-    def find(self) -> Contacts:
+    def find(self) -> Contacts | CollidingPairs:
         """The contacts, as rows of `bodies`. Synchronises."""
         if self._contacts is not None:
             return self._contacts
@@ -91,9 +91,9 @@ class Part:
                 self.pairs = self.find_pairs()
             else:
                 self.pairs = self.pairs[: numbers[COUNT_ROWS["pairs_written"]]]
-        self._contacts = find_contacts(self.bodies, self.query, pairs=self.pairs)
-        needed = self._contacts.stats.needed
-        if needed is not None:
+        self._contacts = detect_moving(self.bodies, self.query, pairs=self.pairs)
+        if self._contacts.stats.needed is not None:
+            needed = sizes_of(self._contacts.stats.needed)
             if self._counts is not None:  # only the first search counts the broad phase
                 needed = replace(
                     needed,
@@ -110,7 +110,7 @@ class Part:
         """
         if self._contacts is None:
             return self._padded_first_contacts
-        if self._contacts.toi is None:
+        if isinstance(self._contacts, CollidingPairs):
             raise ValueError('report: "any" gives no toi')
         return self.in_step(self._contacts.pairs), self._contacts.toi
 
@@ -158,7 +158,7 @@ def find_part(
     estimate fits in memory. Then the bodies need not be validated: if they are invalid there are no pairs.
 
     Args:
-        bodies, query, broad_phase: as for `find_contacts`.
+        bodies, query, broad_phase: as for `detect_moving`.
         select: selects the pairs to search. Default: all.
         discard: (1,) int64 on the device; if nonzero, the result will be discarded and the search returns immediately.
         rows, estimate: as for `Part`.
@@ -183,9 +183,9 @@ def find_part(
     capacity = expected_capacity(bodies, None, estimate, slack=slack) if _looks_ahead(bodies) else None
     if capacity is None:
         if not bodies.checked:
-            bodies.raise_faults(bodies.first_faults().tolist())
+            bodies._raise_faults(bodies._first_faults().tolist())
         return Part(query, bodies, find_pairs(), rows=rows)
-    invalid = bodies.first_faults()[-1:]
+    invalid = bodies._first_faults()[-1:]
     if discard is not None:
         invalid = torch.maximum(invalid, discard)
     pairs, counts = broad.find_pairs_padded(bodies, separation, broad_phase, capacity, invalid, tolerance, elsewhere)
@@ -210,7 +210,7 @@ def _looks_ahead(bodies: MovingBodies) -> bool:
     return bodies.device.type != "cpu"
 
 
-def contacts_of_step(parts: Sequence[Part]) -> Contacts:
+def contacts_of_step(parts: Sequence[Part]) -> Contacts | CollidingPairs:
     """The contacts of all parts, concatenated, as rows of the step's bodies. Synchronises."""
     found = [part.find() for part in parts]
     if len(parts) == 1:

@@ -2,18 +2,19 @@
 
 import time
 from functools import partial
-from typing import TypedDict, Unpack, overload
+from typing import Literal, TypedDict, Unpack, overload
 
 from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import EXACTLY, Capacity, check_capacity
+from pgccd.detection.capacity import EXACTLY, BufferSizes, Capacity, sizes_of
 from pgccd.detection.checks import Initial, check_pairs, warn_of_only_body
-from pgccd.detection.contacts import Contacts, PaddedContacts
+from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
 from pgccd.detection.padded import Search, search_padded, search_rigid
+from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts
 from pgccd.detection.query import Query
 from pgccd.detection.streaming import stream
 from pgccd.detection.trajectories import TrajectoryContacts, detect_trajectory
@@ -35,11 +36,13 @@ class Options(TypedDict, total=False):
     memory_budget: int | None
 
 
+# Of a step, of a step in a given capacity, and of a trajectory: by report contacts, colliding pairs, or either, if the
+# report is a variable.
 @overload
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
-    report: narrow.Report = "first",
+    report: narrow.ContactReport = "first",
     min_separation: float = 0.0,
     *,
     pairs: Tensor | None = None,
@@ -50,7 +53,29 @@ def detect(
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
-    report: narrow.Report = "first",
+    report: Literal["any"],
+    min_separation: float = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: None = None,
+    **options: Unpack[Options],
+) -> CollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.Report,
+    min_separation: float = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: None = None,
+    **options: Unpack[Options],
+) -> Contacts | CollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.ContactReport = "first",
     min_separation: float = 0.0,
     *,
     pairs: Tensor | None = None,
@@ -60,11 +85,49 @@ def detect(
 @overload
 def detect(
     scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: Literal["any"],
+    min_separation: float = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: Capacity,
+    **options: Unpack[Options],
+) -> PaddedCollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.Report,
+    min_separation: float = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: Capacity,
+    **options: Unpack[Options],
+) -> PaddedContacts | PaddedCollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
     motion: Trajectory,
-    report: narrow.Report = "first",
+    report: narrow.ContactReport = "first",
     min_separation: float = 0.0,
     **options: Unpack[Options],
 ) -> TrajectoryContacts: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: Trajectory,
+    report: Literal["any"],
+    min_separation: float = 0.0,
+    **options: Unpack[Options],
+) -> CollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: Trajectory,
+    report: narrow.Report,
+    min_separation: float = 0.0,
+    **options: Unpack[Options],
+) -> TrajectoryContacts | CollidingPairs: ...
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion | Trajectory,
@@ -78,7 +141,7 @@ def detect(
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
     capacity: Capacity | None = None,
-) -> Contacts | PaddedContacts:
+) -> Contacts | CollidingPairs | PaddedContacts | PaddedCollidingPairs:
     """Finds the collisions that happen during one step, or during all steps of a trajectory.
 
     Nothing is missed: if the surfaces of two bodies come within min_separation at some t in [0, 1] on the paths the
@@ -115,9 +178,9 @@ def detect(
             `trim` raises: see `PaddedContacts`. (For deforming bodies, call it once before capturing.)
 
     Returns:
-        Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts for a trajectory. On
-        a GPU the host synchronises once, to read the counts; again only if a step exceeds the capacity estimated from
-        the last one.
+        Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts for a trajectory.
+        With report="any" CollidingPairs, also for a trajectory, or PaddedCollidingPairs. On a GPU the host synchronises
+        once, to read the counts; again only if a step exceeds the capacity estimated from the last one.
 
     Raises:
         ValueError, TypeError: naming the argument; also if an input requires grad: there are no gradients yet. A
@@ -131,8 +194,7 @@ def detect(
     query = Query(report, min_separation, tolerance, nonzero_toi, initial)
     if memory_budget is not None:
         memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
-    if capacity is not None:
-        check_capacity(capacity)
+    sizes = None if capacity is None else sizes_of(capacity)
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
     if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
@@ -151,29 +213,29 @@ def detect(
     on_cpu = scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
     # An operator for the whole step also checks the poses.
-    at_once = pairs is None and isinstance(motion, RigidMotion)
-    bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not at_once)
+    is_one_operator = pairs is None and isinstance(motion, RigidMotion)
+    bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not is_one_operator)
     if scene.body_count == 1:
         warn_of_only_body(scene, motion)
     seconds = time.perf_counter() - start if capacity is None else 0.0
     broad.choose(bodies, broad_phase)  # raises for an unknown name
     if pairs is not None:
         pairs = check_pairs(pairs, bodies, ascending=True)
-    if capacity is not None:
-        return search_padded(bodies, query, capacity, broad_phase, pairs, marks_invalid=True).padded()
-    found = find_contacts(bodies, query, broad_phase, pairs, memory_budget)
+    if sizes is not None:
+        return search_padded(bodies, query, sizes, broad_phase, pairs, marks_invalid=True).padded()
+    found = detect_moving(bodies, query, broad_phase, pairs, memory_budget)
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
     found.scene = scene
     return found
 
 
-def find_contacts(
+def detect_moving(
     bodies: MovingBodies,
     query: Query,
     broad_phase: broad.BroadPhase = "auto",
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
-) -> Contacts:
+) -> Contacts | CollidingPairs:
     """`detect` without its checks, for bodies in motion.
 
     Args:
@@ -182,14 +244,14 @@ def find_contacts(
         pairs: (P, 2) int64, or None. Where bodies have ids that rows do not follow, the body named first is i.
     """
     on_cpu = bodies.device.type == "cpu"
-    at_once = _detect_exactly if on_cpu else _detect_at_once
-    found = at_once(bodies, query, broad_phase, pairs, memory_budget)
+    in_one_pass = _detect_exactly if on_cpu else _detect_in_capacity
+    found = in_one_pass(bodies, query, broad_phase, pairs, memory_budget)
     if found is not None:
         return found
 
-    def solve(chunk: Tensor, budget: int | None) -> Contacts | None:
+    def solve(chunk: Tensor, budget: int | None) -> Contacts | CollidingPairs | None:
         if not on_cpu:
-            return _detect_at_once(bodies, query, "auto", chunk, budget)
+            return _detect_in_capacity(bodies, query, "auto", chunk, budget)
         search = search_padded(bodies, query, EXACTLY, "auto", chunk)
         return search.contacts(search.read())
 
@@ -201,13 +263,13 @@ def start_search(
     query: Query,
     pairs: Tensor,
     pair_counts: Tensor | None = None,
-    capacity: Capacity | None = None,
+    capacity: BufferSizes | None = None,
     estimate: CapacityEstimate | None = None,
 ) -> Search:
-    """Starts `find_contacts` without synchronising; `Search.contacts` completes it.
+    """Starts `detect_moving` without synchronising; `Search.contacts` completes it.
 
     Args:
-        bodies, query, pairs: as for `find_contacts`.
+        bodies, query, pairs: as for `detect_moving`.
         pair_counts: (7,) int64 on the device: the first of `Counts`, if some of the pairs are padding.
         capacity: of the search. Default: `expected_capacity`; if that is None, a capacity of zero, which overflows.
         estimate: see `expected_capacity`.
@@ -215,13 +277,13 @@ def start_search(
     if bodies.device.type != "cpu":
         ops.take_scratch_peak()  # discards the peak of earlier steps
     if capacity is None:
-        capacity = expected_capacity(bodies, pairs, estimate or CapacityEstimate()) or Capacity(0, 0)
+        capacity = expected_capacity(bodies, pairs, estimate or CapacityEstimate()) or BufferSizes(0, 0)
     return search_padded(bodies, query, capacity, "auto", pairs, pair_counts)
 
 
 def expected_capacity(
     bodies: MovingBodies, pairs: Tensor | None, estimate: CapacityEstimate, **slack: float
-) -> Capacity | None:
+) -> BufferSizes | None:
     """The estimated capacity; None if it needs too much memory."""
     if bodies.device.type == "cpu":
         return EXACTLY
@@ -231,7 +293,7 @@ def expected_capacity(
 
 def _detect_exactly(
     bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
-) -> Contacts | None:
+) -> Contacts | CollidingPairs | None:
     """Runs all stages by one operator, on a CPU; None for deforming bodies or given pairs, or if the pairs exceed the
     memory budget.
     """
@@ -249,9 +311,9 @@ def _detect_exactly(
     return None
 
 
-def _detect_at_once(
+def _detect_in_capacity(
     bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
-) -> Contacts | None:
+) -> Contacts | CollidingPairs | None:
     """Runs all stages in the estimated capacity, and again in larger ones on overflow; None if that needs too much
     memory.
     """

@@ -3,21 +3,22 @@
 import sys
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import Capacity
-from pgccd.detection.contacts import Contacts, Stats, all_columns
+from pgccd.detection.capacity import BufferSizes
+from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
 from pgccd.detection.memory import estimate_of, pairs_a_chunk
 from pgccd.detection.query import Query
 
 _SUMS = ("pcs", "node_tests", "candidates", "contacts", "unresolved", "chunks", "waits")
 
 #: Finds the contacts of given pairs (P, 2); None if they need more memory than a budget.
-SolvePairs = Callable[[Tensor, int | None], Contacts | None]
+SolvePairs = Callable[[Tensor, int | None], Contacts | CollidingPairs | None]
 
 
 def stream(
@@ -27,7 +28,7 @@ def stream(
     pairs: Tensor | None,
     memory_budget: int | None,
     solve: SolvePairs,
-) -> Contacts:
+) -> Contacts | CollidingPairs:
     """`pgccd.detect` in limited memory; on a CPU also with given pairs, and for deforming bodies.
 
     Args:
@@ -40,10 +41,10 @@ def stream(
     chosen = broad.choose(bodies, broad_phase) if pairs is None else "given"
     if pairs is None:
         if not bodies.checked:
-            bodies.raise_faults(bodies.first_faults().tolist())
+            bodies._raise_faults(bodies._first_faults().tolist())
         pairs = broad.find_pairs_of_checked(bodies, query.min_separation, chosen, query.tolerance)
     seconds = time.perf_counter() - start
-    parts: list[Contacts] = []
+    parts: list[Contacts | CollidingPairs] = []
     # Stack of remaining chunks, the next one last.
     length = pairs_a_chunk(bodies.scene, estimate_of(bodies.scene, query, None), memory_budget, pairs.shape[0])
     chunks = [pairs] if pairs.shape[0] <= length else list(pairs.split(length))[::-1]
@@ -60,7 +61,7 @@ def stream(
             raise RuntimeError("memory: a single pair of bodies needs more rows than can be numbered")
         parts.append(found)
     contacts = parts[0] if len(parts) == 1 else join_contacts(parts, [part.pairs for part in parts])
-    if len(parts) > 1 and query.report == "earliest":
+    if len(parts) > 1 and query.report == "earliest" and isinstance(contacts, Contacts):
         contacts = contacts.earliest()
     contacts.stats.broad_phase = chosen
     contacts.stats.seconds = {"broad": seconds} | {
@@ -69,15 +70,15 @@ def stream(
     return contacts
 
 
-def join_contacts(parts: Sequence[Contacts], pairs: Sequence[Tensor]) -> Contacts:
+def join_contacts(parts: Sequence[Contacts | CollidingPairs], pairs: Sequence[Tensor]) -> Contacts | CollidingPairs:
     """The contacts of all parts, concatenated.
 
     Args:
         parts: contacts of the same report.
         pairs: (K, 2) per part, replacing its own.
     """
-    columns = {name: torch.cat([part.columns[name] for part in parts]) for name in parts[0].columns if name != "pairs"}
-    columns["pairs"] = torch.cat(list(pairs))
+    columns: dict[str, Any] = {"pairs": torch.cat(list(pairs))}
+    columns |= {name: torch.cat([part.columns[name] for part in parts]) for name in parts[0].columns if name != "pairs"}
     stats = Stats(bodies=parts[0].stats.bodies, broad_phase=parts[0].stats.broad_phase)
     for part in parts:
         for name in _SUMS:
@@ -87,5 +88,5 @@ def join_contacts(parts: Sequence[Contacts], pairs: Sequence[Tensor]) -> Contact
     stats.contacts = len(columns["pairs"])
     stats.scratch_bytes = max(part.stats.scratch_bytes for part in parts)
     if columns["pairs"].device.type == "cpu":
-        stats.needed = Capacity(pairs=stats.pcs, contacts=stats.contacts, candidates=stats.candidates)
-    return Contacts(**all_columns(columns), stats=stats)
+        stats.needed = BufferSizes(pairs=stats.pcs, contacts=stats.contacts, candidates=stats.candidates)
+    return type(parts[0])(**columns, stats=stats)

@@ -1,14 +1,15 @@
 """Detection along a trajectory: all segments in one call."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from pgccd.detection import narrow
 from pgccd.detection.bodies import check_scene
-from pgccd.detection.contacts import Contacts, all_columns, earliest_row
+from pgccd.detection.contacts import COLUMNS, CollidingPairs, Contacts, earliest_row
 from pgccd.detection.grouping import By, first_time
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
@@ -18,41 +19,38 @@ from pgccd.motion.trajectory import Trajectory
 _MOST_ROWS = 2**31
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(eq=False, kw_only=True, repr=False)
 class TrajectoryContacts(Contacts):
-    """Contacts along a trajectory; `toi` is within the segment.
+    """Contacts along a trajectory.
 
     With report="all", sorted by segment, pair, kind and features. With "first" one row per pair: the one with the
-    smallest segment, toi, kind and features. With "any" only `pairs` is meaningful: the pairs that collide in any
-    segment.
+    smallest segment, toi, kind and features. With "any" a trajectory gives `CollidingPairs`: the pairs that collide in
+    any segment.
+
+    Attributes:
+        segment: (K,) int64: from waypoint `segment` to the next.
+        toi: (K,) float64 in [0, 1], within the segment.
+        time: (K,) float64 in [0, 1] along the whole trajectory: (segment + toi) / (T - 1).
+        pairs, kind, features, coordinates, point, normal, status, stats, scene: as of `Contacts`.
     """
 
-    segment: Tensor | None = field(default=None, kw_only=True)  #: (K,) int64: from waypoint `segment` to the next
-    time: Tensor | None = field(
-        default=None, kw_only=True
-    )  #: (K,) float64 in [0, 1] along the whole trajectory: (segment + toi) / (T - 1)
+    segment: Tensor
+    time: Tensor
+
+    _names: ClassVar[tuple[str, ...]] = (*COLUMNS, "segment", "time")
 
     def first_toi(self, by: By = "scene") -> Tensor:
         """As `Contacts.first_toi`, for `time` along the whole trajectory."""
         return first_time(self.pairs, self.time, self.scene, by)
 
-    @property
-    def columns(self) -> dict[str, Tensor]:
-        """The columns that are not None, by name."""
-        more = {"segment": self.segment, "time": self.time}
-        return super().columns | {name: column for name, column in more.items() if column is not None}
-
-    def __repr__(self) -> str:
-        return f"Trajectory{super().__repr__()}"
-
 
 #: Finds the contacts of one step.
-DetectStep = Callable[[Scene, RigidMotion | VertexMotion, narrow.Report], Contacts]
+DetectStep = Callable[[Scene, RigidMotion | VertexMotion, narrow.Report], Contacts | CollidingPairs]
 
 
 def detect_trajectory(
     scene: Scene, trajectory: Trajectory, query: Query, detect_step: DetectStep
-) -> TrajectoryContacts:
+) -> TrajectoryContacts | CollidingPairs:
     """`pgccd.detect` for a trajectory.
 
     All segments run as one step of a scene with one copy of each body per segment; the copies of different segments are
@@ -76,13 +74,12 @@ def detect_trajectory(
     segment = torch.div(of_pairs[:, 0], max(1, count), rounding_mode="floor")
     pairs = of_pairs - segment[:, None] * count
     stats = replace(found.stats, bodies=count, needed=None)
-    if query.report == "any":
+    if isinstance(found, CollidingPairs):
         pairs = torch.unique(pairs, dim=0) if len(pairs) else pairs
         stats.contacts = len(pairs)
-        contacts = TrajectoryContacts(**all_columns({"pairs": pairs}), stats=stats)
-        contacts.scene = scene
-        return contacts
-    assert found.toi is not None
+        colliding = CollidingPairs(pairs=pairs, stats=stats)
+        colliding.scene = scene
+        return colliding
     chosen: Tensor | slice = slice(None)
     if query.report == "first":
         chosen = _first_of_pairs(pairs, count)
@@ -123,9 +120,9 @@ def repeated(scene: Scene, times: int) -> Scene:
     first = torch.arange(times, dtype=torch.int32, device=scene.device) * max(1, scene.world_count)
     columns["world"] = (first[:, None] + world).reshape(-1)
     own = None if scene.self_collision is None else scene.self_collision.repeat(times)
-    radius = scene.current_radius().repeat(times)
-    many = Scene.of_checked(scene.meshes, scene.mesh_index.repeat(times), own, radius, **columns)
-    many.capacity_estimates = scene.capacity_estimates
+    radius = scene._current_radius().repeat(times)
+    many = Scene._of_checked(scene.meshes, scene.mesh_index.repeat(times), own, radius, **columns)
+    many._capacity_estimates = scene._capacity_estimates
     return many
 
 

@@ -16,8 +16,10 @@ from pgccd.detection.checks import (
     tests_start,
 )
 
+__all__ = ["find_candidates"]
 
-def bvtt(
+
+def find_candidates(
     bodies: MovingBodies,
     pairs: Tensor,
     min_separation: float = 0.0,
@@ -43,7 +45,7 @@ def bvtt(
         node_tests (1,) int64: number of node pairs tested.
 
     Example:
-        >>> candidates, node_tests = pgccd.traverse.bvtt(bodies, pgccd.broad.sweep(bodies))
+        >>> candidates, node_tests = pgccd.traverse.find_candidates(bodies, pgccd.broad.sweep(bodies))
     """
     require_bodies(bodies)
     pairs = check_pairs(pairs, bodies)
@@ -54,3 +56,7 @@ def bvtt(
         require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]", horizon)
     settings = (check_separation(min_separation), operator_tolerance(tolerance), tests_start(initial))
     return ops.traverse(bodies.operands, pairs, horizon, *settings)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -48,6 +48,23 @@ class Mesh:
             tessellation; or "center_of_mass", that of a solid of uniform density. The surface must then be closed and
             consistently oriented (each edge shared by two triangles in opposite directions).
 
+    Attributes:
+        origin: (3,) float64: the origin in the coordinates given.
+        centre: (3,) float64: the SBV centre in the coordinates given.
+        radius: SBV radius: the largest distance of a used vertex from the centre (Eq. 2), rounded up.
+        centre_offset: (3,) float64: the SBV centre relative to the origin; exactly 0 for "centroid".
+        reach: bound of the distance of used vertices from the origin; the radius if the SBV centre is the origin.
+        vertices: (V, 3) float64, relative to the origin.
+        faces: (F, 3) int32.
+        edges: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Edge indices of contacts
+            refer to it.
+        name: of the object in its file, or None.
+        welded_vertices: number of vertices of the file removed by welding.
+        dropped_faces: number of faces of the file dropped because they repeat a vertex.
+        source_vertex: (V,) int64: row in the file of each vertex, the first of those welded; None for a mesh not from a
+            file.
+        source_face: (F,) int64: row in the file of each face; None for a mesh not from a file.
+
     Raises:
         ValueError: naming the first offending vertex or face, the mesh has no faces or an SBV radius outside of [1e-30,
             1e30]; the origin is not a finite point, too far away, or undefined because the surface bounds no solid.
@@ -88,24 +105,15 @@ class Mesh:
                 f'which one is {radius:g}, but it is {reference.tolist()}; origin="centroid" puts it there'
             )
         prepared = _host.prepare_mesh(local, triangles.astype(np.int32), LEAF_SIZE)
-        #: (3,) float64: the origin in the coordinates given.
         self.origin = torch.from_numpy(reference)
-        #: (3,) float64: the SBV centre in the coordinates given.
         self.centre = torch.from_numpy(centre)
-        #: SBV radius: the largest distance of a used vertex from the centre (Eq. 2), rounded up.
         self.radius = radius * (1.0 + 2.0**-50)
-        #: (3,) float64: the SBV centre relative to the origin; exactly 0 for "centroid".
         self.centre_offset = torch.from_numpy(offset)
-        #: Bound of the distance of used vertices from the origin; equal to the radius if the SBV centre is the origin.
         self.reach = self.radius
         if offset.any():
             self.reach = (self.radius + float(np.linalg.norm(offset))) * (1.0 + 2.0**-50)
-        #: (V, 3) float64, relative to the origin.
         self.vertices = torch.from_numpy(body)
-        #: (F, 3) int32.
         self.faces = torch.from_numpy(triangles.astype(np.int32))
-        #: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Edge indices of contacts refer to
-        #: it.
         self.edges = torch.from_numpy(prepared["edges"])
         if len(self.edges) > _MOST_EDGES:
             raise ValueError(f"faces: the mesh has {len(self.edges)} edges; expected at most {_MOST_EDGES}")
@@ -200,15 +208,10 @@ class Mesh:
         mesh.source_face = torch.from_numpy(source_face)
         return mesh
 
-    #: Its name in the file.
     name: str | None = None
-    #: Number of vertices of the file removed by welding.
     welded_vertices: int = 0
-    #: Number of faces of the file dropped because they repeat a vertex.
     dropped_faces: int = 0
-    #: (V,) int64: row in the file of each vertex, the first of those welded; None for a mesh not from a file.
     source_vertex: Tensor | None = None
-    #: (F,) int64: row in the file of each face.
     source_face: Tensor | None = None
 
     def __repr__(self) -> str:
@@ -224,7 +227,15 @@ class MeshSet:
 
     Args:
         meshes: one or more `Mesh`.
-        device: of the tensors.
+        device: of the tensors, as resolved by torch: "cuda" becomes "cuda:0".
+
+    Attributes:
+        meshes: the meshes.
+        offsets: (meshes + 1, 5) int64: first rows of each mesh's vertices, faces, edges, node blocks and leaf points.
+            The last row holds the totals.
+        radius: (meshes,) float64 SBV radii.
+        is_centred: whether every mesh has its SBV centre at its origin.
+        tensors: the operators' `mesh_set` argument.
     """
 
     def __init__(self, meshes: Sequence[Mesh], device: torch.device | str = "cpu") -> None:
@@ -241,23 +252,18 @@ class MeshSet:
         counts = torch.tensor(
             [[len(rows) for rows in (m.vertices, m.faces, m.edges, m._node_links, m._leaf_points)] for m in meshes]
         )
-        #: (meshes + 1, 5) int64: first rows of each mesh's vertices, faces, edges, node blocks and leaf points. The
-        #: last row holds the totals.
         self.offsets = torch.cat([torch.zeros((1, 5), dtype=torch.int64), counts.cumsum(0)])
-        #: (meshes,) float64.
         self.radius = torch.tensor([m.radius for m in meshes], dtype=torch.float64, device=device)
         columns = ("vertices", "faces", "edges", "_triangles", "_node_blocks", "_node_links", "_leaf_points")
         joined = [torch.cat([getattr(m, column) for m in meshes]) for column in columns]
         # Padded, so that eight neighbours can be loaded at the last triangle.
         corners = torch.nn.functional.pad(torch.cat([m._corners for m in meshes], dim=1), (0, LEAF_SIZE))
-        #: Whether every mesh has its SBV centre at its origin.
         self.is_centred = not any(bool(m.centre_offset.any()) for m in meshes)
         off_centre = [] if self.is_centred else meshes
         centres = torch.cat([torch.empty((0, 3), dtype=torch.float64), *(m.centre_offset[None] for m in off_centre)])
         reaches = torch.tensor([m.reach for m in off_centre], dtype=torch.float64)
         columns_of_all = (*joined, corners, self.offsets, centres, reaches)
         self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
-        #: The device as resolved by torch: "cuda" becomes "cuda:0".
         self.device = self.tensors[0].device
 
     def __len__(self) -> int:

@@ -37,6 +37,12 @@ class RigidMotion(MovingColumns):
     float32 input is widened to float64 exactly. All tensors are on one device. float64 input is shared, not copied, so
     later writes to it change the motion. Values are checked at construction on a CPU, and at each use.
 
+    Attributes:
+        position_t0, position_t1: (N, 3) float64.
+        orientation_t0: (N, 4) float64, at t0.
+        rotation: (N, 3) float64 rotation vector of the whole step, radians, world frame.
+        path: "rigid" or "linear".
+
     Raises:
         TypeError, ValueError: naming the argument, and the first offending body; also if an input requires grad.
 
@@ -45,7 +51,7 @@ class RigidMotion(MovingColumns):
     """
 
     _names = ("position_t0", "position_t1", "orientation_t0", "rotation")
-    checks = checks_of(_names)
+    _checks = checks_of(_names)
 
     def __init__(
         self,
@@ -57,7 +63,6 @@ class RigidMotion(MovingColumns):
     ) -> None:
         self._set(position_t0, orientation_t0, position_t1, path)
         orientation_t1 = real_rows(orientation_t1, "orientation_t1", self.body_count, 4, self.device)
-        #: (N, 3) rotation vector of the whole step, radians, world frame.
         self.rotation = ops.rotations_between(self.orientation_t0, orientation_t1)
         self._check_early(given={"orientation_t1": orientation_t1})
 
@@ -150,7 +155,7 @@ class RigidMotion(MovingColumns):
         return motion
 
     @classmethod
-    def of_checked(
+    def _of_checked(
         cls,
         position_t0: Tensor,
         orientation_t0: Tensor,
@@ -161,18 +166,17 @@ class RigidMotion(MovingColumns):
         """As `from_rotation`, from columns of a validated motion: nothing is checked, now or later.
 
         Example:
-            >>> part = pgccd.RigidMotion.of_checked(
+            >>> part = pgccd.RigidMotion._of_checked(
             ...     *(c[rows] for c in (m.position_t0, m.orientation_t0, m.position_t1, m.rotation))
             ... )
         """
         motion = cls.__new__(cls)
-        motion.path, motion.is_trusted = path, True
+        motion.path, motion._is_trusted = path, True
         motion.position_t0, motion.orientation_t0 = position_t0, orientation_t0
         motion.position_t1, motion.rotation = position_t1, rotation
         return motion
 
     def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: PathKind) -> None:
-        #: (N, 3), (N, 4), (N, 3) float64: positions and orientations at t0, positions at t1.
         self.position_t0 = real_rows(position_t0, "position_t0", None, 3, None)
         count, device = self.position_t0.shape[0], self.position_t0.device
         self.orientation_t0 = real_rows(orientation_t0, "orientation_t0", count, 4, device)
@@ -182,6 +186,7 @@ class RigidMotion(MovingColumns):
 
     @property
     def body_count(self) -> int:
+        """Number of bodies N."""
         return self.position_t0.shape[0]
 
     def at(self, t: Tensor | float) -> tuple[Tensor, Tensor]:
@@ -243,7 +248,7 @@ class RigidMotion(MovingColumns):
             >>> part = motion[:10]
         """
         picked = arguments.rows(rows, "rows", self.body_count)
-        self.check_given()  # its faults refer to rows of the whole motion
+        self._check_given()  # its faults refer to rows of the whole motion
         part = copy.copy(self)
         for name in self._names:
             setattr(part, name, getattr(self, name)[picked].contiguous())
@@ -261,6 +266,9 @@ class VertexMotion(MovingColumns):
             those of body 1, and so on; X is the sum of the bodies' vertex counts. The coordinates of the mesh are not
             used. float64 input is shared, not copied. Values are checked at construction on a CPU, and at each use.
 
+    Attributes:
+        x_t0, x_t1: (X, 3) float64.
+
     Raises:
         TypeError, ValueError: naming the argument, and the first offending vertex; also if an input requires grad.
 
@@ -271,20 +279,19 @@ class VertexMotion(MovingColumns):
     _names, _row = ("x_t0", "x_t1"), "vertex"
 
     def __init__(self, x_t0: Tensor, x_t1: Tensor) -> None:
-        #: (X, 3) float64.
         self.x_t0 = real_rows(x_t0, "x_t0", None, 3, None)
         self.x_t1 = real_rows(x_t1, "x_t1", self.x_t0.shape[0], 3, self.device)
         self._check_early()
 
     @classmethod
-    def of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:
+    def _of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:
         """From columns of a validated motion: nothing is checked, now or later.
 
         Example:
-            >>> part = pgccd.VertexMotion.of_checked(cloth_t0[:8], cloth_t1[:8])
+            >>> part = pgccd.VertexMotion._of_checked(cloth_t0[:8], cloth_t1[:8])
         """
         motion = cls.__new__(cls)
-        motion.x_t0, motion.x_t1, motion.is_trusted = x_t0, x_t1, True
+        motion.x_t0, motion.x_t1, motion._is_trusted = x_t0, x_t1, True
         return motion
 
     def at(self, t: Tensor | float) -> Tensor:

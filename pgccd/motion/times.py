@@ -24,7 +24,9 @@ def broadcast_times(t: Tensor | float, count: int, device: torch.device, name: s
     Raises:
         TypeError, ValueError: `t` is not real, has the wrong shape, or is outside of [0, 1].
     """
-    if type(t) in (int, float):  # no copy from the host, which a CUDA graph cannot capture
+    if isinstance(t, (int, float)) and not isinstance(
+        t, bool
+    ):  # no copy from the host, which a CUDA graph cannot capture
         if not 0.0 <= t <= 1.0:
             raise ValueError(f"{name}: expected times in [0, 1], got {t}")
         return torch.full((count,), t, dtype=torch.float64, device=device)

@@ -25,6 +25,11 @@ class Trajectory:
 
     float32 input is widened to float64 exactly. Construction synchronises with a GPU once.
 
+    Attributes:
+        position: (T, N, 3) float64.
+        orientation: (T, N, 4) float64, or None for deforming bodies.
+        path: "rigid" or "linear".
+
     Raises:
         TypeError, ValueError: naming the argument, and the first offending waypoint and body or vertex.
 
@@ -37,9 +42,7 @@ class Trajectory:
     def __init__(self, position: Tensor, orientation: Tensor | None = None, path: PathKind = "rigid") -> None:
         arguments.choice(path, "path", PATHS)
         self.path: PathKind = path
-        #: (T, N, 3) float64.
         self.position = position
-        #: (T, N, 4) float64, or None for deforming bodies.
         self.orientation = orientation
         self._check(slice(0, None))
 
@@ -59,6 +62,7 @@ class Trajectory:
 
     @property
     def device(self) -> torch.device:
+        """The device of the waypoints."""
         return self.position.device
 
     @property

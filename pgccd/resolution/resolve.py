@@ -12,12 +12,13 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, Capacity, check_capacity, overflow_flags
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Capacity, overflow_flags, sizes_of
 from pgccd.detection.checks import Initial, warn_of_only_body
+from pgccd.detection.contacts import Contacts
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import search_padded
 from pgccd.detection.parts import Part, find_part
-from pgccd.detection.pipeline import find_contacts
+from pgccd.detection.pipeline import detect_moving
 from pgccd.detection.query import Query
 from pgccd.geometry.columns import bool_column
 from pgccd.geometry.scene import Scene
@@ -114,13 +115,12 @@ def resolve(
     """
     query = Query("first", min_separation, tolerance, True, initial)
     arguments.choice(broad_phase, "broad_phase", broad.BROAD_PHASES)
-    if capacity is not None:
-        check_capacity(capacity)
-    elif rounds is not None:
+    sizes = None if capacity is None else sizes_of(capacity)
+    if sizes is None and rounds is not None:
         raise ValueError("rounds: can only be given with a capacity; without one there are as many as needed")
     count = arguments.integer(8 if rounds is None else rounds, "rounds", 1, "a number of rounds >= 1")
     bodies = MovingBodies.of(
-        scene, motion, wait=capacity is None and isinstance(scene, Scene) and scene.device.type == "cpu"
+        scene, motion, wait=sizes is None and isinstance(scene, Scene) and scene.device.type == "cpu"
     )
     if scene.body_count == 1:
         warn_of_only_body(scene, motion)
@@ -128,7 +128,7 @@ def resolve(
     if movable is not None:
         fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0
     step = _Step(bodies, query, broad_phase, fixed)
-    return step.resolve(motion) if capacity is None else step.resolve_padded(motion, capacity, count)
+    return step.resolve(motion) if sizes is None else step.resolve_padded(motion, sizes, count)
 
 
 @dataclass
@@ -141,9 +141,9 @@ class _Plan:
     @classmethod
     def of(cls, scene: Scene) -> _Plan:
         """The plan of a scene."""
-        plans = scene.capacity_estimates
+        plans = scene._capacity_estimates
         if "resolve" not in plans:
-            guess = Capacity.guess(scene.body_count, None, scene.self_colliding_vertices)
+            guess = sizes_of(Capacity.of(scene.body_count, None, scene._self_colliding_vertices))
             plans["resolve"] = cls(CapacityEstimate(), RoundPlan.of(guess))
         return plans["resolve"]
 
@@ -160,29 +160,29 @@ class _Step:
     def resolve(self, motion: M) -> Resolution[M]:
         bodies, scene, query = self.bodies, self.bodies.scene, self.query
         plan = _Plan.of(scene)
-        first_faults = bodies.first_faults()
+        first_faults = bodies._first_faults()
         faults = HostCopy.start(first_faults)
         part = find_part(bodies, query, self.broad_phase, estimate=plan.pairs)
         stoppers, search = self._search(may_wait=True)
         given = [part], scene.body_count, search, plan.rounds, _nothing, StageClock()
         resolved = resolve_collisions(*given, fixed=self.fixed, stoppers=stoppers)
-        bodies.raise_faults(faults.numpy().tolist())
+        bodies._raise_faults(faults.numpy().tolist())
         resolved.learn()
         fraction, contacts = resolved.resolution.fraction, part.find()
-        assert contacts.toi is not None
+        assert isinstance(contacts, Contacts)
         touching = contacts.pairs[contacts.toi == 0.0]
         made = cast(M, shortened(scene, motion, fraction))
         meeting = contacts.pairs
         if bool((fraction < 1.0).any()):
-            meeting = find_contacts(MovingBodies.of(scene, made), self._any, self.broad_phase).pairs
+            meeting = detect_moving(MovingBodies.of(scene, made), self._any, self.broad_phase).pairs
         rest = _are_both(at_rest(scene, made), meeting)
         touching = union_of_pairs(touching, meeting[rest], scene.body_count)
         touching, unresolved = touching[touching[:, 0] >= 0], meeting[~rest]
         return Resolution(made, fraction, stoppers.by, touching, unresolved, resolved.resolution.rounds)
 
-    def resolve_padded(self, motion: M, capacity: Capacity, rounds: int) -> PaddedResolution[M]:
+    def resolve_padded(self, motion: M, capacity: BufferSizes, rounds: int) -> PaddedResolution[M]:
         bodies, scene, query = self.bodies, self.bodies.scene, self.query
-        faults = bodies.first_faults()
+        faults = bodies._first_faults()
         chosen, kept = broad.choose(bodies, self.broad_phase), (query.min_separation, query.tolerance)
         pairs, counts = broad.find_pairs_padded(bodies, kept[0], chosen, capacity, faults[-1:], kept[1])
         part = Part(query, bodies, pairs, counts, capacity=capacity)
@@ -217,13 +217,13 @@ class _Step:
             _first_faults=faults,
             _changes=changes[-1:],
             _capacity=capacity,
-            _faults=bodies.faults,
+            _faults=bodies._faults,
         )
 
     def _search(self, may_wait: bool) -> tuple[Stoppers, ShortenedSearch]:
         bodies, scene = self.bodies, self.bodies.scene
         stoppers = Stoppers(scene.body_count, scene.device)
-        given = scene, bodies.motion, self.query, self.broad_phase, bodies.first_faults()[-1:], stoppers, may_wait
+        given = scene, bodies.motion, self.query, self.broad_phase, bodies._first_faults()[-1:], stoppers, may_wait
         return stoppers, ShortenedSearch(*given)
 
     @property

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import Capacity, CapacityError, Counts
+from pgccd.detection.capacity import BufferSizes, CapacityError, Counts
 from pgccd.motion.faults import Faults
 from pgccd.motion.paths import RigidMotion, VertexMotion
 
@@ -69,12 +69,12 @@ class PaddedResolution(Generic[M]):
     unresolved: Tensor
     rounds: Tensor
     incomplete: Tensor
-    # (searches, 21): `Counts` of each; the values of `MovingBodies.first_faults`; (1,): nonzero if the last round
+    # (searches, 21): `Counts` of each; the values of `MovingBodies._first_faults`; (1,): nonzero if the last round
     # changed a body.
     _counts: Tensor = field(repr=False)
     _first_faults: Tensor = field(repr=False)
     _changes: Tensor = field(repr=False)
-    _capacity: Capacity = field(repr=False)
+    _capacity: BufferSizes = field(repr=False)
     _faults: Faults = field(repr=False)
 
     def trim(self) -> Resolution[M]:
@@ -101,11 +101,11 @@ class PaddedResolution(Generic[M]):
         return f"PaddedResolution(bodies={len(self.fraction)}, device={self.fraction.device})"
 
 
-def _largest(capacities: list[Capacity]) -> Capacity:
+def _largest(capacities: list[BufferSizes]) -> BufferSizes:
     most: dict[str, Any] = {
-        part.name: max(getattr(capacity, part.name) for capacity in capacities) for part in fields(Capacity)
+        part.name: max(getattr(capacity, part.name) for capacity in capacities) for part in fields(BufferSizes)
     }
-    return Capacity(**most)
+    return BufferSizes(**most)
 
 
 def union_of_pairs(one: Tensor, other: Tensor, count: int) -> Tensor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from pgccd.detection.capacity import Capacity, Counts
+from pgccd.detection.capacity import BufferSizes, Counts
 
 # Rounds enqueued at once in the first step.
 _FIRST_ROUNDS = 4
@@ -22,11 +22,11 @@ class RoundPlan:
 
     def __init__(self) -> None:
         self._recent: deque[int] = deque(maxlen=_RECENT_STEPS)
-        self._needed: Callable[[], Sequence[Capacity]] | None = None
-        self._capacities: list[Capacity] = []
+        self._needed: Callable[[], Sequence[BufferSizes]] | None = None
+        self._capacities: list[BufferSizes] = []
 
     @classmethod
-    def of(cls, capacity: Capacity) -> RoundPlan:
+    def of(cls, capacity: BufferSizes) -> RoundPlan:
         """A plan with this capacity of each round."""
         plan = cls()
         plan._capacities = [capacity]
@@ -37,13 +37,13 @@ class RoundPlan:
         """The largest number in recent steps: a superfluous round costs less than a synchronisation."""
         return max(self._recent, default=_FIRST_ROUNDS)
 
-    def capacity(self, round: int) -> Capacity:
+    def capacity(self, round: int) -> BufferSizes:
         """The capacity of a round, counted from 0."""
         if self._needed is not None:
             capacities = [capacity.times(_SLACK) for capacity in self._needed()]
             self._needed, self._capacities[: len(capacities)] = None, capacities
         if not self._capacities:
-            return Capacity(0, 0).times(1.0)
+            return BufferSizes(0, 0).times(1.0)
         return self._capacities[min(round, len(self._capacities) - 1)]
 
     def grow(self, round: int, counts: Counts) -> None:
@@ -52,7 +52,7 @@ class RoundPlan:
         capacities[round] = capacities[round].grown(counts.needed(capacities[round]))
         self._capacities = capacities
 
-    def learn(self, rounds: int, needed: Callable[[], Sequence[Capacity]]) -> None:
+    def learn(self, rounds: int, needed: Callable[[], Sequence[BufferSizes]]) -> None:
         """Records a step's rounds. The capacities are computed in the next step, while the host is idle."""
         self._recent.append(rounds)
         self._needed = needed

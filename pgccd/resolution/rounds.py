@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.capacity import COUNT_ROWS, Capacity, Counts
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts
 from pgccd.detection.parts import Part, pairs_of_step, search_seconds
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
@@ -75,7 +75,7 @@ class RoundSearch(Protocol):
         """
         ...
 
-    def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+    def start_round(self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
         """Lowers the first toi of bodies in contact. On a GPU does not synchronise, unless memory is short.
 
         Args:
@@ -195,7 +195,7 @@ class Attempt:
         self._first = torch.full_like(self.fraction, torch.inf)
         self._changed = torch.empty(self.body_count, dtype=torch.uint8, device=self._device)
         #: Capacity of each round.
-        self.capacities: list[Capacity] = []
+        self.capacities: list[BufferSizes] = []
         if self.stoppers is not None:
             self.stoppers.clear()
 
@@ -329,7 +329,7 @@ class Attempt:
         return learn
 
 
-def _needed(made: Sequence[NDArray[np.int64]], capacities: Sequence[Capacity]) -> list[Capacity]:
+def _needed(made: Sequence[NDArray[np.int64]], capacities: Sequence[BufferSizes]) -> list[BufferSizes]:
     return [
         Counts.of(numbers.tolist()).needed(capacity)
         for numbers, capacity in zip(made, capacities[: len(made)], strict=True)

@@ -10,7 +10,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
 from pgccd.detection.memory import memory_limit
 from pgccd.detection.parts import Part
 from pgccd.detection.query import Query
@@ -46,10 +46,10 @@ class ShortenedSearch:
     def look_among(self, pairs: Tensor) -> None:
         """Every round finds its own pairs."""
 
-    def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+    def start_round(self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
         """As `RoundSearch.start_round`."""
         motion = shortened(self.scene, self.motion, fraction)
-        motion.is_trusted = True  # it is checked with the whole step
+        motion._is_trusted = True  # it is checked with the whole step
         bodies = MovingBodies.of(self.scene, motion, wait=False)
         part = self._exactly(bodies, changed) if self._waits(capacity) else self._within(bodies, changed, capacity)
         pairs, toi = part.first_contacts()
@@ -57,7 +57,7 @@ class ShortenedSearch:
         self.stoppers.find(pairs, toi, first)
         return part.counts()
 
-    def _waits(self, capacity: Capacity) -> bool:
+    def _waits(self, capacity: BufferSizes) -> bool:
         if not self.may_wait:
             return False
         device = self.scene.device
@@ -72,7 +72,7 @@ class ShortenedSearch:
         part.find()
         return part
 
-    def _within(self, bodies: MovingBodies, changed: Tensor, capacity: Capacity) -> Part:
+    def _within(self, bodies: MovingBodies, changed: Tensor, capacity: BufferSizes) -> Part:
         kept = self.query.min_separation, self.query.tolerance
         pairs, counts = broad.find_pairs_padded(bodies, kept[0], self.broad_phase, capacity, self.invalid, kept[1])
         pairs, count = select_rows(pairs, has_changed(pairs, changed))

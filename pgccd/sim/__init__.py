@@ -54,3 +54,7 @@ def __getattr__(name: str) -> _Any:
     if name == "distributed":  # imported on first use: one process needs no ranks
         return _importlib.import_module("pgccd.sim.distributed")
     raise AttributeError(f"module 'pgccd.sim' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -17,7 +17,7 @@ from pgccd.motion.paths import RigidMotion
 from pgccd.sim.robot import robot_mesh
 
 Pattern = Literal["random", "skewed"]
-PATTERNS: tuple[str, ...] = get_args(Pattern)
+PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
 #: The columns that a plan changes, in the order of `ops.simulate_plan` and `ops.simulate_commit`.
 PLANNED = ("velocity", "angular_velocity", "target", "stay_until")
 # In the order of `ops.simulate_affected_motion`.
@@ -255,7 +255,7 @@ class Model:
         """The scene of the robots `id` (N,) int64."""
         kinds = len(self.meshes)
         index = (id % kinds).to(torch.int32) if kinds > 1 else torch.zeros_like(id, dtype=torch.int32)
-        return Scene.of_checked(self.meshes, index)
+        return Scene._of_checked(self.meshes, index)
 
     def describe(self) -> dict[str, Any]:
         """The configuration and values derived from it, as plain numbers."""

@@ -3,8 +3,7 @@
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import COUNT_ROWS, Capacity
-from pgccd.detection.contacts import Contacts
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
 from pgccd.detection.memory import memory_limit
 from pgccd.detection.padded import lower_first_toi
 from pgccd.detection.query import Query
@@ -38,10 +37,10 @@ class Partners:
         """Replaces the PCS."""
         self._pairs = pairs
 
-    def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+    def start_round(self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
         """As `RoundSearch.start_round`; robots move at constant velocities. Never synchronises on a GPU."""
         if self._pairs.device.type == "cpu":
-            capacity = Capacity(pairs=len(self._pairs), contacts=0)
+            capacity = BufferSizes(pairs=len(self._pairs), contacts=0)
         pieces = self._pieces(capacity)
         if pieces == 1:
             return self._search(changed, fraction, self._pairs, capacity, first)
@@ -52,12 +51,12 @@ class Partners:
         together[_CONTACTS] = counts[:, _CONTACTS].sum()
         return together
 
-    def _pieces(self, capacity: Capacity) -> int:
+    def _pieces(self, capacity: BufferSizes) -> int:
         """Number of parts in which the PCS is searched sequentially to fit into memory; at most one per pair."""
         limit = memory_limit(None, capacity.bytes, self._pairs.device)
         return max(1, min(-(-capacity.bytes // limit), len(self._pairs)))
 
-    def _search(self, changed: Tensor, fraction: Tensor, pairs: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+    def _search(self, changed: Tensor, fraction: Tensor, pairs: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
         given = self._own, self._ghosts, fraction, changed, pairs
         count = capacity.pairs
         if pairs.device.type == "cpu":
@@ -71,10 +70,3 @@ class Partners:
         if count > len(self._copies):
             self._copies = torch.arange(2 * count, device=self._pairs.device).view(count, 2)
         return self._copies[:count]
-
-
-def toi_of(contacts: Contacts) -> Tensor:
-    """(K,) float64: toi, which is never None for report="first"."""
-    if contacts.toi is None:
-        raise AssertionError("detect(report='first') gives a toi")
-    return contacts.toi

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 from torch import Tensor
@@ -18,7 +18,7 @@ from pgccd.resolution.rounds import Fractions, resolve_collisions
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
 from pgccd.sim.model import Model, RobotState
-from pgccd.sim.partners import FIRST_CONTACTS, Partners, toi_of
+from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.response import respond
 from pgccd.sim.tally import Tally, count_step
 
@@ -52,7 +52,7 @@ class Step:
     @property
     def toi(self) -> Tensor:
         """(K,) float64 toi of `contacts`."""
-        return toi_of(self.contacts)
+        return self.contacts.toi
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def make_step(
         motion = model.motion(before)
     with clock.stage("broad"):
         bodies = MovingBodies.of(scene, motion, wait=scene.device.type == "cpu")
-        faults = HostCopy.start(bodies.first_faults())
+        faults = HostCopy.start(bodies._first_faults())
         part = find_part(bodies, FIRST_CONTACTS, broad_phase, estimate=plan.pairs)
     after = before
 
@@ -104,11 +104,16 @@ def make_step(
 
     partners = Partners(model, before.moving_columns, None, part.pairs)
     resolved = resolve_collisions([part], scene.body_count, partners, plan.rounds, conclude, clock)
-    bodies.raise_faults(faults.numpy().tolist())
+    bodies._raise_faults(faults.numpy().tolist())
     resolved.learn()
     clock.stop()
 
     def make_record() -> dict[str, Any]:
         return Tally.of(resolved.work, resolved.conclusions).record(index, resolved.resolution.rounds, clock)
 
-    return Step(index, before, resolved.resolution, after, partial(contacts_of_step, [part]), make_record)
+    def find() -> Contacts:
+        found = contacts_of_step([part])
+        assert isinstance(found, Contacts)  # of report="first"
+        return found
+
+    return Step(index, before, resolved.resolution, after, find, make_record)

@@ -5,3 +5,7 @@ from pgccd.viz.picture import world_picture
 from pgccd.viz.snapshot import Impact, Motion, Snapshot
 
 __all__ = ["Impact", "Motion", "Snapshot", "world_page", "world_picture"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

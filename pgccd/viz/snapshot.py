@@ -102,7 +102,7 @@ def _impact(model: Model, step: Step) -> Impact | None:
     toi, pair = float(step.toi[row]), contacts.pairs[row]
     names = ("kind", "features", "coordinates", "point", "normal")  # report="first" gives all columns
     kind, features, coordinates, point, normal = (getattr(contacts, name)[row].cpu().numpy() for name in names)
-    shapes = _SHAPES[Kind(int(kind))]
+    shapes = _SHAPES[int(kind)]
     first, second = step.before.id[pair].tolist()
     kinds = first % len(model.meshes), second % len(model.meshes)
     motion = model.motion(step.before)[pair]

@@ -9,8 +9,17 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pgccd.distributed import BalanceOptions, CellLoads, Cells, imbalance, rebalance
-from pgccd.distributed.partition.balance import BackOff, RankLoads, one_cell, rank_loads, relative_speeds
+from pgccd.distributed import BalanceOptions, Cells
+from pgccd.distributed.partition.balance import (
+    BackOff,
+    CellLoads,
+    RankLoads,
+    imbalance,
+    one_cell,
+    rank_loads,
+    rebalance,
+    relative_speeds,
+)
 
 
 @st.composite

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from distributed import test_distributed_simulation, test_motions
 from distributed.conftest import World
 from pgccd import ops
-from pgccd.distributed import Alone, Bisection, Comm, imbalance
-from pgccd.distributed.partition.balance import rank_loads
+from pgccd.distributed import Alone, Bisection, Comm
+from pgccd.distributed.partition.balance import imbalance, rank_loads
 
 BOX = (0.0, 0.0, 0.0), (8.0, 4.0, 2.0)
 

@@ -15,7 +15,7 @@ from support.same_bits import assert_same
 
 from distributed.conftest import World
 from pgccd import sim
-from pgccd.detection.capacity import Capacity
+from pgccd.detection.capacity import BufferSizes, Capacity
 from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm
 from pgccd.distributed.detection import padded_share
 from pgccd.distributed.halo import capacity as halo_capacity
@@ -78,7 +78,7 @@ class Cramped(RoundPlan):
 
     def capacity(self, round: int) -> Capacity:
         self.steps += round == 0
-        return Capacity(0, 0) if self.steps % 4 == 3 and round == 1 else super().capacity(round)
+        return BufferSizes(0, 0) if self.steps % 4 == 3 and round == 1 else super().capacity(round)
 
 
 def follow(

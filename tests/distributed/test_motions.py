@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from support.same_bits import columns_of, difference
+from support.same_bits import Result, columns_of, difference
 from support.shapes import bumpy
 
 import pgccd
@@ -128,7 +128,7 @@ def vertices_of(rows: torch.Tensor, step: int) -> torch.Tensor:
     return whole.take(rows).columns["x"]
 
 
-def require_equal(world: SharedWorld, found: pgccd.Contacts, whole: pgccd.Contacts, report: str) -> None:
+def require_equal(world: SharedWorld, found: Result, whole: Result, report: str) -> None:
     pairs = IDS[whole.pairs]
     affected = torch.isin(pairs, world.id.cpu()).any(dim=1)
     if report == "earliest":
@@ -202,7 +202,7 @@ def turning(rows: torch.Tensor) -> pgccd.Trajectory:
 
 
 @functools.cache
-def followed(report: str, deforms: bool) -> TrajectoryContacts:
+def followed(report: Any, deforms: bool) -> TrajectoryContacts | pgccd.CollidingPairs:
     trajectory = pgccd.Trajectory(frames()) if deforms else turning(torch.arange(COUNT))
     return pgccd.detect(scene(), trajectory, report, 0.01)
 
@@ -220,11 +220,10 @@ def follow(comm: Comm, report: str, deforms: bool, device: torch.device = torch.
             assert waypoints.orientation is not None
             trajectory = pgccd.Trajectory(waypoints.position.to(device), waypoints.orientation.to(device))
         found = world.step(trajectory)
-        assert isinstance(found, TrajectoryContacts)
+        assert type(found) is (pgccd.CollidingPairs if report == "any" else TrajectoryContacts)
         require_equal(world, found, whole, report)
-        if report == "first":
+        if report == "first" and isinstance(whole, TrajectoryContacts):
             first = torch.full((COUNT,), torch.inf, dtype=torch.float64)
-            assert whole.time is not None
             first.scatter_reduce_(0, whole.pairs.reshape(-1), whole.time.repeat_interleave(2), "amin")
             assert torch.equal(world.first_toi(found).cpu(), first[rows])
     return len(whole)

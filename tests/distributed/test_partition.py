@@ -11,7 +11,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pgccd.distributed import Cells, factorise
+from pgccd.distributed import Cells
+from pgccd.distributed.partition.cells import factorise
 from pgccd.distributed.partition.cut import PARTITIONS, make_partition
 
 counts = st.integers(1, 24)

@@ -20,7 +20,7 @@ from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 CONFIG = sim.ModelConfig(robots=150, speed=0.3, spin=0.5, seed=3)
 STEPS = 14
-PLENTY = Capacity.guess(600)
+PLENTY = Capacity.of(600)
 CAPACITIES = {
     "plenty": PLENTY,
     "none": EXACTLY,

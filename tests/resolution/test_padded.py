@@ -9,12 +9,13 @@ import torch
 from support.random_scenes import random_scene
 
 import pgccd
+from pgccd.detection.capacity import BufferSizes
 from pgccd.runtime.graph import capture
 
 from .test_random_scenes import boxes, options_of, scenes
 from .test_resolve import on_a_line
 
-PLENTY = pgccd.Capacity.guess(1000, self_vertex_count=500)
+PLENTY = pgccd.Capacity.of(1000, self_vertex_count=500)
 FIELDS = ("fraction", "stopped_by", "touching_at_start", "unresolved")
 
 
@@ -54,8 +55,8 @@ def test_incomplete_results_move_nobody(device: torch.device) -> None:
         with pytest.raises(RuntimeError, match=f"rounds: more than {rounds} are needed"):
             padded.trim()
     assert_same(pgccd.resolve(scene, motion, movable, capacity=PLENTY, rounds=complete.rounds).trim(), complete)
-    tight = pgccd.Capacity(pairs=30, contacts=4096, overlaps=100, candidates=9000, leaf_pairs=9000)
-    for capacity in (tight, pgccd.Capacity(pairs=4096, contacts=20, overlaps=9000, candidates=9000, leaf_pairs=9000)):
+    tight = BufferSizes(pairs=30, contacts=4096, overlaps=100, candidates=9000, leaf_pairs=9000)
+    for capacity in (tight, BufferSizes(pairs=4096, contacts=20, overlaps=9000, candidates=9000, leaf_pairs=9000)):
         padded = pgccd.resolve(scene, motion, capacity=capacity)
         assert_nobody_moves(padded)
         with pytest.raises(pgccd.CapacityError) as raised:
@@ -77,7 +78,7 @@ def test_a_round_that_alone_exceeds_its_capacity(device: torch.device) -> None:
         column[:2, 1] += torch.tensor([0.6, -0.6], device=device)
     assert len(pgccd.detect(scene, motion, nonzero_toi=True)) == 1
     for contacts in (1, 2):
-        padded = pgccd.resolve(scene, motion, capacity=pgccd.Capacity(**(vars(PLENTY) | {"contacts": contacts})))
+        padded = pgccd.resolve(scene, motion, capacity=BufferSizes(**(vars(PLENTY) | {"contacts": contacts})))
         if contacts == 1:
             assert_nobody_moves(padded)
             with pytest.raises(pgccd.CapacityError, match="contacts: 2 in 1"):

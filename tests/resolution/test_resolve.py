@@ -43,7 +43,7 @@ def lists(resolved: pgccd.Resolution[Any]) -> tuple[list[list[int]], list[list[i
 
 def test_nobody_meets(device: torch.device) -> None:
     scene, motion = on_a_line(device, [0.0, 3.0], [1.0, 1.0])
-    with mock.patch.object(resolve_module, "find_contacts", side_effect=AssertionError("nothing is shortened")):
+    with mock.patch.object(resolve_module, "detect_moving", side_effect=AssertionError("nothing is shortened")):
         resolved = pgccd.resolve(scene, motion)
     assert resolved.fraction.tolist() == [1.0, 1.0] and resolved.stopped_by.tolist() == [-1, -1]
     assert lists(resolved) == ([], []) and resolved.rounds == 0
@@ -182,7 +182,7 @@ def test_what_rounds_miss_is_not_promised(device: torch.device) -> None:
 
     with mock.patch.object(ShortenedSearch, "start_round", find_nothing):
         assert lists(pgccd.resolve(scene, motion)) == ([], [[0, 1]])
-        padded = pgccd.resolve(scene, motion, capacity=pgccd.Capacity.guess(10))
+        padded = pgccd.resolve(scene, motion, capacity=pgccd.Capacity.of(10))
         assert lists(padded.trim()) == ([], [[0, 1]])
 
 
@@ -220,7 +220,7 @@ def test_no_bodies(device: torch.device) -> None:
     scene, motion = on_a_line(device, [], [])
     resolved = pgccd.resolve(scene, motion, torch.zeros(0, dtype=torch.bool))
     assert resolved.fraction.shape == (0,) and lists(resolved) == ([], [])
-    assert lists(pgccd.resolve(scene, motion, capacity=pgccd.Capacity.guess(1)).trim()) == ([], [])
+    assert lists(pgccd.resolve(scene, motion, capacity=pgccd.Capacity.of(1)).trim()) == ([], [])
 
 
 WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
@@ -236,7 +236,7 @@ WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"initial": "free"}, ValueError, "initial: expected"),
     ({"broad_phase": "tree"}, ValueError, "broad_phase: expected"),
     ({"rounds": 3}, ValueError, "rounds: can only be given with a capacity"),
-    ({"rounds": 0, "capacity": pgccd.Capacity.guess(2)}, ValueError, "rounds: expected a number of rounds >= 1, got 0"),
+    ({"rounds": 0, "capacity": pgccd.Capacity.of(2)}, ValueError, "rounds: expected a number of rounds >= 1, got 0"),
     ({"capacity": 5}, TypeError, "capacity: expected a pgccd.Capacity"),
 ]
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from support.graphs import graphs_on
 
-from pgccd.detection.capacity import Capacity
+from pgccd.detection.capacity import BufferSizes
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import transaction
 from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, make_step, replay
@@ -126,7 +126,7 @@ def test_too_little_capacity(
     def make_tight(model: Any, state: Any, index: Any, broad_phase: Any, plan: StepPlan, *rounds: int) -> StepGraph:
         if not graphs:
             tight = StepPlan()
-            little = Capacity(10, 10)
+            little = BufferSizes(10, 10)
             if lacking == "step":
                 tight.pairs.learn(20_000, little)
                 tight.rounds = plan.rounds

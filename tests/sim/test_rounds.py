@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
-from pgccd.detection.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Capacity
 from pgccd.detection.parts import Part
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import OneRank, ResolvedStep, resolve_collisions
@@ -145,7 +145,7 @@ def many_rounds() -> PlannedStep:
 def plan_after(rounds: int, plan: RoundPlan | None = None) -> RoundPlan:
     """The plan of a simulation whose last step took this number of rounds."""
     plan = plan or RoundPlan()
-    plan.learn(rounds, lambda: [Capacity.guess(400, 200)] * rounds)
+    plan.learn(rounds, lambda: [Capacity.of(400, 200)] * rounds)
     return plan
 
 
@@ -206,7 +206,7 @@ def test_too_little_capacity_in_a_round() -> None:
                 return counts
 
         plan = RoundPlan()
-        plenty, none = Capacity.guess(400, 200), Capacity(0, 0)
+        plenty, none = Capacity.of(400, 200), BufferSizes(0, 0)
         capacities = [none if round == lacking else plenty for round in range(step.rounds)]
         plan._capacities, plan._recent = capacities, plan._recent.__class__([step.rounds])
         step.resolve(plan, TwoAlike(), Tight)
@@ -221,7 +221,7 @@ def test_too_little_capacity_for_the_whole_step(exchange: OneRank | None, monkey
     for lacking in (1, 0):
         part = step.part()
         with monkeypatch.context() as patch:
-            patch.setattr(pipeline_module, "EXACTLY", Capacity(0, len(step.expected.contacts) - lacking))
+            patch.setattr(pipeline_module, "EXACTLY", BufferSizes(0, len(step.expected.contacts) - lacking))
             counts = part.start().read()
         assert counts.overflow == bool(lacking)
         step.resolve(plan_after(step.rounds), exchange, part=part)
@@ -233,7 +233,7 @@ def test_rounds_that_do_not_fit_into_memory(monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.setattr(partners_module, "memory_limit", lambda *_, limit=limit: limit)
         with counted_calls("_search") as pieces:
             step.resolve()
-        most = -(-Capacity(pairs=len(step.pairs), contacts=0).bytes // limit)
+        most = -(-BufferSizes(pairs=len(step.pairs), contacts=0).bytes // limit)
         assert len(pieces) == step.rounds * min(len(step.pairs), most) > step.rounds
 
 

@@ -59,11 +59,11 @@ def features_around(a: pgccd.Mesh, of_a: Sequence[int], b: pgccd.Mesh, of_b: Seq
 
     found = set[Key]()
     if len(of_a) == 1:
-        found |= {(int(pgccd.VF_AB), of_a[0], f) for f in having(b.faces.numpy(), of_b)}
+        found |= {(pgccd.Kind.VF_AB, of_a[0], f) for f in having(b.faces.numpy(), of_b)}
     if len(of_b) == 1:
-        found |= {(int(pgccd.VF_BA), f, of_b[0]) for f in having(a.faces.numpy(), of_a)}
+        found |= {(pgccd.Kind.VF_BA, f, of_b[0]) for f in having(a.faces.numpy(), of_a)}
     edges = having(b.edges.numpy(), of_b)
-    return found | {(int(pgccd.EE), e, f) for e in having(a.edges.numpy(), of_a) for f in edges}
+    return found | {(pgccd.Kind.EE, e, f) for e in having(a.edges.numpy(), of_a) for f in edges}
 
 
 # Meshes with dyadic vertex coordinates and the body frame's origin at exactly zero.

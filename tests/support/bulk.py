@@ -113,7 +113,7 @@ def compare(
     `is_near` decides exactly whether a touch that the batch oracle left undecided is within the allowed distance.
     """
     status, toi, true = answers.status, answers.toi, truth.status == YES
-    reported, touch = status != pgccd.FREE, status == pgccd.TOUCH
+    reported, touch = status != pgccd.Status.FREE, status == pgccd.Status.TOUCH
     sensible = np.where(reported, (toi >= 0) & (toi <= 1), toi == np.inf)
     u, v = answers.coordinates.T
     on = (u >= 0) & (v >= 0) & ((u + v if paths.is_face else np.maximum(u, v)) <= 1 + 1e-6)
@@ -136,7 +136,7 @@ def compare(
         queries=len(status),
         true=int(true.sum()),
         near=int((reported & (truth.status == NO)).sum()),
-        unresolved=int((status == pgccd.UNRESOLVED).sum()),
+        unresolved=int((status == pgccd.Status.UNRESOLVED).sum()),
         examples=examples,
         **{what: int(rows.sum()) for what, rows in faults.items()},
     )
@@ -167,7 +167,7 @@ def check_straight(
     status, toi, coordinates = solve(start, end, is_face, family.separation, tolerance, device=device, dtype=dtype)
     unit = 2.0 ** -DIGITS[dtype]
     rounding = ROUNDING[dtype] * unit * np.maximum(np.ptp(start, axis=1).max(axis=1), np.ptp(end, axis=1).max(axis=1))
-    t = np.where(status == pgccd.FREE, 0.0, toi.astype(np.float64))[:, None, None]
+    t = np.where(status == pgccd.Status.FREE, 0.0, toi.astype(np.float64))[:, None, None]
     at_toi = (1 - t) * (start - start[:, :1]) + t * (end - end[:, :1])
     allowed = family.separation + tolerance + rounding
     named = allowed + 64 * unit * conditioning(at_toi, is_face)

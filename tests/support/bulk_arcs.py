@@ -39,9 +39,9 @@ def _corners(mesh: pgccd.Mesh, feature: np.ndarray, what: str) -> np.ndarray:
 
 # Of the first and the second primitive; VF_BA lists body i's face first, the oracle j's vertex.
 FEATURES = {
-    pgccd.VF_AB: ("vertex", "face"),
-    pgccd.VF_BA: ("face", "vertex"),
-    pgccd.EE: ("edge", "edge"),
+    pgccd.Kind.VF_AB: ("vertex", "face"),
+    pgccd.Kind.VF_BA: ("face", "vertex"),
+    pgccd.Kind.EE: ("edge", "edge"),
 }
 
 
@@ -67,9 +67,9 @@ def solve_candidates(
     moving = pgccd.MovingBodies.of(scene, motion)
     pairs = torch.arange(2 * n, device=device).view(n, 2)
     rows = np.column_stack([np.arange(n), np.full(n, int(kind)), features]).astype(np.int32)
-    found = pgccd.narrow.contacts(moving, pairs, torch.from_numpy(rows).to(device), "all", separation, tolerance)
+    found = pgccd.narrow.find_contacts(moving, pairs, torch.from_numpy(rows).to(device), "all", separation, tolerance)
     pair, _, _, its_status, its_toi, its_coordinates, *_ = (c.cpu().numpy() for c in found)
-    status, toi, coordinates = np.full(n, int(pgccd.FREE)), np.full(n, np.inf), np.zeros((n, 2))
+    status, toi, coordinates = np.full(n, pgccd.Status.FREE), np.full(n, np.inf), np.zeros((n, 2))
     status[pair], toi[pair], coordinates[pair] = its_status, its_toi, its_coordinates
     return status, toi, coordinates
 
@@ -84,10 +84,10 @@ def check_arcs(
     tolerance = size * 10.0 ** -rng.uniform(3, 13)
     meshes = [soup(rng, size), soup(rng, size)]
     counts = {"vertex": 3 * FACES, "face": FACES, "edge": len(meshes[0].edges)}
-    what = FEATURES[pgccd.Kind(kind)]
+    what = FEATURES[kind]
     features = np.stack([rng.integers(0, counts[w], count) for w in what], axis=1)
     parts = [_corners(m, features[:, k], what[k]) for k, m in enumerate(meshes)]
-    swapped, is_face = kind == pgccd.VF_BA, kind != pgccd.EE
+    swapped, is_face = kind == pgccd.Kind.VF_BA, kind != pgccd.Kind.EE
     points = np.concatenate(parts[::-1] if swapped else parts, axis=1)
     clearance = separation + tolerance * float(rng.choice([-0.01, 1.1, 2.0, 10.0]))
     first, second = arcs.motions(rng, plan, points, is_face, size, clearance)
@@ -99,9 +99,11 @@ def check_arcs(
     turned = np.maximum(*(np.linalg.norm(b.rotation, axis=1) for b in bodies))
     radius = max(m.radius for m in meshes)
     rounding = UNIT * ((8192 + 256 * turned) * radius + 1024 * np.max(centres, axis=(0, 2)))
-    t = np.where(status == pgccd.FREE, 0.0, toi)
+    t = np.where(status == pgccd.Status.FREE, 0.0, toi)
     at_toi = np.moveaxis(paths.over(np.arange(count), t, t).control[1] / paths.scale, 2, 0)
-    label = f"{name}, {pgccd.Kind(kind).name}, size {size:.3g}, separation {separation:.3g}, tolerance {tolerance:.3g}"
+    label = (
+        f"{name}, {pgccd.Kind.names()[kind]}, size {size:.3g}, separation {separation:.3g}, tolerance {tolerance:.3g}"
+    )
     allowed = separation + tolerance + rounding + 64 * UNIT * conditioning(at_toi, is_face)
 
     def is_near(row: int) -> bool:

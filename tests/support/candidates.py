@@ -35,7 +35,7 @@ def missed_among(
     """As `missed`, for bodies in any motion."""
     pairs = torch.tensor(meetings.pairs, device=bodies.device)
     until = None if horizon is None else torch.tensor(horizon, device=bodies.device)
-    found, _ = pgccd.traverse.bvtt(bodies, pairs, separation, tolerance, until)
+    found, _ = pgccd.traverse.find_candidates(bodies, pairs, separation, tolerance, until)
     rows: list[set[tuple[int, ...]]] = [set() for _ in range(len(meetings))]
     for row in found.tolist():
         rows[row[0]].add(tuple(row[1:]))
@@ -59,5 +59,5 @@ def found_contact(
     """Result of the narrow phase for one feature pair: None, or the columns of its contact."""
     pairs = torch.tensor(meetings.pairs[k : k + 1])
     candidate = torch.tensor([[0, *key]], dtype=torch.int32)
-    rows = pgccd.narrow.contacts(moving, pairs, candidate, "all", min_separation, tolerance=tolerance)
+    rows = pgccd.narrow.find_contacts(moving, pairs, candidate, "all", min_separation, tolerance=tolerance)
     return rows if len(rows[0]) else None

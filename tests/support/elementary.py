@@ -57,21 +57,21 @@ def check(
 ) -> int:
     """Checks the contract of section 5 of the design query by query. Returns the number of true contacts."""
     status, toi, coordinates = solve(start, end, is_face, min_separation, tolerance, nonzero_toi, device, dtype)
-    assert set(status.tolist()) <= {pgccd.FREE, pgccd.TOUCH, pgccd.UNRESOLVED}
-    assert np.isinf(toi[status == pgccd.FREE]).all()
-    assert ((toi >= 0) & (toi <= 1))[status != pgccd.FREE].all()
+    assert set(status.tolist()) <= {pgccd.Status.FREE, pgccd.Status.TOUCH, pgccd.Status.UNRESOLVED}
+    assert np.isinf(toi[status == pgccd.Status.FREE]).all()
+    assert ((toi >= 0) & (toi <= 1))[status != pgccd.Status.FREE].all()
     hits = truth(start, end, is_face, min_separation)
     for k, hit in enumerate(hits):
         if hit is not None:
-            assert status[k] != pgccd.FREE, f"query {k}: missed"
+            assert status[k] != pgccd.Status.FREE, f"query {k}: missed"
             assert Fraction(toi[k]) <= hit.toi_upper, f"query {k}: late"
     reach = Fraction(min_separation) + Fraction(tolerance)
-    for k in np.flatnonzero(status == pgccd.TOUCH):
+    for k in np.flatnonzero(status == pgccd.Status.TOUCH):
         allowed = reach + rounding(start[k], end[k], dtype)
         square = distance.squared_distance_exact(start[k], end[k], Fraction(toi[k]), is_face)
         assert square <= allowed * allowed, f"query {k}: reported at a distance of {float(square) ** 0.5}"
         _check_coordinates(start[k], end[k], toi[k], coordinates[k], is_face, float(allowed), UNIT[dtype], f"query {k}")
-    assert (status == pgccd.UNRESOLVED).sum() <= most_unresolved * len(status), "too many unresolved"
+    assert (status == pgccd.Status.UNRESOLVED).sum() <= most_unresolved * len(status), "too many unresolved"
     return sum(hit is not None for hit in hits)
 
 

@@ -208,7 +208,7 @@ def check_reports(
     assert np.array_equal(crossings_of(everything), expected_crossings(a, b))
     is_crossing = everything.kind >= EF_AB
     assert bool((everything.toi[is_crossing] == 0).all())
-    assert bool((everything.status[is_crossing] == pgccd.TOUCH).all())
+    assert bool((everything.status[is_crossing] == pgccd.Status.TOUCH).all())
     at_start = everything[everything.toi == 0]
     assert np.array_equal(np.unique(pairs_of(at_start)), meet)
     # "first" is the least row of each pair by toi, kind and features: rows of a pair are in order of the latter.

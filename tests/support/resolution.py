@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 
 import pgccd
-from pgccd.detection.capacity import COUNT_ROWS, Capacity
+from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
 from pgccd.detection.parts import Part
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Fractions, resolve_collisions
 from pgccd.runtime.stages import StageClock
 from pgccd.sim import Model, RobotState, contacts_hash, respond, state_hash
-from pgccd.sim.partners import Partners, toi_of
+from pgccd.sim.partners import Partners
 
 #: Contacts of the robots that changed (N,) bool, each moving by its fraction (N,) of the step.
 Find = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -38,7 +38,6 @@ def plain_step(model: Model, planned: RobotState) -> PlainStep:
 
     def find(changed: Tensor, fraction: Tensor) -> tuple[Tensor, Tensor]:
         found = pgccd.detect(scene, model.motion(planned, fraction), nonzero_toi=True)
-        assert found.toi is not None
         affected = changed[found.pairs].any(dim=1)
         return found.pairs[affected], found.toi[affected]
 
@@ -90,7 +89,7 @@ def resolve_given(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Fractio
     class GivenRounds:
         """Rounds with given contacts."""
 
-        def start_round(self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
+        def start_round(self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
             counts = torch.zeros(len(COUNT_ROWS), dtype=torch.int64)
             if bool(changed.any()):
                 found, times = find(changed.bool(), fraction)
@@ -113,7 +112,7 @@ def plain_run(model: Model, steps: int) -> list[dict[str, Any]]:
         lines.append(
             {
                 "contacts": len(made.contacts),
-                "contacts_hash": f"{contacts_hash(state.id[made.contacts.pairs], toi_of(made.contacts)):016x}",
+                "contacts_hash": f"{contacts_hash(state.id[made.contacts.pairs], made.contacts.toi):016x}",
                 "state_hash": f"{state_hash(state):016x}",
                 "stopped": int(made.resolution.stopped.sum()),
                 "resolution_rounds": made.resolution.rounds,

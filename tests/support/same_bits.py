@@ -9,14 +9,14 @@ import pgccd
 from pgccd.runtime.hashing import row_hash
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
-#: With those of a trajectory's contacts.
-ALL_COLUMNS = (*COLUMNS, "segment", "time")
 
 
-def columns_of(contacts: pgccd.Contacts) -> dict[str, Tensor]:
-    """The columns that are not None, on the CPU."""
-    columns = {name: getattr(contacts, name, None) for name in ALL_COLUMNS}
-    return {name: column.cpu() for name, column in columns.items() if column is not None}
+Result = pgccd.Contacts | pgccd.CollidingPairs
+
+
+def columns_of(result: Result) -> dict[str, Tensor]:
+    """The columns, on the CPU."""
+    return {name: column.cpu() for name, column in result.columns.items()}
 
 
 def bits(column: Tensor) -> Tensor:
@@ -53,7 +53,7 @@ def contacts_hash(contacts: pgccd.Contacts, rows: Tensor) -> int:
     return row_hash([column if column.is_floating_point() else column.long() for column in columns])
 
 
-def assert_same(found: pgccd.Contacts, expected: pgccd.Contacts) -> None:
+def assert_same(found: Result, expected: Result) -> None:
     """Asserts equal bits in all columns."""
     said = difference(columns_of(found), columns_of(expected))
     assert said is None, said

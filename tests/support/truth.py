@@ -13,7 +13,7 @@ import pgccd
 from support.shapes import Bodies
 
 Key = tuple[int, int, int]
-KINDS = (pgccd.VF_AB, pgccd.VF_BA, pgccd.EE)
+KINDS = (pgccd.Kind.VF_AB, pgccd.Kind.VF_BA, pgccd.Kind.EE)
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def without_crossings(hits: pgccd.Contacts) -> pgccd.Contacts:
     test_intersecting.py covers.
     """
     assert hits.kind is not None
-    return hits[hits.kind <= pgccd.EE]
+    return hits[hits.kind <= pgccd.Kind.EE]
 
 
 def body_motion(bodies: Bodies, body: int) -> rigid.BodyMotion:
@@ -89,7 +89,7 @@ def self_truth(ends: list[np.ndarray], faces: np.ndarray, min_separation: float 
 
 def assert_nothing_invented(rows: Rows, truth: detect.Detection) -> None:
     """Asserts that every contact reported on these straight vertex paths is true or unresolved."""
-    invented = {key for key in rows.keys() - truth.keys() if rows[key].status != pgccd.UNRESOLVED}
+    invented = {key for key in rows.keys() - truth.keys() if rows[key].status != pgccd.Status.UNRESOLVED}
     assert invented == set(), "invented"
 
 
@@ -103,27 +103,27 @@ def assert_nothing_missed(rows: Rows, truth: detect.Detection) -> None:
 def feature_indices(faces: tuple[np.ndarray, np.ndarray], keys: list[Key], kind: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertex indices of the first and of the second primitive of all contacts of one kind."""
     a, b = (np.array([key[k] for key in keys]) for k in (1, 2))
-    if kind == pgccd.EE:
+    if kind == pgccd.Kind.EE:
         return unique_edges(faces[0])[a], unique_edges(faces[1])[b]
-    return (a[:, None], faces[1][b]) if kind == pgccd.VF_AB else (b[:, None], faces[0][a])
+    return (a[:, None], faces[1][b]) if kind == pgccd.Kind.VF_AB else (b[:, None], faces[0][a])
 
 
 def assert_rigid_rows_close(rows: Rows, bodies: Bodies, within: float, i: int = 0, j: int = 1) -> None:
     """Asserts that each reported pair on rigid arcs is at most `within` apart at its toi, at the reported point."""
     faces = (bodies.meshes[i].faces.long().numpy(), bodies.meshes[j].faces.long().numpy())
     for kind in KINDS:
-        keys = [key for key, row in rows.items() if key[0] == kind and row.status == pgccd.TOUCH]
+        keys = [key for key, row in rows.items() if key[0] == kind and row.status == pgccd.Status.TOUCH]
         if not keys:
             continue
-        first, second = (j, i) if kind == pgccd.VF_BA else (i, j)
+        first, second = (j, i) if kind == pgccd.Kind.VF_BA else (i, j)
         index = feature_indices(faces, keys, kind)
         points = np.concatenate(
             [bodies.meshes[b].vertices.numpy()[v] for b, v in zip((first, second), index, strict=True)], axis=1
         )
-        paths = rigid.RigidPaths(points, body_motion(bodies, first), body_motion(bodies, second), kind != pgccd.EE)
+        paths = rigid.RigidPaths(points, body_motion(bodies, first), body_motion(bodies, second), kind != pgccd.Kind.EE)
         toi = np.array([rows[key].toi for key in keys])
         at_toi = paths.derivatives(np.arange(len(keys)), toi)[0]
-        assert (search.upper_bound(at_toi, kind != pgccd.EE) <= within).all(), "reported too far apart"
+        assert (search.upper_bound(at_toi, kind != pgccd.Kind.EE) <= within).all(), "reported too far apart"
         start, end = bodies.position_t0[first], bodies.position_t1[first]
         centre = start + toi[:, None] * (end - start)
         _assert_places([rows[key] for key in keys], at_toi.middle(), centre, kind, within)
@@ -142,14 +142,14 @@ def assert_rigid_pair_agrees(
     tolerance = 1e-6 * min(mesh.radius for mesh in meshes)
     assert_rigid_rows_close(rows, bodies, separation + tolerance + 1e-12 * size, i, j)
     # Contacts that the oracle does not have come within the tolerance or are unresolved, and are counted as such.
-    assert hits.stats.unresolved >= sum(row.status == pgccd.UNRESOLVED for row in rows.values())
+    assert hits.stats.unresolved >= sum(row.status == pgccd.Status.UNRESOLVED for row in rows.values())
     if truth.contacts and rows:
         assert min(row.toi for row in rows.values()) <= float(truth.toi_upper)
     return len(truth.contacts)
 
 
 def _assert_places(rows: list[Row], points: np.ndarray, centre: np.ndarray, kind: int, within: float) -> None:
-    is_face = kind != pgccd.EE
+    is_face = kind != pgccd.Kind.EE
     coordinates = np.array([row.coordinates for row in rows])
     u, v = coordinates[:, :1], coordinates[:, 1:]
     slack = 1e-9
@@ -165,7 +165,7 @@ def _assert_places(rows: list[Row], points: np.ndarray, centre: np.ndarray, kind
     assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-12
     # Where the gap is much longer than rounding, the normal is its direction, from body i to body j.
     clear = (length > 1e-9 * size).ravel()
-    towards = gap * (-1.0 if kind == pgccd.VF_BA else 1.0) / np.maximum(length, 1e-300)
+    towards = gap * (-1.0 if kind == pgccd.Kind.VF_BA else 1.0) / np.maximum(length, 1e-300)
     assert ((towards * normal).sum(axis=1)[clear] > 0.999).all()
 
 
@@ -174,15 +174,15 @@ def linear_points(
 ) -> list[np.ndarray]:
     """Points (n, 4, 3) at t0 and at t1 of contacts of one kind, in the order of the elementary tests."""
     index = feature_indices(faces, keys, kind)
-    first, second = (1, 0) if kind == pgccd.VF_BA else (0, 1)
+    first, second = (1, 0) if kind == pgccd.Kind.VF_BA else (0, 1)
     return [np.concatenate([ends[first][t][index[0]], ends[second][t][index[1]]], axis=1) for t in (0, 1)]
 
 
 def assert_linear_rows_close(rows: Rows, ends: list[list[np.ndarray]], faces: list[np.ndarray], within: float) -> None:
     """Asserts that each reported feature pair on straight paths is at most `within` apart at its toi."""
     for kind in KINDS:
-        keys = [key for key, row in rows.items() if key[0] == kind and row.status == pgccd.TOUCH]
+        keys = [key for key, row in rows.items() if key[0] == kind and row.status == pgccd.Status.TOUCH]
         if keys:
             start, end = linear_points(ends, (faces[0], faces[1]), keys, kind)
             toi = np.array([rows[key].toi for key in keys])
-            assert (distance.min_distance_at(start, end, toi, kind != pgccd.EE) <= within).all(), "too far apart"
+            assert (distance.min_distance_at(start, end, toi, kind != pgccd.Kind.EE) <= within).all(), "too far apart"

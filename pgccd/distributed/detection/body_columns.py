@@ -33,20 +33,20 @@ def bodies_of(like: MovingBodies, columns: Columns, vertices: Vertices | None = 
         vertices: of bodies that deform.
     """
     optional = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
-    scene = Scene.of_checked(like.scene.meshes, columns["mesh_index"], radius=columns.get("radius"), **optional)
+    scene = Scene._of_checked(like.scene.meshes, columns["mesh_index"], radius=columns.get("radius"), **optional)
     if vertices is not None:
-        return MovingBodies.of(scene, VertexMotion.of_checked(**vertices.columns))
+        return MovingBodies.of(scene, VertexMotion._of_checked(**vertices.columns))
     position_t0, orientation, position_t1, rotation = (columns[name] for name in _MOTION)
     path = cast(RigidMotion, like.motion).path
-    return MovingBodies.of(scene, RigidMotion.of_checked(position_t0, orientation, position_t1, rotation, path))
+    return MovingBodies.of(scene, RigidMotion._of_checked(position_t0, orientation, position_t1, rotation, path))
 
 
 def of_checked(scene: Scene, motion: RigidMotion | VertexMotion) -> MovingBodies:
     """Moving bodies that their owners have validated."""
     if isinstance(motion, VertexMotion):
-        return MovingBodies.of(scene, VertexMotion.of_checked(motion.x_t0, motion.x_t1))
+        return MovingBodies.of(scene, VertexMotion._of_checked(motion.x_t0, motion.x_t1))
     pose = motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
-    return MovingBodies.of(scene, RigidMotion.of_checked(*pose, motion.path))
+    return MovingBodies.of(scene, RigidMotion._of_checked(*pose, motion.path))
 
 
 def take_bodies(bodies: MovingBodies, ghosts: MovingBodies, rows: Tensor) -> Columns:

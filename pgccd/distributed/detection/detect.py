@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.contacts import Contacts
+from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.parts import Part, contacts_of_step, search_seconds
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.detection.share import Build, Options, OwnSearch, PartEstimates, Share
@@ -27,7 +27,7 @@ class Detection:
     """Contacts that one rank found in one step."""
 
     share: Share  #: its parts have been searched
-    contacts: Contacts  #: as rows of the held bodies
+    contacts: Contacts | CollidingPairs  #: as rows of the held bodies
 
     @property
     def held(self) -> Held:
@@ -74,6 +74,6 @@ def detect_distributed(
     share = search.start().with_ghosts()
     found = contacts_of_step(share.parts)
     clock.add(search_seconds(found.stats))
-    if options.report == "earliest":
+    if options.report == "earliest" and isinstance(found, Contacts):
         found = found.earliest(*share.held.id[found.pairs].unbind(dim=1))
     return Detection(share, replace(found, stats=replace(found.stats, bodies=len(share.held))))

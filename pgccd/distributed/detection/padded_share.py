@@ -104,7 +104,7 @@ def search_padded_share(
         part = find_part(bodies, *asked, None, discard, estimate=estimates.own, slack=slack)
         held = Held.alone(decomposition.neighbours, own)
         made = of_held(held, centres, kept, decomposition)
-        return PaddedShare(held, made, [part], part.pairs, bodies.first_faults()[-1:])
+        return PaddedShare(held, made, [part], part.pairs, bodies._first_faults()[-1:])
     where = *kept, *subdomain
     reach, boundary, count = ops.boundary_bodies(centres, *where)
     of_pairs = *kept, reach, *subdomain
@@ -139,7 +139,7 @@ def search_padded_share(
         found.first_contacts()
         side.wait(own_pairs_found)
         pairs = pairs_of_step([own_part, found]) if wants_pairs else None
-        failed = halo.overflow + (near_count > capacity.near) + bodies.first_faults()[-1:]
+        failed = halo.overflow + (near_count > capacity.near) + bodies._first_faults()[-1:]
     side.join()
     return PaddedShare(held, made, [own_part, found], pairs, failed)
 
@@ -148,7 +148,7 @@ def _build_padded(build: Build, columns: Columns) -> tuple[Scene, RigidMotion]:
     """Scene and motion; padding gets a negative radius, so no pair contains it."""
     scene, motion = build(columns)
     assert isinstance(motion, RigidMotion)
-    scene.leave_out(columns["id"] < 0)
+    scene._leave_out(columns["id"] < 0)
     return scene, motion
 
 

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.detection.contacts import Contacts, earliest_row
+from pgccd.detection.contacts import CollidingPairs, Contacts, earliest_row
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, first_row, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.detect import Detection
 
 
-def tell_owners(found: Detection) -> Contacts:
+def tell_owners(found: Detection) -> Contacts | CollidingPairs:
     """All contacts of the bodies that this rank owns, in global ids, sorted by id. Both owners of a pair are neighbours
     of the rank that tested it: they sent it ghosts.
 
@@ -29,7 +28,8 @@ def tell_owners(found: Detection) -> Contacts:
     second = everything[owner[:, 0] != owner[:, 1]]
     rows, destination = torch.cat([everything, second]), torch.cat([owner[:, 0], owner[second, 1]])
     received = make_route(found.held.route.neighbours, rows, destination).forward(columns).wait()
-    return Contacts(**_all_fields(take_rows(received, _canonical_order(received["pairs"]))), stats=found.contacts.stats)
+    ordered: dict[str, Any] = take_rows(received, _canonical_order(received["pairs"]))
+    return type(found.contacts)(**ordered, stats=found.contacts.stats)
 
 
 def earliest_for_all(comm: Comm, found: Detection, ids: int | None = None) -> Contacts:
@@ -47,19 +47,14 @@ def earliest_for_all(comm: Comm, found: Detection, ids: int | None = None) -> Co
     columns = {name: column[row] for name, column in columns.items()}
     # Floats >= 0 have the same order as their bits.
     order = torch.stack([segment[row], columns["toi"].view(torch.int64), i[row], j[row]], dim=1)
-    columns, stats = first_row(comm, order, columns), found.contacts.stats
-    earliest = Contacts(**_all_fields(columns), stats=stats)
+    first: dict[str, Any] = first_row(comm, order, columns)
+    earliest = Contacts(**first, stats=found.contacts.stats)
     earliest._is_earliest = True
     return earliest
 
 
 def _in_global_ids(found: Detection) -> Columns:
-    columns = {name: value for name, value in vars(found.contacts).items() if isinstance(value, Tensor)}
-    return columns | {"pairs": found.held.id[found.contacts.pairs]}
-
-
-def _all_fields(columns: Columns) -> dict[str, Any]:
-    return {field.name: columns.get(field.name) for field in fields(Contacts) if field.init and field.name != "stats"}
+    return found.contacts.columns | {"pairs": found.held.id[found.contacts.pairs]}
 
 
 def _canonical_order(pairs: Tensor) -> Tensor:
@@ -68,7 +63,7 @@ def _canonical_order(pairs: Tensor) -> Tensor:
     return by_second[torch.argsort(pairs[by_second, 0], stable=True)]
 
 
-def first_toi_of(id: Tensor, hits: Contacts) -> Tensor:
+def first_toi_of(id: Tensor, hits: Contacts | CollidingPairs) -> Tensor:
     """(N,) float64: the first toi of bodies, or the first `time` of a trajectory; inf without a contact.
 
     Args:
@@ -78,13 +73,12 @@ def first_toi_of(id: Tensor, hits: Contacts) -> Tensor:
     Raises:
         TypeError, ValueError: `hits` are not contacts with toi.
     """
+    if isinstance(hits, CollidingPairs):
+        raise ValueError('hits: report="any" gives no toi')
     if not isinstance(hits, Contacts):
         raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
-    if hits.toi is None:
-        raise ValueError('hits: report="any" gives no toi')
     first = torch.full((len(id),), torch.inf, dtype=torch.float64, device=id.device)
     time = hits.time if isinstance(hits, TrajectoryContacts) else hits.toi
-    assert time is not None
     bodies, toi = hits.pairs.reshape(-1), time.repeat_interleave(2)
     row = torch.searchsorted(id, bodies).clamp_(max=max(0, len(id) - 1))
     own = id[row] == bodies if len(id) else torch.zeros_like(bodies, dtype=torch.bool)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 
 from pgccd.detection import narrow
-from pgccd.detection.contacts import Contacts
+from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.trajectories import TrajectoryContacts, time_along
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
@@ -54,7 +54,9 @@ class Segments:
         columns["world"] = world + (self.worlds * segment).to(torch.int32)
         return columns
 
-    def contacts_for_owners(self, comm: Comm, found: Detection, report: narrow.Report) -> TrajectoryContacts:
+    def contacts_for_owners(
+        self, comm: Comm, found: Detection, report: narrow.Report
+    ) -> TrajectoryContacts | CollidingPairs:
         """The contacts of the bodies that this rank owns, as `pgccd.detect` returns them for a trajectory.
 
         Args:
@@ -76,14 +78,13 @@ class Segments:
         chosen = order[is_first]
         return contacts[chosen]
 
-    def _of(self, contacts: Contacts) -> TrajectoryContacts:
+    def _of(self, contacts: Contacts | CollidingPairs) -> TrajectoryContacts | CollidingPairs:
         """From contacts of the bodies of all segments."""
-        names = (field.name for field in fields(Contacts) if field.init)
-        columns: dict[str, Any] = {name: getattr(contacts, name) for name in names}
+        columns: dict[str, Any] = contacts.columns | {"stats": contacts.stats}
         segment = torch.div(contacts.pairs[:, 0], self.ids, rounding_mode="floor")
         columns["pairs"] = contacts.pairs - self.ids * segment[:, None]
-        if contacts.toi is None:
-            return TrajectoryContacts(**columns)
+        if isinstance(contacts, CollidingPairs):
+            return CollidingPairs(**columns)
         found = TrajectoryContacts(**columns, segment=segment, time=time_along(segment, contacts.toi, self.count))
         found._is_earliest = contacts._is_earliest
         return found

@@ -57,7 +57,7 @@ class Halo:
 
     def find_boundary(self) -> None:
         """Finds the bodies that other ranks need. Does not synchronise."""
-        found = self._bodies.first_faults()
+        found = self._bodies._first_faults()
         if not self._is_alone:
             centres, kept = self._where
             where = *kept, *self._decomposition.subdomain
@@ -74,7 +74,7 @@ class Halo:
         if self._bodies.checked:
             return
         count, *faults = ([0] if self._is_alone else []) + self._found.numpy().tolist()
-        self._bodies.raise_faults(faults)
+        self._bodies._raise_faults(faults)
         self._bodies.checked = True
         self._boundary = self._boundary[:count]
 

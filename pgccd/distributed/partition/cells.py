@@ -30,7 +30,7 @@ def factorise(ranks: int, extent: Point, axes: int = 3) -> Triple:
         axes: how many axes may be cut: 3; 2 (x and y); or 1 (slabs across the longest axis).
 
     Example:
-        >>> pgccd.distributed.factorise(8, (1.0, 1.0, 1.0))
+        >>> factorise(8, (1.0, 1.0, 1.0))
         (2, 2, 2)
     """
     if ranks < 1:

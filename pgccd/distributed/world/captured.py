@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.detection.capacity import COUNT_ROWS, busy_nanoseconds, overflow_flags
+from pgccd.detection.contacts import Contacts
 from pgccd.detection.parts import first_contacts_of
 from pgccd.distributed.comm.exchange import Columns, first_row
 from pgccd.distributed.comm.interface import Comm
@@ -113,7 +114,7 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         >>> steps = pgccd.distributed.CapturedWorld(world, motion, response).run(100)
     """
 
-    def __init__(self, world: World, motion: Motion, response: Response, graph: bool | None = None) -> None:
+    def __init__(self, world: World[Contacts], motion: Motion, response: Response, graph: bool | None = None) -> None:
         if not isinstance(world, World):
             raise TypeError(f"world: expected a pgccd.distributed.World, got {arguments.describe(world)}")
         if world.options.report != "first":
@@ -221,7 +222,13 @@ class _WorldGraph(TransactionGraph[_Committed]):
     """
 
     def __init__(
-        self, world: World, motion: Motion, response: Response, capacity: ShareCapacity, like: Columns, index: int
+        self,
+        world: World[Contacts],
+        motion: Motion,
+        response: Response,
+        capacity: ShareCapacity,
+        like: Columns,
+        index: int,
     ) -> None:
         device = world.id.device
         super().__init__(device)
@@ -256,7 +263,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
             part.begin()
         counts = [part.counts() for part in share.parts]
         overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
-        incomplete = torch.cat([self._failed, share.failed, motion.first_faults()[-1:], *overflow]).sum().reshape(1)
+        incomplete = torch.cat([self._failed, share.failed, motion._first_faults()[-1:], *overflow]).sum().reshape(1)
         first, incomplete = _first_toi(share, comm, incomplete)
         new = _with_position(self._response(bodies, motion, first))
         is_body = id >= 0

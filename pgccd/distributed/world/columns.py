@@ -28,7 +28,7 @@ _OF_SCENES = ("id", "mesh_index", *_OPTIONAL)
 def scene_of(meshes: MeshSet, columns: Columns) -> Scene:
     """The scene of bodies with these columns."""
     optional: dict[str, Any] = {name: columns[name] for name in _OPTIONAL if name in columns}
-    return Scene.of_checked(meshes, columns["mesh_index"], **optional)
+    return Scene._of_checked(meshes, columns["mesh_index"], **optional)
 
 
 def scene_columns(columns: Columns) -> Columns:
@@ -80,7 +80,7 @@ def moving_columns(
         return {}, Vertices(motion.columns(), vertex_count)
     if motion.path != path:
         raise ValueError(f"motion: its path is {motion.path!r}, the world's {path!r}")
-    motion.check_given()
+    motion._check_given()
     return motion.columns(), None
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Generic, Literal, Never, TypeVar, Unpack, overload
 
 import torch
 from torch import Tensor
@@ -14,7 +14,8 @@ from torch import Tensor
 from pgccd.detection import narrow
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.checks import Initial
-from pgccd.detection.contacts import Contacts
+from pgccd.detection.contacts import CollidingPairs, Contacts
+from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.detection.detect import Detection, detect_distributed
@@ -32,6 +33,7 @@ from pgccd.distributed.partition.interface import Partition, Point, Triple
 from pgccd.distributed.partition.rebalancing import Balancer
 from pgccd.distributed.world.checkpoint import load_state, save_state
 from pgccd.distributed.world.columns import motion_of, moving_columns, new_values, require_rows, scene_columns, scene_of
+from pgccd.distributed.world.options import NewWorld, WorldOptions
 from pgccd.distributed.world.state import WorldState, agreed_partition, require_alike, state_given
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
@@ -39,8 +41,10 @@ from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.runtime.stages import StageClock
 
+R = TypeVar("R", bound=Contacts | CollidingPairs)
 
-class World:
+
+class World(Generic[R]):
     """Bodies distributed over ranks by position. Made by `create` or `load`, on all ranks together.
 
     Bodies migrate to the rank that owns the cell of their position, at the beginning and after each `move`. Rows of
@@ -51,7 +55,13 @@ class World:
         >>> hits = world.step(pgccd.RigidMotion.from_velocity(world.position, q, world.payload["velocity"], w, dt=0.1))
     """
 
-    def __init__(
+    def __init__(self, *given: Never, **named: Never) -> None:
+        raise TypeError(
+            "World: it is made by World.create(meshes, lower, upper, position, ...) or World.load(folder, meshes), on "
+            "all ranks together"
+        )
+
+    def _set(
         self, comm: Comm, options: Options, balance: BalanceOptions, path: PathKind, state: WorldState, census: Census
     ) -> None:
         self.comm, self.options, self.path = comm, options, path
@@ -65,6 +75,42 @@ class World:
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices = state.columns, state.vertices
 
+    @overload
+    @classmethod
+    def create(
+        cls,
+        meshes: Sequence[Mesh],
+        lower: Point,
+        upper: Point,
+        position: Tensor,
+        *,
+        report: narrow.ContactReport = "first",
+        **options: Unpack[NewWorld],
+    ) -> World[Contacts]: ...
+    @overload
+    @classmethod
+    def create(
+        cls,
+        meshes: Sequence[Mesh],
+        lower: Point,
+        upper: Point,
+        position: Tensor,
+        *,
+        report: Literal["any"],
+        **options: Unpack[NewWorld],
+    ) -> World[CollidingPairs]: ...
+    @overload
+    @classmethod
+    def create(
+        cls,
+        meshes: Sequence[Mesh],
+        lower: Point,
+        upper: Point,
+        position: Tensor,
+        *,
+        report: narrow.Report,
+        **options: Unpack[NewWorld],
+    ) -> World[Contacts | CollidingPairs]: ...
     @classmethod
     def create(
         cls,
@@ -96,7 +142,7 @@ class World:
         cells: int | Triple = DEFAULT_CELLS,
         balance: BalanceOptions | None = None,
         overlap: bool = True,
-    ) -> World:
+    ) -> World[Any]:
         """Makes a world of any share of the bodies from each rank.
 
         Args:
@@ -134,14 +180,50 @@ class World:
         return cls._begin(comm, options, balance, path, state.with_ids(comm, id is not None))
 
     @classmethod
-    def _begin(cls, comm: Comm, options: Options, balance: BalanceOptions, path: PathKind, state: WorldState) -> World:
+    def _begin(
+        cls, comm: Comm, options: Options, balance: BalanceOptions, path: PathKind, state: WorldState
+    ) -> World[Any]:
         ascending = torch.argsort(state.columns["id"])
         vertices = None if state.vertices is None else state.vertices.take(ascending)
         state = replace(state, columns=take_rows(state.columns, ascending), vertices=vertices)
-        world = cls(comm, options, balance, path, state, Census.of_ranks(comm, state.columns["id"]))
+        world = cls.__new__(cls)
+        world._set(comm, options, balance, path, state, Census.of_ranks(comm, state.columns["id"]))
         world._change_hands()
         return world
 
+    @overload
+    @classmethod
+    def load(
+        cls,
+        folder: str | PathLike[str],
+        meshes: Sequence[Mesh],
+        *,
+        device: torch.device | str = "cpu",
+        report: narrow.ContactReport = "first",
+        **options: Unpack[WorldOptions],
+    ) -> World[Contacts]: ...
+    @overload
+    @classmethod
+    def load(
+        cls,
+        folder: str | PathLike[str],
+        meshes: Sequence[Mesh],
+        *,
+        device: torch.device | str = "cpu",
+        report: Literal["any"],
+        **options: Unpack[WorldOptions],
+    ) -> World[CollidingPairs]: ...
+    @overload
+    @classmethod
+    def load(
+        cls,
+        folder: str | PathLike[str],
+        meshes: Sequence[Mesh],
+        *,
+        device: torch.device | str = "cpu",
+        report: narrow.Report,
+        **options: Unpack[WorldOptions],
+    ) -> World[Contacts | CollidingPairs]: ...
     @classmethod
     def load(
         cls,
@@ -159,7 +241,7 @@ class World:
         path: PathKind = "rigid",
         balance: BalanceOptions | None = None,
         overlap: bool = True,
-    ) -> World:
+    ) -> World[Any]:
         """Restores the newest checkpoint in a folder, see `save`. The steps that follow are bitwise identical to those
         of the saved world.
 
@@ -244,7 +326,15 @@ class World:
         columns = {} if self._vertices is None else self._vertices.columns
         return {name[1:]: column for name, column in columns.items()}
 
-    def step(self, motion: RigidMotion | VertexMotion | Trajectory) -> Contacts:
+    @overload
+    def step(self, motion: RigidMotion | VertexMotion) -> R: ...
+    @overload
+    def step(self: World[Contacts], motion: Trajectory) -> TrajectoryContacts: ...
+    @overload
+    def step(self: World[CollidingPairs], motion: Trajectory) -> CollidingPairs: ...
+    @overload
+    def step(self, motion: Trajectory) -> TrajectoryContacts | CollidingPairs: ...
+    def step(self, motion: RigidMotion | VertexMotion | Trajectory) -> Contacts | CollidingPairs:
         """Finds the collisions of one step, or of all steps of a trajectory.
 
         Args:
@@ -253,8 +343,8 @@ class World:
         Returns:
             All contacts of this rank's own bodies, `pairs` in global ids i < j (i, i for a body with itself), sorted; a
             contact between bodies of two ranks is returned on both. With report="earliest", the first contact of the
-            scene, on every rank. For a trajectory `TrajectoryContacts`, as from `pgccd.detect`. `stats` are those of
-            the pairs that this rank tested.
+            scene, on every rank. For a trajectory `TrajectoryContacts`, and with report="any" `CollidingPairs`, as from
+            `pgccd.detect`. `stats` are those of the pairs that this rank tested.
 
         Raises:
             TypeError: the motion is of another type.
@@ -289,7 +379,7 @@ class World:
         self._capacity = HaloCapacity.of(found.held, self.decomposition.neighbours)
         return found
 
-    def first_toi(self, hits: Contacts) -> Tensor:
+    def first_toi(self, hits: Contacts | CollidingPairs) -> Tensor:
         """(N,) float64: the first toi of each own body, or the first `time` of a trajectory; inf without a contact.
 
         Args:

@@ -14,3 +14,7 @@ __all__ = [
     "run",
     "starting_share",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

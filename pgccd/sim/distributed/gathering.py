@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
-from torch import Tensor
 
 from pgccd.detection.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
@@ -37,7 +36,7 @@ def gather_sample(
     contacts, ids = None, torch.empty(0, dtype=torch.int64)
     if step is not None:
         found = step.detection.contacts
-        columns = {name: value for name, value in vars(found).items() if isinstance(value, Tensor)}
+        columns = found.columns
         columns["pairs"] = step.detection.held.id[found.pairs]
         contacts = gather_columns(comm, take_rows(columns, torch.nonzero(columns["pairs"][:, 0] % one_in == 0)[:, 0]))
         ids = comm.broadcast_object(contacts["pairs"].unique().cpu() if one_in > 1 else ids)
