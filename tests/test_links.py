@@ -42,7 +42,7 @@ def broken_links(page: Path) -> list[str]:
 
 
 def missing_files(page: Path) -> list[str]:
-    """The paths in a page, from the root of the repository, of files that do not exist. NAME, STAGE and FAMILY stand for any name."""
+    """The paths in a page, from the root, of files that do not exist. NAME, STAGE and FAMILY stand for any name."""
     named = re.findall(rf"`((?:{'|'.join(FOLDERS)})/[^`\s]*)`", text_of(page))
     return [name for name in named if not any(ROOT.glob(re.sub("NAME|STAGE|FAMILY", "*", name).rstrip("/")))]
 
