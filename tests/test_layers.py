@@ -194,6 +194,11 @@ def test_stages_do_not_import_one_another() -> None:
         assert not used & {f"pgccd.detection.{other}" for other in stages - {stage}}, stage
 
 
+def test_pictures_know_no_simulation() -> None:
+    for path in python_files(PACKAGE / "viz"):
+        assert not any(name.startswith(("pgccd.sim", "pgccd.distributed")) for name in imports(path)), path
+
+
 def test_one_process_needs_no_ranks() -> None:
     ranks = ("pgccd.distributed", "pgccd.sim.distributed.")
     for path in python_files(PACKAGE / "sim", PACKAGE / "viz"):

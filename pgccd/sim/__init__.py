@@ -13,6 +13,7 @@ from pgccd.sim.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from pgccd.sim.hashing import contacts_hash, state_hash
 from pgccd.sim.log import LOG_FILE, read_log
 from pgccd.sim.model import PATTERNS, Model, ModelConfig, RobotState
+from pgccd.sim.pictures import snapshot_of_state, snapshot_of_step
 from pgccd.sim.replay import StepMaker
 from pgccd.sim.resolution import Resolution
 from pgccd.sim.response import first_collisions, respond
@@ -47,6 +48,8 @@ __all__ = [
     "robot_mesh",
     "run",
     "save_checkpoint",
+    "snapshot_of_state",
+    "snapshot_of_step",
     "state_hash",
 ]
 
