@@ -12,6 +12,7 @@ from pgccd import ops
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.halo.centres import Centres
 from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.runtime.attempts import TooSmall, until_it_fits
 
 
 @dataclass(frozen=True)
@@ -66,13 +67,17 @@ def agreed_replicas(
     """The same, after extending the neighbours of ranks if bodies of any rank reach further. All ranks call it.
     Synchronises, unless all ranks are neighbours.
     """
-    former, of_neighbours = decomposition.neighbours, received
-    while True:
+    former = decomposition.neighbours
+
+    def attempt(of_neighbours: Sequence[int]) -> Replicas | TooSmall[Sequence[int]]:
         found = find_replicas(decomposition, centres, kept, rows, of_neighbours)
         if not decomposition.is_beyond(found.counts):
             return found
         beyond = rows[found.table[:, -1] > 0]
         whole = decomposition.of_all_ranks().subdomain
         decomposition.extend(ops.reached_ranks(centres, *kept, whole, beyond, decomposition.comm.size)[1])
-        if received:
-            of_neighbours = decomposition.neighbours.renumber(former, torch.tensor(received)).tolist()
+        if not received:
+            return TooSmall(received)
+        return TooSmall(decomposition.neighbours.renumber(former, torch.tensor(received)).tolist())
+
+    return until_it_fits(attempt, received)
