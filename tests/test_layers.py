@@ -176,7 +176,7 @@ def test_packages_import_only_those_below() -> None:
 
 
 def test_folders_of_ranks_import_only_those_below() -> None:
-    folders = ("guard", "comm", "launch", "partition", "halo", "checkpoint", "detection", "world")
+    folders = ("guard", "comm", "launch", "partition", "halo", "checkpoint", "detection", "steps", "world")
     root = PACKAGE / "distributed"
     assert {path.parent.name for path in root.glob("*/__init__.py")} == set(folders)
     assert [path.name for path in root.glob("*.py")] == ["__init__.py"]

@@ -153,7 +153,7 @@ def search_rigid(
     faults = bodies.known_faults()
     of_scene = [] if faults is not None else bodies.checked_by_operator
     more = [column.values.to(torch.float64)[:, None] for column in of_scene]
-    checks, limits = bodies.motion.checks
+    checks, limits = bodies.operator_checks
     reach = torch.empty_like(bodies.reach) if marks_invalid and faults is None else None
     chosen = broad.choose(bodies, broad_phase)
     min_separation, tolerance, nonzero_toi = query.settings

@@ -20,7 +20,7 @@ from pgccd.detection.streaming import join_contacts
 
 # Capacity for pairs found without synchronising, relative to the last step. Larger than for pairs of known number,
 # since the number of pairs may grow too.
-_SLACK = 1.5
+PART_SLACK = 1.5
 
 
 @dataclass(eq=False)
@@ -151,7 +151,7 @@ def find_part(
     discard: Tensor | None = None,
     rows: Tensor | None = None,
     estimate: CapacityEstimate | None = None,
-    slack: float = _SLACK,
+    slack: float = PART_SLACK,
     elsewhere: Tensor | None = None,
 ) -> Part:
     """The PCS of bodies, as a part. On a GPU it is found in an estimated capacity without synchronising, if the

@@ -15,10 +15,9 @@ import pgccd
 from distributed.conftest import World
 from pgccd import ops, sim
 from pgccd.distributed import Alone, Cells, Comm
-from pgccd.distributed.detection.detect import detect_distributed
-from pgccd.distributed.detection.share import Options
+from pgccd.distributed.detection.options import Options, PartEstimates
+from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.runtime.stages import StageClock
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 
@@ -69,16 +68,18 @@ def test_boxes_hold_their_bodies_and_are_tight(device: torch.device) -> None:
 def test_bad_poses_and_separations_are_named() -> None:
     model = sim.Model(sim.ModelConfig(robots=8))
     state = model.start()
-    partition, own = Cells.uniform((-1.0,) * 3, (1.0,) * 3, 1), {"id": state.id}
+    decomposition = Decomposition(Alone(), Cells.uniform((-1.0,) * 3, (1.0,) * 3, 1))
+    bodies = pgccd.MovingBodies.of(model.scene(state.id), model.motion(state), wait=False)
 
-    def build(columns: dict[str, torch.Tensor]) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
-        return model.scene(columns["id"]), model.motion(state)
+    def search(options: Options) -> Share:
+        asked = decomposition, {"id": state.id}, bodies, lambda ghosts: ghosts, options, PartEstimates()
+        return search_share(*asked, beside=lambda share: None)[0]
 
     with pytest.raises(ValueError, match="^min_separation: "):
-        detect_distributed(Decomposition(Alone(), partition), own, build, Options(min_separation=-1.0), StageClock())
+        search(Options(min_separation=-1.0))
     state.position[3, 1] = torch.nan
     with pytest.raises(ValueError, match="^position: body 3|^position_t0: body 3"):
-        detect_distributed(Decomposition(Alone(), partition), own, build, Options(), StageClock())
+        search(Options())
 
 
 def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:

@@ -12,8 +12,8 @@ from pgccd.detection.contacts import Contacts
 from pgccd.detection.trajectories import TrajectoryContacts, time_along
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.detect import Detection
 from pgccd.distributed.detection.report import earliest_for_all, tell_owners
+from pgccd.distributed.detection.share import Share
 
 _MOST_WORLDS, _MOST_IDS = 2**31, 2**62
 
@@ -54,7 +54,7 @@ class Segments:
         columns["world"] = world + (self.worlds * segment).to(torch.int32)
         return columns
 
-    def contacts_for_owners(self, comm: Comm, found: Detection, report: narrow.Report) -> TrajectoryContacts:
+    def contacts_for_owners(self, comm: Comm, found: Share, report: narrow.Report) -> TrajectoryContacts:
         """The contacts of the bodies that this rank owns, as `pgccd.detect` returns them for a trajectory.
 
         Args:

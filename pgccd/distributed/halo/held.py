@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from pgccd.distributed.comm.exchange import Columns, Route
-from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.halo.replicas import Replicas
 
 
@@ -22,13 +21,6 @@ class Held:
     route: Route  #: route by which ghosts were sent: its rows index own bodies
     boundary: Tensor  #: (B,) int64, ascending: rows of own bodies that other ranks hold too
     replicas: Replicas  #: the other ranks that hold each boundary body
-
-    @classmethod
-    def alone(cls, neighbours: Neighbourhood, own: Columns) -> Held:
-        """The held bodies of a single rank, without ghosts."""
-        id, ghosts = own["id"], {name: column[:0] for name, column in own.items()}
-        none = Replicas(id.new_empty((0, 1), dtype=torch.uint8), id.new_zeros(1))
-        return cls(id, ghosts, Route(neighbours, id[:0], [0], [0]), id[:0], none)
 
     def __len__(self) -> int:
         return self.own_count + self.ghost_count
