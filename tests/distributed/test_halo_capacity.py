@@ -15,8 +15,9 @@ from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
 from pgccd import sim
 from pgccd.distributed import Cells, Comm
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
-from pgccd.distributed.detection.share import Share
 from pgccd.distributed.halo import sizes as halo_sizes
+from pgccd.distributed.halo.ghosts import Halo
+from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.steps import rank
 from pgccd.sim.distributed import DistributedSimulation, starting_share
@@ -25,23 +26,24 @@ CAPACITIES = ["ample", "usual", "exact", "none", "boundary"]
 
 
 def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bool]]:
-    """The records, and whether the capacity of each padded share sufficed."""
+    """The records, and whether the capacity of each padded halo sufficed."""
     model = sim.Model(CONFIG)
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
     enough: list[bool] = []
-    exceeds, padded = Share.exceeds, HaloSizes.padded
+    wait, padded = Halo.wait, HaloSizes.padded
 
-    def watched(self: Share) -> bool:
-        enough.append(not exceeds(self))
-        if enough[-1]:  # what was counted is correct, whatever the capacity
-            held, sizes = self.held, self.sizes
-            assert int((held.ghosts["id"] >= 0).sum()) == sum(sizes.received) == self.body_count - held.own_count
+    def watched(self: Halo) -> Held:
+        was_padded, held = self.is_padded, wait(self)
+        if was_padded:
+            enough.append(self.is_padded)
+        if self.is_padded:  # what was counted is correct, whatever the capacity
+            received = held.ghosts_by_source().tolist()
+            sizes = self.sizes(0, received)
+            assert int((held.ghosts["id"] >= 0).sum()) == sum(received)
             assert int((held.route.rows >= 0).sum()) == sum(sizes.sent)
             assert int((held.boundary >= 0).sum()) == sizes.boundary
-            rows = self.parts[1].rows
-            assert rows is not None and int(((rows >= 0) & (rows < held.own_count)).sum()) == sizes.near
-        return not enough[-1]
+        return held
 
     def cramped(self: HaloSizes, neighbours: Neighbourhood) -> HaloSizes:
         """Capacities in which one rank overflows."""
@@ -50,7 +52,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
     functions = {"ample": lambda count: 4 * count + 500, "exact": lambda count: count, "none": lambda _: 0}
     patches = [
         mock.patch.object(rank, "sends_ahead", lambda comm, *_: comm.size > 1),
-        mock.patch.object(Share, "exceeds", watched),
+        mock.patch.object(Halo, "wait", watched),
     ]
     if capacities in functions:
         patches.append(mock.patch.object(halo_sizes, "padded_count", functions[capacities]))

@@ -21,7 +21,6 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.parts import PART_SLACK, Part, contacts_of_step, find_part, first_contacts_of
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.options import Options, PartEstimates
 from pgccd.distributed.halo.ghosts import Halo
 from pgccd.distributed.halo.held import Held
@@ -49,51 +48,14 @@ class Share:
     parts: list[Part]  #: being searched
     ghosts: MovingBodies | None  #: None on a single rank
     options: Options
-    #: (1,) int64: nonzero if there were more bodies than the given sizes on this rank; pairs may be missing then.
+    #: (1,) int64: nonzero if there were more bodies than the given sizes on this rank, and pairs may be missing.
     overflow: Tensor
-    #: (1,) int64 each: numbers of own bodies at the boundary, and of those near ghosts or at the boundary.
-    at_boundary: tuple[Tensor, Tensor]
-    # Of a share with given sizes.
-    _counts: HostCopy | None = None
-
-    def count(self, comm: Comm) -> None:
-        """Starts to copy to the host what `exceeds` and `sizes` read of a share with given sizes. All ranks call it."""
-        of_ghosts = (self.held.ghosts["id"] >= 0).to(torch.int64)
-        received = torch.zeros_like(self.held.replicas.counts).scatter_add_(0, self.held.route.source, of_ghosts)
-        numbers = [comm.sum(self.overflow), *self.at_boundary, self.held.replicas.counts, received]
-        self._counts = HostCopy.start(torch.cat([*numbers, self.parts[0].bodies.first_faults()]))
-
-    def exceeds(self) -> bool:
-        """Whether there were more bodies than the given sizes on any rank. Waits for `count`.
-
-        Raises:
-            ValueError: a pose is invalid.
-        """
-        overflow, _, _, _, faults = self._numbers
-        self.parts[0].bodies.raise_faults(faults)
-        return overflow > 0
-
-    @cached_property
-    def _numbers(self) -> tuple[int, list[int], list[int], list[int], list[int]]:
-        assert self._counts is not None
-        overflow, *numbers = self._counts.numpy().tolist()
-        size = self.held.route.neighbours.size
-        sent, received, faults = numbers[2 : 2 + size], numbers[2 + size : 2 + 2 * size], numbers[2 + 2 * size :]
-        return overflow, numbers[:2], sent, received, faults
-
-    @cached_property
-    def sizes(self) -> HaloSizes:
-        """The exact numbers of bodies. If sizes were given, waits for `count`."""
-        held, route, rows = self.held, self.held.route, self.parts[-1].rows
-        if self._counts is not None:
-            _, (boundary, near), sent, received, _ = self._numbers
-            return HaloSizes(route.neighbours, sent, received, boundary, near)
-        near = 0 if rows is None else len(rows) - held.ghost_count
-        return HaloSizes(route.neighbours, route.sent, route.received, len(held.boundary), near)
+    sizes: HaloSizes | None  #: exact numbers of bodies; None if nothing was to synchronise
 
     @property
     def body_count(self) -> int:
-        """Number of held bodies."""
+        """Number of held bodies, without padding."""
+        assert self.sizes is not None
         return self.held.own_count + sum(self.sizes.received)
 
     @cached_property
@@ -140,6 +102,7 @@ def search_share(
     *,
     beside: Callable[[Share], T],
     sizes: HaloSizes | None = None,
+    synchronises: bool = True,
     vertices: Vertices | None = None,
     clock: StageClock | None = None,
     discard: Tensor | None = None,
@@ -156,9 +119,10 @@ def search_share(
         options: of the detection.
         estimates: of the capacities of parts.
         beside: given the share, enqueues work that runs concurrently with the search of own pairs.
-        sizes: of the halo. Given these, which are capacities, nothing synchronises if messages are sent on the stream:
-            rows of `own` with id -1, of a negative radius in `bodies`, and unused rows of ghosts are padding; the
-            result is incomplete if `Share.overflow`, or a pose is invalid. By default ranks agree on exact sizes.
+        sizes: capacities of messages, whose unused rows are padding: see `Halo`. By default ranks agree on exact sizes.
+        synchronises: False: sizes are given, for a graph. If messages are sent on the stream, nothing synchronises
+            then; rows of `own` with id -1, of a negative radius in `bodies`, are padding; the result is incomplete if
+            there is `Share.overflow` or a pose is invalid.
         vertices: of the own bodies, if they deform; sizes are exact then.
         clock: records stage times.
         discard, slack: see `find_part`.
@@ -167,7 +131,7 @@ def search_share(
         The share, and the result of `beside`.
 
     Raises:
-        ValueError: with exact sizes, if a pose is invalid.
+        ValueError: if it synchronises: a pose is invalid.
 
     Example:
         >>> asked = decomposition, own, bodies, lambda ghosts: ghosts, Options(), PartEstimates()
@@ -179,7 +143,7 @@ def search_share(
     def stage(name: str) -> AbstractContextManager[None]:
         return nullcontext() if clock is None else clock.stage(name)
 
-    halo = Halo(decomposition, own, bodies, kept, sizes)
+    halo = Halo(decomposition, own, bodies, kept, sizes, synchronises)
     side = SideStream(device, options.overlap and comm.size > 1)
     with stage("halo"):
         halo.find_boundary()
@@ -198,25 +162,29 @@ def search_share(
     with side, stage("halo wait"):
         held = halo.wait()
     if comm.size == 1:
-        share = Share(held, [own_part], None, options, halo.overflow, (halo.boundary_count, halo.boundary_count))
+        alone = halo.sizes(0, [0]) if synchronises else None
+        share = Share(held, [own_part], None, options, halo.overflow, alone)
         return share, beside(share)
     where = *kept, *decomposition.subdomain
     with side:
         with stage("halo"):
             ghost_vertices = _vertices_of_ghosts(vertices, held, bodies)
-            ghosts = _ghosts(held, complete, ghost_vertices, bodies, is_padded=sizes is not None)
+            ghosts = _ghosts(held, complete, ghost_vertices, bodies, halo.is_padded)
             near, near_count = ops.near_ghosts(bodies.swept_spheres, halo.reach, ghosts.swept_spheres, *where)
-            overflow = halo.overflow
-            if sizes is None:
-                near = near[: int(HostCopy.start(near_count).numpy()[0])]
+            overflow, exact = halo.overflow, None
+            if synchronises:
+                numbers = [near_count, held.ghosts_by_source()] if halo.is_padded else [near_count]
+                count, *received = HostCopy.start(torch.cat(numbers)).numpy().tolist()
+                near, exact = near[:count], halo.sizes(count, received or held.route.received)
             else:
+                assert sizes is not None
                 overflow = overflow + (near_count > sizes.near)
                 near = _first_rows(near[: sizes.near], near_count)
             rows = torch.cat([near, torch.arange(held.own_count, len(held), device=device)])
             both = None
             if vertices is not None and ghost_vertices is not None:
                 both = Vertices.join(vertices, ghost_vertices).take(rows)
-            at_boundary = _at_boundary(bodies, ghosts, rows, both, is_padded=sizes is not None)
+            at_boundary = _at_boundary(bodies, ghosts, rows, both, is_padded=not synchronises)
 
             def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
                 of_cells = *kept, halo.reach, *decomposition.subdomain
@@ -227,8 +195,7 @@ def search_share(
             with_ghosts.begin()
         with stage("halo"):
             side.wait(own_pairs_found)
-            counts = halo.boundary_count, near_count
-            share = Share(held, [own_part, with_ghosts], ghosts, options, overflow, counts)
+            share = Share(held, [own_part, with_ghosts], ghosts, options, overflow, exact)
             made = beside(share)
     side.join()
     return share, made
@@ -255,7 +222,7 @@ def _ghosts(
 def _at_boundary(
     bodies: MovingBodies, ghosts: MovingBodies, rows: Tensor, vertices: Vertices | None, is_padded: bool
 ) -> MovingBodies:
-    """Some of the held bodies: `rows` (B,) of own bodies, then of ghosts."""
+    """Some of the held bodies: `rows` (B,) of own bodies, -1 for padding, then of ghosts."""
     own, more = bodies.columns, ghosts.columns
     columns = dict(zip(own, ops.take_rows(list(own.values()), [more[name] for name in own], rows), strict=True))
     if is_padded:

@@ -23,6 +23,7 @@ from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.replicas import Replicas, agreed_replicas, find_replicas
 from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.runtime.attempts import TooSmall, until_it_fits
 from pgccd.runtime.host_copy import HostCopy
 
 
@@ -34,9 +35,10 @@ class Halo:
         own: columns of this rank's own bodies to send, "id" ascending; rows with id -1 may follow.
         bodies: the own bodies and their motion, not validated yet.
         kept: min_separation and tolerance, as the operators take them.
-        sizes: capacities of the messages, in which unused rows are padding: ghosts of zeros, with id -1. Then nothing
-            synchronises, if messages are sent on the stream, and the bodies are not validated. Default: exact sizes,
-            on which ranks agree.
+        sizes: capacities of the messages, in which unused rows are padding: ghosts of zeros, with id -1. `send` does
+            not synchronise then, if messages are sent on the stream. Default: exact sizes, on which ranks agree.
+        synchronises: whether `wait` validates the bodies, and sends ghosts again, with exact sizes, if a rank has more
+            than `sizes`. Otherwise nothing synchronises, and ghosts are missing where there is `overflow`.
     """
 
     def __init__(
@@ -46,45 +48,52 @@ class Halo:
         bodies: MovingBodies,
         kept: tuple[float, float],
         sizes: HaloSizes | None = None,
+        synchronises: bool = True,
     ) -> None:
-        self._decomposition, self._own, self._bodies, self._sizes = decomposition, dict(own), bodies, sizes
+        self._decomposition, self._own, self._bodies = decomposition, dict(own), bodies
+        self._sizes, self._synchronises = sizes, synchronises
         self._is_alone = decomposition.comm.size == 1
         self._where = bodies.swept_spheres, kept
         none_of_them = own["id"][:0]
         #: (N,) uint8: 1 for own bodies that reach cells of other ranks.
         self.reach = none_of_them.to(torch.uint8)
-        #: (1,) int64 on the device: number of these bodies.
-        self.boundary_count = none_of_them.new_zeros(1)
         #: (1,) int64: 1 if a capacity was exceeded, or a body reaches a rank that is not a neighbour; else 0.
-        self.overflow = self.boundary_count
-        # (B,) int64: rows of the bodies at the boundary.
-        self._boundary = none_of_them
+        self.overflow = none_of_them.new_zeros(1)
+        # (N,) int64: rows of the bodies at the boundary, then -1; and their number, (1,).
+        self._boundary, self._count = none_of_them, self.overflow
         self._pending: Pending[Tensor] | None = None
         self._held: Held | None = None
+
+    @property
+    def is_padded(self) -> bool:
+        """Whether there may be padding among the ghosts."""
+        return self._sizes is not None
 
     def find_boundary(self) -> None:
         """Finds the bodies that other ranks need. Does not synchronise."""
         if not self._is_alone:
             centres, kept = self._where
             where = *kept, *self._decomposition.subdomain
-            self.reach, self._boundary, self.boundary_count = ops.boundary_bodies(centres, *where)
-        if self._sizes is None:
-            self._found = HostCopy.start(torch.cat([self.boundary_count, self._bodies.first_faults()]))
+            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *where)
+        if self._synchronises:
+            self._found = HostCopy.start(torch.cat([self._count, self._bodies.first_faults()]))
 
     def send(self) -> None:
         """Sends ghosts. With exact sizes this validates the bodies, agrees with other ranks, and synchronises."""
-        neighbours = self._decomposition.neighbours
         if self._sizes is None:
-            self._check()
-            self._replicas = agreed_replicas(self._decomposition, *self._where, self._boundary)
-            neighbours = self._decomposition.neighbours  # may have been extended
-            sent, received = neighbours.agree(self._replicas.counts)
+            rows = self._boundary[: self._check()]
+            replicas = agreed_replicas(self._decomposition, *self._where, rows)
+            sent, received = self._decomposition.neighbours.agree(replicas.counts)
         else:
-            sent, received, boundary = self._sizes.sent, self._sizes.received, self._sizes.boundary
-            self._boundary = self._boundary[:boundary]
-            self._replicas = find_replicas(self._decomposition, *self._where, self._boundary)
-            self.overflow = self._replicas.overflow(sent, self.boundary_count, boundary)
-        self._route = Route(neighbours, self._replicas.rows_by_rank(self._boundary, sent), sent, received)
+            sent, received, capacity = self._sizes.sent, self._sizes.received, self._sizes.boundary
+            rows = self._boundary[:capacity]
+            replicas = find_replicas(self._decomposition, *self._where, rows)
+            self.overflow = replicas.overflow(sent, self._count, capacity)
+            if self._synchronises:
+                overflows = self._decomposition.comm.sum(self.overflow)
+                self._sent = HostCopy.start(torch.cat([overflows, replicas.counts]))
+        self._at_boundary = rows, replicas
+        self._route = Route(self._decomposition.neighbours, replicas.rows_by_rank(rows, sent), sent, received)
         # Ids plus one, since padding is zeros.
         self._pending = self._route.send(self._own | {"id": self._own["id"] + 1})
 
@@ -92,30 +101,46 @@ class Halo:
         """The held bodies, once all ghosts have arrived. Sends ghosts first, if not done yet.
 
         Raises:
-            ValueError: with exact sizes, if a pose is invalid.
+            ValueError: if it `synchronises`: a pose is invalid.
         """
         if self._held is None:
-            self._held = self._wait_alone() if self._is_alone else self._wait()
+            if self._synchronises:
+                self._check()
+            self._held = self._alone() if self._is_alone else until_it_fits(self._arrived, self._sizes)
         return self._held
 
-    def _wait(self) -> Held:
+    def _arrived(self, sizes: HaloSizes | None) -> Held | TooSmall[HaloSizes | None]:
         if self._pending is None:
+            self._sizes = sizes
             self.send()
         assert self._pending is not None
-        ghosts = unpack(self._pending.wait(), self._own)
-        return Held(self._own["id"], ghosts | {"id": ghosts["id"] - 1}, self._route, self._boundary, self._replicas)
+        packed, self._pending = self._pending.wait(), None
+        if sizes is not None and self._synchronises and self._sent.numpy()[0]:
+            return TooSmall(None)
+        ghosts = unpack(packed, self._own)
+        ghosts["id"] = ghosts["id"] - 1
+        return Held(self._own["id"], ghosts, self._route, *self._at_boundary)
 
-    def _wait_alone(self) -> Held:
-        if self._sizes is None:
-            self._check()
-        none = Replicas(self._boundary.new_empty((0, 1), dtype=torch.uint8), self.boundary_count)
+    def _alone(self) -> Held:
+        none = Replicas(self._boundary.new_empty((0, 1), dtype=torch.uint8), self._count)
         ghosts = {name: column[:0] for name, column in self._own.items()}
-        route = Route(self._decomposition.neighbours, self._boundary, [0], [0])
-        return Held(self._own["id"], ghosts, route, self._boundary, none)
+        self._route = Route(self._decomposition.neighbours, self._boundary, [0], [0])
+        return Held(self._own["id"], ghosts, self._route, self._boundary, none)
 
-    def _check(self) -> None:
-        """Reads the number of bodies at the boundary, and the faults. Synchronises."""
+    def sizes(self, near: int, received: list[int]) -> HaloSizes:
+        """The numbers of bodies of this step, if it `synchronises`, after `wait`.
+
+        Args:
+            near: number of own bodies near ghosts or at the boundary.
+            received: number of ghosts from each neighbour.
+        """
+        sent = self._route.sent if self._sizes is None else self._sent.numpy()[1:].tolist()
+        return HaloSizes(self._route.neighbours, sent, received, self._check(), near)
+
+    def _check(self) -> int:
+        """Validates the bodies, and returns the number of those at the boundary. Synchronises."""
         count, *faults = self._found.numpy().tolist()
-        self._bodies.raise_faults(faults)
-        self._bodies.checked = True
-        self._boundary = self._boundary[:count]
+        if not self._bodies.checked:
+            self._bodies.raise_faults(faults)
+            self._bodies.checked = True
+        return count

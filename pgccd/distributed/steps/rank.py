@@ -19,7 +19,6 @@ from pgccd.distributed.partition.balance import BalanceOptions, RankLoads
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition
 from pgccd.distributed.partition.rebalancing import Balancer
-from pgccd.runtime.attempts import TooSmall, until_it_fits
 from pgccd.runtime.stages import StageClock
 
 T = TypeVar("T")
@@ -60,23 +59,14 @@ class Rank:
         beside: Callable[[Share], T],
         vertices: Vertices | None = None,
     ) -> tuple[Share, T]:
-        """`search_share`, with the sizes of the last step if these let a GPU send ghosts without waiting for the host,
-        and again with exact ones if they do not suffice on any rank.
+        """`search_share`, with capacities from the last step where these let a GPU send ghosts without waiting for the
+        host.
         """
         is_known = self._sizes_of is self.decomposition and vertices is None
         is_ahead = is_known and sends_ahead(self.comm, bodies.device, options.overlap)
-
-        def attempt(sizes: HaloSizes | None) -> tuple[Share, T] | TooSmall[HaloSizes | None]:
-            def counted(share: Share) -> T:
-                if sizes is not None:
-                    share.count(self.comm)
-                return beside(share)
-
-            asked = self.decomposition, own, bodies, complete, options, self.estimates
-            found = search_share(*asked, beside=counted, sizes=sizes, vertices=vertices, clock=clock)
-            return TooSmall(None) if sizes is not None and found[0].exceeds() else found
-
-        share, made = until_it_fits(attempt, self.capacities() if is_ahead else None)
+        sizes = self.capacities() if is_ahead else None
+        asked = self.decomposition, own, bodies, complete, options, self.estimates
+        share, made = search_share(*asked, beside=beside, sizes=sizes, vertices=vertices, clock=clock)
         self._sizes, self._sizes_of = share.sizes, self.decomposition
         return share, made
 

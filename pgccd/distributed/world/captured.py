@@ -226,6 +226,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
             world._rank.estimates,
             beside=lambda share: share.parts[-1].first_contacts(),
             sizes=self._sizes,
+            synchronises=False,
             discard=self._failed,
             slack=GRAPH_SLACK,
         )

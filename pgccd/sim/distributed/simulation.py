@@ -257,7 +257,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         return tally
 
     def _host_numbers(self, share: Share) -> Tensor:
-        numbers = torch.tensor([sum(share.sizes.received), self._arrived, int(self._stop), 0])
+        numbers = torch.tensor([share.body_count - share.held.own_count, self._arrived, int(self._stop), 0])
         return numbers.to(self.model.device, non_blocking=True)
 
     def _complete(self, ghosts: Columns) -> Columns:
@@ -319,6 +319,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             self._rank.estimates,
             beside=beside,
             sizes=sizes,
+            synchronises=False,
             discard=discard,
             slack=GRAPH_SLACK,
         )
