@@ -171,7 +171,8 @@ def find_part(
     separation, tolerance = query.min_separation, query.tolerance
 
     def find_pairs() -> Tensor:
-        bodies.check()
+        if not bodies.checked:
+            bodies.raise_faults(bodies.first_faults().tolist())
         chosen = broad.choose(bodies, broad_phase)
         pairs = broad.find_pairs_of_checked(bodies, separation, chosen, tolerance, elsewhere=elsewhere)
         if select is None:
@@ -182,8 +183,6 @@ def find_part(
     estimate = estimate or CapacityEstimate()
     capacity = expected_capacity(bodies, None, estimate, slack=slack) if _looks_ahead(bodies) else None
     if capacity is None:
-        if not bodies.checked:
-            bodies.raise_faults(bodies.first_faults().tolist())
         return Part(query, bodies, find_pairs(), rows=rows)
     invalid = bodies.first_faults()[-1:]
     if discard is not None:
