@@ -31,7 +31,7 @@ from pgccd.distributed.detection import share
 from pgccd.distributed.halo import sizes as halo_sizes
 from pgccd.distributed.partition import rebalancing
 from pgccd.distributed.partition.balance import BackOff, RankLoads
-from pgccd.distributed.steps import replayed
+from pgccd.distributed.steps import replayed as rank_steps
 
 COUNT, STEPS, BOX = 120, 24, 5.5
 
@@ -110,8 +110,8 @@ def follow(comm: Comm, policy: str, partition: str, graph: bool, device: str, cr
         if cramped:  # one more body overflows
             stack.enter_context(mock.patch.object(halo_sizes, "padded_count", lambda count: count))
             stack.enter_context(mock.patch.object(halo_sizes, "_NEAR_SLACK", 1))
-            stack.enter_context(mock.patch.object(replayed, "_OWN_MORE", 0))
-        stack.enter_context(mock.patch.object(replayed, "_MOST_AWAY", 0.5))
+            stack.enter_context(mock.patch.object(rank_steps, "_OWN_MORE", 0))
+        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.5))
         world = spread(comm, torch.device(device), policy, partition)
         loop = CapturedWorld(world, motion, response, graph)
         steps: list[WorldStep] = []
@@ -224,7 +224,7 @@ def decisions(comm: Comm, graph: bool) -> tuple[list[int], int]:
         stack.enter_context(mock.patch.object(rebalancing, "rebalanced", noted))
         stack.enter_context(mock.patch.object(RankLoads, "are_level", lambda *_: False))
         stack.enter_context(mock.patch.object(BackOff, "is_over", lambda *_: True))
-        stack.enter_context(mock.patch.object(replayed, "_MOST_AWAY", 0.0))
+        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.0))
         steps = CapturedWorld(world, motion, response, graph).run(STEPS)
     return made, sum(step.replayed for step in steps)
 
