@@ -127,7 +127,7 @@ def test_trusted_columns_are_never_looked_at(monkeypatch: pytest.MonkeyPatch) ->
         raise AssertionError("looked at")
 
     monkeypatch.setattr(faults.ops, "first_faults", fail)
-    trusted = pgccd.RigidMotion.of_checked(*columns)
+    trusted = pgccd.RigidMotion._of_checked(*columns)
     assert len(pgccd.detect(scene, trusted)) == len(pgccd.detect(scene, trusted[:], capacity=Capacity.guess(9)).trim())
     pgccd.broad.sweep(pgccd.MovingBodies.of(scene, trusted))
     with pytest.raises(AssertionError, match="looked at"):
@@ -155,7 +155,7 @@ def test_verdict_on_what_is_not_kept_stays(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(ValueError, match="^orientation_t1: body 1"):
         _ = motion[1:]
     motion.position_t0[0, 0] = NAN
-    assert pgccd.MovingBodies.of(scene, motion, wait=False).first_faults().tolist() == [1, 0, 2, 2, 2, 1]
+    assert pgccd.MovingBodies.of(scene, motion, wait=False)._first_faults().tolist() == [1, 0, 2, 2, 2, 1]
 
 
 def sizes() -> tuple[pgccd.Scene, pgccd.RigidMotion, list[pgccd.Mesh]]:

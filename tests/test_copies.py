@@ -69,7 +69,7 @@ def test_scenes_meshes_and_motions(copied: Callable[[Any], Any]) -> None:
     assert_same(pgccd.detect(copied(scene), copied(motion), "all"), expected)
     meshes = [copied(mesh) for mesh in scene.meshes.meshes]
     assert_same(pgccd.detect(pgccd.Scene(meshes), motion, "all"), expected)
-    trusted = pgccd.RigidMotion.of_checked(
+    trusted = pgccd.RigidMotion._of_checked(
         motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
     )
     assert_same(pgccd.detect(scene, copied(trusted), "all"), expected)
@@ -113,10 +113,10 @@ def test_rows(device: torch.device) -> None:
         motion[[3]]
     pairs = pgccd.detect(pgccd.Scene(scene.meshes, scene.mesh_index[:2]), motion[:2], "all")
     assert_same(pairs, hits[(hits.pairs[:, 1] < 2)])
-    trusted = pgccd.RigidMotion.of_checked(
+    trusted = pgccd.RigidMotion._of_checked(
         motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
     )
-    assert trusted[:2].is_trusted and trusted[:2].body_count == 2
+    assert trusted[:2]._is_trusted and trusted[:2].body_count == 2
 
 
 def test_words() -> None:

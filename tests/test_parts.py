@@ -44,7 +44,7 @@ class Divided:
             motion = crowd.motion(rows)
             pose = (motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation)
             scene = pgccd.Scene(crowd.meshes, crowd.mesh_index[rows], device)
-            return pgccd.MovingBodies.of(scene, pgccd.RigidMotion.of_checked(*(x.to(device) for x in pose), "rigid"))
+            return pgccd.MovingBodies.of(scene, pgccd.RigidMotion._of_checked(*(x.to(device) for x in pose), "rigid"))
 
         count = len(crowd.position)
         bodies = moving(torch.arange(count))

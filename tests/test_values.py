@@ -130,8 +130,8 @@ def test_a_margin_written_later_is_validated(kind: str, value: float, device: to
     expected = pgccd.detect(scene, motion)
     assert len(expected) == 1 and scene.margin is not None
     pairs = torch.tensor([[0, 1]], device=device)
-    trusted = pgccd.VertexMotion.of_checked(motion.x_t0, motion.x_t1) if kind == "deforming" else motion[:]
-    trusted.is_trusted = True
+    trusted = pgccd.VertexMotion._of_checked(motion.x_t0, motion.x_t1) if kind == "deforming" else motion[:]
+    trusted._is_trusted = True
     scene.margin[1] = value
     named = r"^margin: body 1: expected a finite length >= 0, at most 1e\+150, got " + str(value).replace("+", r"\+")
     calls: list[Callable[[], Any]] = [

@@ -59,7 +59,7 @@ class MovingBodies:
         once for all stages; if vertices change later, make new moving bodies.
 
         Args:
-            wait: whether to raise for an invalid pose now. Otherwise this does not synchronise: `first_faults` stays on
+            wait: whether to raise for an invalid pose now. Otherwise this does not synchronise: `_first_faults` stays on
                 the device, and stages must be passed it as `invalid`.
 
         Raises:
@@ -71,19 +71,19 @@ class MovingBodies:
             kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
         columns = motion.columns()
-        scene.check_columns()
+        scene._check_columns()
         if scene.device != motion.device:
             raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
         if isinstance(motion, RigidMotion) and motion.path not in PATHS:
             arguments.choice(motion.path, "path", PATHS)
         of_scene = scene_columns(scene)
-        checks = wait and (bool(of_scene) or not motion.is_trusted)
-        of_columns = motion.first_faults(columns, of_scene) if checks else None
+        checks = wait and (bool(of_scene) or not motion._is_trusted)
+        of_columns = motion._first_faults(columns, of_scene) if checks else None
         if of_columns is not None and (first := of_columns.tolist())[-1]:
             Faults([*motion.faults.columns, *of_scene]).raise_from(first)
         tensors = (_deforming if isinstance(motion, VertexMotion) else _rigid)(scene, columns)
         if of_scene:
-            tensors[0] = scene.sound_index()
+            tensors[0] = scene._sound_index()
         if scene.margin is not None:
             tensors.append(scene.margin)
         linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
@@ -93,7 +93,7 @@ class MovingBodies:
         if of_columns is not None:
             bodies._faults = bodies._with_radius(of_columns)
             if bodies.deforming:
-                bodies.raise_faults(bodies._faults.tolist())
+                bodies._raise_faults(bodies._faults.tolist())
         return bodies
 
     @classmethod
@@ -114,7 +114,7 @@ class MovingBodies:
         optional = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
         index = columns["mesh_index"]
         radius = columns["radius"] if "radius" in columns else meshes.radius.index_select(0, index)
-        scene = Scene.of_checked(meshes, index, radius=radius, **optional)
+        scene = Scene._of_checked(meshes, index, radius=radius, **optional)
         deforming = "x_t0" in columns
         moving = {name: columns[name] for name in (("x_t0", "x_t1") if deforming else _OF_MOTION)}
         tensors = (_deforming if deforming else _rigid)(scene, moving)
@@ -137,7 +137,7 @@ class MovingBodies:
         """`centre_t0`, `centre_t1` and `reach`."""
         return self.centre_t0, self.centre_t1, self.reach
 
-    def first_faults(self) -> Tensor:
+    def _first_faults(self) -> Tensor:
         """(F,) int64: for each check the first faulty row, or a number past the last row; then 1 if any row is faulty,
         else 0. Computed once and cached.
         """
@@ -145,10 +145,10 @@ class MovingBodies:
             self._faults = self._find_faults()
         return self._faults
 
-    def known_faults(self) -> Tensor | None:
-        """`first_faults`, or None if an operator finds them from the columns of `checked_by_operator`."""
-        has_verdict = self._motion is None or self._motion.has_verdict
-        return self.first_faults() if has_verdict else self._faults
+    def _known_faults(self) -> Tensor | None:
+        """`_first_faults`, or None if an operator finds them from the columns of `checked_by_operator`."""
+        has_verdict = self._motion is None or self._motion._has_verdict
+        return self._first_faults() if has_verdict else self._faults
 
     @property
     def operator_checks(self) -> tuple[list[int], list[float]]:
@@ -156,7 +156,7 @@ class MovingBodies:
         return ([], []) if self._motion is None else self._motion.checks
 
     @property
-    def checked_by_operator(self) -> list[Checked]:
+    def _checked_by_operator(self) -> list[Checked]:
         """Columns of the scene that an operator checks besides those of the motion."""
         return self._of_scene
 
@@ -169,8 +169,8 @@ class MovingBodies:
         if self._motion is None:
             return
         self._of_scene = scene_columns(self.scene)
-        if (self._of_scene or not self._motion.is_trusted) and not torch.compiler.is_compiling():
-            self.raise_faults(self._find_faults().tolist())
+        if (self._of_scene or not self._motion._is_trusted) and not torch.compiler.is_compiling():
+            self._raise_faults(self._find_faults().tolist())
 
     def _find_faults(self) -> Tensor:
         if self._motion is None:
@@ -182,14 +182,14 @@ class MovingBodies:
 
     @property
     def faults(self) -> Faults:
-        """The meaning of the values of `first_faults`."""
+        """The meaning of the values of `_first_faults`."""
         if self._motion is None:
             return Faults([])
         columns = [*self._motion.faults.columns, *self._of_scene]
         return Faults(columns, self.radius if self.deforming else None)
 
-    def raise_faults(self, first: Sequence[int]) -> None:
-        """Raises ValueError if the values of `first_faults` include a faulty row."""
+    def _raise_faults(self, first: Sequence[int]) -> None:
+        """Raises ValueError if the values of `_first_faults` include a faulty row."""
         if first[-1]:
             self.faults.raise_from(first)
 
@@ -220,29 +220,29 @@ class MovingBodies:
         return self.tensors[3]
 
     @property
-    def self_colliding(self) -> Tensor:
+    def _self_colliding(self) -> Tensor:
         """(S,) int64, ascending: the bodies tested against themselves. Empty unless the bodies deform: within a rigid
         body distances are constant, and on straight paths it changes by an affine map, which keeps separate points
         apart (except midway through exactly half a turn).
         """
-        rows = self.scene.self_colliding
+        rows = self.scene._self_colliding
         return rows if self.deforming else rows[:0]
 
 
 def scene_columns(scene: Scene) -> list[Checked]:
     """The columns of a scene whose values are validated at each use; none of a validated scene."""
     columns = []
-    if scene.must_check_index:
+    if scene._must_check_index:
         count = len(scene.meshes)
         columns = [Checked("mesh_index", scene.mesh_index, Check("range", count - 1.0, mesh_expected(count)), "body")]
-    if scene.margin is not None and not scene.is_trusted:
+    if scene.margin is not None and not scene._is_trusted:
         columns.append(Checked("margin", scene.margin, MARGIN, "body"))
     return columns
 
 
 def check_scene(scene: Scene) -> None:
     """Raises ValueError if a value of a column of a scene is invalid. Synchronises with a GPU if one may be."""
-    scene.check_columns()
+    scene._check_columns()
     if columns := scene_columns(scene):
         Faults(columns).raise_from(first_faults(columns).tolist())
 
@@ -262,7 +262,7 @@ def _rigid(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
     position_t0, position_t1, orientation_t0, rotation = columns.values()
     if position_t0.shape[0] != scene.body_count:
         raise ValueError(f"motion: has {position_t0.shape[0]} bodies, the scene {scene.body_count}")
-    return [scene.mesh_index, position_t0, position_t1, scene.current_radius(), orientation_t0, rotation]
+    return [scene.mesh_index, position_t0, position_t1, scene._current_radius(), orientation_t0, rotation]
 
 
 def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
@@ -272,6 +272,6 @@ def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
         expected = f"the scene's bodies have {layout.vertex_count}"
         raise ValueError(f"motion: x_t0 has {len(vertices[0])} vertices, {expected}")
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
-        scene.meshes.tensors, scene.sound_index(), vertices[0], vertices[1], *begins, layout.block_count
+        scene.meshes.tensors, scene._sound_index(), vertices[0], vertices[1], *begins, layout.block_count
     )
     return [scene.mesh_index, position_t0, position_t1, radius, *vertices, blocks_t0, blocks_t1, *begins]

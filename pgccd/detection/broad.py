@@ -131,7 +131,7 @@ def find_pairs_padded(
         `pgccd.detection.capacity.Counts`. After overflow, pairs may be missing.
     """
     number = BROAD_PHASE_NUMBERS[choose(bodies, broad_phase)]
-    own = 0 if bodies.scene.self_collision is None else len(bodies.self_colliding)
+    own = 0 if bodies.scene.self_collision is None else len(bodies._self_colliding)
     pair_capacity, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_padded(
         *_columns(bodies),
@@ -185,7 +185,7 @@ def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
     """
     if bodies.scene.self_collision is None:
         return pairs
-    own = bodies.self_colliding
+    own = bodies._self_colliding
     if not len(own):
         return pairs
     if bodies.scene.body_count == 1:  # the body has no other partner

@@ -255,7 +255,7 @@ def _mark_given_faults(copied: RigidMotion | VertexMotion, motion: RigidMotion |
     """Makes rotations of a copy of a motion invalid from its first invalid end orientation on. These are not columns,
     and only the first one is known.
     """
-    first = motion.first_given_fault
+    first = motion._first_given_fault
     if first is not None and isinstance(copied, RigidMotion):
         rows = torch.arange(copied.body_count, device=first.device)
         copied.rotation.masked_fill_((rows >= first)[:, None], torch.nan)

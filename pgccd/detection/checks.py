@@ -29,7 +29,7 @@ def require_bodies(bodies: MovingBodies) -> None:
 def warn_of_only_body(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> None:
     """Warns that the only body of a user's scene can have no contact, if it is not tested against itself."""
     deforms = isinstance(motion, VertexMotion) or (isinstance(motion, Trajectory) and motion.orientation is None)
-    if scene.is_trusted or torch.compiler.is_compiling() or (deforms and len(scene.self_colliding)):
+    if scene._is_trusted or torch.compiler.is_compiling() or (deforms and len(scene._self_colliding)):
         return
     advice = "add the bodies that it may meet"
     if deforms:
@@ -78,7 +78,7 @@ def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) ->
     in_order = (i >= 0) & (i < j) & (j < count)
     expected = f"pairs: expected rows 0 <= i < j < {count}"
     own = bodies.scene.self_collision
-    if own is not None and len(bodies.self_colliding):
+    if own is not None and len(bodies._self_colliding):
         in_order |= (i == j) & (i >= 0) & (j < count) & own[i.clamp(0, count - 1)]
         expected += ", or (i, i) of a body that collides with itself"
     require(in_order, expected, pairs)

@@ -251,7 +251,7 @@ class PaddedContacts(ContactColumns):
 
     count: Tensor  #: (1,) int64: number of contacts found
     overflow: Tensor  #: (1,) bool: the result is incomplete. `trim` raises the error
-    counts: Tensor  #: (21 + F,) int64: `pgccd.detection.capacity.Counts`, then `pgccd.MovingBodies.first_faults`
+    counts: Tensor  #: (21 + F,) int64: `pgccd.detection.capacity.Counts`, then `pgccd.MovingBodies._first_faults`
     capacity: Capacity
     broad_phase: str  #: as in `Stats`
     bodies: int  #: number of bodies

@@ -62,7 +62,7 @@ class CapacityEstimate:
             slack: factor over what the last step needed.
         """
         size, given = (scene.body_count, None) if pairs is None else (len(pairs), len(pairs))
-        guess = Capacity.guess(scene.body_count, given, scene.self_colliding_vertices)
+        guess = Capacity.guess(scene.body_count, given, scene._self_colliding_vertices)
         if self.needed is None:
             return guess
         capacity = self.needed.times(slack * size / self._size)

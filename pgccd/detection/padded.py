@@ -24,7 +24,7 @@ class Search:
     capacity: Capacity
     broad_phase: str
     rows: ContactRows  #: padded; the first column is body pairs (., 2)
-    counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies.first_faults`
+    counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies._first_faults`
     #: (N,) float64, negative for bodies whose pose is invalid: those of the others were searched. None: if a pose is
     #: invalid, nothing was.
     reach: Tensor | None = None
@@ -36,7 +36,7 @@ class Search:
             ValueError: the input is invalid.
         """
         values = self.counts.tolist()
-        self.bodies.raise_faults(values[len(COUNT_ROWS) :])
+        self.bodies._raise_faults(values[len(COUNT_ROWS) :])
         return Counts.of(values[: len(COUNT_ROWS)])
 
     def contacts(self, counts: Counts) -> Contacts:
@@ -117,7 +117,7 @@ def search_padded(
     """
     if pairs is None and not bodies.deforming:
         return search_rigid(bodies, query, capacity, broad_phase, capacity.of_pairs, marks_invalid)
-    faults = bodies.first_faults()
+    faults = bodies._first_faults()
     if pairs is None:
         chosen = broad.choose(bodies, broad_phase)
         pairs, pair_counts = broad.find_pairs_padded(
@@ -150,8 +150,8 @@ def search_rigid(
         marks_invalid: whether to search the other bodies if a pose is invalid, unless faults are known: see
             `Search.reach`.
     """
-    faults = bodies.known_faults()
-    of_scene = [] if faults is not None else bodies.checked_by_operator
+    faults = bodies._known_faults()
+    of_scene = [] if faults is not None else bodies._checked_by_operator
     more = [column.values.to(torch.float64)[:, None] for column in of_scene]
     checks, limits = bodies.operator_checks
     reach = torch.empty_like(bodies.reach) if marks_invalid and faults is None else None

@@ -172,7 +172,7 @@ def find_part(
 
     def find_pairs() -> Tensor:
         if not bodies.checked:
-            bodies.raise_faults(bodies.first_faults().tolist())
+            bodies._raise_faults(bodies._first_faults().tolist())
         chosen = broad.choose(bodies, broad_phase)
         pairs = broad.find_pairs_of_checked(bodies, separation, chosen, tolerance, elsewhere=elsewhere)
         if select is None:
@@ -184,7 +184,7 @@ def find_part(
     capacity = expected_capacity(bodies, None, estimate, slack=slack) if _looks_ahead(bodies) else None
     if capacity is None:
         return Part(query, bodies, find_pairs(), rows=rows)
-    invalid = bodies.first_faults()[-1:]
+    invalid = bodies._first_faults()[-1:]
     if discard is not None:
         invalid = torch.maximum(invalid, discard)
     pairs, counts = broad.find_pairs_padded(bodies, separation, broad_phase, capacity, invalid, tolerance, elsewhere)

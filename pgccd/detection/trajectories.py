@@ -123,8 +123,8 @@ def repeated(scene: Scene, times: int) -> Scene:
     first = torch.arange(times, dtype=torch.int32, device=scene.device) * max(1, scene.world_count)
     columns["world"] = (first[:, None] + world).reshape(-1)
     own = None if scene.self_collision is None else scene.self_collision.repeat(times)
-    radius = scene.current_radius().repeat(times)
-    many = Scene.of_checked(scene.meshes, scene.mesh_index.repeat(times), own, radius, **columns)
+    radius = scene._current_radius().repeat(times)
+    many = Scene._of_checked(scene.meshes, scene.mesh_index.repeat(times), own, radius, **columns)
     many.capacity_estimates = scene.capacity_estimates
     return many
 

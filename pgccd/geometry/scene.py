@@ -125,7 +125,7 @@ class Scene:
         self._remember()
 
     #: Whether the columns come from a validated scene and are not checked again.
-    is_trusted: bool = False
+    _is_trusted: bool = False
 
     # Capacity estimates by kind of step, managed by `pgccd.detection.memory`. They change how often a step is repeated
     # on a GPU, never its result.
@@ -143,7 +143,7 @@ class Scene:
         self._capacity_estimates = estimates
 
     @classmethod
-    def of_checked(
+    def _of_checked(
         cls,
         meshes: MeshSet,
         mesh_index: Tensor,
@@ -158,10 +158,10 @@ class Scene:
             radius: (N,) of the bodies' SBVs. Default: those of the meshes.
 
         Example:
-            >>> part = pgccd.Scene.of_checked(scene.meshes, scene.mesh_index[rows])
+            >>> part = pgccd.Scene._of_checked(scene.meshes, scene.mesh_index[rows])
         """
         scene = cls.__new__(cls)
-        scene.meshes, scene.device, scene.is_trusted = meshes, meshes.device, True
+        scene.meshes, scene.device, scene._is_trusted = meshes, meshes.device, True
         scene.mesh_index, scene.body_count = mesh_index, mesh_index.shape[0]
         for name in OPTIONAL_COLUMNS:
             setattr(scene, name, columns.get(name))
@@ -173,20 +173,20 @@ class Scene:
         flags, begin = self.self_collision, self.meshes.offsets[:, 0]
         #: (S,) int64, ascending: the bodies tested against themselves. Computed once, so that a step need not
         #: synchronise.
-        self.self_colliding = torch.empty(0, dtype=torch.int64, device=self.device)
+        self._self_colliding = torch.empty(0, dtype=torch.int64, device=self.device)
         #: Their total number of vertices.
-        self.self_colliding_vertices = 0
+        self._self_colliding_vertices = 0
         if flags is not None:
-            self.self_colliding = torch.nonzero(flags).flatten()
-            meshes = self.mesh_index[self.self_colliding].cpu().long()
-            self.self_colliding_vertices = int((begin[1:] - begin[:-1])[meshes].sum())
+            self._self_colliding = torch.nonzero(flags).flatten()
+            meshes = self.mesh_index[self._self_colliding].cpu().long()
+            self._self_colliding_vertices = int((begin[1:] - begin[:-1])[meshes].sum())
 
-    # The radius given to `of_checked`, and cached values derived from `mesh_index` and `world`.
+    # The radius given to `_of_checked`, and cached values derived from `mesh_index` and `world`.
     _given_radius: Tensor | None = None
     _radius: Derived | None = None
     _layout: Derived | None = None
     _world_count: Derived | None = None
-    # The `mesh_index` whose values have been validated, and the `self_collision` that `self_colliding` follows.
+    # The `mesh_index` whose values have been validated, and the `self_collision` that `_self_colliding` follows.
     _validated_index: Derived | None = None
     _fixed: Derived | None = None
 
@@ -197,10 +197,10 @@ class Scene:
     @property
     def radius(self) -> Tensor:
         """SBV radius of each body's mesh, (N,) float64; a copy."""
-        return self.current_radius().clone()
+        return self._current_radius().clone()
 
-    def current_radius(self) -> Tensor:
-        """As `radius`, not a copy; of the meshes of `sound_index`.
+    def _current_radius(self) -> Tensor:
+        """As `radius`, not a copy; of the meshes of `_sound_index`.
 
         Raises:
             ValueError: on a CPU, if a mesh is out of range.
@@ -210,28 +210,28 @@ class Scene:
         if self._is_recorded() and (self._radius is None or len(self.meshes) > 1):
             return self._radius_of_meshes()
         if self._radius is None or not self._radius.is_of(self.mesh_index):
-            if self.device.type == "cpu" and not self.is_trusted:
+            if self.device.type == "cpu" and not self._is_trusted:
                 require_meshes(self.mesh_index, len(self.meshes))
             self._radius = Derived(self.mesh_index, self._radius_of_meshes())
         return self._radius.value
 
-    def leave_out(self, is_padding: Tensor) -> None:
+    def _leave_out(self, is_padding: Tensor) -> None:
         """Gives the bodies marked by (N,) bool a negative radius, so that no pair contains them."""
-        self._given_radius = torch.where(is_padding, -torch.inf, self.current_radius())
+        self._given_radius = torch.where(is_padding, -torch.inf, self._current_radius())
 
     def _radius_of_meshes(self) -> Tensor:
-        return self.meshes.radius.index_select(0, self.sound_index())
+        return self.meshes.radius.index_select(0, self._sound_index())
 
-    def sound_index(self) -> Tensor:
-        """`mesh_index`; where `must_check_index` is true, numbers out of range are replaced by others."""
-        return self.mesh_index.clamp(0, len(self.meshes) - 1) if self.must_check_index else self.mesh_index
+    def _sound_index(self) -> Tensor:
+        """`mesh_index`; where `_must_check_index` is true, numbers out of range are replaced by others."""
+        return self.mesh_index.clamp(0, len(self.meshes) - 1) if self._must_check_index else self.mesh_index
 
     @property
-    def must_check_index(self) -> bool:
+    def _must_check_index(self) -> bool:
         """Whether the values of `mesh_index` may be invalid, and only the device can tell: they have been written since
         they were validated, or will be between replays of a graph.
         """
-        if self.is_trusted:
+        if self._is_trusted:
             return False
         if self._is_recorded():
             return len(self.meshes) > 1
@@ -274,7 +274,7 @@ class Scene:
             self._world_count = Derived(self.world, 1 + int(self.world.max()) if self.body_count else 0)
         return self._world_count.value
 
-    def check_columns(self) -> None:
+    def _check_columns(self) -> None:
         """Raises TypeError or ValueError if a column was replaced by one of another type, shape or device. Values are
         not checked.
         """
@@ -292,7 +292,7 @@ class Scene:
             if not column.is_contiguous():
                 raise ValueError(f"{name}: expected a contiguous tensor")
         fixed, given = self._fixed, self.self_collision
-        if self.is_trusted or (fixed is None and given is None):
+        if self._is_trusted or (fixed is None and given is None):
             return
         if fixed is None or not isinstance(given, Tensor) or not fixed.is_of(given):
             raise ValueError("self_collision: it is fixed, but was written or replaced: make a new Scene")
@@ -311,7 +311,7 @@ class Scene:
             column = getattr(self, name)
             if column is not None:
                 setattr(moved, name, column.to(meshes.device))
-        if not self.is_trusted:
+        if not self._is_trusted:
             require_meshes(moved.mesh_index, len(meshes))
             moved._remember()
         return moved

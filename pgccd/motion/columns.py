@@ -28,8 +28,8 @@ class MovingColumns:
     # For a column, the argument that it is computed from.
     _sources: Mapping[str, str] = {}
     #: Whether the columns come from a validated motion and are not checked again.
-    is_trusted: bool = False
-    # Cached `first_faults` of such columns.
+    _is_trusted: bool = False
+    # Cached `_first_faults` of such columns.
     _no_faults: Tensor | None = None
     # Columns whose types and shapes have been checked.
     _sound: Mapping[str, Tensor] = {}
@@ -46,7 +46,7 @@ class MovingColumns:
             TypeError, ValueError: a column was replaced by one of another type, shape or device.
         """
         columns = {name: getattr(self, name) for name in self._names}
-        if self.is_trusted or all(
+        if self._is_trusted or all(
             name in self._sound and self._sound[name] is column and not column.requires_grad
             for name, column in columns.items()
         ):
@@ -61,7 +61,7 @@ class MovingColumns:
             self._sound = given
         return columns
 
-    def first_faults(self, columns: Mapping[str, Tensor] | None = None, more: Sequence[Checked] = ()) -> Tensor:
+    def _first_faults(self, columns: Mapping[str, Tensor] | None = None, more: Sequence[Checked] = ()) -> Tensor:
         """(F + 1,) int64 on the motion's device: the first faulty row of each argument, or the number of rows; then 1
         if any row is faulty, else 0. Computed at each call.
 
@@ -69,7 +69,7 @@ class MovingColumns:
             columns: as returned by `columns()`. Default: the current ones.
             more: columns of the scene, checked after those of the motion.
         """
-        if not self.is_trusted:
+        if not self._is_trusted:
             columns = self.columns() if columns is None else columns
             return joined(self._given_faults, first_faults([*self._checked(columns), *more]))
         if more:
@@ -80,8 +80,8 @@ class MovingColumns:
 
     @property
     def faults(self) -> Faults:
-        """The meaning of the values of `first_faults`."""
-        if self.is_trusted:
+        """The meaning of the values of `_first_faults`."""
+        if self._is_trusted:
             return Faults([])
         columns = {name: getattr(self, name) for name in self._names}
         return Faults([*self._checked(self._given), *self._checked(columns)])
@@ -90,12 +90,12 @@ class MovingColumns:
         return columns_checked(columns, self._row, self._sources)
 
     @property
-    def has_verdict(self) -> bool:
-        """Whether `first_faults` is known, or includes faults that are not in the columns."""
-        return self.is_trusted or self._given_faults is not None
+    def _has_verdict(self) -> bool:
+        """Whether `_first_faults` is known, or includes faults that are not in the columns."""
+        return self._is_trusted or self._given_faults is not None
 
     @property
-    def first_given_fault(self) -> Tensor | None:
+    def _first_given_fault(self) -> Tensor | None:
         """(1,) int64 on the device: the first row that is faulty in an argument not stored as a column, or the number
         of rows; None if all were valid.
         """
@@ -105,14 +105,14 @@ class MovingColumns:
         """Raises ValueError naming the first row with a number that is not finite or too large, or a quaternion that is
         not unit.
         """
-        self.raise_faults(self.first_faults().tolist())
+        self._raise_faults(self._first_faults().tolist())
 
-    def raise_faults(self, first: Sequence[int]) -> None:
-        """Raises ValueError if the values of `first_faults` include a faulty row."""
+    def _raise_faults(self, first: Sequence[int]) -> None:
+        """Raises ValueError if the values of `_first_faults` include a faulty row."""
         if first[-1]:
             self.faults.raise_from(first)
 
-    def check_given(self) -> None:
+    def _check_given(self) -> None:
         """Raises ValueError if an argument that is not stored as a column was invalid. May synchronise with a GPU."""
         if self._given_faults is not None:
             self.check()

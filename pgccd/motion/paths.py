@@ -150,7 +150,7 @@ class RigidMotion(MovingColumns):
         return motion
 
     @classmethod
-    def of_checked(
+    def _of_checked(
         cls,
         position_t0: Tensor,
         orientation_t0: Tensor,
@@ -161,12 +161,12 @@ class RigidMotion(MovingColumns):
         """As `from_rotation`, from columns of a validated motion: nothing is checked, now or later.
 
         Example:
-            >>> part = pgccd.RigidMotion.of_checked(
+            >>> part = pgccd.RigidMotion._of_checked(
             ...     *(c[rows] for c in (m.position_t0, m.orientation_t0, m.position_t1, m.rotation))
             ... )
         """
         motion = cls.__new__(cls)
-        motion.path, motion.is_trusted = path, True
+        motion.path, motion._is_trusted = path, True
         motion.position_t0, motion.orientation_t0 = position_t0, orientation_t0
         motion.position_t1, motion.rotation = position_t1, rotation
         return motion
@@ -222,7 +222,7 @@ class RigidMotion(MovingColumns):
             >>> part = motion[:10]
         """
         picked = arguments.rows(rows, "rows", self.body_count)
-        self.check_given()  # its faults refer to rows of the whole motion
+        self._check_given()  # its faults refer to rows of the whole motion
         part = copy.copy(self)
         for name in self._names:
             setattr(part, name, getattr(self, name)[picked].contiguous())
@@ -256,14 +256,14 @@ class VertexMotion(MovingColumns):
         self._check_early()
 
     @classmethod
-    def of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:
+    def _of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:
         """From columns of a validated motion: nothing is checked, now or later.
 
         Example:
-            >>> part = pgccd.VertexMotion.of_checked(cloth_t0[:8], cloth_t1[:8])
+            >>> part = pgccd.VertexMotion._of_checked(cloth_t0[:8], cloth_t1[:8])
         """
         motion = cls.__new__(cls)
-        motion.x_t0, motion.x_t1, motion.is_trusted = x_t0, x_t1, True
+        motion.x_t0, motion.x_t1, motion._is_trusted = x_t0, x_t1, True
         return motion
 
     def at(self, t: Tensor | float) -> Tensor:

@@ -253,7 +253,7 @@ class Model:
 
     def scene(self, id: Tensor) -> Scene:
         """The scene of the robots `id` (N,) int64."""
-        return Scene.of_checked(self.meshes, self.mesh_index(id))
+        return Scene._of_checked(self.meshes, self.mesh_index(id))
 
     def mesh_index(self, id: Tensor) -> Tensor:
         """(N,) int32: the kinds of the robots `id` (N,) int64."""

@@ -131,6 +131,6 @@ def make_step_graph(
         bodies = MovingBodies.of(scene, model.motion(planned), wait=False)
         part = find_part(bodies, FIRST_CONTACTS, broad_phase, discard=discard, estimate=plan.pairs, slack=GRAPH_SLACK)
         partners = Partners(model, planned.moving_columns, None, part.pairs)
-        return Searches([part], partners, planned.id, OneRank(), [bodies.first_faults()[-1:]])
+        return Searches([part], partners, planned.id, OneRank(), [bodies._first_faults()[-1:]])
 
     return StepGraph(model, state, index, search, plan.rounds, rounds, usual_rounds)

@@ -91,7 +91,7 @@ def make_step(
         motion = model.motion(before)
     with clock.stage("broad"):
         bodies = MovingBodies.of(scene, motion, wait=scene.device.type == "cpu")
-        faults = HostCopy.start(bodies.first_faults())
+        faults = HostCopy.start(bodies._first_faults())
         part = find_part(bodies, FIRST_CONTACTS, broad_phase, estimate=plan.pairs)
     after = before
 
@@ -104,7 +104,7 @@ def make_step(
 
     partners = Partners(model, before.moving_columns, None, part.pairs)
     resolved = resolve_collisions([part], scene.body_count, partners, plan.rounds, conclude, clock)
-    bodies.raise_faults(faults.numpy().tolist())
+    bodies._raise_faults(faults.numpy().tolist())
     resolved.learn()
     clock.stop()
 

@@ -176,8 +176,8 @@ def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> N
     all_changed = torch.ones(len(state), dtype=torch.uint8)
     _, bodies, _ = model.affected_pairs(own, ghosts, fraction, all_changed, pairs, len(pairs))
     mesh_index, position_t0, position_t1, _, orientation, rotation = bodies
-    scene = pgccd.Scene.of_checked(model.meshes, mesh_index)
-    motion = pgccd.RigidMotion.of_checked(position_t0, orientation, position_t1, rotation)
+    scene = pgccd.Scene._of_checked(model.meshes, mesh_index)
+    motion = pgccd.RigidMotion._of_checked(position_t0, orientation, position_t1, rotation)
     for name in ("position_t0", "orientation_t0", "position_t1", "rotation"):
         assert torch.equal(getattr(motion, name), getattr(slowed, name)[pairs.reshape(-1)]), name
     copies = torch.arange(2 * len(pairs)).view(-1, 2)

@@ -76,7 +76,7 @@ class Halo:
             where = *kept, *self._decomposition.subdomain
             self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *where)
         if self._synchronises:
-            self._found = HostCopy.start(torch.cat([self._count, self._bodies.first_faults()]))
+            self._found = HostCopy.start(torch.cat([self._count, self._bodies._first_faults()]))
 
     def send(self) -> None:
         """Sends ghosts. With exact sizes this validates the bodies, agrees with other ranks, and synchronises."""
@@ -141,6 +141,6 @@ class Halo:
         """Validates the bodies, and returns the number of those at the boundary. Synchronises."""
         count, *faults = self._found.numpy().tolist()
         if not self._bodies.checked:
-            self._bodies.raise_faults(faults)
+            self._bodies._raise_faults(faults)
             self._bodies.checked = True
         return count

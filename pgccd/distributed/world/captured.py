@@ -216,7 +216,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
         motion = self._motion(bodies)
         _require_rigid(motion)
         scene = scene_of(world._meshes, columns)
-        scene.leave_out(id < 0)
+        scene._leave_out(id < 0)
         moving = MovingBodies.of(scene, motion, wait=False)
         asked = self._decomposition, columns_to_send(id, moving), moving, lambda ghosts: ghosts
         # The rows of contacts with ghosts are found concurrently with the search of own pairs.
@@ -232,7 +232,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
         )
         counts = [part.counts() for part in share.parts]
         overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
-        incomplete = torch.cat([self._failed, share.overflow, moving.first_faults()[-1:], *overflow]).sum().reshape(1)
+        incomplete = torch.cat([self._failed, share.overflow, moving._first_faults()[-1:], *overflow]).sum().reshape(1)
         first, incomplete = _first_toi(share, comm, incomplete)
         new = _with_position(self._response(bodies, motion, first))
         is_body = id >= 0

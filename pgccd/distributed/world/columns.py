@@ -29,7 +29,7 @@ _OF_SCENES = ("id", "mesh_index", *_OPTIONAL)
 def scene_of(meshes: MeshSet, columns: Columns) -> Scene:
     """The scene of bodies with these columns."""
     optional: dict[str, Any] = {name: columns[name] for name in _OPTIONAL if name in columns}
-    return Scene.of_checked(meshes, columns["mesh_index"], **optional)
+    return Scene._of_checked(meshes, columns["mesh_index"], **optional)
 
 
 def scene_columns(columns: Columns) -> Columns:

@@ -302,7 +302,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
     ) -> Searches:
         """Enqueues the searches of a planned step, for a graph."""
         own, scene = planned.moving_columns, self.model.scene(planned.id)
-        scene.leave_out(planned.id < 0)
+        scene._leave_out(planned.id < 0)
         bodies = MovingBodies.of(scene, self.model.motion(planned), wait=False)
 
         def beside(share: Share) -> tuple[HeldExchange, Partners]:
@@ -323,7 +323,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             discard=discard,
             slack=GRAPH_SLACK,
         )
-        failed = [share.overflow, bodies.first_faults()[-1:], exchange.overflow()]
+        failed = [share.overflow, bodies._first_faults()[-1:], exchange.overflow()]
         return Searches(share.parts, partners, share.held.id, exchange, failed)
 
     def _largest_message(self, sizes: HaloSizes) -> int:
